@@ -1,0 +1,1 @@
+"""Residuals, hold-out, observability, verdict and advice."""

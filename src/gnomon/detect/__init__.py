@@ -1,0 +1,1 @@
+"""Samples -> static intervals and other marks."""

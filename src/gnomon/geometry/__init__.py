@@ -1,0 +1,1 @@
+"""Rotations, quaternion kinematics: pure functions on arrays."""

@@ -1,0 +1,1 @@
+"""Parameters -> prediction, and exact conversions between the models of the field."""

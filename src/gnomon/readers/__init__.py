@@ -1,0 +1,1 @@
+"""Bytes -> Recording or Calibration; one file a format."""

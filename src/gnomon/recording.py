@@ -1,0 +1,159 @@
+"""What was measured: samples, as recorded, with their stamps and their unit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import RecordingError
+from .units import Units
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+
+def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return a read-only C-ordered array; values are copied unless they already are one."""
+    if isinstance(values, np.ndarray) and values.dtype == dtype and values.flags.c_contiguous:
+        if not values.flags.writeable:
+            return values
+        array = values.copy()
+    else:
+        array = np.array(values, dtype=dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadSamples:
+    """Samples of one three-axis sensor.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64 [ns]
+        Stamps in any clock; not necessarily uniform.
+    values : (n, 3) float64 [unit]
+        x, y, z as recorded.
+    unit : str
+        "count", or a key of the tables in `gnomon.units`.
+
+    Raises
+    ------
+    RecordingError
+        If the shapes do not fit.
+    """
+
+    t_ns: Integers
+    values: Floats
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, np.int64))
+        object.__setattr__(self, "values", frozen_array(self.values))
+        if self.values.ndim != 2 or self.values.shape[1] != 3 or self.t_ns.shape != self.values.shape[:1]:
+            raise RecordingError(
+                f"samples must be (n, 3) with n stamps; found values {self.values.shape} and stamps {self.t_ns.shape}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def t_s(self) -> Floats:
+        """Seconds since the first stamp, (n,)."""
+        return (self.t_ns - self.t_ns[0]) * 1e-9 if len(self) else np.empty(0)
+
+    @property
+    def rate_hz(self) -> float:
+        """Median sample rate [Hz]; nan with fewer than two distinct stamps."""
+        step = float(np.median(np.diff(self.t_ns))) if len(self) > 1 else 0.0
+        if step <= 0 and len(self) > 1:
+            step = float(self.t_ns[-1] - self.t_ns[0]) / (len(self) - 1)
+        return 1e9 / step if step > 0 else float("nan")
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last stamp [s]."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuSamples:
+    """Both triads of one IMU; they may differ in rate and stamps, but share one clock."""
+
+    accelerometer: TriadSamples
+    gyroscope: TriadSamples
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """A file that was read: its name without folder, and the SHA-256 of its bytes."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """What was measured in one go.
+
+    Attributes
+    ----------
+    imus : mapping from "imu0", "imu1", ... to ImuSamples
+    sources : the files that were read
+    assumptions : sentences on what the reader had to assume, such as units or the rate
+    """
+
+    imus: Mapping[str, ImuSamples]
+    sources: tuple[Source, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))
+
+    @classmethod
+    def from_arrays(cls, t_s: ArrayLike, gyro: ArrayLike, accel: ArrayLike, units: str | Units = "si") -> Self:
+        """Make a recording of one IMU from arrays.
+
+        Parameters
+        ----------
+        t_s : (n,) [s], or a pair of them (gyroscope, accelerometer) where the two triads have their own stamps
+        gyro : (n, 3) [rad/s, or as `units` says]
+        accel : (n, 3) [m/s^2, or as `units` says], specific force
+        units : "si", "raw", a list such as "g deg/s", or Units
+
+        Raises
+        ------
+        RecordingError
+            If the shapes do not fit.
+        OptionError
+            If `units` names no unit.
+        """
+        stated = Units.parse(units) if isinstance(units, str) else units
+        t_gyro, t_accel = t_s if isinstance(t_s, tuple) else (t_s, t_s)
+        return cls(
+            imus={
+                "imu0": ImuSamples(
+                    accelerometer=TriadSamples(
+                        t_ns=_ns_from_s(t_accel),
+                        values=frozen_array(accel),
+                        unit=stated.accelerometer or "m/s^2",
+                    ),
+                    gyroscope=TriadSamples(
+                        t_ns=_ns_from_s(t_gyro),
+                        values=frozen_array(gyro),
+                        unit=stated.gyroscope or "rad/s",
+                    ),
+                )
+            }
+        )
+
+
+def _ns_from_s(t_s: ArrayLike) -> Integers:
+    t = np.asarray(t_s, dtype=np.float64)
+    if not np.isfinite(t).all():
+        raise RecordingError(f"stamp {int(np.argmin(np.isfinite(t)))} is not a finite number of seconds.")
+    return np.rint(t * 1e9).astype(np.int64)

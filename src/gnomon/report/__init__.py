@@ -1,0 +1,1 @@
+"""Calibration and diagnostics -> one self-contained HTML file."""

@@ -1,0 +1,1 @@
+"""Least squares and covariance; knows no sensor."""

@@ -1,0 +1,88 @@
+"""Units of measured values, and what one of them is in SI.
+
+Samples keep the unit in which they were recorded; a calibration maps that unit to SI. Conversion happens
+nowhere else, so that raw counts, g and m/s^2 are the same problem with other numbers.
+"""
+
+from dataclasses import dataclass
+from math import pi
+from typing import Literal, Self
+
+from .errors import OptionError
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+"""Standard gravity, the definition of the unit g [m/s^2]."""
+
+AccelerometerUnit = Literal["m/s^2", "g", "mg", "count"]
+GyroscopeUnit = Literal["rad/s", "deg/s", "mdeg/s", "count"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+
+ACCELEROMETER_UNITS_M_S2: dict[str, float | None] = {
+    "m/s^2": 1.0,
+    "g": STANDARD_GRAVITY_M_S2,
+    "mg": 1e-3 * STANDARD_GRAVITY_M_S2,
+    "count": None,
+}
+"""One unit in m/s^2; None where only a calibration can tell."""
+
+GYROSCOPE_UNITS_RAD_S: dict[str, float | None] = {
+    "rad/s": 1.0,
+    "deg/s": pi / 180,
+    "mdeg/s": 1e-3 * pi / 180,
+    "count": None,
+}
+"""One unit in rad/s; None where only a calibration can tell."""
+
+TIME_UNITS_NS: dict[str, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+"""One unit in nanoseconds."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Units:
+    """Units of a recording as stated by its owner; None where they are to be recognised.
+
+    Attributes
+    ----------
+    accelerometer : "m/s^2", "g", "mg" or "count"
+    gyroscope : "rad/s", "deg/s", "mdeg/s" or "count"
+    time : "s", "ms", "us" or "ns"
+    """
+
+    accelerometer: AccelerometerUnit | None = None
+    gyroscope: GyroscopeUnit | None = None
+    time: TimeUnit | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read "si", "raw" or a list such as "g deg/s us", in any order.
+
+        Raises
+        ------
+        OptionError
+            If a word is no unit, or two words are units of the same quantity.
+
+        Examples
+        --------
+        >>> Units.parse("si")
+        Units(accelerometer='m/s^2', gyroscope='rad/s', time=None)
+        >>> Units.parse("g deg/s us")
+        Units(accelerometer='g', gyroscope='deg/s', time='us')
+        """
+        if text == "si":
+            return cls(accelerometer="m/s^2", gyroscope="rad/s")
+        if text == "raw":
+            return cls(accelerometer="count", gyroscope="count")
+        found: dict[str, str] = {}
+        tables = {
+            "accelerometer": ACCELEROMETER_UNITS_M_S2,
+            "gyroscope": GYROSCOPE_UNITS_RAD_S,
+            "time": TIME_UNITS_NS,
+        }
+        for word in text.replace(",", " ").replace("m/s2", "m/s^2").split():
+            quantities = [name for name, table in tables.items() if word in table and word != "count"]
+            if len(quantities) != 1 or quantities[0] in found:
+                problem = "given twice for one quantity" if quantities else "not a unit"
+                known = ", ".join(unit for table in tables.values() for unit in table if unit != "count")
+                raise OptionError(f'units "{text}": "{word}" is {problem}. Write "si", "raw", or a list of: {known}.')
+            found[quantities[0]] = word
+        return cls(**found)  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,1 @@
+"""Calibration -> files of this and other projects."""
