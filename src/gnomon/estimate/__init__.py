@@ -1,1 +1,1 @@
-"""One file an estimation problem: data -> problem -> solution."""
+"""Data -> problem -> solution; one file an estimation problem."""

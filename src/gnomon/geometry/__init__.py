@@ -1,1 +1,1 @@
-"""Rotations, quaternion kinematics: pure functions on arrays."""
+"""Rotations and quaternion kinematics: pure functions on arrays."""

@@ -1,0 +1,175 @@
+"""Static intervals by the variance magnitude of the accelerometer (document A, section 3.4.1).
+
+Eq. (3.9): the square of the variance magnitude, s^2(t) = sum over the axes of var(a)^2 in a window of t_w seconds
+centred in t, is compared with a multiple of its level at rest. Each axis is measured by its own level at rest first, so
+that neither the unit nor an axis with more noise than the others matters.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..recording import Floats, Integers, TriadSamples, frozen_array
+
+Booleans = NDArray[np.bool_]
+
+_CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StaticIntervals:
+    """Runs of static samples.
+
+    Attributes
+    ----------
+    start, stop : (n,) int64, first sample and one past the last
+    """
+
+    start: Integers
+    stop: Integers
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", frozen_array(self.start, np.int64))
+        object.__setattr__(self, "stop", frozen_array(self.stop, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def where(self, keep: Booleans) -> "StaticIntervals":
+        """Return the intervals that `keep` (n,) marks."""
+        return StaticIntervals(start=self.start[keep], stop=self.stop[keep])
+
+
+def window_samples(samples: TriadSamples, window_s: float) -> int:
+    """Return the odd number of samples in a window of `window_s` seconds, at least three."""
+    return 2 * max(1, round(0.5 * window_s * samples.rate_hz)) + 1
+
+
+def window_variances(values: Floats, window: int) -> Floats:
+    """Return the variance of each axis in a centred window, var of Eq. (3.9), for every sample, (n, 3), in linear time.
+
+    Samples closer to an end than half a window take the value of the nearest full window.
+
+    Parameters
+    ----------
+    values : (n, 3) [unit]
+    window : odd number of samples in the centred window, at most n
+    """
+    n, half = len(values), window // 2
+    variances = np.empty((n, 3))
+    for first in range(half, n - half, _CHUNK):
+        last = min(first + _CHUNK, n - half)
+        part = values[first - half : last + half]
+        part = part - part.mean(axis=0)  # small numbers keep the running sums exact
+        sums = _window_sums(part, window)
+        sums *= sums
+        sums /= -window
+        sums += _window_sums(part * part, window)
+        np.divide(sums, window - 1, out=variances[first:last])
+    variances[:half] = variances[half]
+    variances[n - half :] = variances[n - half - 1]
+    return variances
+
+
+def _window_sums(values: Floats, window: int) -> Floats:
+    running = np.cumsum(values, axis=0)
+    sums = running[window - 1 :].copy()
+    sums[1:] -= running[:-window]
+    return sums
+
+
+def variance_magnitude_squared(variances: Floats, level: Floats | float = 1.0) -> Floats:
+    """Return s^2 of Eq. (3.9), (n,): the sum over the axes of (variance / level)^2.
+
+    Parameters
+    ----------
+    variances : (n, 3), from `window_variances`
+    level : (3,) variance of each axis at rest, or 1 for s^2 in the sensor's unit as printed
+    """
+    scaled = variances / level
+    return np.einsum("ij,ij->i", scaled, scaled)
+
+
+def resting_variances(variances: Floats, values: Floats, window: int) -> Floats:
+    """Return the variance of each axis at rest, (3,), without being told when the sensor rested.
+
+    Noise at rest is the quietest that a sensor shows, so the level is taken from the quietest windows: the tenth
+    percentile over windows that do not overlap. It is never below the variance of rounding to the sensor's steps, since
+    a coarse sensor may show none at all.
+
+    Parameters
+    ----------
+    variances : (n, 3), from `window_variances`
+    values : (n, 3) [unit]
+    window : samples in a window
+    """
+    quiet = np.quantile(variances[window // 2 :: window], 0.1, axis=0)
+    return np.maximum(np.maximum(quiet, quantisation_step(values) ** 2 / 12), np.finfo(float).tiny)
+
+
+def quantisation_step(values: Floats) -> Floats:
+    """Return for each axis the smallest step between different neighbouring samples, (3,) [unit]; 0 if it never changes."""
+    steps = np.abs(np.diff(values[:_CHUNK], axis=0))
+    steps[steps == 0] = np.inf
+    smallest = steps.min(axis=0, initial=np.inf)
+    return np.where(np.isfinite(smallest), smallest, 0.0)
+
+
+def runs_below(statistic: Floats, threshold: float, shortest: int, margin: int = 0) -> StaticIntervals:
+    """Return the runs of samples with s^2 below the threshold that are long enough.
+
+    Parameters
+    ----------
+    statistic : (n,)
+    threshold : compared with `statistic`
+    shortest : least number of samples in a run, after the margin is taken off
+    margin : samples taken off both ends of a run
+    """
+    still = np.concatenate([[False], statistic < threshold, [False]])
+    edges = np.flatnonzero(still[1:] != still[:-1])
+    start, stop = edges[::2] + margin, edges[1::2] - margin
+    long_enough = stop - start >= shortest
+    return StaticIntervals(start=start[long_enough], stop=stop[long_enough])
+
+
+def find_static(
+    samples: TriadSamples, window_s: float = 1.0, multiplier: float = 10.0, shortest_s: float = 0.5
+) -> StaticIntervals:
+    """Return the static intervals of an accelerometer at one given multiplier of its resting level.
+
+    Parameters
+    ----------
+    samples : accelerometer samples
+    window_s : t_w [s]
+    multiplier : threshold on s^2 in units of the resting level
+    shortest_s : least length of an interval [s]
+    """
+    window = window_samples(samples, window_s)
+    if len(samples) < window:
+        return StaticIntervals(start=np.empty(0, np.int64), stop=np.empty(0, np.int64))
+    statistic = static_statistic(samples.values, window)
+    return runs_below(statistic, multiplier, round(shortest_s * samples.rate_hz))
+
+
+def static_statistic(values: Floats, window: int) -> Floats:
+    """Return s^2 relative to its level at rest, (n,): about 1 where the sensor rests.
+
+    Parameters
+    ----------
+    values : (n, 3) [unit]
+    window : odd number of samples, at most n
+    """
+    variances = window_variances(values, window)
+    level = resting_variances(variances, values, window)
+    return variance_magnitude_squared(variances, level) / 3
+
+
+def interval_means(values: Floats, intervals: StaticIntervals) -> Floats:
+    """Return the mean of the samples of every interval, (n, 3) [unit]."""
+    if not len(intervals):
+        return np.empty((0, 3))
+    edges = np.stack([intervals.start, intervals.stop], axis=1).ravel()
+    last = edges[-1] == len(values)  # reduceat takes the end of the data for granted
+    sums = np.add.reduceat(values, edges[:-1] if last else edges, axis=0)[::2]
+    return sums / (intervals.stop - intervals.start)[:, None]

@@ -1,0 +1,243 @@
+"""The multi-position problem: what static intervals and the rotations between them say, linearised.
+
+Beyond document A there is one latent direction of gravity u_k per static interval (a unit vector in the body frame), so
+that the noise of an interval is counted once although both neighbouring rotations use it, and a gyroscope bias that
+depends on the specific force as in document B, chapter 3. In units of gravity for the specific force:
+
+    accelerometer at rest    x_k = S u_k + b                          S lower triangular (frame accel-x)
+    gyroscope at rest        y_k = b_g + G u_k
+    gyroscope in motion      omega = C_g (y - b_g - G f),  f = inv(S) (x - b)
+    rotation k               u_{k+1} = R_k' u_k,  R_k integrated from omega
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.so3 import skew, tangent_basis
+from ..recording import Floats
+from ..solve.arrow import ArrowSystem
+from .rotations import MotionSegments, integrate, propagate
+
+LOWER = np.tril_indices(3)
+PARAMETERS = 30
+"""S (6, lower triangle in row order), b (3), C_g (9), b_g (3), G (9)."""
+S_, B_, CG_, BG_, G_ = slice(0, 6), slice(6, 9), slice(9, 18), slice(18, 21), slice(21, 30)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MultiPositionData:
+    """Means of n static intervals and samples of the n - 1 rotations between them, in scaled sensor units.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : (n, 3) means
+    accelerometer_variance, gyroscope_variance : (n, 3) variances of the means by the noise at rest
+    segments : the rotations; None without a gyroscope
+    rotation_variance : (n - 1, 3) variance of the integrated rate of each gyroscope axis by the noise at rest
+    linked : (n - 1,) bool, whether a rotation may be used
+    earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
+    """
+
+    accelerometer: Floats
+    gyroscope: Floats
+    accelerometer_variance: Floats
+    gyroscope_variance: Floats
+    segments: MotionSegments | None
+    rotation_variance: Floats
+    linked: np.ndarray
+    earth_rate_variance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class State:
+    """A point in the space of unknowns: parameters theta (30,) and directions u (n, 3)."""
+
+    theta: Floats
+    u: Floats
+
+    @property
+    def matrices(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """S (3, 3), b (3,), C_g (3, 3), b_g (3,), G (3, 3)."""
+        sensitivity = np.zeros((3, 3))
+        sensitivity[LOWER] = self.theta[S_]
+        return (
+            sensitivity,
+            self.theta[B_],
+            self.theta[CG_].reshape(3, 3),
+            self.theta[BG_],
+            self.theta[G_].reshape(3, 3),
+        )
+
+    def moved(self, d_theta: Floats, d_u: Floats) -> "State":
+        """Return the state after a step; d_u (n, 2) in the tangent planes of u."""
+        u = self.u + np.einsum("kij,kj->ki", tangent_basis(self.u), d_u)
+        return State(theta=self.theta + d_theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linearisation:
+    """Residuals, not yet divided by their sigma, and their derivatives.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : (n, 3) residuals at rest
+    rotation : (n - 1, 2) residuals of the rotations, in the tangent plane of the second direction [rad]
+    accelerometer_u, gyroscope_u : (n, 3, 2) derivatives by the interval's direction
+    rotation_u : (n - 1, 2, 2) by the first direction; the one by the second is the identity
+    accelerometer_theta, gyroscope_theta : (n, 3, 30)
+    rotation_theta : (n - 1, 2, 30)
+    propagated : (n - 1, 3) R_k' u_k
+    """
+
+    accelerometer: Floats
+    gyroscope: Floats
+    rotation: Floats
+    accelerometer_u: Floats
+    gyroscope_u: Floats
+    rotation_u: Floats
+    accelerometer_theta: Floats
+    gyroscope_theta: Floats
+    rotation_theta: Floats
+    propagated: Floats
+
+    def extrapolated(self, d_theta: Floats, d_u: Floats) -> "Linearisation":
+        """Return the residuals after a small step without integrating again; derivatives stay."""
+        return Linearisation(
+            accelerometer=self.accelerometer
+            + self.accelerometer_theta @ d_theta
+            + np.einsum("kij,kj->ki", self.accelerometer_u, d_u),
+            gyroscope=self.gyroscope
+            + self.gyroscope_theta @ d_theta
+            + np.einsum("kij,kj->ki", self.gyroscope_u, d_u),
+            rotation=self.rotation
+            + self.rotation_theta @ d_theta
+            + np.einsum("kij,kj->ki", self.rotation_u, d_u[:-1])
+            + d_u[1:],
+            accelerometer_u=self.accelerometer_u,
+            gyroscope_u=self.gyroscope_u,
+            rotation_u=self.rotation_u,
+            accelerometer_theta=self.accelerometer_theta,
+            gyroscope_theta=self.gyroscope_theta,
+            rotation_theta=self.rotation_theta,
+            propagated=self.propagated,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Whitening:
+    """Inverse square roots of the residuals' covariances; zero switches a residual off.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : (n, 3, 3)
+    rotation : (n - 1,) [1/rad]
+    prior : (30,) inverse sigmas of the weak prior
+    """
+
+    accelerometer: Floats
+    gyroscope: Floats
+    rotation: Floats
+    prior: Floats
+
+
+def linearise(data: MultiPositionData, state: State) -> Linearisation:
+    """Return residuals (observed minus predicted at rest; second minus propagated direction) and derivatives."""
+    s, b, _, b_g, g = state.matrices
+    u, n = state.u, len(state.u)
+    basis = tangent_basis(u)
+    accelerometer_theta = np.zeros((n, 3, PARAMETERS))
+    for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        accelerometer_theta[:, i, column] = -u[:, j]
+    accelerometer_theta[:, :, B_] = -np.eye(3)
+    gyroscope_theta = np.zeros((n, 3, PARAMETERS))
+    gyroscope_theta[:, :, BG_] = -np.eye(3)
+    gyroscope_theta[:, :, G_] = -np.einsum("ij,kc->kijc", np.eye(3), u).reshape(n, 3, 9)
+    propagated, rotation_u, rotation_theta = _rotations(data, state, basis)
+    return Linearisation(
+        accelerometer=data.accelerometer - u @ s.T - b,
+        gyroscope=data.gyroscope - u @ g.T - b_g,
+        rotation=np.einsum("kij,ki->kj", basis[1:], u[1:] - propagated),
+        accelerometer_u=-s @ basis,
+        gyroscope_u=-g @ basis,
+        rotation_u=rotation_u,
+        accelerometer_theta=accelerometer_theta,
+        gyroscope_theta=gyroscope_theta,
+        rotation_theta=rotation_theta,
+        propagated=propagated,
+    )
+
+
+def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return propagated directions, and derivatives of the rotations' residuals by u_k and by theta."""
+    m = len(state.u) - 1
+    if data.segments is None:
+        return state.u[1:], np.zeros((m, 2, 2)), np.zeros((m, 2, PARAMETERS))
+    s, b, c_g, b_g, g = state.matrices
+    force = (data.segments.accelerometer - b) @ np.linalg.inv(s).T
+    rate = data.segments.gyroscope - b_g - force @ g.T
+    regressors = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
+    turns = integrate(data.segments, rate @ c_g.T, regressors)
+    start = state.u[:-1]
+    back = np.einsum("kai,kab->kib", basis[1:], np.swapaxes(turns.rotation, 1, 2))  # tangent plane <- start frame
+    turned = -np.einsum("kib,kbl->kil", back, skew(start))  # residual by delta theta in the start frame
+    by_c = np.einsum("kil,klac->kiac", turned, turns.sensitivity)
+    by_rate_offset, by_force = by_c[..., 3], by_c[..., 4:]
+    pull = c_g @ g @ np.linalg.inv(s)  # omega by what the accelerometer reads
+    theta = np.empty((m, 2, PARAMETERS))
+    by_s = np.einsum("kiac,aj->kijc", by_force, pull)
+    theta[..., S_] = by_s[:, :, LOWER[0], LOWER[1]]
+    theta[..., B_] = by_rate_offset @ pull
+    theta[..., CG_] = by_c[..., :3].reshape(m, 2, 9)
+    theta[..., BG_] = -by_rate_offset @ c_g
+    theta[..., G_] = -np.einsum("kiac,aj->kijc", by_force, c_g).reshape(m, 2, 9)
+    return propagate(turns.rotation, start), -back @ basis[:-1], theta
+
+
+def normal_equations(
+    lines: Linearisation, whitening: Whitening, from_prior: Floats, free: np.ndarray
+) -> ArrowSystem:
+    """Return the normal equations of the free parameters.
+
+    Parameters
+    ----------
+    from_prior : (30,) theta minus the mean of the prior
+    free : (30,) bool; the others stay where they are
+    """
+    n, p = len(lines.accelerometer), int(free.sum())
+    diagonal, border = np.zeros((n, 2, 2)), np.zeros((n, 2, p))
+    gradient = np.zeros((n, 2))
+    corner = np.diag(whitening.prior[free] ** 2)
+    corner_gradient = whitening.prior[free] ** 2 * from_prior[free]
+    rest = (
+        (lines.accelerometer, lines.accelerometer_u, lines.accelerometer_theta, whitening.accelerometer),
+        (lines.gyroscope, lines.gyroscope_u, lines.gyroscope_theta, whitening.gyroscope),
+    )
+    for residual, by_u, by_theta, whitener in rest:
+        r = np.einsum("kij,kj->ki", whitener, residual)
+        ju, jt = whitener @ by_u, whitener @ by_theta[..., free]
+        jut = np.swapaxes(ju, 1, 2)
+        diagonal += jut @ ju
+        border += jut @ jt
+        gradient += np.einsum("kij,ki->kj", ju, r)
+        flat = jt.reshape(-1, p)
+        corner += flat.T @ flat
+        corner_gradient += flat.T @ r.ravel()
+    w = whitening.rotation[:, None, None]
+    r, ju, jt = w[..., 0] * lines.rotation, w * lines.rotation_u, w * lines.rotation_theta[..., free]
+    jut = np.swapaxes(ju, 1, 2)
+    diagonal[:-1] += jut @ ju
+    diagonal[1:] += w * w * np.eye(2)
+    border[:-1] += jut @ jt
+    border[1:] += w * jt
+    gradient[:-1] += np.einsum("kij,ki->kj", ju, r)
+    gradient[1:] += w[..., 0] * r
+    flat = jt.reshape(-1, p)
+    return ArrowSystem(
+        diagonal=diagonal + 1e-12 * np.trace(diagonal, axis1=1, axis2=2).max() * np.eye(2),
+        coupling=w * jut,
+        border=border,
+        corner=corner + flat.T @ flat,
+        gradient=gradient,
+        corner_gradient=corner_gradient + flat.T @ r.ravel(),
+    )

@@ -1,0 +1,177 @@
+"""Least squares in which many small states form a chain and few parameters touch them all.
+
+The normal matrix is block tridiagonal with a border (an arrow):
+
+    [ D0  E0            F0 ]
+    [ E0' D1  E1        F1 ]
+    [     E1' D2  ..    .. ]
+    [ F0' F1' ..        C  ]
+
+It is factorised from the first block to the last; time and memory grow linearly with the chain. States are gathered in
+larger blocks first, so that the work is done in few calls of LAPACK.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+_GATHERED = 48  # scalars in a block; measured: flat between 30 and 100
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArrowSystem:
+    """Normal equations N x = -gradient of n chained states of d scalars each and p border parameters.
+
+    Attributes
+    ----------
+    diagonal : (n, d, d)
+    coupling : (n - 1, d, d), rows of state k, columns of state k + 1
+    border : (n, d, p)
+    corner : (p, p)
+    gradient : (n, d), of the states
+    corner_gradient : (p,)
+    """
+
+    diagonal: Floats
+    coupling: Floats
+    border: Floats
+    corner: Floats
+    gradient: Floats
+    corner_gradient: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArrowSolution:
+    """Step and covariance of an arrow system.
+
+    Attributes
+    ----------
+    states : (n, d) step of the states
+    corner : (p,) step of the border parameters
+    corner_covariance : (p, p) inverse of the Schur complement
+    state_covariance : (n, d, d)
+    next_covariance : (n - 1, d, d) between state k and state k + 1
+    cross_covariance : (n, d, p) between state k and the border parameters
+    """
+
+    states: Floats
+    corner: Floats
+    corner_covariance: Floats
+    state_covariance: Floats
+    next_covariance: Floats
+    cross_covariance: Floats
+
+
+def solve_arrow(system: ArrowSystem) -> ArrowSolution:
+    """Solve an arrow system and return the covariances of everything that neighbours in it.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    n, d, p = system.border.shape
+    per_block = max(1, _GATHERED // d)
+    blocks = -(-n // per_block)
+    diagonal, coupling, right = _gather(system, per_block, blocks)
+    inverses, gains, eliminated = _eliminate(diagonal, coupling, right)
+    schur = system.corner.copy()
+    corner_right = -system.corner_gradient
+    for inverse, rhs in zip(inverses, eliminated, strict=True):
+        half = inverse @ rhs
+        schur -= rhs[:, :p].T @ half[:, :p]
+        corner_right = corner_right - rhs[:, :p].T @ half[:, p]
+    factor = np.linalg.cholesky(0.5 * (schur + schur.T))
+    whitener = np.linalg.inv(factor)
+    corner_covariance = whitener.T @ whitener
+    corner = corner_covariance @ corner_right
+    solved, own, following = _substitute_back(inverses, gains, eliminated)
+    z = solved[:, :, :p].reshape(blocks * per_block, d, p)[:n]
+    states = solved[:, :, p].reshape(-1, d)[:n] - z @ corner
+    cross = -z @ corner_covariance
+    own_states, next_states = _spread(own, following, per_block, d, n)
+    return ArrowSolution(
+        states=states,
+        corner=corner,
+        corner_covariance=corner_covariance,
+        state_covariance=own_states - cross @ np.swapaxes(z, 1, 2),
+        next_covariance=next_states - cross[:-1] @ np.swapaxes(z[1:], 1, 2),
+        cross_covariance=cross,
+    )
+
+
+def _gather(system: ArrowSystem, per_block: int, blocks: int) -> tuple[Floats, Floats, Floats]:
+    """Gather states into larger blocks; padding states are unit and alone. Right-hand sides: [border | -gradient]."""
+    n, d, p = system.border.shape
+    size = per_block * d
+    diagonal = np.zeros((blocks, per_block, d, per_block, d))
+    coupling = np.zeros((blocks, per_block, d, per_block, d))
+    right = np.zeros((blocks * per_block, d, p + 1))
+    right[:n, :, :p] = system.border
+    right[:n, :, p] = -system.gradient
+    index = np.arange(blocks * per_block)
+    padded = np.tile(np.eye(d), (len(index), 1, 1))
+    padded[:n] = system.diagonal
+    diagonal[index // per_block, index % per_block, :, index % per_block, :] = padded
+    k = np.arange(n - 1)
+    inside = k[(k + 1) % per_block > 0]
+    across = k[(k + 1) % per_block == 0]
+    row, at = inside // per_block, inside % per_block
+    diagonal[row, at, :, at + 1, :] = system.coupling[inside]
+    diagonal[row, at + 1, :, at, :] = np.swapaxes(system.coupling[inside], 1, 2)
+    coupling[across // per_block, per_block - 1, :, 0, :] = system.coupling[across]
+    shape = (blocks, size, size)
+    return diagonal.reshape(shape), coupling.reshape(shape), right.reshape(blocks, size, p + 1)
+
+
+def _eliminate(diagonal: Floats, coupling: Floats, right: Floats) -> tuple[list[Floats], list[Floats], list[Floats]]:
+    inverses: list[Floats] = []
+    gains: list[Floats] = []
+    eliminated: list[Floats] = []
+    block, rhs = diagonal[0], right[0]
+    for k in range(len(diagonal)):
+        factor = np.linalg.inv(np.linalg.cholesky(block))
+        inverses.append(factor.T @ factor)
+        eliminated.append(rhs)
+        if k + 1 < len(diagonal):
+            gain = inverses[k] @ coupling[k]
+            gains.append(gain)
+            block = diagonal[k + 1] - coupling[k].T @ gain
+            rhs = right[k + 1] - gain.T @ rhs
+    return inverses, gains, eliminated
+
+
+def _substitute_back(
+    inverses: list[Floats], gains: list[Floats], eliminated: list[Floats]
+) -> tuple[Floats, Floats, Floats]:
+    """Return solutions of all right-hand sides and, of the inverse of the chain, diagonal and next blocks."""
+    blocks, size = len(inverses), len(inverses[0])
+    solved = np.empty((blocks, size, eliminated[0].shape[1]))
+    own = np.empty((blocks, size, size))
+    following = np.empty((max(blocks - 1, 0), size, size))
+    solved[-1], own[-1] = inverses[-1] @ eliminated[-1], inverses[-1]
+    for k in range(blocks - 2, -1, -1):
+        solved[k] = inverses[k] @ eliminated[k] - gains[k] @ solved[k + 1]
+        following[k] = -gains[k] @ own[k + 1]
+        own[k] = inverses[k] - following[k] @ gains[k].T
+    return solved, own, following
+
+
+def _spread(own: Floats, following: Floats, per_block: int, d: int, n: int) -> tuple[Floats, Floats]:
+    """Read the covariances of single states and of neighbours out of the gathered blocks."""
+    blocks = len(own)
+    grid = own.reshape(blocks, per_block, d, per_block, d)
+    index = np.arange(n)
+    states = grid[index // per_block, index % per_block, :, index % per_block, :]
+    k = np.arange(n - 1)
+    neighbours = np.empty((max(n - 1, 0), d, d))
+    inside = k[(k + 1) % per_block > 0]
+    across = k[(k + 1) % per_block == 0]
+    neighbours[inside] = grid[inside // per_block, inside % per_block, :, inside % per_block + 1, :]
+    if len(across):
+        edge = following.reshape(blocks - 1, per_block, d, per_block, d)
+        neighbours[across] = edge[across // per_block, per_block - 1, :, 0, :]
+    return states, neighbours
