@@ -5,40 +5,12 @@ centred in t, is compared with a multiple of its level at rest. Each axis is mea
 that neither the unit nor an axis with more noise than the others matters.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
 
-from ..recording import Floats, Integers, TriadSamples, frozen_array
-
-Booleans = NDArray[np.bool_]
+from ..intervals import StaticIntervals
+from ..recording import Floats, TriadSamples
 
 _CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StaticIntervals:
-    """Runs of static samples.
-
-    Attributes
-    ----------
-    start, stop : (n,) int64, first sample and one past the last
-    """
-
-    start: Integers
-    stop: Integers
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "start", frozen_array(self.start, np.int64))
-        object.__setattr__(self, "stop", frozen_array(self.stop, np.int64))
-
-    def __len__(self) -> int:
-        return len(self.start)
-
-    def where(self, keep: Booleans) -> "StaticIntervals":
-        """Return the intervals that `keep` (n,) marks."""
-        return StaticIntervals(start=self.start[keep], stop=self.stop[keep])
 
 
 def window_samples(samples: TriadSamples, window_s: float) -> int:
@@ -163,13 +135,3 @@ def static_statistic(values: Floats, window: int) -> Floats:
     variances = window_variances(values, window)
     level = resting_variances(variances, values, window)
     return variance_magnitude_squared(variances, level) / 3
-
-
-def interval_means(values: Floats, intervals: StaticIntervals) -> Floats:
-    """Return the mean of the samples of every interval, (n, 3) [unit]."""
-    if not len(intervals):
-        return np.empty((0, 3))
-    edges = np.stack([intervals.start, intervals.stop], axis=1).ravel()
-    last = edges[-1] == len(values)  # reduceat takes the end of the data for granted
-    sums = np.add.reduceat(values, edges[:-1] if last else edges, axis=0)[::2]
-    return sums / (intervals.stop - intervals.start)[:, None]

@@ -1,0 +1,332 @@
+"""Verdict and advice on an IMU calibration: what to trust, what to do next."""
+
+import numpy as np
+
+from ..calibration import Assessment, Gravity, Holdout, Verdict
+from ..diagnostics import ImuDiagnostics
+from ..estimate.multiposition_model import B_, BG_, CG_, G_, LOWER, S_
+from ..estimate.scaling import ImuEstimate
+from ..findings import Finding
+from ..options import ImuOptions
+from ..recording import Floats
+from .imu_tables import ImuEvidence, interval_numbers
+
+_AXES = "xyz"
+_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
+_ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
+_HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
+_ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = 0.02, 0.2
+_ORDER = {"problem": 0, "warning": 1, "info": 2, "good": 3}
+
+
+def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
+    """Return fail where a problem was found, warn where a warning was, else pass."""
+    severities = {finding.severity for finding in findings}
+    return "fail" if "problem" in severities else "warn" if "warning" in severities else "pass"
+
+
+def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
+    """Return findings by severity, otherwise in their order."""
+    return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
+
+
+def assess(
+    noticed: tuple[Finding, ...],
+    evidence: ImuEvidence,
+    diagnostics: ImuDiagnostics,
+    gravity: Gravity,
+    options: ImuOptions,
+) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    noticed : what the data doctor found; what was fine is not repeated
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    gravity : what was taken for gravity
+    options : as stated
+    """
+    chosen = next(trial for trial in diagnostics.trials if trial.chosen)
+    holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
+    findings = [
+        *(f for f in noticed if f.severity in ("warning", "info")),
+        *holdout_findings(holdout, gravity.value),
+        *_uncertainty_findings(evidence, gravity),
+        *_observability_findings(evidence),
+        *axis_findings(evidence.estimate.gyroscope_sensitivity),
+        *left_out_findings(diagnostics),
+        *gravity_findings(gravity),
+        *_model_findings(diagnostics, options),
+        *_allan_findings(diagnostics),
+    ]
+    if not evidence.fit.converged:
+        findings.append(
+            Finding(
+                severity="problem",
+                code="not-converged",
+                message=f"The fit did not settle within {evidence.fit.iterations} steps.",
+                consequence="Its parameters are not a minimum.",
+                cure="Record again with more attitudes, and with rotations about all three axes.",
+            )
+        )
+    ordered = worst_first(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        holdout=holdout,
+        intervals_found=len(diagnostics.intervals.used),
+        intervals_used=int(diagnostics.intervals.used.sum()),
+        rotations_found=len(diagnostics.rotations.used),
+        rotations_used=int(diagnostics.rotations.used.sum()),
+        model=chosen.model,
+        held_by_prior=_held_names(evidence.fit.held_by_prior),
+    )
+
+
+def _graded(value: float, warn: float, fail: float) -> str:
+    """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
+    return "problem" if not value <= fail else "warning" if value > warn else "good"
+
+
+def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
+    """Judge the errors on data that the fit had not seen."""
+    still = _graded(holdout.accelerometer_rms, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
+    turned = _graded(holdout.rotation_rms, _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD)
+    return [
+        Finding(
+            severity=still,  # pyright: ignore[reportArgumentType]
+            code="holdout-accelerometer",
+            message=f"Static intervals that were left out show gravity to {1e3 * holdout.accelerometer_rms:.2f} mm/s^2 rms.",
+            consequence="" if still == "good" else "The accelerometer does not show the same gravity in all attitudes.",
+            cure="" if still == "good" else "Hold the sensor stiller, better lying on something, and check its range.",
+        ),
+        Finding(
+            severity=turned,  # pyright: ignore[reportArgumentType]
+            code="holdout-rotation",
+            message=f"Rotations that were left out end within {1e3 * holdout.rotation_rms:.2f} mrad rms of the measured gravity.",
+            consequence="" if turned == "good" else "The gyroscope's rotations do not agree with the accelerometer.",
+            cure=""
+            if turned == "good"
+            else "Check that gyroscope and accelerometer have one clock and no lost samples, and turn more slowly.",
+        ),
+    ]
+
+
+def _relative_sigmas(evidence: ImuEvidence, gravity: Gravity) -> tuple[float, float, float, float]:
+    """Return the largest sigmas of the accelerometer's scales and angles, then the gyroscope's; gravity's part taken off."""
+    estimate = evidence.estimate
+    sigmas = np.sqrt(np.diag(estimate.covariance))
+    a, g = estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity
+    by_a = sigmas[:9].reshape(3, 3) / np.linalg.norm(a, axis=1)[:, None]
+    by_g = sigmas[12:21].reshape(3, 3) / np.linalg.norm(g, axis=1)[:, None]
+    scale_a = np.sqrt(np.maximum(np.diag(by_a) ** 2 - (gravity.sigma / gravity.value) ** 2, 0))
+    off = ~np.eye(3, dtype=bool)
+    return float(scale_a.max()), float(by_a[off].max()), float(np.diag(by_g).max()), float(by_g[off].max())
+
+
+def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Finding]:
+    scale_a, angle_a, scale_g, angle_g = _relative_sigmas(evidence, gravity)
+    rows = (
+        ("accelerometer", scale_a, angle_a, missing_attitude(evidence)),
+        ("gyroscope", scale_g, angle_g, _missing_rotation(evidence)),
+    )
+    findings: list[Finding] = []
+    for triad, scale, angle, cure in rows:
+        grades = (_graded(scale, _SCALE_WARN, _SCALE_FAIL), _graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
+        severity = min(grades, key=_ORDER.__getitem__)
+        findings.append(
+            Finding(
+                severity=severity,  # pyright: ignore[reportArgumentType]
+                code=f"uncertainty-{triad}",
+                message=f"The {triad}'s scales are known to {100 * scale:.3f} % and its axes to {1e3 * angle:.2f} mrad (1 sigma, worst axis).",
+                consequence="" if severity == "good" else "That is coarser than such a recording can give.",
+                cure="" if severity == "good" else cure,
+            )
+        )
+    return findings
+
+
+def missing_attitude(evidence: ImuEvidence) -> str:
+    """Name the attitude that would lower the accelerometer's uncertainty most."""
+    free = slice(0, 9)
+    covariance = evidence.fit.covariance[free, free]
+    s, b, *_ = evidence.fit.state.matrices
+    inverse = np.linalg.inv(s)
+    candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+    u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
+    pull = u @ inverse  # derivative of |f| by the measurement
+    rows = np.empty((len(u), 9))
+    for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        rows[:, column] = -pull[:, i] * u[:, j]
+    rows[:, 6:] = -pull
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    gain = np.sum((rows @ covariance / scale) ** 2, axis=1) / (
+        np.einsum("ij,jk,ik->i", rows, covariance, rows) + np.median(np.diag(covariance))
+    )
+    best = candidates[np.argmax(gain)]
+    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip(_AXES, best, strict=True) if value]
+    return f"Add static intervals with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
+
+
+def _missing_rotation(evidence: ImuEvidence) -> str:
+    """Name the axis about which the sensor was turned too little."""
+    sigmas = np.sqrt(np.diag(evidence.fit.covariance)[CG_]).reshape(3, 3)
+    worst = int(np.argmax(np.linalg.norm(sigmas, axis=0)))
+    return f"Turn the sensor about its {_AXES[worst]} axis more often, with that axis level, by a quarter turn or more."
+
+
+def _held_names(held: np.ndarray) -> tuple[str, ...]:
+    """Return the YAML paths of scalars that only the prior holds."""
+    names = [f"imu0.accelerometer.sensitivity[{i},{j}]" for i, j in zip(*LOWER, strict=True)]
+    names += [f"imu0.accelerometer.bias[{i}]" for i in range(3)]
+    names += [f"imu0.gyroscope.sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    names += [f"imu0.gyroscope.bias[{i}]" for i in range(3)]
+    names += [f"imu0.gyroscope.g_sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    return tuple(name for name, flag in zip(names, held, strict=True) if flag)
+
+
+def _observability_findings(evidence: ImuEvidence) -> list[Finding]:
+    held = evidence.fit.held_by_prior
+    groups = (
+        ("the accelerometer's scales and axes", S_, missing_attitude(evidence)),
+        ("the accelerometer's bias", B_, missing_attitude(evidence)),
+        ("the gyroscope's scales and axes", CG_, _missing_rotation(evidence)),
+        ("the gyroscope's bias", BG_, "Hold the sensor still for longer."),
+        ("the gyroscope's g-sensitivity", G_, missing_attitude(evidence)),
+    )
+    return [
+        Finding(
+            severity="problem",
+            code="not-observable",
+            message=f"This recording does not determine {int(held[part].sum())} of the numbers of {what}.",
+            consequence="They are held by a weak assumption and must not be used as measured.",
+            cure=cure,
+        )
+        for what, part, cure in groups
+        if held[part].any()
+    ]
+
+
+def axis_findings(sensitivity: Floats) -> list[Finding]:
+    """Name gyroscope axes that do not point along the accelerometer's: swapped columns, wrong signs, a left hand.
+
+    Gravity shows neither the sign nor the hand of the accelerometer's axes; they are taken as recorded.
+    """
+    share = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
+    along = np.argmax(np.abs(share), axis=1)
+    sign = np.sign(share[np.arange(3), along])
+    if np.array_equal(along, np.arange(3)) and (sign > 0).all():
+        return []
+    words = [f"{_AXES[i]} measures about {'-' if sign[i] < 0 else '+'}{_AXES[along[i]]}" for i in range(3)]
+    hand = "right-handed" if np.linalg.det(sensitivity) > 0 else "left-handed"
+    flipped = [_AXES[i] for i in range(3) if sign[i] < 0 and along[i] == i]
+    guess = "Check the order of the columns (--columns) and the signs of both sensors."
+    if np.array_equal(along, np.arange(3)) and len(flipped) == 1:
+        guess = f"Most likely the sign of gyroscope {flipped[0]} is flipped."
+    elif np.array_equal(along, np.arange(3)) and len(flipped) == 2:
+        other = next(a for a in _AXES if a not in flipped)
+        guess = f"Most likely the sign of accelerometer {other} is flipped, or those of gyroscope {' and '.join(flipped)}."
+    elif np.array_equal(along, np.arange(3)):
+        guess = "Most likely all signs of the gyroscope are flipped."
+    return [
+        Finding(
+            severity="warning",
+            code="axes-differ",
+            message=f"Seen from the accelerometer's axes, gyroscope {', '.join(words)}; its axes are {hand}.",
+            consequence="The calibration holds as it is for data recorded the same way; in other software it may surprise.",
+            cure=guess,
+        )
+    ]
+
+
+def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Name intervals and rotations that were not used."""
+    findings: list[Finding] = []
+    intervals, rotations = diagnostics.intervals, diagnostics.rotations
+    if not intervals.used.all():
+        out = int((~intervals.used).sum())
+        findings.append(
+            Finding(
+                severity="warning" if out > 0.1 * len(intervals.used) else "info",
+                code="intervals-left-out",
+                message=f"Static interval{'s' if out > 1 else ''} {interval_numbers(~intervals.used)} of {len(intervals.used)} left out: "
+                "gravity differs there from the others.",
+                consequence="The sensor was touched or still moved; the rest of the recording is used.",
+                cure="Let go of the sensor before an interval counts.",
+            )
+        )
+    if len(rotations.used) and not rotations.used.all():
+        out = int((~rotations.used).sum())
+        reasons = sorted({why for why in rotations.reason if why})
+        findings.append(
+            Finding(
+                severity="warning" if out > 0.1 * len(rotations.used) else "info",
+                code="rotations-left-out",
+                message=f"{out} of {len(rotations.used)} rotations left out: {'; '.join(reasons[:3])}.",
+                consequence="The gyroscope is calibrated from the others.",
+                cure="Turn more slowly than the gyroscope's range.",
+            )
+        )
+    return findings
+
+
+def gravity_findings(gravity: Gravity) -> list[Finding]:
+    """Say aloud what was taken for gravity."""
+    relative = gravity.sigma / gravity.value
+    if relative < 1e-3:
+        return [
+            Finding(
+                severity="good",
+                code="gravity",
+                message=f"Gravity is {gravity.value:.5f} m/s^2 ({gravity.source}).",
+            )
+        ]
+    return [
+        Finding(
+            severity="info",
+            code="gravity",
+            message=f"Gravity is taken as {gravity.value:.5f} +- {gravity.sigma:.2g} m/s^2 ({gravity.source}).",
+            consequence=f"All accelerometer scales share this {100 * relative:.1f} % uncertainty.",
+            cure="State --latitude (and --altitude), or --gravity, to remove it.",
+        )
+    ]
+
+
+def _model_findings(diagnostics: ImuDiagnostics, options: ImuOptions) -> list[Finding]:
+    by_name = {trial.model: trial for trial in diagnostics.trials}
+    if len(by_name) < 2:
+        return []
+    basic, full = by_name["basic"], by_name["g-sensitivity"]
+    how = "chosen" if options.model == "auto" else "as stated"
+    chosen = basic if basic.chosen else full
+    return [
+        Finding(
+            severity="good",
+            code="model",
+            message=f"Gyroscope model {chosen.model} ({how}): left-out rotations are predicted to {1e3 * full.rotation_rms:.2f} mrad with "
+            f"g-sensitivity, {1e3 * basic.rotation_rms:.2f} mrad without.",
+        )
+    ]
+
+
+def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
+    allan = diagnostics.allan
+    if allan is None or not np.isfinite(allan.t_init_s):
+        held = 0.0 if allan is None else allan.static_s
+        return [
+            Finding(
+                severity="info",
+                code="t-init",
+                message=f"The initial static part ({held:.0f} s) is too short to show where the gyroscope's noise averages out.",
+                consequence="The bias is nevertheless estimated from all static intervals together.",
+                cure="Let the sensor lie still for a minute before the first rotation to see its Allan deviation flatten.",
+            )
+        ]
+    return [
+        Finding(
+            severity="good",
+            code="t-init",
+            message=f"The gyroscope's Allan deviation flattens at {allan.t_init_s:.0f} s; the initial static part lasts {allan.static_s:.0f} s.",
+        )
+    ]

@@ -1,0 +1,130 @@
+"""The threshold of the static detector, chosen by what the calibration gains from it (document A, Algorithm 1).
+
+The summed residual of Algorithm 1 favours thresholds that find few data. Here each threshold is judged by the
+uncertainty that the accelerometer's parameters would have with its intervals, at the noise that leaving each interval
+out reveals: more data lower it, intervals that hold motion raise it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..detect.noise import resting_density
+from ..detect.static import runs_below
+from ..errors import InitialisationError
+from ..estimate.magnitude import MagnitudeFit, fit_magnitude
+from ..intervals import Booleans, StaticIntervals, interval_means
+from ..recording import Floats, TriadSamples
+
+MULTIPLIERS = (3.0, 6.0, 12.0, 25.0, 50.0, 100.0, 200.0, 400.0)
+SHORTEST_S = 0.5
+FEWEST_INTERVALS = 9
+_OUTLIER_SIGMA = 6.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ThresholdTrial:
+    """One threshold: its intervals, the weighted fit to their means, and the criterion (smaller is better)."""
+
+    multiplier: float
+    intervals: StaticIntervals
+    means: Floats
+    fit: MagnitudeFit | None
+    heldout_rms: float
+    criterion: float
+
+
+def try_threshold(
+    samples: TriadSamples, statistic: Floats, multiplier: float, gravity_m_s2: float, saturated: Booleans
+) -> ThresholdTrial:
+    """Find the static intervals at one threshold and judge them.
+
+    Parameters
+    ----------
+    samples : accelerometer
+    statistic : (n,) from `detect.static.static_statistic`
+    saturated : (n,) samples that no interval may hold
+    """
+    intervals = runs_below(statistic, multiplier, max(2, round(SHORTEST_S * samples.rate_hz)))
+    if saturated.any() and len(intervals):
+        clipped = np.concatenate([[0], np.cumsum(saturated)])
+        intervals = intervals.where(clipped[intervals.stop] == clipped[intervals.start])
+    intervals = one_per_rest(samples.values, intervals)
+    means = interval_means(samples.values, intervals)
+    nothing = ThresholdTrial(
+        multiplier=multiplier, intervals=intervals, means=means, fit=None, heldout_rms=np.nan, criterion=np.inf
+    )
+    if len(intervals) < FEWEST_INTERVALS + 1:
+        return nothing
+    duration = (intervals.stop - intervals.start) / samples.rate_hz
+    weight = np.sqrt(duration / duration.mean())
+    try:
+        fit = fit_magnitude(means, gravity_m_s2, weight)
+    except InitialisationError:
+        return nothing
+    left_out = fit.residual / np.maximum(1 - fit.leverage, 1e-6)
+    variance = float(np.mean(left_out**2))
+    scaled = fit.covariance / np.outer(*(2 * [np.sqrt(np.diag(fit.covariance))]))
+    logs = np.linalg.slogdet(scaled)[1] + np.sum(np.log(np.diag(fit.covariance)))
+    return ThresholdTrial(
+        multiplier=multiplier,
+        intervals=intervals,
+        means=means,
+        fit=fit,
+        heldout_rms=float(np.sqrt(np.mean((left_out / weight) ** 2))),
+        criterion=0.5 * (float(logs) / 9 + np.log(max(variance, 1e-300))),
+    )
+
+
+def one_per_rest(values: Floats, intervals: StaticIntervals) -> StaticIntervals:
+    """Return the longest interval of each rest, where a low threshold has broken a rest into pieces.
+
+    Pieces follow each other and show the same attitude, to 3 % of the range of all. Counted one by one they would look
+    like as many attitudes.
+
+    Parameters
+    ----------
+    values : (n, 3) [unit]
+    intervals : in order of time
+    """
+    if len(intervals) < 2:
+        return intervals
+    means = interval_means(values, intervals)
+    turned = np.any(np.abs(np.diff(means, axis=0)) > 0.03 * 0.5 * np.ptp(means, axis=0), axis=1)
+    rest = np.concatenate([[0], np.cumsum(turned)])
+    length = intervals.stop - intervals.start
+    order = np.lexsort((-length, rest))
+    longest = order[np.unique(rest[order], return_index=True)[1]]
+    keep = np.zeros(len(intervals), dtype=bool)
+    keep[longest] = True
+    return intervals.where(keep)
+
+
+def choose_threshold(
+    samples: TriadSamples,
+    statistic: Floats,
+    gravity_m_s2: float,
+    saturated: Booleans,
+    multipliers: tuple[float, ...] = MULTIPLIERS,
+) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
+    """Return the best threshold and all that were tried; the best has no fit where none could be calibrated."""
+    trials = tuple(try_threshold(samples, statistic, m, gravity_m_s2, saturated) for m in multipliers)
+    best = min(trials, key=lambda trial: (trial.criterion, -len(trial.intervals)))
+    return best, trials
+
+
+def disturbed(trial: ThresholdTrial, samples: TriadSamples) -> Booleans:
+    """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
+
+    Judged by the residual when left out, against the median of all and the noise of the mean.
+    """
+    assert trial.fit is not None
+    duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
+    weight = np.sqrt(duration / duration.mean())
+    left_out = np.abs(trial.fit.residual / np.maximum(1 - trial.fit.leverage, 1e-6)) / weight
+    noise = resting_density(samples.values, trial.intervals, samples.rate_hz)
+    white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
+    scale = np.maximum(1.4826 * float(np.median(left_out)), white)
+    out = left_out > _OUTLIER_SIGMA * scale
+    keeps_enough = (~out).sum() >= max(FEWEST_INTERVALS + 1, 0.6 * len(out))
+    return out if keeps_enough else np.zeros(len(out), dtype=bool)

@@ -1,0 +1,125 @@
+"""Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..assess.doctor import check
+from ..calibration import AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
+from ..detect.repair import repaired
+from ..detect.saturation import saturated
+from ..detect.time_base import TimeBase, time_base
+from ..errors import DetectionError, RecordingError
+from ..estimate.scaling import ImuEstimate
+from ..findings import Finding
+from ..intervals import Booleans
+from ..models.gravity import (
+    NORMAL_GRAVITY_SIGMA_M_S2,
+    WORLD_GRAVITY_SIGMA_M_S2,
+    normal_gravity_m_s2,
+)
+from ..options import ImuOptions
+from ..recording import ImuSamples, Recording, TriadSamples
+from ..units import STANDARD_GRAVITY_M_S2
+
+_PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedImu:
+    """One IMU, ready for estimation.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : samples without duplicates
+    accelerometer_time, gyroscope_time : instants of sampling, one origin
+    accelerometer_saturated, gyroscope_saturated : (n,) clipped samples
+    findings : what the data doctor noticed
+    """
+
+    accelerometer: TriadSamples
+    gyroscope: TriadSamples
+    accelerometer_time: TimeBase
+    gyroscope_time: TimeBase
+    accelerometer_saturated: Booleans
+    gyroscope_saturated: Booleans
+    findings: tuple[Finding, ...]
+
+
+def prepare(recording: Recording, options: ImuOptions) -> PreparedImu:
+    """Check a recording and put its first IMU on its time base.
+
+    Raises
+    ------
+    RecordingError
+        If the recording holds no IMU, or something that no calibration can use.
+    DetectionError
+        If it does not follow the protocol: never at rest, always at rest, too few attitudes.
+    """
+    if not recording.imus:
+        raise RecordingError("the recording holds no IMU. Give a file with accelerometer and gyroscope samples.")
+    samples = next(iter(recording.imus.values()))
+    findings = check(recording)
+    for finding in findings:
+        if finding.severity == "problem":
+            kind = DetectionError if finding.code in _PROTOCOL_PROBLEMS else RecordingError
+            raise kind(str(finding))
+    if not len(samples.gyroscope):
+        raise RecordingError(
+            "the recording holds no gyroscope samples. Give a file with both triads, or the gyroscope's file as a second path."
+        )
+    return _on_time_base(samples, findings, options)
+
+
+def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:
+    accelerometer, gyroscope = repaired(samples.accelerometer), repaired(samples.gyroscope)
+    origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
+    accelerometer_time = time_base(accelerometer, origin, options.time_base)
+    shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
+    gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
+    return PreparedImu(
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        accelerometer_time=accelerometer_time,
+        gyroscope_time=gyroscope_time,
+        accelerometer_saturated=saturated(accelerometer, options.accelerometer_range),
+        gyroscope_saturated=saturated(gyroscope, options.gyroscope_range),
+        findings=findings,
+    )
+
+
+def local_gravity(options: ImuOptions) -> Gravity:
+    """Return gravity as stated, by latitude, or standard gravity with the spread that it has in the world."""
+    if options.gravity is not None:
+        return Gravity(value=options.gravity, sigma=0.0, source="as stated")
+    if options.latitude is not None:
+        value = normal_gravity_m_s2(options.latitude, options.altitude)
+        source = f"normal gravity at latitude {options.latitude:g} deg, altitude {options.altitude:g} m"
+        return Gravity(value=value, sigma=NORMAL_GRAVITY_SIGMA_M_S2, source=source)
+    return Gravity(
+        value=STANDARD_GRAVITY_M_S2, sigma=WORLD_GRAVITY_SIGMA_M_S2, source="standard gravity, as no place was stated"
+    )
+
+
+def stated_options(options: ImuOptions) -> dict[str, str]:
+    """Return the options that differ from their default, as text."""
+    return {
+        f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default
+    }
+
+
+def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibration:
+    """Return estimated parameters as the calibration of a prepared IMU."""
+    return ImuCalibration(
+        accelerometer=AccelerometerCalibration(
+            sensitivity=estimate.accelerometer_sensitivity,
+            bias=estimate.accelerometer_bias,
+            unit=prepared.accelerometer.unit,
+        ),
+        gyroscope=GyroscopeCalibration(
+            sensitivity=estimate.gyroscope_sensitivity,
+            bias=estimate.gyroscope_bias,
+            g_sensitivity=estimate.g_sensitivity,
+            unit=prepared.gyroscope.unit,
+        ),
+    )

@@ -1,0 +1,111 @@
+"""Between the sensors' units and the scaled units in which the multi-position problem is solved.
+
+Every axis is centred and divided by its spread, so that offsets and scales of any size are the same problem.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..models.gravity import EARTH_RATE_RAD_S
+from ..recording import Floats, frozen_array
+from .multiposition import MultiPositionFit
+from .multiposition_model import B_, BG_, CG_, G_, LOWER, S_
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scaling:
+    """scaled = (measured - centre) / spread, axis by axis.
+
+    Attributes
+    ----------
+    centre, spread : (3,) [unit]
+    """
+
+    centre: Floats
+    spread: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", frozen_array(self.centre))
+        object.__setattr__(self, "spread", frozen_array(self.spread))
+
+    @classmethod
+    def of(cls, centre: Floats, deviations: Floats) -> "Scaling":
+        """Return the scaling with a given centre and the rms of deviations (n, 3) as spread."""
+        spread = np.sqrt(np.mean(deviations**2, axis=0)) if len(deviations) else np.ones(3)
+        return cls(centre=centre, spread=np.where(spread > 0, spread, 1.0))
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return scaled values (n, 3)."""
+        return (values - self.centre) / self.spread
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuEstimate:
+    """An IMU's parameters in the sensors' units, in frame accel-x, with their covariance.
+
+    Attributes
+    ----------
+    accelerometer_sensitivity : (3, 3) [unit per m/s^2]
+    accelerometer_bias : (3,) [unit]
+    gyroscope_sensitivity : (3, 3) [unit per rad/s]
+    gyroscope_bias : (3,) [unit]
+    g_sensitivity : (3, 3) [unit per m/s^2]
+    covariance : (33, 33), elements in the order of the attributes, matrices in row order
+    """
+
+    accelerometer_sensitivity: Floats
+    accelerometer_bias: Floats
+    gyroscope_sensitivity: Floats
+    gyroscope_bias: Floats
+    g_sensitivity: Floats
+    covariance: Floats
+
+
+def unscaled(
+    fit: MultiPositionFit,
+    accelerometer: Scaling,
+    gyroscope: Scaling,
+    gravity_m_s2: float,
+    gravity_sigma_m_s2: float,
+    latitude_deg: float | None,
+) -> ImuEstimate:
+    """Return the fit in the sensors' units.
+
+    The uncertainty of gravity goes to the sensitivities, which are proportional to 1 / g. The vertical part of the
+    earth's rate turns with the attitude like gravity and hides in the g-sensitivity: it is taken off where the latitude
+    is known, and is part of the sigma where it is not.
+    """
+    s, b, c_g, b_g, g = fit.state.matrices
+    has_gyroscope = bool(np.any(c_g))
+    s_g = np.linalg.inv(c_g) if has_gyroscope else np.zeros((3, 3))
+    da, dg = accelerometer.spread, gyroscope.spread
+    sensitivity = da[:, None] * s / gravity_m_s2
+    gyro_sensitivity = dg[:, None] * s_g
+    g_sensitivity = dg[:, None] * g / gravity_m_s2
+    jacobian = np.zeros((33, 30))
+    for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        jacobian[3 * i + j, S_.start + column] = da[i] / gravity_m_s2
+    jacobian[9:12, B_] = np.diag(da)
+    jacobian[12:21, CG_] = -np.kron(np.diag(dg) @ s_g, s_g.T)  # d inv(C) = -inv(C) dC inv(C)
+    jacobian[21:24, BG_] = np.diag(dg)
+    jacobian[24:33, G_] = np.kron(np.diag(dg), np.eye(3)) / gravity_m_s2
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    by_gravity = np.zeros(33)
+    by_gravity[:9], by_gravity[24:] = -sensitivity.ravel() / gravity_m_s2, -g_sensitivity.ravel() / gravity_m_s2
+    covariance += gravity_sigma_m_s2**2 * np.outer(by_gravity, by_gravity)
+    if fit.free[G_].any():
+        vertical = EARTH_RATE_RAD_S * np.sin(np.radians(latitude_deg)) if latitude_deg is not None else 0.0
+        g_sensitivity = g_sensitivity - gyro_sensitivity * vertical / gravity_m_s2
+        if latitude_deg is None:
+            by_earth = np.zeros(33)
+            by_earth[24:] = gyro_sensitivity.ravel() / gravity_m_s2
+            covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth)
+    return ImuEstimate(
+        accelerometer_sensitivity=sensitivity,
+        accelerometer_bias=da * b + accelerometer.centre,
+        gyroscope_sensitivity=gyro_sensitivity,
+        gyroscope_bias=dg * b_g + gyroscope.centre,
+        g_sensitivity=g_sensitivity,
+        covariance=covariance,
+    )
