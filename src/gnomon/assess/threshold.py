@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.noise import resting_density
+from ..detect.noise import density_of_means
 from ..detect.static import runs_below
 from ..errors import InitialisationError
 from ..estimate.magnitude import MagnitudeFit, fit_magnitude
@@ -42,7 +42,7 @@ def try_threshold(
     Parameters
     ----------
     samples : accelerometer
-    statistic : (n,) from `detect.static.static_statistic`
+    statistic : (n,) from `detect.static.static_statistic`; infinite where a sample cannot be static
     saturated : (n,) samples that no interval may hold
     """
     intervals = runs_below(statistic, multiplier, max(2, round(SHORTEST_S * samples.rate_hz)))
@@ -122,7 +122,7 @@ def disturbed(trial: ThresholdTrial, samples: TriadSamples) -> Booleans:
     duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
     weight = np.sqrt(duration / duration.mean())
     left_out = np.abs(trial.fit.residual / np.maximum(1 - trial.fit.leverage, 1e-6)) / weight
-    noise = resting_density(samples.values, trial.intervals, samples.rate_hz)
+    noise = density_of_means(samples.values, trial.intervals, samples.rate_hz)
     white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
     scale = np.maximum(1.4826 * float(np.median(left_out)), white)
     out = left_out > _OUTLIER_SIGMA * scale

@@ -17,8 +17,7 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..detect.noise import resting_density
-from ..detect.static import static_statistic, window_samples
+from ..detect.static import static_statistic, turning, window_samples
 from ..diagnostics import Result
 from ..errors import DetectionError
 from ..estimate.multiposition import HeldOut, MultiPositionFit, fit_multiposition, leave_one_out
@@ -27,11 +26,13 @@ from ..estimate.scaling import unscaled
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
-from .preparation import PreparedImu, imu_calibration, local_gravity, prepare, stated_options
+from .preparation import PreparedImu, imu_calibration, local_gravity, prepare, stated_options, stream
 from .published import calibrate_as_published
 from .user_frame import in_stated_frame
 
 Progress = Callable[[str], None]
+
+_SURELY_STILL = 10.0  # times the resting level of s^2
 
 
 def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progress: Progress | None = None) -> Result:
@@ -112,6 +113,7 @@ def _static_intervals(
             "Record at least nine attitudes of 2 to 4 s each."
         )
     statistic = static_statistic(samples.values, window)
+    statistic[_turns_at_rest(prepared, statistic)] = np.inf
     multipliers = MULTIPLIERS if options.multiplier is None else (options.multiplier,)
     chosen, trials = choose_threshold(samples, statistic, gravity_m_s2, prepared.accelerometer_saturated, multipliers)
     if chosen.fit is None:
@@ -128,20 +130,24 @@ def _static_intervals(
     return chosen, trials, statistic
 
 
+def _turns_at_rest(prepared: PreparedImu, statistic: Floats) -> np.ndarray:
+    """Mark the accelerometer samples (n,) that rest while the gyroscope turns, as about the vertical."""
+    t_accel, t_gyro = prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s
+    still = statistic < _SURELY_STILL
+    if t_accel is t_gyro:
+        return turning(prepared.gyroscope, still)
+    nearest = np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)
+    turns = turning(prepared.gyroscope, still[nearest])
+    return turns[np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)]
+
+
 def _problem(
     prepared: PreparedImu, chosen: ThresholdTrial, touched: np.ndarray, options: ImuOptions
 ) -> tuple[MultiPositionProblem, tuple[TriadStream, TriadStream]]:
     """Gather what the undisturbed intervals and the rotations between them measured."""
     still = chosen.intervals.where(~touched)
     samples, t_s = prepared.accelerometer, prepared.accelerometer_time.t_s
-    accelerometer = TriadStream(
-        t_s=t_s,
-        values=samples.values,
-        saturated=prepared.accelerometer_saturated,
-        rate_hz=samples.rate_hz,
-        density=resting_density(samples.values, still, samples.rate_hz),
-        intervals=still,
-    )
+    accelerometer = stream(samples, t_s, prepared.accelerometer_saturated, still)
     rates, t_gyro = prepared.gyroscope, prepared.gyroscope_time.t_s
     at_rest = gyroscope_intervals(t_gyro, t_s[still.start], t_s[still.stop - 1])
     if len(at_rest) == 0 or np.any(at_rest.stop - at_rest.start < 2):
@@ -149,14 +155,7 @@ def _problem(
             "the gyroscope has no samples in some static intervals of the accelerometer. "
             "Both must be recorded together and stamped by one clock."
         )
-    gyroscope = TriadStream(
-        t_s=t_gyro,
-        values=rates.values,
-        saturated=prepared.gyroscope_saturated,
-        rate_hz=rates.rate_hz,
-        density=resting_density(rates.values, at_rest, rates.rate_hz),
-        intervals=at_rest,
-    )
+    gyroscope = stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
     cosine = 1.0 if options.latitude is None else np.cos(np.radians(options.latitude))
     return build_problem(accelerometer, gyroscope, EARTH_RATE_RAD_S**2 * cosine**2 / 3), (accelerometer, gyroscope)
 

@@ -6,20 +6,22 @@ import numpy as np
 
 from ..assess.doctor import check
 from ..calibration import AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
+from ..detect.noise import density_of_increments, density_of_means
 from ..detect.repair import repaired
 from ..detect.saturation import saturated
 from ..detect.time_base import TimeBase, time_base
 from ..errors import DetectionError, RecordingError
+from ..estimate.problem import TriadStream
 from ..estimate.scaling import ImuEstimate
 from ..findings import Finding
-from ..intervals import Booleans
+from ..intervals import Booleans, StaticIntervals
 from ..models.gravity import (
     NORMAL_GRAVITY_SIGMA_M_S2,
     WORLD_GRAVITY_SIGMA_M_S2,
     normal_gravity_m_s2,
 )
 from ..options import ImuOptions
-from ..recording import ImuSamples, Recording, TriadSamples
+from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..units import STANDARD_GRAVITY_M_S2
 
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
@@ -122,4 +124,17 @@ def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibrat
             g_sensitivity=estimate.g_sensitivity,
             unit=prepared.gyroscope.unit,
         ),
+    )
+
+
+def stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
+    """Return samples with their noise at rest, as estimation needs them."""
+    return TriadStream(
+        t_s=t_s,
+        values=samples.values,
+        saturated=clipped,
+        rate_hz=samples.rate_hz,
+        density=density_of_means(samples.values, still, samples.rate_hz),
+        density_in_motion=density_of_increments(samples.values, still, samples.rate_hz),
+        intervals=still,
     )

@@ -30,12 +30,12 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..detect.noise import resting_density
+from ..detect.noise import density_of_means
 from ..detect.static import runs_below, variance_magnitude_squared, window_samples, window_variances
 from ..diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, Result, RotationTable
 from ..errors import DetectionError, InitialisationError
 from ..estimate.magnitude import UPPER, MagnitudeFit
-from ..estimate.problem import TriadStream, gyroscope_intervals
+from ..estimate.problem import gyroscope_intervals
 from ..estimate.rotations import MotionSegments, cut_segments, segments_between
 from ..estimate.scaling import ImuEstimate
 from ..estimate.tedaldi import (
@@ -53,7 +53,7 @@ from ..findings import Finding
 from ..intervals import StaticIntervals, interval_means
 from ..options import ImuOptions
 from ..recording import Floats, Recording
-from .preparation import PreparedImu, imu_calibration, local_gravity, stated_options
+from .preparation import PreparedImu, imu_calibration, local_gravity, stated_options, stream
 from .user_frame import in_stated_frame
 
 
@@ -131,7 +131,7 @@ def _search_threshold(
     samples = prepared.accelerometer
     values, t_s = samples.values, (samples.t_ns - samples.t_ns[0]) * 1e-9
     window = window_samples(samples, window_s)
-    first = round(t_init_s * samples.rate_hz) if rules.uniform_dt else int(np.searchsorted(t_s, t_init_s, "right"))
+    first = _t_init_samples(t_s, samples.rate_hz, rules, t_init_s)
     if len(values) < max(first, 2 * window):
         raise DetectionError(
             f"the recording of {samples.duration_s:.1f} s is shorter than T_init = {t_init_s:g} s of this preset. "
@@ -181,6 +181,13 @@ def _search_threshold(
     )
 
 
+def _t_init_samples(t_s: Floats, rate_hz: float, rules: TedaldiRules, t_init_s: float) -> int:
+    """Return the number of samples of T_init, by count or by stamps as the published form does."""
+    if rules.uniform_dt:
+        return round(t_init_s * rate_hz)
+    return int(np.searchsorted(t_s, t_init_s, "right")) + rules.t_init_extra
+
+
 def _fit_rotations(prepared: PreparedImu, rules: TedaldiRules, search: _Search, t_init_s: float) -> _Turned:
     accelerometer, gyroscope = prepared.accelerometer, prepared.gyroscope
     origin = min(accelerometer.t_ns[0], gyroscope.t_ns[0])
@@ -196,7 +203,7 @@ def _fit_rotations(prepared: PreparedImu, rules: TedaldiRules, search: _Search, 
             int(np.searchsorted(t_gyro, t_accel[still.stop[0] - 1], "right")),
         )
     else:
-        within = slice(0, int(np.searchsorted(t_gyro, t_gyro[0] + t_init_s, "right")))
+        within = slice(0, _t_init_samples(t_gyro - t_gyro[0], gyroscope.rate_hz, rules, t_init_s))
     bias = gyroscope.values[within].mean(axis=0)
     spread = gyroscope.values[within].std(axis=0, ddof=1) / np.sqrt(max(within.stop - within.start, 1))
     clock = np.arange(len(t_gyro)) / gyroscope.rate_hz if rules.uniform_dt else t_gyro
@@ -259,18 +266,6 @@ def _estimate(search: _Search, turned: _Turned) -> ImuEstimate:
     )
 
 
-def _stream(prepared: PreparedImu, at_rest: StaticIntervals) -> TriadStream:
-    samples = prepared.gyroscope
-    return TriadStream(
-        t_s=(samples.t_ns - samples.t_ns[0]) * 1e-9,
-        values=samples.values,
-        saturated=prepared.gyroscope_saturated,
-        rate_hz=samples.rate_hz,
-        density=resting_density(samples.values, at_rest, samples.rate_hz),
-        intervals=at_rest,
-    )
-
-
 def _describe(
     prepared: PreparedImu, search: _Search, turned: _Turned, gravity_m_s2: float, options: ImuOptions
 ) -> ImuDiagnostics:
@@ -280,8 +275,10 @@ def _describe(
     still = search.intervals
     intervals = _interval_table(prepared, search, turned, gravity_m_s2)
     rotations = _rotation_table(prepared, search, turned)
-    density = resting_density(accelerometer.values, still, accelerometer.rate_hz)
-    gyroscope = _stream(prepared, turned.at_rest)
+    density = density_of_means(accelerometer.values, still, accelerometer.rate_hz)
+    gyroscope = stream(
+        prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest
+    )
     sensitivity = np.linalg.inv(turned.fit.correction)
     row = search.candidates[search.candidates[:, 0] == search.multiplier][0]
     return ImuDiagnostics(
@@ -320,7 +317,7 @@ def _interval_table(
     means = interval_means(samples.values, still)
     error = np.linalg.norm((means - search.fit.bias) @ search.fit.correction.T, axis=1) - gravity_m_s2
     duration = (still.stop - still.start) / samples.rate_hz
-    density = resting_density(samples.values, still, samples.rate_hz)
+    density = density_of_means(samples.values, still, samples.rate_hz)
     per_unit = np.linalg.norm(search.fit.correction, axis=0)
     return IntervalTable(
         start_s=t_s[still.start],

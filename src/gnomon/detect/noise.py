@@ -6,14 +6,18 @@ from ..intervals import StaticIntervals
 from ..recording import Floats
 
 _BLOCK_S = 0.25
-"""Means over blocks of this length hold the noise of a filtered sensor, whose samples are not independent."""
+_LONGER_S = (0.5, 1.0, 2.0)
+_SHORTER_S = (0.1, 0.05)
+_FEWEST_DIFFERENCES = 20
 
 
-def resting_density(values: Floats, intervals: StaticIntervals, rate_hz: float) -> Floats:
-    """Return the white-noise density of each axis at rest, (3,) [unit^2 s], such that a mean over T s has density / T.
+def density_of_means(values: Floats, intervals: StaticIntervals, rate_hz: float) -> Floats:
+    """Return the noise density of each axis at rest, (3,) [unit^2 s], such that a mean over T s has variance density / T.
 
-    From half the mean squared difference of neighbouring block means (Allan's variance at a quarter of a second), which
-    slow drift and the attitude itself leave alone.
+    From half the mean squared difference of neighbouring block means (Allan's variance), which slow drift and the
+    attitude itself leave alone. Blocks of a quarter of a second are the rule: they are long enough for a filtered
+    sensor and many enough for a precise level. Longer blocks replace them where they differ significantly, since means
+    are taken over seconds.
 
     Parameters
     ----------
@@ -21,17 +25,54 @@ def resting_density(values: Floats, intervals: StaticIntervals, rate_hz: float) 
     intervals : static intervals
     rate_hz : sample rate [Hz]
     """
-    length = max(2, round(_BLOCK_S * rate_hz))
+    density, _ = _level(values, intervals, rate_hz, _BLOCK_S)
+    for block_s in _LONGER_S:
+        level, count = _level(values, intervals, rate_hz, block_s)
+        if count < _FEWEST_DIFFERENCES:
+            break
+        density = np.where(_differ(level, density, count), level, density)
+    return density
+
+
+def density_of_increments(values: Floats, intervals: StaticIntervals, rate_hz: float) -> Floats:
+    """Return the noise density of each axis in motion, (3,) [unit^2 s], such that an integral over T s has density * T.
+
+    A hand's tremor at rest is motion that a gyroscope measures rightly, not noise. It dies out over shorter blocks,
+    which replace the quarter of a second where they show significantly less.
+
+    Parameters
+    ----------
+    values, intervals, rate_hz : see `density_of_means`
+    """
+    density, _ = _level(values, intervals, rate_hz, _BLOCK_S)
+    for block_s in _SHORTER_S:
+        level, count = _level(values, intervals, rate_hz, block_s)
+        lower = (level < density) & _differ(level, density, count)
+        density = np.where(lower, level, density)
+    return density
+
+
+def _level(values: Floats, intervals: StaticIntervals, rate_hz: float, block_s: float) -> tuple[Floats, int]:
+    length = max(2, round(block_s * rate_hz))
+    squares, count = _block_differences(values, intervals, length)
+    return 0.5 * squares / max(count, 1) * length / rate_hz, count
+
+
+def _differ(level: Floats, density: Floats, count: int) -> Floats:
+    """Return whether two levels differ by more than three sigma of the one from `count` differences."""
+    return np.abs(level - density) > 3 * np.sqrt(3 / max(count, 1)) * np.maximum(density, level)
+
+
+def _block_differences(values: Floats, intervals: StaticIntervals, length: int) -> tuple[Floats, int]:
+    """Return the summed squares (3,) and the number of differences of neighbouring block means within intervals."""
     squares, count = np.zeros(3), 0
     for start, stop in zip(intervals.start, intervals.stop, strict=True):
         blocks = (stop - start) // length
         if blocks > 1:
             means = values[start : start + blocks * length].reshape(blocks, length, 3).mean(axis=1)
             squares += np.sum(np.diff(means, axis=0) ** 2, axis=0)
-            count += blocks - 1
-    if count == 0:
-        return np.zeros(3)
-    return 0.5 * squares / count * length / rate_hz
+            count += int(blocks) - 1
+    return squares, count
 
 
 def allan_deviation(values: Floats, rate_hz: float, tau_s: Floats) -> Floats:

@@ -6,6 +6,7 @@ that neither the unit nor an axis with more noise than the others matters.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..intervals import StaticIntervals
 from ..recording import Floats, TriadSamples
@@ -135,3 +136,37 @@ def static_statistic(values: Floats, window: int) -> Floats:
     variances = window_variances(values, window)
     level = resting_variances(variances, values, window)
     return variance_magnitude_squared(variances, level) / 3
+
+
+_TURNING_S = 0.25
+_TURNING_SIGMA = 8.0
+
+
+def turning(gyroscope: TriadSamples, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark samples at which the gyroscope turns although the accelerometer rests, (n,).
+
+    Turning about the vertical leaves gravity where it is. A mean rate over a quarter of a second that is far from the
+    rate at rest gives it away.
+
+    Parameters
+    ----------
+    gyroscope : samples [unit]
+    still : (n,) samples at which the accelerometer rests
+    """
+    half = max(1, round(0.5 * _TURNING_S * gyroscope.rate_hz))
+    n, window = len(gyroscope), 2 * half + 1
+    if n <= window or still.sum() < window:
+        return np.zeros(n, dtype=bool)
+    marked = np.zeros(n, dtype=bool)
+    quiet = gyroscope.values[still]
+    rest = np.median(quiet[:: max(1, len(quiet) // 20_000)], axis=0)
+    means = np.empty((n, 3))
+    for first in range(half, n - half, _CHUNK):
+        last = min(first + _CHUNK, n - half)
+        means[first:last] = _window_sums(gyroscope.values[first - half : last + half] - rest, window) / window
+    means[:half], means[n - half :] = means[half], means[n - half - 1]
+    np.abs(means, out=means)
+    at_rest = means[still]
+    sigma = 1.4826 * np.median(at_rest[:: max(1, len(at_rest) // 20_000)], axis=0)
+    np.any(means > _TURNING_SIGMA * sigma, axis=1, out=marked)
+    return marked

@@ -24,7 +24,8 @@ class TriadStream:
     values : (n, 3) [unit]
     saturated : (n,) bool
     rate_hz : sample rate [Hz]
-    density : (3,) white-noise density at rest [unit^2 s]
+    density : (3,) noise density of means at rest [unit^2 s]
+    density_in_motion : (3,) noise density of integrals in motion [unit^2 s]
     intervals : its samples at rest
     """
 
@@ -33,6 +34,7 @@ class TriadStream:
     saturated: Booleans
     rate_hz: float
     density: Floats
+    density_in_motion: Floats
     intervals: StaticIntervals
 
 
@@ -98,7 +100,7 @@ def build_problem(
             dt_s=segments.dt_s,
             lengths=segments.lengths,
         ),
-        rotation_variance=segments.duration_s[:, None] * gyroscope.density / scale_g.spread**2,
+        rotation_variance=segments.duration_s[:, None] * gyroscope.density_in_motion / scale_g.spread**2,
         linked=np.array([not reason for reason in unlinked], dtype=bool),
         earth_rate_variance=earth_rate_variance,
     )

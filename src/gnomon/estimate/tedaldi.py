@@ -36,6 +36,7 @@ class TedaldiRules:
     normalise_by_second : divide both directions of a rotation by the norm of the second
     leading_sample_static : the script leaves the statistic before the first full window at zero
     stop_early : the program stops one sample before the next static interval
+    t_init_extra : samples beyond T_init that the program takes in
     fewest_intervals : a threshold with fewer static intervals is skipped
     """
 
@@ -51,6 +52,7 @@ class TedaldiRules:
     normalise_by_second: bool = False
     leading_sample_static: bool = False
     stop_early: bool = False
+    t_init_extra: int = 0
     fewest_intervals: int = 9
 
 
@@ -88,6 +90,7 @@ RULES = {
         residual="magnitude",
         gyroscope_bias="t_init",
         stop_early=True,
+        t_init_extra=1,
         fewest_intervals=12,
     ),
 }
