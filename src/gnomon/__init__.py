@@ -13,9 +13,11 @@ from .errors import (
     GnomonError,
     InitialisationError,
     OptionError,
+    OutputError,
     RecordingError,
     SolveError,
 )
+from .simulate import Scenario, simulate  # at once: later, the function would be hidden by the room of the same name
 
 if TYPE_CHECKING:
     from .assess.doctor import check
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
     from .readers import load, read
     from .recording import ImuSamples, Recording, TriadSamples
     from .report import write_report
-    from .simulate import Scenario, simulate
     from .units import Units
     from .writers import Loss, convert, save
 
@@ -49,7 +50,6 @@ _HOMES = {
     "Loss": "writers",
     "Recording": "recording",
     "Result": "diagnostics",
-    "Scenario": "simulate",
     "TriadSamples": "recording",
     "Units": "units",
     "calibrate_imu": "calibrate",
@@ -58,7 +58,6 @@ _HOMES = {
     "load": "readers",
     "read": "readers",
     "save": "writers",
-    "simulate": "simulate",
     "write_report": "report",
 }
 
@@ -77,6 +76,7 @@ __all__ = [
     "InitialisationError",
     "Loss",
     "OptionError",
+    "OutputError",
     "Recording",
     "RecordingError",
     "Result",

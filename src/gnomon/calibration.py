@@ -12,13 +12,14 @@ The models of documents A, B and C and of other projects are exact views of it.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import FormatError, OptionError
 from .findings import Finding
-from .models.frames import frame_rotation, rotation_jacobian
+from .models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from .recording import Floats, ImuSamples, Source, TriadSamples, frozen_array
 
 Verdict = Literal["pass", "warn", "fail"]
@@ -45,7 +46,7 @@ class AccelerometerCalibration:
 
     def specific_force(self, values: Floats) -> Floats:
         """Return the specific force in the body frame, (n, 3) [m/s^2], of measurements (n, 3) [unit]."""
-        return (values - self.bias) @ np.linalg.inv(self.sensitivity).T
+        return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,7 +79,14 @@ class GyroscopeCalibration:
         values : (n, 3) [unit]
         specific_force : (n, 3) [m/s^2], body frame, at the same instants
         """
-        return (values - self.bias - specific_force @ self.g_sensitivity.T) @ np.linalg.inv(self.sensitivity).T
+        unbiased = values - self.bias - _mapped(self.g_sensitivity, specific_force)
+        return _mapped(np.linalg.inv(self.sensitivity), unbiased)
+
+
+def _mapped(matrix: NDArray[np.floating[Any]], vectors: Floats) -> Floats:
+    """Return matrix @ v of vectors (..., 3), rounded alike however many there are, which BLAS does not promise."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -296,14 +304,12 @@ class Calibration:
         start = 0
         for name, imu in self.imus.items():
             rotation = frame_rotation(imu.accelerometer.sensitivity, frame)
-            imus[name] = rotated(imu, rotation)
+            imus[name] = _with_exact_zeros(rotated(imu, rotation), frame)
             block = rotation_jacobian(_matrices(imu), rotation, frame)
             jacobian[start : start + len(block), start : start + len(block)] = block
             start += len(block)
         moved = jacobian @ self.uncertainty.matrix @ jacobian.T
-        return replace(
-            self, imus=imus, frame=frame, uncertainty=Covariance(names=self.uncertainty.names, matrix=moved)
-        )
+        return replace(self, imus=imus, frame=frame, uncertainty=Covariance(names=self.uncertainty.names, matrix=moved))
 
     def _repr_html_(self) -> str:
         rows = "".join(
@@ -318,6 +324,14 @@ class Calibration:
 
 def _cells(values: Floats) -> str:
     return "<br>".join(" ".join(f"{x:.6g}" for x in row) for row in np.atleast_2d(values))
+
+
+def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:
+    """Return the IMU without the rounding that a rotation leaves in the elements that the frame makes zero."""
+    sensitivity = imu.accelerometer.sensitivity.copy()
+    for entry in fixed_entries(frame):
+        sensitivity[entry] = 0.0
+    return replace(imu, accelerometer=replace(imu.accelerometer, sensitivity=sensitivity))
 
 
 def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:

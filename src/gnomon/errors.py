@@ -6,7 +6,8 @@ GnomonError
 ├── OptionError           an option, alone or with another one, makes no sense
 ├── InitialisationError   no starting point could be found
 ├── SolveError            an estimate could not be computed
-└── FormatError           a calibration or another structured file is not as its format says
+├── FormatError           a calibration or another structured file is not as its format says
+└── OutputError           a result cannot be written where it was asked for
 
 A message says what, where (file, line, time), what was found against what was expected, and the next step.
 Non-convergence and weak observability are statuses on a result, not errors.
@@ -39,3 +40,7 @@ class SolveError(GnomonError):
 
 class FormatError(GnomonError):
     """A structured file is not as its format says."""
+
+
+class OutputError(GnomonError):
+    """A result cannot be written where it was asked for."""

@@ -20,7 +20,7 @@ class ImuOptions:
     """Local gravity in m/s^2, where you know it."""
 
     latitude: float | None = None
-    """Latitude in degrees, from which normal gravity (WGS 84) is computed."""
+    """Latitude in degrees, from which normal gravity (WGS 84), unless stated, and the earth's rate are computed."""
 
     altitude: float = 0.0
     """Height above the ellipsoid in metres, used with --latitude."""
@@ -56,8 +56,6 @@ class ImuOptions:
                 f"gravity {self.gravity:g} m/s^2 is found nowhere on Earth (9.76 to 9.84). "
                 "Give the local value in m/s^2, or --latitude and --altitude."
             )
-        if self.gravity is not None and self.latitude is not None:
-            raise OptionError("gravity and latitude both state the local gravity. Give one of them.")
         if self.latitude is not None and not -90 <= self.latitude <= 90:
             raise OptionError(f"latitude {self.latitude:g} deg is not between -90 and 90.")
         for name in ("window_s", "multiplier", "t_init_s", "accelerometer_range", "gyroscope_range"):

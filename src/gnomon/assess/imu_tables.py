@@ -14,7 +14,8 @@ from ..diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from ..estimate.multiposition import HeldOut, MultiPositionFit
+from ..estimate.leave_one_out import HeldOut
+from ..estimate.multiposition import MultiPositionFit
 from ..estimate.problem import MultiPositionProblem, TriadStream
 from ..estimate.rotations import MotionSegments, integrate, propagate
 from ..estimate.scaling import ImuEstimate
@@ -128,9 +129,7 @@ def allan_curve(gyroscope: TriadStream, sensitivity: Floats) -> AllanCurve | Non
     tau = np.geomspace(_ALLAN_FROM_S, min(_ALLAN_TO_S, static_s / 4), 20)
     values = gyroscope.values[start:stop] / np.linalg.norm(sensitivity, axis=1)
     deviation = allan_deviation(values, gyroscope.rate_hz, tau)
-    return AllanCurve(
-        tau_s=tau, deviation=deviation, t_init_s=averaging_time(tau, deviation), static_s=static_s
-    )
+    return AllanCurve(tau_s=tau, deviation=deviation, t_init_s=averaging_time(tau, deviation), static_s=static_s)
 
 
 def uncalibrated_error(means: Floats, unit: str, gravity_m_s2: float) -> Floats:
@@ -205,7 +204,6 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
     problem, fit, held = evidence.problem, evidence.fit, evidence.heldout
     u = held.measured
     raw = problem.gyroscope
-    assert problem.data.segments is not None
     segments = MotionSegments(
         gyroscope=problem.data.segments.gyroscope * raw.spread + raw.centre,
         accelerometer=problem.data.segments.accelerometer,
@@ -216,12 +214,13 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
         segments, problem.gyroscope_means[0], evidence.gyroscope_unit, evidence.estimate.gyroscope_sensitivity, u
     )
     cosine = np.clip(np.einsum("ki,ki->k", u[1:], u[:-1]), -1, 1)
+    neighbours = fit.interval_used[1:] & fit.interval_used[:-1]
     reason = [
-        why or ("" if ok else "the gyroscope does not lead to the gravity measured after it")
-        for why, ok in zip(problem.unlinked, fit.rotation_used, strict=True)
+        why or ("" if ok else _why_not_used(beside)) for why, ok, beside in zip(problem.unlinked, fit.rotation_used, neighbours, strict=True)
     ]
     with np.errstate(divide="ignore"):
-        sigma = np.where(fit.whitening.rotation > 0, 1 / fit.whitening.rotation, np.nan)
+        # the length of an error has two components
+        sigma = np.where(fit.whitening.rotation > 0, np.sqrt(2) / fit.whitening.rotation, np.nan)
     return RotationTable(
         start_s=problem.start_s,
         stop_s=problem.stop_s,
@@ -238,11 +237,15 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
     )
 
 
+def _why_not_used(neighbours_used: bool) -> str:
+    if neighbours_used:
+        return "the gyroscope does not lead to the gravity measured after it"
+    return "a static interval beside it is left out"
+
+
 def _noise(evidence: ImuEvidence) -> dict[str, float]:
     estimate, fit, g = evidence.estimate, evidence.fit, evidence.gravity_m_s2
-    accelerometer = np.sqrt(evidence.accelerometer.density) / np.linalg.norm(
-        estimate.accelerometer_sensitivity, axis=1
-    )
+    accelerometer = np.sqrt(evidence.accelerometer.density) / np.linalg.norm(estimate.accelerometer_sensitivity, axis=1)
     gyroscope = np.sqrt(evidence.gyroscope.density) / np.linalg.norm(estimate.gyroscope_sensitivity, axis=1)
     return {
         "accelerometer.density": rms(accelerometer),

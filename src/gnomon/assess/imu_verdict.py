@@ -226,7 +226,9 @@ def axis_findings(sensitivity: Floats) -> list[Finding]:
         guess = f"Most likely the sign of gyroscope {flipped[0]} is flipped."
     elif np.array_equal(along, np.arange(3)) and len(flipped) == 2:
         other = next(a for a in _AXES if a not in flipped)
-        guess = f"Most likely the sign of accelerometer {other} is flipped, or those of gyroscope {' and '.join(flipped)}."
+        guess = (
+            f"Most likely the sign of accelerometer {other} is flipped, or those of gyroscope {' and '.join(flipped)}."
+        )
     elif np.array_equal(along, np.arange(3)):
         guess = "Most likely all signs of the gyroscope are flipped."
     return [

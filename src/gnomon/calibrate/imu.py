@@ -1,6 +1,6 @@
 """An IMU from a hand-held multi-position recording (document A), the gnomon way.
 
-    prepare -> static intervals -> problem -> fit -> choose the model -> hold out -> assess -> Result
+prepare -> static intervals -> problem -> fit -> choose the model -> hold out -> assess -> Result
 """
 
 from collections.abc import Callable
@@ -20,7 +20,8 @@ from ..calibration import (
 from ..detect.static import static_statistic, turning, window_samples
 from ..diagnostics import Result
 from ..errors import DetectionError
-from ..estimate.multiposition import HeldOut, MultiPositionFit, fit_multiposition, leave_one_out
+from ..estimate.leave_one_out import HeldOut, leave_one_out
+from ..estimate.multiposition import MultiPositionFit, fit_multiposition
 from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.scaling import unscaled
 from ..models.gravity import EARTH_RATE_RAD_S
@@ -66,9 +67,7 @@ def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progr
     problem, streams = _problem(prepared, chosen, touched, options)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
     fit, heldout, rivals = _choose_model(problem, options)
-    estimate = unscaled(
-        fit, problem.accelerometer, problem.gyroscope, gravity.value, gravity.sigma, options.latitude
-    )
+    estimate = unscaled(fit, problem.accelerometer, problem.gyroscope, gravity.value, gravity.sigma, options.latitude)
     tell("assessing the result")
     evidence = ImuEvidence(
         accelerometer=streams[0],
@@ -165,17 +164,17 @@ def _choose_model(
 ) -> tuple[MultiPositionFit, HeldOut, dict[str, HeldOut]]:
     """Fit with g-sensitivity, and keep it unless rotations that were left out are predicted better without."""
     if options.model == "basic":
-        fit = fit_multiposition(problem.data, gyroscope=True, g_sensitivity=False)
+        fit = fit_multiposition(problem.data, g_sensitivity=False)
         heldout = leave_one_out(problem.data, fit)
         return fit, heldout, {"basic": heldout}
-    fit = fit_multiposition(problem.data, gyroscope=True, g_sensitivity=True)
+    fit = fit_multiposition(problem.data, g_sensitivity=True)
     rivals = {
         "basic": leave_one_out(problem.data, fit, g_sensitivity=False),
         "g-sensitivity": leave_one_out(problem.data, fit),
     }
     errors = {name: float(np.sum(trial.rotation[fit.rotation_used] ** 2)) for name, trial in rivals.items()}
     if options.model == "auto" and errors["basic"] < errors["g-sensitivity"]:
-        fit = fit_multiposition(problem.data, gyroscope=True, g_sensitivity=False)
+        fit = fit_multiposition(problem.data, g_sensitivity=False)
         rivals["basic"] = leave_one_out(problem.data, fit)
         return fit, rivals["basic"], rivals
     return fit, rivals["g-sensitivity"], rivals

@@ -105,9 +105,7 @@ def local_gravity(options: ImuOptions) -> Gravity:
 
 def stated_options(options: ImuOptions) -> dict[str, str]:
     """Return the options that differ from their default, as text."""
-    return {
-        f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default
-    }
+    return {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
 
 
 def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibration:

@@ -162,7 +162,12 @@ def _search_threshold(
             fit = fit_accelerometer(chosen, rules, gravity_m_s2)
         except InitialisationError:
             continue
-        rows[-1] = (multiplier, len(intervals), rms(_held_out_forces(fit, chosen, len(intervals), gravity_m_s2)), fit.cost)
+        rows[-1] = (
+            multiplier,
+            len(intervals),
+            rms(_held_out_forces(fit, chosen, len(intervals), gravity_m_s2)),
+            fit.cost,
+        )
         if best is None or fit.cost < best[3].cost:
             best = (multiplier, intervals, chosen, fit)
     if best is None:
@@ -276,9 +281,7 @@ def _describe(
     intervals = _interval_table(prepared, search, turned, gravity_m_s2)
     rotations = _rotation_table(prepared, search, turned)
     density = density_of_means(accelerometer.values, still, accelerometer.rate_hz)
-    gyroscope = stream(
-        prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest
-    )
+    gyroscope = stream(prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest)
     sensitivity = np.linalg.inv(turned.fit.correction)
     row = search.candidates[search.candidates[:, 0] == search.multiplier][0]
     return ImuDiagnostics(
@@ -309,9 +312,7 @@ def _describe(
     )
 
 
-def _interval_table(
-    prepared: PreparedImu, search: _Search, turned: _Turned, gravity_m_s2: float
-) -> IntervalTable:
+def _interval_table(prepared: PreparedImu, search: _Search, turned: _Turned, gravity_m_s2: float) -> IntervalTable:
     samples, still = prepared.accelerometer, search.intervals
     t_s = prepared.accelerometer_time.t_s
     means = interval_means(samples.values, still)
@@ -352,9 +353,7 @@ def _rotation_table(prepared: PreparedImu, search: _Search, turned: _Turned) -> 
         angle_rad=np.arccos(np.clip(np.einsum("ki,ki->k", turned.u[1:], turned.u[:-1]), -1, 1)),
         measured=turned.u[1:],
         propagated=turned.fit.propagated,
-        error_before=uncalibrated_rotation_error(
-            raw, turned.bias, prepared.gyroscope.unit, sensitivity, turned.u
-        ),
+        error_before=uncalibrated_rotation_error(raw, turned.bias, prepared.gyroscope.unit, sensitivity, turned.u),
         error_after=np.linalg.norm(turned.fit.residual, axis=1),
         error_holdout=np.linalg.norm(held, axis=1),
         sigma=np.full(count, np.nan),

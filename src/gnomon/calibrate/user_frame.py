@@ -73,7 +73,9 @@ def _poses(text: str, intervals: int) -> tuple[Floats, list[int]]:
         assert match is not None
         axis, minus, number = match.groups()
         if not 1 <= int(number) <= intervals:
-            raise OptionError(f'frame "{text}": there is no static interval {number}; they are numbered 1 to {intervals}.')
+            raise OptionError(
+                f'frame "{text}": there is no static interval {number}; they are numbered 1 to {intervals}.'
+            )
         axes[k, "xyz".index(axis)] = -1.0 if minus else 1.0
         rows.append(int(number) - 1)
     if np.linalg.matrix_rank(axes) < 2:
@@ -99,7 +101,6 @@ def _differences(function: Callable[[Floats], Floats], point: Floats) -> Floats:
     """Return the Jacobian by central differences, with steps of 1e-6 of each number's own size."""
     size = np.maximum(np.abs(point), 1e-3 * np.abs(point).max())
     columns = [
-        (function(point + step) - function(point - step)) / (2 * step[k])
-        for k, step in enumerate(np.diag(1e-6 * size))
+        (function(point + step) - function(point - step)) / (2 * step[k]) for k, step in enumerate(np.diag(1e-6 * size))
     ]
     return np.stack(columns, axis=1)

@@ -1,1 +1,1 @@
-"""Samples -> static intervals and other marks."""
+"""Samples -> static intervals and other marks; one file a detector."""

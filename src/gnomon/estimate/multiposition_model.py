@@ -33,7 +33,7 @@ class MultiPositionData:
     ----------
     accelerometer, gyroscope : (n, 3) means
     accelerometer_variance, gyroscope_variance : (n, 3) variances of the means by the noise at rest
-    segments : the rotations; None without a gyroscope
+    segments : the rotations
     rotation_variance : (n - 1, 3) variance of the integrated rate of each gyroscope axis by the noise at rest
     linked : (n - 1,) bool, whether a rotation may be used
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
@@ -43,7 +43,7 @@ class MultiPositionData:
     gyroscope: Floats
     accelerometer_variance: Floats
     gyroscope_variance: Floats
-    segments: MotionSegments | None
+    segments: MotionSegments
     rotation_variance: Floats
     linked: np.ndarray
     earth_rate_variance: float = 0.0
@@ -107,9 +107,7 @@ class Linearisation:
             accelerometer=self.accelerometer
             + self.accelerometer_theta @ d_theta
             + np.einsum("kij,kj->ki", self.accelerometer_u, d_u),
-            gyroscope=self.gyroscope
-            + self.gyroscope_theta @ d_theta
-            + np.einsum("kij,kj->ki", self.gyroscope_u, d_u),
+            gyroscope=self.gyroscope + self.gyroscope_theta @ d_theta + np.einsum("kij,kj->ki", self.gyroscope_u, d_u),
             rotation=self.rotation
             + self.rotation_theta @ d_theta
             + np.einsum("kij,kj->ki", self.rotation_u, d_u[:-1])
@@ -171,8 +169,6 @@ def linearise(data: MultiPositionData, state: State) -> Linearisation:
 def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Floats, Floats, Floats]:
     """Return propagated directions, and derivatives of the rotations' residuals by u_k and by theta."""
     m = len(state.u) - 1
-    if data.segments is None:
-        return state.u[1:], np.zeros((m, 2, 2)), np.zeros((m, 2, PARAMETERS))
     s, b, c_g, b_g, g = state.matrices
     force = (data.segments.accelerometer - b) @ np.linalg.inv(s).T
     rate = data.segments.gyroscope - b_g - force @ g.T
@@ -194,9 +190,7 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     return propagate(turns.rotation, start), -back @ basis[:-1], theta
 
 
-def normal_equations(
-    lines: Linearisation, whitening: Whitening, from_prior: Floats, free: np.ndarray
-) -> ArrowSystem:
+def normal_equations(lines: Linearisation, whitening: Whitening, from_prior: Floats, free: np.ndarray) -> ArrowSystem:
     """Return the normal equations of the free parameters.
 
     Parameters

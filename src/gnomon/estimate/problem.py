@@ -122,9 +122,7 @@ def _variance_of_means(stream: TriadStream, scaling: Scaling) -> Floats:
     return np.maximum(variance, 1e-14)  # noiseless recordings keep a finite weight
 
 
-def _segments(
-    accelerometer: TriadStream, gyroscope: TriadStream, first: Integers, lengths: Integers
-) -> MotionSegments:
+def _segments(accelerometer: TriadStream, gyroscope: TriadStream, first: Integers, lengths: Integers) -> MotionSegments:
     """Cut out the rotations; the specific force is interpolated where it has stamps of its own."""
     if np.array_equal(accelerometer.t_s, gyroscope.t_s):
         return cut_segments(gyroscope.t_s, gyroscope.values, accelerometer.values, first, lengths)
@@ -132,9 +130,7 @@ def _segments(
     offsets = np.cumsum(lengths) - lengths
     instants = gyroscope.t_s[np.arange(lengths.sum()) - np.repeat(offsets - first, lengths)]
     force = [np.interp(instants, accelerometer.t_s, accelerometer.values[:, axis]) for axis in range(3)]
-    return MotionSegments(
-        gyroscope=cut.gyroscope, accelerometer=np.column_stack(force), dt_s=cut.dt_s, lengths=lengths
-    )
+    return MotionSegments(gyroscope=cut.gyroscope, accelerometer=np.column_stack(force), dt_s=cut.dt_s, lengths=lengths)
 
 
 def _why_unlinked(gyroscope: TriadStream, first: int, length: int) -> str:

@@ -159,5 +159,3 @@ def linear_start(segments: MotionSegments, u_path: Floats) -> tuple[Floats, Floa
     scale = np.where(scale > 0, scale, 1.0)
     solution, _, _, singular = np.linalg.lstsq(design / scale, change.ravel(), rcond=1e-6)
     return (solution / scale).reshape(3, 3), singular
-
-

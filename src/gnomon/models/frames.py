@@ -70,7 +70,10 @@ def rotation_jacobian(matrices: list[Floats], rotation: Floats, frame: str) -> F
     starts = np.concatenate([[0], np.cumsum(sizes)])
     jacobian = np.eye(starts[-1])
     moved = [m @ rotation.T if m.ndim == 2 else m for m in matrices]
-    generators = np.array([[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]], dtype=float)
+    generators = np.array(
+        [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]],
+        dtype=float,
+    )
     turn = np.kron(np.eye(3), rotation)  # dS Q' on the nine entries in row order
     for m, start in zip(matrices, starts, strict=False):
         if m.ndim == 2:

@@ -1,0 +1,75 @@
+"""The data doctor: what is good and bad about a recording before anything is estimated from it."""
+
+import numpy as np
+
+from ..findings import Finding
+from ..recording import ImuSamples, Recording, TriadSamples
+from .protocol import check_protocol
+from .signals import check_signal
+from .stamps import check_stamps
+
+
+def check(recording: Recording) -> tuple[Finding, ...]:
+    """Look at a recording and say what is good or bad about it for the calibration of an IMU.
+
+    Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
+    rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated; samples-missing,
+    gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady, always-static, attitudes,
+    static-start, clocks-apart.
+
+    Returns
+    -------
+    Findings in the order stamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
+    """
+    return tuple(finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu))
+
+
+def _check_imu(name: str, imu: ImuSamples) -> list[Finding]:
+    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
+    if len(accelerometer) < 2 or len(gyroscope) == 1:
+        return [
+            Finding(
+                severity="problem",
+                code="samples-missing",
+                message=f"{name}: {len(accelerometer)} accelerometer samples, {len(gyroscope)} gyroscope samples.",
+                consequence="There is nothing to calibrate from.",
+                cure="Record some minutes: at rest first, then in 20 or more attitudes.",
+            )
+        ]
+    findings: list[Finding] = []
+    if len(gyroscope) == 0:
+        findings.append(
+            Finding(severity="info", code="gyroscope-missing", message=f"{name}: no gyroscope in this recording.")
+        )
+        findings += check_stamps(accelerometer, f"{name} accelerometer")
+    elif np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
+        findings += check_stamps(accelerometer, name)
+    else:
+        findings += check_stamps(accelerometer, f"{name} accelerometer")
+        findings += check_stamps(gyroscope, f"{name} gyroscope")
+        findings += _clocks(accelerometer, gyroscope, name)
+    signals = check_signal(accelerometer, f"{name} accelerometer")
+    usable = not any(finding.code == "signal-constant" for finding in signals)
+    findings += signals
+    if len(gyroscope) > 1:
+        findings += check_signal(gyroscope, f"{name} gyroscope")
+    usable = usable and not any(finding.code == "time-constant" for finding in findings)
+    return findings + check_protocol(imu, name) if usable else findings
+
+
+def _clocks(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> list[Finding]:
+    first = max(accelerometer.t_ns[0], gyroscope.t_ns[0])
+    last = min(accelerometer.t_ns[-1], gyroscope.t_ns[-1])
+    longest = max(accelerometer.duration_s, gyroscope.duration_s)
+    common = max(0.0, float(last - first) * 1e-9)
+    if common > 0.9 * longest:
+        return []
+    return [
+        Finding(
+            severity="problem" if common == 0 else "warning",
+            code="clocks-apart",
+            message=f"{name}: accelerometer and gyroscope have only {common:.1f} s of {longest:.1f} s in common.",
+            consequence="The gyroscope can be calibrated only where both were recorded.",
+            cure="Check that both files are of one recording and that their stamps have one unit and one clock.",
+        )
+    ]

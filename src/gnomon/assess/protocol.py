@@ -1,0 +1,204 @@
+"""The doctor's look at the motion: rests, attitudes, the static start, and gravity as a check of the unit."""
+
+import numpy as np
+
+from ..detect.static import find_static
+from ..findings import Finding
+from ..intervals import StaticIntervals
+from ..recording import Floats, ImuSamples, TriadSamples
+from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
+from .signals import is_silent
+
+_APART_DEG = 10.0
+_NEEDED, _GOOD = 9, 12  # attitudes: nine parameters need nine of them; a few more let errors show
+_START_S = 20.0
+_LAG_S = 0.05
+_UNSTEADY, _MOVING = 1.35, 1.8  # wander within an interval; 0.9 to 1.1 where a sensor really rests
+_PLAUSIBLE, _POSSIBLE = 0.15, 0.5  # relative error of gravity at rest, uncalibrated
+_LOOKED_AT = 24  # intervals
+
+
+def check_protocol(imu: ImuSamples, label: str) -> list[Finding]:
+    """Return findings on how the recording was made; linear time."""
+    accelerometer = imu.accelerometer
+    rests = find_static(accelerometer)
+    unrest = _unrest(imu, rests) if len(rests) else float("inf")
+    if unrest > _MOVING:
+        return [
+            Finding(
+                severity="problem",
+                code="never-static",
+                message=f"{label}: no rest found in {accelerometer.duration_s:.1f} s; the quietest parts still move.",
+                consequence="The accelerometer cannot be calibrated, since gravity is known only at rest.",
+                cure="Start with the sensor lying still, then let it rest 2 to 4 s in each of 20 or more attitudes.",
+            )
+        ]
+    means = np.array([accelerometer.values[a:b].mean(axis=0) for a, b in zip(rests.start, rests.stop, strict=True)])
+    attitudes, radius = distinct_attitudes(means, accelerometer)
+    findings = _gravity(means, radius, accelerometer, label)
+    if unrest > _UNSTEADY:
+        findings.append(
+            Finding(
+                severity="warning",
+                code="rests-unsteady",
+                message=f"{label}: the sensor sways in its rests ({unrest:.1f} times what its noise alone would show).",
+                consequence="Gravity is blurred, and the true errors are larger than the sigmas.",
+                cure="Put the sensor down, or lean it against something, in every attitude.",
+            )
+        )
+    total = float((rests.stop - rests.start).sum()) / len(accelerometer)
+    if attitudes < 2:
+        findings.append(
+            Finding(
+                severity="problem",
+                code="always-static",
+                message=f"{label}: {len(rests)} rests ({100 * total:.0f} % of the time), all in one attitude.",
+                consequence="One attitude tells neither scale nor misalignment.",
+                cure="Let the sensor rest for 2 to 4 s in each of 20 or more attitudes.",
+            )
+        )
+        return findings
+    findings.append(_attitudes(attitudes, len(rests), total, label))
+    findings.append(_static_start(accelerometer, rests, label))
+    if len(imu.gyroscope) > 1 and is_silent(imu.gyroscope):
+        findings.append(
+            Finding(
+                severity="problem",
+                code="gyroscope-silent",
+                message=f"{label}: the gyroscope shows only noise, the accelerometer {attitudes} attitudes.",
+                consequence="The gyroscope cannot be calibrated.",
+                cure="Check that the gyroscope is switched on and that the right columns are read (--columns).",
+            )
+        )
+    return findings
+
+
+def _unrest(imu: ImuSamples, rests: StaticIntervals) -> float:
+    """Return how much more a signal wanders within an interval than over 0.05 s; 1 for noise, median of the intervals.
+
+    The detector looks for the quietest parts of a recording, and always finds some. Noise at rest changes as much in
+    0.05 s as in a second; the slow sway of a motion does not. Both triads are looked at (geometric mean).
+    """
+    ratios: list[float] = []
+    chosen = np.unique(np.linspace(0, len(rests) - 1, min(len(rests), _LOOKED_AT)).astype(np.int64))
+    edges = imu.accelerometer.t_ns[rests.start[chosen]], imu.accelerometer.t_ns[rests.stop[chosen] - 1]
+    for samples in (imu.accelerometer, imu.gyroscope):
+        if len(samples) < 2:
+            continue
+        lag = max(1, round(_LAG_S * samples.rate_hz))
+        first, last = np.searchsorted(samples.t_ns, edges[0]), np.searchsorted(samples.t_ns, edges[1])
+        found = [_wander(samples.values[a:b], lag) for a, b in zip(first, last, strict=True) if b - a > 4 * lag]
+        if found:
+            ratios.append(float(np.median(found)))
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else 1.0
+
+
+def _wander(values: Floats, lag: int) -> float:
+    length = 40 * lag  # two seconds are enough, and a slow drift of the bias is no motion
+    values = values[:length]
+    short = 0.5 * float(((values[lag:] - values[:-lag]) ** 2).mean(axis=0).sum())
+    return max(float(np.sqrt(values.var(axis=0).sum() / short)), 1e-3) if short > 0 else 1.0
+
+
+def distinct_attitudes(means: Floats, accelerometer: TriadSamples) -> tuple[int, float]:
+    """Return how many attitudes are at least 10 degrees apart, and gravity in the unit (nan if unknown).
+
+    A chord between two readings of gravity needs no bias, only the radius of the sphere on which they lie: gravity in
+    the unit, or the sphere through the readings where the unit is raw counts.
+
+    Parameters
+    ----------
+    means : (n, 3) over the rests [unit]
+    accelerometer : its unit and samples
+    """
+    factor = ACCELEROMETER_UNITS_M_S2[accelerometer.unit]
+    radius = STANDARD_GRAVITY_M_S2 / factor if factor else _sphere_radius(means)
+    span = float(np.linalg.norm(means.max(axis=0) - means.min(axis=0)))
+    # Raw counts of too few attitudes lie on no certain sphere; half their span is then the least radius.
+    limit = 2 * (radius if np.isfinite(radius) else 0.5 * span) * np.sin(np.radians(_APART_DEG) / 2)
+    if not np.isfinite(radius) and span <= 10 * _rest_noise(accelerometer):
+        return 1, radius
+    kept = means[:1]
+    for mean in means[1:]:
+        if (((kept - mean) ** 2).sum(axis=1) > limit**2).all():
+            kept = np.vstack([kept, mean])
+    return len(kept), radius
+
+
+def _rest_noise(samples: TriadSamples) -> float:
+    steps = np.diff(samples.values[:5000], axis=0)
+    return float(np.sqrt((steps**2).sum(axis=1).mean() / 2))
+
+
+def _sphere_radius(points: Floats) -> float:
+    """Return the radius of the sphere through points (n, 3) by linear least squares; nan if they leave it open."""
+    if len(points) < 5:
+        return float("nan")
+    centred = points - points.mean(axis=0)
+    size = float(np.sqrt((centred**2).sum(axis=1).mean()))
+    if size == 0:
+        return float("nan")
+    centred = centred / size
+    design = np.column_stack([2 * centred, np.ones(len(centred))])
+    solution, _, rank, singular = np.linalg.lstsq(design, (centred**2).sum(axis=1), rcond=None)
+    if rank < 4 or singular[-1] < 0.05 * singular[0]:
+        return float("nan")
+    square = float(solution[3] + (solution[:3] ** 2).sum())
+    return size * float(np.sqrt(square)) if square > 0 else float("nan")
+
+
+def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: str) -> list[Finding]:
+    factor = ACCELEROMETER_UNITS_M_S2[accelerometer.unit]
+    if factor is None:
+        if not np.isfinite(radius):
+            return []
+        message = f"{label}: gravity is about {radius:.4g} counts."
+        return [Finding(severity="info", code="gravity-magnitude", message=message)]
+    found = float(np.median(np.linalg.norm(means, axis=1))) * factor
+    error = abs(found / STANDARD_GRAVITY_M_S2 - 1)
+    message = (
+        f"{label}: the accelerometer reads {found:.3f} m/s^2 at rest (in {accelerometer.unit}), expected about 9.81."
+    )
+    if error <= _PLAUSIBLE:
+        return [Finding(severity="good", code="gravity-magnitude", message=message)]
+    return [
+        Finding(
+            severity="problem" if error > _POSSIBLE else "warning",
+            code="gravity-magnitude",
+            message=message,
+            consequence="The unit is wrong, gravity was removed, or bias or scale are far off.",
+            cure='State the unit (--units, for example "g deg/s" or "raw"); record acceleration with gravity in it.',
+        )
+    ]
+
+
+def _attitudes(attitudes: int, rests: int, share: float, label: str) -> Finding:
+    message = (
+        f"{label}: {rests} rests ({100 * share:.0f} % of the time) in {attitudes} attitudes more than 10 deg apart."
+    )
+    if attitudes >= _GOOD:
+        return Finding(severity="good", code="attitudes", message=message)
+    return Finding(
+        severity="warning" if attitudes >= _NEEDED else "problem",
+        code="attitudes",
+        message=message,
+        consequence="Scales and misalignments come out uncertain."
+        if attitudes >= _NEEDED
+        else "Nine parameters of the accelerometer need nine attitudes or more.",
+        cure="Record 20 or more attitudes, all axes up and down and between, with a rest of 2 to 4 s in each.",
+    )
+
+
+def _static_start(samples: TriadSamples, rests: StaticIntervals, label: str) -> Finding:
+    begins = (samples.t_ns[rests.start[0]] - samples.t_ns[0]) * 1e-9
+    length = (samples.t_ns[rests.stop[0] - 1] - samples.t_ns[rests.start[0]]) * 1e-9 if begins < 1.0 else 0.0
+    message = f"{label}: the recording starts with {length:.1f} s at rest."
+    if length >= _START_S:
+        return Finding(severity="good", code="static-start", message=message)
+    return Finding(
+        severity="info" if length > 0 else "warning",
+        code="static-start",
+        message=message,
+        consequence="The noise of the sensors and the gyroscope's first bias are known less well.",
+        cure="Leave the sensor still for 50 s at the start.",
+    )

@@ -1,0 +1,130 @@
+"""The doctor's look at values: saturation, stuck axes and samples, a silent gyroscope."""
+
+import numpy as np
+
+from ..detect.saturation import saturated
+from ..findings import Finding
+from ..recording import Floats, TriadSamples
+
+_STUCK_S = 0.25
+_SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
+_NOISE_SAMPLES = 10_000
+
+
+def extremes(values: Floats) -> tuple[Floats, Floats]:
+    """Return the smallest and the largest value of each axis, (3,) each; column by column, which is fast."""
+    columns = [values[:, axis] for axis in range(3)]
+    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+
+
+def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return findings on the values of one sensor; linear time."""
+    low, high = extremes(samples.values)
+    still = low == high
+    if still.all():
+        return [
+            Finding(
+                severity="problem",
+                code="signal-constant",
+                message=f"{label}: all {len(samples)} samples are {samples.values[0].tolist()} {samples.unit}.",
+                consequence="The sensor measured nothing.",
+                cure="Check that the sensor is switched on and that the right columns are read (--columns).",
+            )
+        ]
+    findings: list[Finding] = []
+    if still.any():
+        axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
+        findings.append(
+            Finding(
+                severity="problem",
+                code="axis-constant",
+                message=f"{label}: axis {axes} never changes.",
+                consequence="A three-axis calibration needs all three axes.",
+                cure="Check that the right columns are read (--columns), and the sensor's configuration.",
+            )
+        )
+    findings += _saturation(samples, label)
+    findings += _stuck(samples, label)
+    return findings
+
+
+def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
+    marked = saturated(samples)
+    count = int(np.count_nonzero(marked))
+    if not count:
+        return [Finding(severity="good", code="saturation", message=f"{label}: no sample is saturated.")]
+    first = int(np.argmax(marked))
+    low, high = extremes(samples.values)
+    return [
+        Finding(
+            severity="warning",
+            code="saturation",
+            message=f"{label}: {count} samples ({100 * count / len(samples):.2g} %) stand at the end of the range "
+            f"({low.min():.6g} or {high.max():.6g} {samples.unit}), "
+            f"the first {_seconds(samples, first):.2f} s after the start.",
+            consequence="They are masked; a rotation with masked samples in it is not used.",
+            cure="Turn more slowly, or set a wider range.",
+        )
+    ]
+
+
+def _seconds(samples: TriadSamples, index: int) -> float:
+    return float(samples.t_ns[index] - samples.t_ns[0]) * 1e-9
+
+
+def _stuck(samples: TriadSamples, label: str) -> list[Finding]:
+    """Look for samples that repeat all three axes of the one before: held by the driver, or by a link that hung."""
+    same = [samples.values[1:, axis] == samples.values[:-1, axis] for axis in range(3)]
+    shares = [np.count_nonzero(axis) / len(axis) for axis in same]
+    by_chance = float(np.prod(shares))
+    repeats = same[0] & same[1] & same[2]
+    count = int(np.count_nonzero(repeats))
+    if not count:
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], repeats, [False]])))
+    runs = edges[1::2] - edges[::2]
+    longest, first = int(runs.max()), int(edges[::2][np.argmax(runs)])
+    least = max(5.0, _STUCK_S * samples.rate_hz)
+    # Coarse steps repeat by chance; a run that chance would make less than once in a thousand recordings is none.
+    chance = len(samples) * max(by_chance, 1e-300) ** min(longest, 300)
+    share = count / len(repeats)
+    if longest >= least and chance < 1e-3:
+        return [
+            Finding(
+                severity="warning",
+                code="samples-stuck",
+                message=f"{label}: the same sample {longest + 1} times in a row from "
+                f"{_seconds(samples, first):.2f} s after the start.",
+                consequence="A stuck sensor looks like a perfect rest.",
+                cure="Check the link to the sensor, and cut this part out of the recording.",
+            )
+        ]
+    # 1 where the axes repeat only together, 0 where each repeats on its own because its steps are coarse.
+    together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
+    if share > 0.2 and together > 0.5:
+        return [
+            Finding(
+                severity="warning",
+                code="samples-repeated",
+                message=f"{label}: {100 * share:.0f} % of the samples repeat the one before.",
+                consequence="The sensor is slower than the recording; the noise and every sigma come out too small.",
+                cure="Record at the rate of the sensor.",
+            )
+        ]
+    return []
+
+
+def is_silent(samples: TriadSamples) -> bool:
+    """Tell whether a gyroscope shows nothing but noise."""
+    noise = _noise(samples.values)
+    middle = np.median(samples.values[:: max(1, len(samples) // _NOISE_SAMPLES)], axis=0)
+    low, high = extremes(samples.values)
+    peak = np.maximum(high - middle, middle - low)
+    return bool((peak <= _SILENT * noise).all())
+
+
+def _noise(values: Floats) -> Floats:
+    """Return the standard deviation (3,) of white noise with the same changes from sample to sample."""
+    stride = max(1, len(values) // _NOISE_SAMPLES)
+    steps = values[1::stride] - values[:-1:stride]
+    return np.sqrt((steps**2).mean(axis=0) / 2)

@@ -1,0 +1,167 @@
+"""The doctor's look at stamps: rate, gaps, jitter, repeated, backward and rounded stamps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..findings import Finding
+from ..recording import Integers, TriadSamples
+
+_GAP_PERIODS = 1.5
+_LOST_SHARE = 0.01
+_LONG_GAP_S = 0.1
+_JITTER = 0.3  # of a period
+_BURSTS = 1.3  # mean over median step
+_BLOCK = 2048
+_JITTER_SAMPLES = 100_000
+_FINE = 100.0  # steps of the clock in a period
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Steps:
+    """Differences of stamps [ns] and what is usual among them."""
+
+    dt: Integers
+    period: float
+    spread: float
+
+
+def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return findings on the stamps of one sensor, or of both where they share stamps; linear time.
+
+    Parameters
+    ----------
+    samples : at least two
+    label : such as "imu0 accelerometer", for messages
+    """
+    dt = np.diff(samples.t_ns)
+    period = 1e9 / samples.rate_hz
+    if not np.isfinite(period):
+        return [
+            Finding(
+                severity="problem",
+                code="time-constant",
+                message=f"{label}: all {len(samples)} stamps are the same.",
+                consequence="No rotation can be integrated.",
+                cure="Read the recording without its stamps and state the sample rate (--rate).",
+            )
+        ]
+    spread = 1.4826 * float(np.median(np.abs(dt - period)))
+    steps = _Steps(dt=dt, period=period, spread=spread)
+    findings = [*_backward(samples, steps, label), *_repeated(steps, label)]
+    findings += _gaps(samples, steps, label)
+    findings += _rounded(samples, steps, label)
+    if not any(finding.severity in {"warning", "problem"} for finding in findings):
+        findings.insert(
+            0,
+            Finding(
+                severity="good",
+                code="rate",
+                message=f"{label}: {len(samples)} samples in {samples.duration_s:.1f} s, {samples.rate_hz:.2f} Hz, "
+                f"jitter {100 * _jitter(steps):.1f} % of a period.",
+            ),
+        )
+    return findings
+
+
+def _jitter(steps: _Steps) -> float:
+    """Return the root mean square of the deviations of steps from the usual one, gaps left out, in periods."""
+    stride = max(1, len(steps.dt) // _JITTER_SAMPLES)
+    off = steps.dt[::stride] / steps.period - 1
+    return float(np.sqrt(np.mean(np.square(off[np.abs(off) < 0.5])))) if len(off) else 0.0
+
+
+def _at(samples: TriadSamples, index: int) -> str:
+    return f"sample {index} ({(samples.t_ns[index] - samples.t_ns[0]) * 1e-9:.3f} s after the start)"
+
+
+def _backward(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    back = np.flatnonzero(steps.dt < 0)
+    if not len(back):
+        return []
+    first = int(back[0])
+    return [
+        Finding(
+            severity="problem",
+            code="time-backward",
+            message=f"{label}: stamps go backwards {len(back)} time{'s' * (len(back) > 1)}, first by "
+            f"{-steps.dt[first] * 1e-9:.6g} s after {_at(samples, first)}.",
+            consequence="The order of the samples is not known, so that nothing can be integrated.",
+            cure="Sort the samples by their stamps if they are only out of order; cut where the clock was set anew.",
+        )
+    ]
+
+
+def _repeated(steps: _Steps, label: str) -> list[Finding]:
+    count = int(np.count_nonzero(steps.dt == 0))
+    if not count:
+        return []
+    share = count / len(steps.dt)
+    rare = share <= _LOST_SHARE
+    return [
+        Finding(
+            severity="info" if rare else "warning",
+            code="time-repeated",
+            message=f"{label}: {count} stamps ({100 * share:.2g} %) repeat the one before.",
+            consequence="The later samples are left out."
+            if rare
+            else "The clock is coarser than the sample rate, or every sample was written several times.",
+            cure="" if rare else "Use a uniform time base, or write every sample once with a finer clock.",
+        )
+    ]
+
+
+def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    mean = (samples.t_ns[-1] - samples.t_ns[0]) / (len(samples) - 1)
+    limit = _GAP_PERIODS * steps.period + 3 * steps.spread
+    gaps = np.flatnonzero(steps.dt > limit)
+    irregular = steps.spread > _JITTER * steps.period or (
+        mean > _BURSTS * steps.period and len(gaps) > _LOST_SHARE * len(samples)
+    )
+    if irregular:
+        return [
+            Finding(
+                severity="warning",
+                code="jitter",
+                message=f"{label}: stamps are irregular: half of the steps are {steps.period * 1e-6:.3g} ms or less, "
+                f"their mean is {mean * 1e-6:.3g} ms, the longest {steps.dt.max() * 1e-6:.4g} ms.",
+                consequence="Such stamps tell when samples arrived, not when they were measured; angles suffer.",
+                cure="Stamp in the sensor's interrupt, or use the sensor's own clock or sample counter.",
+            )
+        ]
+    if not len(gaps):
+        return []
+    longest = int(gaps[np.argmax(steps.dt[gaps])])
+    lost = int(np.rint(steps.dt[gaps] / steps.period - 1).sum())
+    length_s = float(steps.dt[longest]) * 1e-9
+    severe = length_s > _LONG_GAP_S or lost > _LOST_SHARE * len(samples)
+    return [
+        Finding(
+            severity="warning" if severe else "info",
+            code="gaps",
+            message=f"{label}: {len(gaps)} gap{'s' * (len(gaps) > 1)}, about {lost} samples lost; the longest lasts "
+            f"{length_s:.4g} s after {_at(samples, longest)}.",
+            consequence="Rotations with a gap in them are wrong." if severe else "Short gaps are bridged linearly.",
+            cure="Record with a faster link or a lower rate." if severe else "",
+        )
+    ]
+
+
+def _rounded(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    """Find the step of the clock; text often keeps few digits of late stamps, so blocks are looked at apart."""
+    starts = np.linspace(0, max(0, len(steps.dt) - _BLOCK), 8).astype(np.int64)
+    blocks = [np.unique(steps.dt[a : a + _BLOCK]) for a in starts]
+    # Steps that are all equal say nothing about the clock.
+    quantum = max((int(np.gcd.reduce(block)) for block in blocks if len(block) > 1), default=0)
+    steps_of_clock = steps.period / max(quantum, 1)
+    if quantum == 0 or steps_of_clock > _FINE:
+        return []
+    return [
+        Finding(
+            severity="info",
+            code="time-rounded",
+            message=f"{label}: stamps are rounded to {quantum * 1e-6:g} ms, {100 / steps_of_clock:.0f} % of a period.",
+            consequence="A straight line through the stamps may be a better time base than the stamps.",
+            cure="The default chooses by evidence (time_base=auto).",
+        )
+    ]

@@ -1,0 +1,76 @@
+"""The command line: parse, call, print. Whatever it can do, the Python API can do as well."""
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Sequence
+
+from ..errors import GnomonError, OptionError
+from .commands import Command
+from .parse import parse
+from .terminal import Terminal
+
+USAGE, BAD_INPUT, BUG, INTERRUPTED = 2, 3, 1, 130
+"""Exit codes of work that was not finished; those of finished work are in `actions`."""
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command that the arguments ask for, and return its exit code.
+
+    0 usable, 2 wrong usage, 3 bad input or a place that cannot be written, 4 finished but the verdict says do not use.
+    """
+    terminal = Terminal(as_json="--json" in arguments)
+    try:
+        command = _parsed(arguments, terminal)
+        if isinstance(command, int):
+            return command
+        from .actions import run
+
+        return run(command, terminal)
+    except BrokenPipeError:
+        raise
+    except (Exception, KeyboardInterrupt) as error:
+        if os.environ.get("GNOMON_DEBUG"):
+            raise
+        return _failed(terminal, type(error).__name__, *_explained(error))
+    finally:
+        terminal.close()
+
+
+def _explained(error: BaseException) -> tuple[str, int]:
+    """Return what a person is told about an error, and the exit code."""
+    match error:
+        case OptionError():
+            return str(error), USAGE
+        case GnomonError():
+            return str(error), BAD_INPUT
+        case MemoryError():
+            return "this does not fit into memory. Close other programs, or split the recording.", BAD_INPUT
+        case KeyboardInterrupt():
+            return "interrupted; nothing was written.", INTERRUPTED
+        case _:
+            what = f"{type(error).__name__}: {error}"
+            return f"this is a bug in gnomon ({what}). Please report it, with what GNOMON_DEBUG=1 shows.", BUG
+
+
+def _parsed(arguments: Sequence[str], terminal: Terminal) -> Command | int:
+    """Return the command, or the exit code where help was asked for or the usage is wrong."""
+    shown = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(shown) if terminal.as_json else contextlib.nullcontext():
+            return parse(arguments)
+    except SystemExit as stop:
+        code = stop.code if isinstance(stop.code, int) else USAGE
+        if terminal.as_json and code:
+            lines = (line.strip("╭╮╰╯│─ ") for line in shown.getvalue().splitlines())
+            return _failed(terminal, "OptionError", " ".join(line for line in lines if line), code)
+        return code
+
+
+def _failed(terminal: Terminal, kind: str, message: str, code: int) -> int:
+    """Say what went wrong, once, and return the exit code."""
+    terminal.close()
+    sys.stderr.write(f"gnomon: {message}\n")
+    terminal.document({"error": {"kind": kind, "message": message, "exit_code": code}})
+    return code

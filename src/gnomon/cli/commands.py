@@ -1,0 +1,167 @@
+"""The commands, as dataclasses from which their options and their help are made. Nothing here needs NumPy."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ..options import ImuOptions
+from ..simulate import Scenario
+from ..units import Units
+
+_Flat = tyro.conf.arg(name="")
+"""Options of a nested class appear without a prefix."""
+
+_DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
+
+
+_Switch = tyro.conf.arg(help_behavior_hint="")
+
+_Calibration = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")]
+
+
+def _output(metavar: str, hint: str = "") -> object:
+    return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """A recording, and what it does not say about itself."""
+
+    path: tyro.conf.Positional[Path]
+    """A file or a folder; with two files, that of the accelerometer."""
+
+    gyroscope_path: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]", help_behavior_hint="")
+    ] = None
+    """The file of the gyroscope, where it has its own."""
+
+    columns: str | None = None
+    """What the columns of a table are, such as "t ax ay az gx gy gz"; _ skips one."""
+
+    rate: float | None = None
+    """Sample rate in Hz, for a table without time."""
+
+    units: str | None = None
+    """Units of the recording: "si", "raw" (counts), or a list such as "g deg/s us"; recognised where not given."""
+
+    def __post_init__(self) -> None:
+        if self.units is not None:
+            Units.parse(self.units)
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The one or two paths."""
+        return (self.path,) if self.gyroscope_path is None else (self.path, self.gyroscope_path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imu:
+    """Calibrate accelerometer and gyroscope from one hand-held recording.
+
+    Let the sensor rest for about 50 s, then turn it by hand into many different attitudes and let it rest for a few
+    seconds in each.
+    """
+
+    recording: Annotated[Input, _Flat]
+    output: Annotated[Path | None, _output("DIR")] = None
+    """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
+    report: Annotated[bool, _Switch] = True
+    """Do not make the report."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+    options: Annotated[ImuOptions, _Flat] = field(default_factory=ImuOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Say what a recording holds, what is wrong with it, and how to cure that."""
+
+    recording: Annotated[Input, _Flat]
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Show a calibration as tables with standard deviations."""
+
+    calibration: _Calibration
+    """A calibration.yaml."""
+    form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
+    """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Apply:
+    """Turn a recording into specific force and angular rate with a calibration; of any length, in little memory."""
+
+    calibration: _Calibration
+    """A calibration.yaml."""
+    recording: Annotated[Input, _Flat]
+    output: Annotated[Path, _output("FILE", "(required)")]
+    """CSV file to write."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert:
+    """Write a calibration in the format of another project, and say what that format cannot hold."""
+
+    calibration: _Calibration
+    """A calibration.yaml."""
+    to: Literal["imu_tk", "kalibr", "imucal", "c-header", "csv"]
+    """The format."""
+    output: Annotated[Path | None, _output("DIR")] = None
+    """Folder for the files (default: a folder with the format's name beside the calibration)."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate:
+    """Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml)."""
+
+    output: Annotated[Path, _output("FILE", "(required)")]
+    """Recording to write, .npz or .csv."""
+    seed: int = 0
+    """All random numbers follow from it."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+    scenario: Annotated[Scenario, _Flat] = field(default_factory=Scenario)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo:
+    """Calibrate a simulated recording and compare the result with the truth."""
+
+    output: Annotated[Path, _output("DIR", "(default: gnomon-demo)")] = Path("gnomon-demo")
+    """Folder for the recording, the truth and the results."""
+    seed: int = 0
+    """All random numbers follow from it."""
+    report: Annotated[bool, _Switch] = True
+    """Do not make the report."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """What the demonstration simulates."""
+        return _DEMO_SCENARIO
+
+
+Command = Imu | Check | Show | Apply | Convert | Simulate | Demo
+
+COMMANDS: dict[str, type[Command]] = {
+    "imu": Imu,
+    "check": Check,
+    "show": Show,
+    "apply": Apply,
+    "convert": Convert,
+    "simulate": Simulate,
+    "demo": Demo,
+}

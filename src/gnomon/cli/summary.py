@@ -1,0 +1,119 @@
+"""A calibration on one screen, 80 columns wide, in characters that every terminal has."""
+
+import math
+import textwrap
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from ..calibration import Calibration, parameters
+from ..findings import Finding
+from ..recording import Floats
+from ..writers.units_text import parameter_unit
+
+WIDTH = 80
+AXES = "xyz"
+VERDICTS = {
+    "pass": ("usable", "bold green"),
+    "warn": ("usable, with reservations", "bold yellow"),
+    "fail": ("do not use this calibration", "bold red"),
+}
+"""What a verdict means, and its style on a terminal."""
+
+
+def facts(calibration: Calibration) -> Iterator[str]:
+    """Yield lines on what the calibration rests on and how well it predicts what it has not seen."""
+    found = calibration.assessment
+    gravity = calibration.gravity
+    yield f"  static intervals   {found.intervals_used} used of {found.intervals_found}"
+    if found.model != "none":
+        yield f"  rotations          {found.rotations_used} used of {found.rotations_found}"
+    held_out = [f"accelerometer {engineering(found.holdout.accelerometer_rms, 'm/s^2')}"]
+    if math.isfinite(found.holdout.rotation_rms):
+        held_out.append(f"rotations {engineering(found.holdout.rotation_rms, 'rad')}")
+    if math.isfinite(found.holdout.accelerometer_rms):
+        yield f"  error on unseen    {', '.join(held_out)} (rms)"
+    sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
+    yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
+    yield f"  model, body frame  {found.model}, {calibration.frame}"
+
+
+def advice(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
+    """Yield lines with every finding: what was found, what follows, what to do. Good news only if wanted."""
+    marks = {"problem": "[!!]", "warning": "[! ]", "info": "[i ]"} | ({"good": "[ok]"} if good else {})
+    for finding in findings:
+        if finding.severity in marks:
+            yield from _paragraph(finding.message, f"  {marks[finding.severity]} ", " " * 7)
+            if finding.consequence:
+                yield from _paragraph(finding.consequence, " " * 7, " " * 7)
+            if finding.cure:
+                yield from _paragraph(finding.cure, " " * 7 + "-> ", " " * 10)
+
+
+def _paragraph(text: str, first: str, rest: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH - 1, initial_indent=first, subsequent_indent=rest, break_long_words=False)
+
+
+def parameter_lines(calibration: Calibration) -> Iterator[str]:
+    """Yield every parameter with its standard deviation, a row for each sensor axis."""
+    for path, value in parameters(calibration.imus):
+        if path.endswith("g_sensitivity") and calibration.assessment.model != "g-sensitivity":
+            continue
+        title, unit = path.replace(".", " "), parameter_unit(calibration, path)
+        yield from _block(title, unit, value, calibration.sigma(path))
+
+
+def _block(title: str, unit: str, value: Floats, sigma: Floats) -> Iterator[str]:
+    power = common_power(value, sigma)
+    scale = f"10^{power} " if power else ""
+    yield f"  {title} [{scale}{unit}]"
+    scaled, scaled_sigma = value / 10.0**power, sigma / 10.0**power
+    decimals = common_decimals(scaled_sigma)
+    if value.ndim == 1:  # one number an axis: in one row
+        yield _row(" ", scaled, scaled_sigma, decimals)
+        return
+    for axis, row, row_sigma in zip(AXES, scaled, scaled_sigma, strict=True):
+        yield _row(axis, row, row_sigma, decimals)
+
+
+def _row(axis: str, values: Floats, sigmas: Floats, decimals: int) -> str:
+    cells = "".join(_cell(*pair, decimals) for pair in zip(values, sigmas, strict=True))
+    return f"   {axis} {cells}".rstrip()
+
+
+def _cell(value: float, sigma: float, decimals: int) -> str:
+    if not sigma > 0:  # fixed by the frame, or known
+        return f"{value:.{decimals}f}".rjust(13) + " " * 11
+    return f"{value:.{decimals}f}".rjust(13) + f" +- {sigma:.{decimals}f}".ljust(11)
+
+
+def common_power(value: Floats, sigma: Floats) -> int:
+    """Return a power of ten, a multiple of three, that makes the largest number of a block easy to read."""
+    largest = float(np.max(np.maximum(np.abs(value), sigma), initial=0.0))
+    if largest == 0 or 0.1 <= largest < 1e6:
+        return 0
+    return 3 * math.floor(math.log10(largest) / 3)
+
+
+def common_decimals(sigma: Floats) -> int:
+    """Return so many decimals that the smallest sigma of a block has two digits, but no more than six."""
+    estimated = sigma[sigma > 0]
+    if not len(estimated):
+        return 6
+    return min(max(1 - math.floor(math.log10(float(estimated.min()))), 0), 6)
+
+
+def engineering(value: float, unit: str) -> str:
+    """Return a number with its unit and a fitting prefix, such as "2.65 mrad".
+
+    Examples
+    --------
+    >>> engineering(0.00265, "rad"), engineering(0.0015, "m/s^2"), engineering(float("nan"), "rad")
+    ('2.65 mrad', '1.5 mm/s^2', 'unknown')
+    """
+    if not math.isfinite(value):
+        return "unknown"
+    for prefix, factor in (("", 1.0), ("m", 1e3), ("u", 1e6)):
+        if abs(value) * factor >= 0.5 or value == 0:
+            return f"{value * factor:.3g} {prefix}{unit}"
+    return f"{value:.3g} {unit}"

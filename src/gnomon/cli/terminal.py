@@ -1,0 +1,86 @@
+"""Where words go: results to standard output, progress and errors to standard error."""
+
+import json
+import logging
+import math
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.status import Status
+
+WIDTH = 80
+"""Columns of text that is not printed to a terminal."""
+
+
+class Terminal:
+    """One command's standard output and standard error.
+
+    Parameters
+    ----------
+    as_json : standard output gets one JSON document, and nothing else
+    """
+
+    def __init__(self, *, as_json: bool) -> None:
+        self.as_json = as_json
+        self._status: Status | None = None
+        logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="gnomon: %(message)s")
+
+    def say(self, text: str, style: str = "") -> None:
+        """Print a result for a person, in colour on a terminal; nothing when the output is JSON."""
+        if self.as_json:
+            return
+        if style and sys.stdout.isatty():
+            from rich.console import Console
+
+            Console(highlight=False, markup=False, soft_wrap=True).print(text, style=style)
+        else:
+            sys.stdout.write(text + "\n")
+
+    def draw(self, thing: "RenderableType") -> None:
+        """Print a table; nothing when the output is JSON."""
+        if not self.as_json:
+            from rich.console import Console
+
+            terminal = sys.stdout.isatty()
+            Console(file=sys.stdout, width=None if terminal else WIDTH, highlight=False).print(thing)
+
+    def document(self, content: Mapping[str, Any]) -> None:
+        """Print the JSON document, where it was asked for."""
+        if self.as_json:
+            sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+    def progress(self, step: str) -> None:
+        """Say which step the work is at: in one changing line on a terminal, else in a line a step."""
+        if not sys.stderr.isatty():
+            sys.stderr.write(f"{step}\n")
+        elif self._status is not None:
+            self._status.update(step)
+        else:
+            from rich.console import Console
+
+            self._status = Console(stderr=True).status(step)
+            self._status.start()
+
+    def close(self) -> None:
+        """Take the changing line away."""
+        if self._status is not None:
+            self._status.stop()
+            self._status = None
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON knows it: lists for arrays, null for what is not a finite number."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if hasattr(value, "tolist"):  # an array or a number of NumPy
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return str(value)

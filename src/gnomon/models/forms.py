@@ -1,0 +1,304 @@
+"""The sensor models of documents A, B and C as exact views of gnomon's own.
+
+gnomon's model, with specific force f [m/s^2] and angular rate w [rad/s] in the body frame, and measurements s in the
+unit of the sensor, is
+
+    s_acc = S_a f + b_a          s_gyro = S_g w + b_g + G f
+
+A form holds the same sensor in the letters of a document. `from_sensor` and `to_sensor` convert, `predict` evaluates
+the document's own equation, so that a test can show that the samples are the same. Each form belongs to a body frame
+(`frame`): a document that makes the accelerometer's matrix triangular fixes the frame by doing so. Bring the sensor
+into that frame first (`models.frames`). Sign conventions differ: document A adds the bias, document C subtracts it.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from ..errors import OptionError
+from .frames import Floats, fixed_entries, frame_rotation
+
+KrebsReading = Literal["chapter 3", "chapter 4"]
+"""Document B states the g-sensitivity twice: in the gyroscope's frame (chapter 3) and in the body frame (chapter 4)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TedaldiAccelerometer:
+    """Document A, Eqs. (2.6), (3.3): a_O = T K (a_S + b), with T = [1 -yz zy; 0 1 -zx; 0 0 1].
+
+    Attributes
+    ----------
+    T : (3, 3), unit upper triangular
+    K : (3,) [m/s^2 per unit], the diagonal
+    b : (3,) [unit], added to the measurement
+    """
+
+    frame: ClassVar[str] = "accel-z"
+    T: Floats
+    K: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-z and b_a (3,) [unit].
+
+        Raises
+        ------
+        OptionError
+            If the sensitivity is not in frame accel-z.
+        """
+        T, K = unit_diagonal(inverse(in_frame(sensitivity, cls.frame)), "Tedaldi's")
+        return cls(T=T, K=K, b=-bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return S_a (3, 3) and b_a (3,)."""
+        return inverse(self.T * self.K), -self.b
+
+    def predict(self, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
+        return (force @ inverse(self.T).T) / self.K - self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TedaldiGyroscope:
+    """Document A, Eqs. (2.7), (3.5): w_O = T K (w_S + b), with T = [1 -yz zy; xz 1 -zx; -xy yx 1].
+
+    Joined with document B's g-sensitivity: w_O = T K (w_S + b - B f_O); document A has B = 0.
+
+    Attributes
+    ----------
+    T : (3, 3), unit diagonal
+    K : (3,) [rad/s per unit], the diagonal
+    b : (3,) [unit], added to the measurement
+    B : (3, 3) [unit per m/s^2], g-sensitivity on the calibrated specific force
+    """
+
+    frame: ClassVar[str] = "accel-z"
+    T: Floats
+    K: Floats
+    b: Floats
+    B: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
+        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2].
+
+        Raises
+        ------
+        OptionError
+            If an axis of the gyroscope does not respond to the body axis of the same name at all.
+        """
+        T, K = unit_diagonal(inverse(sensitivity), "Tedaldi's")
+        return cls(T=T, K=K, b=-bias, B=g_sensitivity)
+
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+        return inverse(self.T * self.K), -self.b, self.B
+
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
+        return (rate @ inverse(self.T).T) / self.K - self.b + force @ self.B.T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AngrisanoAccelerometer:
+    """Document C, Eqs. (1), (2): s = T K (s_out - b), with T = [1 az ay; 0 1 ax; 0 0 1].
+
+    Attributes
+    ----------
+    T : (3, 3), unit upper triangular
+    K : (3,) [m/s^2 per unit], the diagonal
+    b : (3,) [unit], subtracted from the measurement
+    """
+
+    frame: ClassVar[str] = "accel-z"
+    T: Floats
+    K: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-z and b_a (3,) [unit].
+
+        Raises
+        ------
+        OptionError
+            If the sensitivity is not in frame accel-z.
+        """
+        T, K = unit_diagonal(inverse(in_frame(sensitivity, cls.frame)), "Angrisano's")
+        return cls(T=T, K=K, b=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return S_a (3, 3) and b_a (3,)."""
+        return inverse(self.T * self.K), self.b
+
+    def predict(self, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
+        return (force @ inverse(self.T).T) / self.K + self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AngrisanoGyroscope:
+    """Document C, Eqs. (1), (2), for the gyroscope, in an orthogonal frame G of its own: w_G = T K (y - b).
+
+    Norms of rates cannot tell how G lies to the body; C_gb, which document C leaves open, completes the model, as does
+    document B's g-sensitivity: T K (y - b - B f) = C_gb w.
+
+    Attributes
+    ----------
+    T : (3, 3), unit upper triangular
+    K : (3,) [rad/s per unit], the diagonal
+    b : (3,) [unit], subtracted from the measurement
+    B : (3, 3) [unit per m/s^2], g-sensitivity, on the body's specific force
+    C_gb : (3, 3), rotation from the body frame to G
+    """
+
+    frame: ClassVar[str] = "accel-z"
+    T: Floats
+    K: Floats
+    b: Floats
+    B: Floats
+    C_gb: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
+        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
+        C_gb = frame_rotation(sensitivity, "accel-z")
+        T, K = unit_diagonal(inverse(np.triu(sensitivity @ C_gb.T)), "Angrisano's")
+        return cls(T=T, K=K, b=bias, B=g_sensitivity, C_gb=C_gb)
+
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+        return inverse(self.T * self.K) @ self.C_gb, self.b, self.B
+
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
+        return (rate @ self.C_gb.T @ inverse(self.T).T) / self.K + self.b + force @ self.B.T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KrebsAccelerometer:
+    """Document B, chapter 3: a~ = S M f + b, with M unit lower triangular, [1 0 0; yz 1 0; zy zx 1].
+
+    Against the angles of document A: M_yz = -alpha_yz, M_zy = +alpha_zy, M_zx = -alpha_zx.
+
+    Attributes
+    ----------
+    S : (3,) [unit per m/s^2], the diagonal
+    M : (3, 3), unit lower triangular
+    b : (3,) [unit]
+    """
+
+    frame: ClassVar[str] = "accel-x"
+    S: Floats
+    M: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-x and b_a (3,) [unit].
+
+        Raises
+        ------
+        OptionError
+            If the sensitivity is not in frame accel-x.
+        """
+        lower = in_frame(sensitivity, cls.frame)
+        S = np.diag(lower).copy()
+        return cls(S=S, M=lower / S[:, None], b=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return S_a (3, 3) and b_a (3,)."""
+        return self.S[:, None] * self.M, self.b
+
+    def predict(self, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
+        return (force @ self.M.T) * self.S + self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KrebsGyroscope:
+    """Document B: w~ = S M C_bg' w + B C_bg' f + b (chapter 3), or with B f in place of B C_bg' f (chapter 4).
+
+    Attributes
+    ----------
+    S : (3,) [unit per rad/s], the diagonal
+    M : (3, 3), unit lower triangular
+    C_bg : (3, 3), rotation from the gyroscope's frame to the body frame
+    B : (3, 3) [unit per m/s^2], g-sensitivity
+    b : (3,) [unit]
+    reading : "chapter 3" or "chapter 4"
+    """
+
+    frame: ClassVar[str] = "accel-x"
+    S: Floats
+    M: Floats
+    C_bg: Floats
+    B: Floats
+    b: Floats
+    reading: KrebsReading = "chapter 3"
+
+    @classmethod
+    def from_sensor(
+        cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats, reading: KrebsReading = "chapter 3"
+    ) -> Self:
+        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
+        C_bg = frame_rotation(sensitivity, "accel-x").T
+        lower = np.tril(sensitivity @ C_bg)
+        S = np.diag(lower).copy()
+        B = g_sensitivity @ C_bg if reading == "chapter 3" else g_sensitivity
+        return cls(S=S, M=lower / S[:, None], C_bg=C_bg, B=B, b=bias, reading=reading)
+
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+        G = self.B @ self.C_bg.T if self.reading == "chapter 3" else self.B
+        return (self.S[:, None] * self.M) @ self.C_bg.T, self.b, G
+
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
+        acting = force @ self.C_bg if self.reading == "chapter 3" else force
+        return (rate @ self.C_bg @ self.M.T) * self.S + acting @ self.B.T + self.b
+
+
+def in_frame(sensitivity: Floats, frame: str) -> Floats:
+    """Return the accelerometer's sensitivity (3, 3) with the entries that `frame` makes zero exactly zero.
+
+    Raises
+    ------
+    OptionError
+        If it is not in that frame.
+    """
+    entries = tuple(np.transpose(fixed_entries(frame)))
+    if np.abs(sensitivity[entries]).max() > 1e-9 * np.abs(sensitivity).max():
+        raise OptionError(
+            f"this model lives in body frame {frame}, where three entries of the accelerometer's sensitivity are zero; "
+            f"found {sensitivity[entries].tolist()}. Bring the calibration into that frame first: in_frame({frame!r})."
+        )
+    exact = sensitivity.copy()
+    exact[entries] = 0.0
+    return exact
+
+
+def inverse(matrix: Floats) -> Floats:
+    """Return the inverse of a matrix (3, 3)."""
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def unit_diagonal(correction: Floats, whose: str) -> tuple[Floats, Floats]:
+    """Split a correction matrix (3, 3) into T with a unit diagonal and the diagonal K (3,), correction = T diag(K).
+
+    Raises
+    ------
+    OptionError
+        If a diagonal entry vanishes, so that no such T exists.
+    """
+    K = np.diag(correction).copy()
+    weak = np.abs(K) <= 1e-9 * np.abs(correction).max(axis=0)
+    if weak.any():
+        axis = "xyz"[int(np.argmax(weak))]
+        raise OptionError(
+            f"{whose} model needs every sensor axis to respond to the body axis of the same name; the {axis} axis does "
+            "not, so that its scale factor is zero. Relabel the axes of the recording (--columns), or use another form."
+        )
+    return correction / K + 0.0, K  # no minus zeros

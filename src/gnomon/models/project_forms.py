@@ -1,0 +1,181 @@
+"""The sensor models of Kalibr, imu_tk and imucal as exact views of gnomon's own.
+
+Definitions as stated in those projects' code and compared in docs/theory; the frame and the methods are as in
+`models.forms`.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from .forms import in_frame, inverse, unit_diagonal
+from .frames import Floats, frame_rotation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KalibrAccelerometer:
+    """Kalibr, "scale-misalignment": m = M f + b with M lower triangular and its diagonal free.
+
+    Attributes
+    ----------
+    M : (3, 3) [unit per m/s^2], lower triangular
+    b : (3,) [unit]; Kalibr lets it vary with time
+    """
+
+    frame: ClassVar[str] = "accel-x"
+    M: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-x and b_a (3,) [unit].
+
+        Raises
+        ------
+        OptionError
+            If the sensitivity is not in frame accel-x.
+        """
+        return cls(M=in_frame(sensitivity, cls.frame), b=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return S_a (3, 3) and b_a (3,)."""
+        return self.M, self.b
+
+    def predict(self, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
+        return force @ self.M.T + self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KalibrGyroscope:
+    """Kalibr, "scale-misalignment": y = M C w + A C f + b with M lower triangular and C = C_gyro_i.
+
+    Attributes
+    ----------
+    M : (3, 3) [unit per rad/s], lower triangular
+    C_gyro_i : (3, 3), rotation from the body frame to the gyroscope's
+    A : (3, 3) [unit per m/s^2], g-sensitivity, on the specific force in the gyroscope's frame
+    b : (3,) [unit]; Kalibr lets it vary with time
+    """
+
+    frame: ClassVar[str] = "accel-x"
+    M: Floats
+    C_gyro_i: Floats
+    A: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
+        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
+        C = frame_rotation(sensitivity, "accel-x")
+        return cls(M=np.tril(sensitivity @ C.T), C_gyro_i=C, A=g_sensitivity @ C.T, b=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+        return self.M @ self.C_gyro_i, self.b, self.A @ self.C_gyro_i
+
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
+        return rate @ self.C_gyro_i.T @ self.M.T + force @ self.C_gyro_i.T @ self.A.T + self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuTkTriad:
+    """imu_tk, either triad: y = T K (x - B). It has no g-sensitivity.
+
+    Attributes
+    ----------
+    T : (3, 3), unit diagonal; upper triangular for the accelerometer
+    K : (3,) [SI per unit], the diagonal
+    B : (3,) [unit], subtracted from the measurement
+    """
+
+    frame: ClassVar[str] = "accel-z"
+    T: Floats
+    K: Floats
+    B: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from a sensitivity (3, 3) [unit per SI] and a bias (3,) [unit].
+
+        Raises
+        ------
+        OptionError
+            If an axis of the sensor does not respond to the body axis of the same name at all.
+        """
+        T, K = unit_diagonal(inverse(sensitivity), "imu_tk's")
+        return cls(T=T, K=K, B=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return the sensitivity (3, 3) and the bias (3,)."""
+        return inverse(self.T * self.K), self.B
+
+    def predict(self, truth: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force [m/s^2] or angular rate [rad/s], (n, 3)."""
+        return (truth @ inverse(self.T).T) / self.K + self.B
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImucalAccelerometer:
+    """imucal (Ferraris): m = K R f + b with the rows of R of unit length; any body frame.
+
+    Attributes
+    ----------
+    K : (3,) [unit per m/s^2], the diagonal
+    R : (3, 3), sensitivity axes as unit rows
+    b : (3,) [unit]
+    """
+
+    frame: ClassVar[None] = None
+    K: Floats
+    R: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from S_a (3, 3) [unit per m/s^2] and b_a (3,) [unit]."""
+        K = np.sqrt(np.square(sensitivity).sum(axis=1))
+        return cls(K=K, R=sensitivity / K[:, None], b=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return S_a (3, 3) and b_a (3,)."""
+        return self.K[:, None] * self.R, self.b
+
+    def predict(self, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
+        return (force @ self.R.T) * self.K + self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImucalGyroscope:
+    """imucal (Ferraris): y = K R w + K_ga f + b with the rows of R of unit length; any body frame.
+
+    Attributes
+    ----------
+    K : (3,) [unit per rad/s], the diagonal
+    R : (3, 3), sensitivity axes as unit rows
+    K_ga : (3, 3) [unit per m/s^2], g-sensitivity
+    b : (3,) [unit]
+    """
+
+    frame: ClassVar[None] = None
+    K: Floats
+    R: Floats
+    K_ga: Floats
+    b: Floats
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
+        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
+        K = np.sqrt(np.square(sensitivity).sum(axis=1))
+        return cls(K=K, R=sensitivity / K[:, None], K_ga=g_sensitivity, b=bias)
+
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+        return self.K[:, None] * self.R, self.b, self.K_ga
+
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
+        return (rate @ self.R.T) * self.K + force @ self.K_ga.T + self.b

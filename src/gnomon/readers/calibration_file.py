@@ -1,0 +1,218 @@
+"""gnomon's own calibration file, schema "gnomon/1"; `writers.calibration_file` writes it.
+
+A later minor of the schema, "gnomon/1.1" and so on, may only add keys that are optional here, so that older files stay
+readable; a newer minor than this version knows is refused, since its keys may matter.
+"""
+
+import re
+from os import PathLike
+
+import numpy as np
+
+from ..calibration import (
+    AccelerometerCalibration,
+    Assessment,
+    Calibration,
+    Covariance,
+    Gravity,
+    GyroscopeCalibration,
+    Holdout,
+    ImuCalibration,
+    Provenance,
+    covariance_names,
+    parameters,
+)
+from ..errors import OptionError
+from ..findings import Finding
+from ..models.forms import in_frame
+from ..recording import Floats, Source
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .structured import Node, read_yaml
+
+SCHEMA_MAJOR = 1
+SCHEMA_MINOR = 0
+
+TOP_KEYS = (
+    "schema",
+    "verdict",
+    "body_frame",
+    "gravity",
+    "imus",
+    "cameras",
+    "assessment",
+    "provenance",
+    "covariance",
+)
+_VERDICTS = ("pass", "warn", "fail")
+
+
+def load(path: str | PathLike[str]) -> Calibration:
+    """Read a calibration from gnomon's own YAML file.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is not as the schema says; the message names the key.
+    """
+    root = read_yaml(path)
+    _check_schema(root)
+    top = root.mapping(TOP_KEYS)
+    top["cameras"].mapping()
+    imus = {node.key: _imu(node) for node in top["imus"].entries()}
+    calibration = Calibration(
+        imus=imus,
+        frame=_frame(top["body_frame"], top["imus"], imus),
+        gravity=_gravity(top["gravity"]),
+        uncertainty=_covariance(top["covariance"], covariance_names(imus)),
+        assessment=_assessment(top["assessment"]),
+        provenance=_provenance(top["provenance"]),
+    )
+    if top["verdict"].text(_VERDICTS) != calibration.verdict:
+        raise top["verdict"].fail(
+            f'"{top["verdict"].value}" contradicts assessment.verdict, "{calibration.verdict}". They are one thing.'
+        )
+    _check_sigmas(top["imus"], calibration)
+    return calibration
+
+
+def _check_schema(root: Node) -> None:
+    if not isinstance(root.value, dict) or not isinstance(root.value.get("schema"), str):
+        raise root.fail(
+            'this is no gnomon calibration: it does not begin with "schema: gnomon/1". '
+            "Give the calibration.yaml that gnomon wrote."
+        )
+    stated = root.child("schema")
+    match = re.fullmatch(r"gnomon/(\d+)(?:\.(\d+))?", stated.value)
+    if match is None:
+        raise stated.fail(f'found "{stated.value}", expected gnomon/{SCHEMA_MAJOR}.')
+    major, minor = int(match[1]), int(match[2] or 0)
+    if (major, minor) > (SCHEMA_MAJOR, SCHEMA_MINOR):
+        raise stated.fail(
+            f"found {stated.value}, this version of gnomon reads up to gnomon/{SCHEMA_MAJOR}.{SCHEMA_MINOR}. "
+            "The file comes from a newer gnomon: update gnomon (pip install -U gnomon)."
+        )
+    if major < SCHEMA_MAJOR:
+        raise stated.fail(f"found {stated.value}, expected gnomon/{SCHEMA_MAJOR}.")
+
+
+def _imu(node: Node) -> ImuCalibration:
+    triads = node.mapping(["accelerometer"], ["gyroscope"])
+    shapes = {"sensitivity": (3, 3), "bias": (3,), "g_sensitivity": (3, 3)}
+
+    def read(triad: str, values: tuple[str, ...]) -> dict[str, Node]:
+        return triads[triad].mapping(["unit", *values], [f"{name}_sigma" for name in values])
+
+    accelerometer = read("accelerometer", ("sensitivity", "bias"))
+    result = ImuCalibration(
+        accelerometer=AccelerometerCalibration(
+            unit=accelerometer["unit"].text(tuple(ACCELEROMETER_UNITS_M_S2)),
+            sensitivity=_invertible(accelerometer["sensitivity"]),
+            bias=accelerometer["bias"].floats(*shapes["bias"]),
+        )
+    )
+    if "gyroscope" not in triads:
+        return result
+    gyroscope = read("gyroscope", tuple(shapes))
+    return ImuCalibration(
+        accelerometer=result.accelerometer,
+        gyroscope=GyroscopeCalibration(
+            unit=gyroscope["unit"].text(tuple(GYROSCOPE_UNITS_RAD_S)),
+            sensitivity=_invertible(gyroscope["sensitivity"]),
+            bias=gyroscope["bias"].floats(*shapes["bias"]),
+            g_sensitivity=gyroscope["g_sensitivity"].floats(*shapes["g_sensitivity"]),
+        ),
+    )
+
+
+def _invertible(node: Node) -> Floats:
+    matrix = node.floats(3, 3)
+    if np.linalg.matrix_rank(matrix) < 3:
+        raise node.fail("this matrix is singular: the three axes do not measure three directions.")
+    return matrix
+
+
+def _frame(node: Node, imus_node: Node, imus: dict[str, ImuCalibration]) -> str:
+    frame = node.text(("accel-x", "accel-z", "user"))
+    for name, imu in imus.items() if frame != "user" else ():
+        try:
+            in_frame(imu.accelerometer.sensitivity, frame)
+        except OptionError:
+            raise (
+                imus_node.child(name)
+                .child("accelerometer")
+                .child("sensitivity")
+                .fail(
+                    f"in body frame {frame} this matrix is {'lower' if frame == 'accel-x' else 'upper'} triangular, "
+                    "which it is not. Correct it, or state body_frame: user."
+                )
+            ) from None
+    return frame
+
+
+def _gravity(node: Node) -> Gravity:
+    keys = node.mapping(("value", "sigma", "source"))
+    return Gravity(value=keys["value"].number(), sigma=keys["sigma"].number(finite=False), source=keys["source"].text())
+
+
+def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
+    keys = node.mapping(("names", "lower_triangle"))
+    names = tuple(item.text() for item in keys["names"].items())
+    for i, (name, right) in enumerate(zip(names, expected, strict=False)):
+        if name != right:
+            raise keys["names"].fail(f"entry {i} is {name}, expected {right}.")
+    if len(names) != len(expected):
+        raise keys["names"].fail(f"found {len(names)} names, expected {len(expected)}, one for each parameter.")
+    rows = list(keys["lower_triangle"].items())
+    if len(rows) != len(names):
+        raise keys["lower_triangle"].fail(f"found {len(rows)} rows, expected {len(names)}, one for each name.")
+    matrix = np.zeros((len(names), len(names)))
+    for i, row in enumerate(rows):
+        matrix[i, : i + 1] = matrix[: i + 1, i] = row.floats(i + 1, finite=False)
+    return Covariance(names=names, matrix=matrix)
+
+
+def _check_sigmas(node: Node, calibration: Calibration) -> None:
+    """Refuse sigmas that contradict the covariance: which of the two was meant cannot be known."""
+    for path, value in parameters(calibration.imus):
+        imu, triad, name = path.split(".")
+        stated = node.child(imu).child(triad)
+        if f"{name}_sigma" not in stated.value:
+            continue
+        entry = stated.child(f"{name}_sigma")
+        given, right = entry.floats(*value.shape, finite=False), calibration.sigma(path)
+        if not np.allclose(given, right, rtol=1e-6, atol=0.0, equal_nan=True):
+            raise entry.fail("this contradicts the covariance, whose copy it is. Correct both, or remove this line.")
+
+
+def _assessment(node: Node) -> Assessment:
+    counts = ("intervals_found", "intervals_used", "rotations_found", "rotations_used")
+    keys = node.mapping(("verdict", "model", "holdout", *counts, "held_by_prior", "findings"))
+    holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"))
+    rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
+    verdict = keys["verdict"].text(_VERDICTS)
+    return Assessment(
+        verdict=verdict,  # pyright: ignore[reportArgumentType]
+        findings=tuple(_finding(item) for item in keys["findings"].items()),
+        holdout=Holdout(**rms),
+        **{name: keys[name].integer() for name in counts},
+        model=keys["model"].text(),
+        held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
+    )
+
+
+def _finding(node: Node) -> Finding:
+    keys = node.mapping(("severity", "code", "message"), ("consequence", "cure"))
+    keys["severity"].text(("good", "info", "warning", "problem"))
+    return Finding(**{name: item.text() for name, item in keys.items()})  # pyright: ignore[reportArgumentType]
+
+
+def _provenance(node: Node) -> Provenance:
+    keys = node.mapping(("gnomon_version", "method", "inputs", "options"), ("seed",))
+    inputs = [item.mapping(("name", "sha256")) for item in keys["inputs"].items()]
+    return Provenance(
+        gnomon_version=keys["gnomon_version"].text(),
+        method=keys["method"].text(),
+        inputs=tuple(Source(name=item["name"].text(), sha256=item["sha256"].text()) for item in inputs),
+        options={item.key: item.text() for item in keys["options"].entries()},
+        seed=keys["seed"].integer() if "seed" in keys else None,
+    )

@@ -1,0 +1,123 @@
+"""Files as bytes: unpacked where they are gzipped, hashed, and told apart by their content."""
+
+import gzip
+import hashlib
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import RecordingError
+from ..recording import Source
+
+_GZIP = b"\x1f\x8b"
+NPZ_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
+
+# Files that people try and that hold no table; the name goes into the message.
+_KNOWN_BINARY = {
+    b"#ROSBAG": "a ROS 1 bag",
+    b"\x89MCAP": "an MCAP file",
+    b"SQLite format 3": "an SQLite file (perhaps a ROS 2 bag)",
+    b"MATLAB 5.0 MAT-file": "a binary MAT file",
+    b"\x89HDF": "an HDF5 file (perhaps a MAT file, version 7.3)",
+    b"\x93NUMPY": "a single NumPy array; put the arrays into one NPZ file with named keys",
+    b"ULog": "a PX4 ULog",
+    b"PAR1": "a Parquet file",
+    b"%PDF": "a PDF",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TextFile:
+    """A text file in memory.
+
+    Attributes
+    ----------
+    name : name without folder, for messages
+    data : unpacked bytes
+    source : name and hash of the file as it is on the disk
+    """
+
+    name: str
+    data: bytes
+    source: Source
+
+
+def first_bytes(path: Path, count: int = 512) -> bytes:
+    """Return the first bytes of a file as they are on the disk.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not there, cannot be opened, or is empty.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(count)
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: there is no such file. Check the path.") from None
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Check its permissions.") from None
+    if not head:
+        raise RecordingError(f"{path}: the file is empty (0 bytes). Was the recording copied completely?")
+    return head
+
+
+def read_text(path: Path) -> TextFile:
+    """Read a text file, gzipped or not.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read, its gzip stream is broken, or it holds no text.
+    """
+    first_bytes(path)
+    try:
+        packed = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}).") from None
+    source = Source(name=path.name, sha256=hashlib.sha256(packed).hexdigest())
+    data = _unpacked(packed, path) if packed.startswith(_GZIP) else packed
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        data = data.decode("utf-16", errors="replace").encode()
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    if data.isspace() or not data:
+        raise RecordingError(f"{path}: the file holds no text. Was the recording copied completely?")
+    refuse_binary(data, path)
+    return TextFile(name=path.name, data=data, source=source)
+
+
+def _unpacked(packed: bytes, path: Path) -> bytes:
+    try:
+        return gzip.decompress(packed)
+    except EOFError:
+        raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None
+    except (OSError, zlib.error) as error:
+        raise RecordingError(f"{path}: the gzip stream is damaged ({error}). Copy it again.") from None
+
+
+def refuse_binary(data: bytes, path: Path) -> None:
+    """Stop at the first bytes of a file that is no text, and name what it is where that is known.
+
+    Raises
+    ------
+    RecordingError
+        If the bytes are those of a binary file.
+    """
+    head = data[:4096]
+    for magic, name in _KNOWN_BINARY.items():
+        if head.startswith(magic):
+            raise RecordingError(
+                f"{path}: this is {name}, not a table of numbers. Export the samples as CSV "
+                "(time, acceleration, angular rate) or as NPZ."
+            )
+    if b"\0" in head:
+        raise RecordingError(
+            f"{path}: this is a binary file of a kind that gnomon does not read. Export the samples as CSV "
+            "(time, acceleration, angular rate) or as NPZ."
+        )
+
+
+def file_source(path: Path) -> Source:
+    """Return name and hash of a file without holding it in memory."""
+    with path.open("rb") as file:
+        return Source(name=path.name, sha256=hashlib.file_digest(file, "sha256").hexdigest())

@@ -1,0 +1,43 @@
+"""Format "folder": a dataset in the layout of EuRoC or Kalibr, a pair of files, or one single file."""
+
+import re
+from pathlib import Path
+
+from ..errors import RecordingError
+
+_LAYOUTS = ("mav0/imu0/data.csv", "imu0/data.csv", "data.csv", "imu0.csv")
+_SUFFIXES = (".csv", ".txt", ".log", ".dat", ".tsv", ".mat", ".npz")
+_ACCELEROMETER, _GYROSCOPE = re.compile(r"acc", re.IGNORECASE), re.compile(r"gyr", re.IGNORECASE)
+
+
+def find_recording(folder: Path) -> tuple[Path, ...]:
+    """Return the file, or the accelerometer and gyroscope files, that a folder holds.
+
+    Raises
+    ------
+    RecordingError
+        If there is no recording in the folder, or more than one.
+    """
+    for layout in _LAYOUTS:
+        for path in (folder / layout, folder / f"{layout}.gz"):
+            if path.is_file():
+                return (path,)
+    files = sorted(path for path in folder.iterdir() if path.is_file() and _is_candidate(path))
+    accelerometer = [path for path in files if _ACCELEROMETER.search(path.name) and not _GYROSCOPE.search(path.name)]
+    gyroscope = [path for path in files if _GYROSCOPE.search(path.name) and not _ACCELEROMETER.search(path.name)]
+    if len(accelerometer) == len(gyroscope) == 1:
+        return (accelerometer[0], gyroscope[0])
+    if len(files) == 1:
+        return (files[0],)
+    if not files:
+        raise RecordingError(
+            f"{folder}: no recording in this folder. Expected mav0/imu0/data.csv (EuRoC), imu0.csv (Kalibr), a pair of "
+            f"files with acc and gyr in their names, or one file ({', '.join(_SUFFIXES)}, also gzipped)."
+        )
+    listed = ", ".join(path.name for path in files[:8]) + (", ..." if len(files) > 8 else "")
+    raise RecordingError(f"{folder}: {len(files)} files may be the recording ({listed}). Name the one to read.")
+
+
+def _is_candidate(path: Path) -> bool:
+    name = path.name.lower().removesuffix(".gz")
+    return not name.startswith(".") and name.endswith(_SUFFIXES)

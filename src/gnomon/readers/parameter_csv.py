@@ -1,0 +1,90 @@
+"""gnomon's table of name, value, sigma and unit, as `writers.parameter_csv` makes it and spreadsheets return it."""
+
+import csv
+from os import PathLike
+
+import numpy as np
+
+from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
+from ..errors import FormatError
+from ..recording import Floats
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .foreign import ForeignCalibration, recognised_frame
+from .structured import read_text
+
+_SHAPES = {
+    "accelerometer": {"sensitivity": (3, 3), "bias": (3,)},
+    "gyroscope": {"sensitivity": (3, 3), "bias": (3,), "g_sensitivity": (3, 3)},
+}
+
+
+def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
+    """Read the table.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or a row is missing or is not as expected.
+    """
+    lines = read_text(path).splitlines()
+    rows = list(csv.reader(lines))
+    if not rows or rows[0] != ["name", "value", "sigma", "unit"]:
+        raise FormatError(f"{path}, line 1: expected name,value,sigma,unit. Give a table that gnomon convert made.")
+    table: dict[str, tuple[int, list[str]]] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != 4 or row[0] in table:
+            problem = f"{row[0]} stands here twice" if len(row) == 4 else f"found {len(row)} columns, expected 4"
+            raise FormatError(f"{path}, line {number}: {problem}.")
+        table[row[0]] = number, row
+    table.pop("body_frame", None)
+    table.pop("gravity", None)
+    names = sorted({name.split(".")[0] for name in table})
+    reader = _Table(path, table)
+    imus = {name: reader.imu(name) for name in names}
+    if table:
+        name, (number, _) = next(iter(table.items()))
+        raise FormatError(f"{path}, line {number}: {name} is no parameter of a calibration.")
+    return ForeignCalibration(imus=imus, frame=recognised_frame(imus), sigmas=reader.sigmas)
+
+
+class _Table:
+    """Takes parameters out of the rows."""
+
+    def __init__(self, path: str | PathLike[str], rows: dict[str, tuple[int, list[str]]]) -> None:
+        self.path, self.rows = path, rows
+        self.sigmas: dict[str, Floats] = {}
+
+    def imu(self, name: str) -> ImuCalibration:
+        acc = {key: self.take(f"{name}.accelerometer.{key}", s) for key, s in _SHAPES["accelerometer"].items()}
+        unit = self.unit(acc["bias"][1], ACCELEROMETER_UNITS_M_S2)
+        accelerometer = AccelerometerCalibration(**{key: value for key, (value, _) in acc.items()}, unit=unit)
+        if not any(row.startswith(f"{name}.gyroscope.") for row in self.rows):
+            return ImuCalibration(accelerometer=accelerometer)
+        gyro = {key: self.take(f"{name}.gyroscope.{key}", s) for key, s in _SHAPES["gyroscope"].items()}
+        unit = self.unit(gyro["bias"][1], GYROSCOPE_UNITS_RAD_S)
+        gyroscope = GyroscopeCalibration(**{key: value for key, (value, _) in gyro.items()}, unit=unit)
+        return ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope)
+
+    def take(self, parameter: str, shape: tuple[int, ...]) -> tuple[Floats, str]:
+        """Return the value of a parameter and the unit of its last row."""
+        values, sigmas, unit = np.empty(shape), np.empty(shape), ""
+        for index in np.ndindex(shape):
+            name = f"{parameter}[{','.join(map(str, index))}]"
+            if name not in self.rows:
+                raise FormatError(f"{self.path}: the row {name} is missing.")
+            number, row = self.rows.pop(name)
+            try:
+                values[index], sigmas[index] = float(row[1]), float(row[2])
+            except ValueError:
+                raise FormatError(
+                    f"{self.path}, line {number}: found {row[1]!r} and {row[2]!r}, expected two numbers."
+                ) from None
+            unit = row[3]
+        self.sigmas[parameter] = sigmas
+        return values, unit
+
+    def unit(self, found: str, known: dict[str, float | None]) -> str:
+        """Return a unit of a bias, which is that of the samples."""
+        if found not in known:
+            raise FormatError(f'{self.path}: the bias is in "{found}", expected one of {", ".join(known)}.')
+        return found

@@ -1,0 +1,249 @@
+"""Text tables block by block: cut at line ends, each block parsed as a small file of its own."""
+
+import gzip
+import io
+import zlib
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..recording import ImuSamples, Integers, Source, TriadSamples
+from .column_roles import Roles, roles
+from .files import TextFile, first_bytes, refuse_binary
+from .recordings import _in_one_file, _in_two_files  # pyright: ignore[reportPrivateUsage]
+from .stamps import guess_time_unit, stamp_kind, to_ns
+from .stream import SampleStream, UnitChoice, shared_blocks
+from .table import preamble_rate, read_table
+from .text_table import Column, Layout, parse, sniff
+
+_HEAD_BYTES = 8 << 20
+_NO_SOURCE = Source(name="", sha256="")
+
+
+class _Bytes(Protocol):
+    """What can be read from."""
+
+    def read(self, size: int, /) -> bytes: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """How a file is to be read.
+
+    Attributes
+    ----------
+    triads : index of the accelerometer and of the gyroscope among the triads of the table; None where it is not there
+    units : of accelerometer and gyroscope
+    time_unit : of a single column of stamps
+    rate_hz : where there are no stamps
+    """
+
+    path: Path
+    layout: Layout
+    used: Roles
+    triads: tuple[int | None, int | None]
+    units: tuple[str, str]
+    time_unit: str | None
+    rate_hz: float | None
+
+
+def open_text(
+    files: list[Path], choice: UnitChoice, columns: str | None, rate_hz: float | None, block_bytes: int
+) -> SampleStream:
+    """Open a table, or an accelerometer table and a gyroscope table.
+
+    Raises
+    ------
+    RecordingError
+        If a file is no table, or nothing tells what its columns are.
+    OptionError
+        If an option does not fit.
+    """
+    heads = [_head(path) for path in files]
+    tables = [read_table(head, columns, rate_hz, choice.stated) for head in heads]
+    if len(files) == 1:
+        accelerometer, gyroscope = _in_one_file(tables[0], files[0].name, [])
+    else:
+        accelerometer, gyroscope = _in_two_files(tables, files, [])
+    wanted = (accelerometer[1], None if gyroscope is None else gyroscope[1])
+    units = (
+        choice.accelerometer(accelerometer[1].unit, accelerometer[1].values),
+        choice.gyroscope(None if gyroscope is None else gyroscope[1].unit),
+    )
+    plans: list[_Plan] = []
+    for path, head, table in zip(files, heads, tables, strict=True):
+        index = [next((i for i, triad in enumerate(table.triads) if triad is one), None) for one in wanted]
+        plans.append(
+            _plan(
+                path,
+                head,
+                columns,
+                rate_hz=rate_hz,
+                time_unit=choice.stated.time,
+                triads=(index[0], index[1]),
+                units=units,
+            )
+        )
+    if len(plans) == 1 and gyroscope is not None:
+        return shared_blocks(_samples(plans[0], block_bytes))
+    if len(plans) == 1:
+        return SampleStream(accelerometer=_triad(plans[0], block_bytes, 0), gyroscope=None)
+    first, second = plans if plans[0].triads[0] is not None else plans[::-1]
+    return SampleStream(accelerometer=_triad(first, block_bytes, 0), gyroscope=_triad(second, block_bytes, 1))
+
+
+def _head(path: Path) -> TextFile:
+    """Return the beginning of a file, cut at a line end."""
+    with _opened(path) as stream:
+        data = stream.read(_HEAD_BYTES)
+        if len(data) == _HEAD_BYTES and b"\n" in data:
+            data = data[: data.rfind(b"\n") + 1]
+    if not data.strip():
+        raise RecordingError(f"{path}: the file holds no text. Was the recording copied completely?")
+    refuse_binary(data, path)
+    return TextFile(name=path.name, data=data, source=_NO_SOURCE)
+
+
+def _plan(
+    path: Path,
+    head: TextFile,
+    columns: str | None,
+    *,
+    rate_hz: float | None,
+    time_unit: str | None,
+    triads: tuple[int | None, int | None],
+    units: tuple[str, str],
+) -> _Plan:
+    layout = sniff(head)
+    used = roles(layout, columns, head.name)
+    unit = None
+    if not used.time:
+        rate_hz = rate_hz if rate_hz is not None else preamble_rate(layout.preamble)
+    elif len(used.time) == 1:
+        column, named = used.time[0]
+        unit = time_unit or named
+        if unit is None:
+            unit, _ = guess_time_unit(_parsed(head, layout, [column], [])[column])
+    return _Plan(path=path, layout=layout, used=used, triads=triads, units=units, time_unit=unit, rate_hz=rate_hz)
+
+
+def _samples(plan: _Plan, block_bytes: int) -> Iterator[ImuSamples]:
+    for t_ns, data in _blocks(plan, block_bytes, [0, 1]):
+        yield ImuSamples(accelerometer=_picked(plan, t_ns, data, 0), gyroscope=_picked(plan, t_ns, data, 1))
+
+
+def _triad(plan: _Plan, block_bytes: int, which: int) -> Iterator[TriadSamples]:
+    for t_ns, data in _blocks(plan, block_bytes, [which]):
+        yield _picked(plan, t_ns, data, which)
+
+
+def _picked(plan: _Plan, t_ns: Integers, data: list[Column], which: int) -> TriadSamples:
+    index = plan.triads[which]
+    assert index is not None
+    values = np.column_stack([data[i] for i in plan.used.triads[index].columns])
+    return TriadSamples(t_ns=t_ns, values=values, unit=plan.units[which])
+
+
+def _blocks(plan: _Plan, block_bytes: int, wanted: list[int]) -> Iterator[tuple[Integers, list[Column]]]:
+    """Yield (stamps, columns) of every block."""
+    stamps = [i for i, _ in plan.used.time]
+    places = [index for which in wanted if (index := plan.triads[which]) is not None]
+    values = [i for index in places for i in plan.used.triads[index].columns]
+    count = 0
+    for line, text in _lines(plan, block_bytes):
+        file = TextFile(name=plan.path.name, data=text, source=_NO_SOURCE)
+        data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
+        yield _stamps(plan, data, count), data
+        count += len(data[0])
+
+
+def _parsed(file: TextFile, layout: Layout, stamps: list[int], values: list[int]) -> list[Column]:
+    kinds = ["f8" if i in values else "" for i in range(layout.columns)]
+    for i in stamps:
+        kinds[i] = stamp_kind([row[i] for row in layout.sample])
+    try:
+        return parse(file, layout, kinds)[0]
+    except RecordingError:
+        if not any(kinds[i] == "i8" for i in stamps):
+            raise
+        # Stamps that begin as whole numbers need not stay so.
+        return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
+
+
+def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
+    """Return the stamps of a block that begins after `count` rows [ns]."""
+    name = plan.path.name
+    if not plan.used.time:
+        rows = np.arange(count, count + len(data[0]))
+        return np.rint(rows * (1e9 / (plan.rate_hz or 1.0))).astype(np.int64)
+    if len(plan.used.time) == 2:
+        seconds, rest = (to_ns(data[i], unit or "ns", name) for i, unit in plan.used.time)
+        return seconds + rest
+    return to_ns(data[plan.used.time[0][0]], plan.time_unit or "s", name)
+
+
+def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
+    """Yield (number of the first line, whole lines) from the first row of data on."""
+    line, carry = plan.layout.first_line, b""
+    with _opened(plan.path) as stream:
+        _skip(stream, plan.layout.offset)
+        block = stream.read(block_bytes)
+        while block:
+            ahead = stream.read(block_bytes)
+            if ahead and len(ahead) < block_bytes:  # a short rest goes along, so that a cut last line is not alone
+                block, ahead = block + ahead, b""
+            text = carry + block
+            end = text.rfind(b"\n") + 1 if ahead else len(text)
+            text, carry = text[:end], text[end:]
+            if text.strip():
+                yield line, text
+            line += text.count(b"\n")
+            block = ahead
+
+
+def _skip(stream: _Bytes, count: int) -> None:
+    while count > 0:
+        count -= len(stream.read(min(count, 1 << 20))) or count
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[_Bytes]:
+    """Open a text file as UTF-8 bytes without byte order mark, unpacked if it is gzipped.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, or its gzip stream is cut off or damaged.
+    """
+    packed = first_bytes(path).startswith(b"\x1f\x8b")
+    try:
+        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+            mark = stream.read(3)
+            stream.seek(3 if mark == b"\xef\xbb\xbf" else 0)
+            if mark[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+                stream.seek(0)
+                yield _Recoded(io.TextIOWrapper(stream, "utf-16", errors="replace", newline=""))
+            else:
+                yield stream
+    except EOFError:
+        raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise RecordingError(f"{path}: the gzip stream is damaged ({error}). Copy it again.") from None
+
+
+class _Recoded:
+    """UTF-16 text as UTF-8 bytes."""
+
+    def __init__(self, text: io.TextIOWrapper) -> None:
+        self._text, self._left = text, b""
+
+    def read(self, size: int, /) -> bytes:
+        while len(self._left) < size and (piece := self._text.read(size)):
+            self._left += piece.encode()
+        data, self._left = self._left[:size], self._left[size:]
+        return data

@@ -1,0 +1,245 @@
+"""Structured files (YAML, JSON) read strictly: every value knows its path, and says so when it is not as expected."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..recording import Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Node:
+    """A value of a structured file.
+
+    Attributes
+    ----------
+    file : name of the file, for messages
+    path : keys from the top, such as "imus.imu0.gyroscope.bias"; "" at the top
+    value : what the parser found
+    key : the last key of the path
+    """
+
+    file: str
+    path: str
+    value: Any
+    key: str = ""
+
+    def fail(self, problem: str) -> FormatError:
+        """Return an error that says where this value is."""
+        place = f"{self.file}: {self.path}" if self.path else self.file
+        return FormatError(f"{place}: {problem}")
+
+    def child(self, key: str) -> "Node":
+        """Return the value under a key that is known to be there."""
+        return Node(file=self.file, path=f"{self.path}.{key}" if self.path else key, value=self.value[key], key=key)
+
+    def mapping(self, required: Sequence[str] = (), optional: Sequence[str] = ()) -> dict[str, "Node"]:
+        """Return the values under the keys, all of which must be known.
+
+        Raises
+        ------
+        FormatError
+            If this is no mapping, a required key is missing, or a key is neither required nor optional.
+        """
+        found = {node.key: node for node in self.entries()}
+        known = [*required, *optional]
+        for key, node in found.items():
+            if key not in known:
+                raise node.fail(f"unknown key. {_nearest(key, known)}")
+        missing = [key for key in required if key not in found]
+        if missing:
+            raise self.fail(f"the key {missing[0]} is missing. Expected: {', '.join(required)}.")
+        return found
+
+    def entries(self) -> Iterator["Node"]:
+        """Yield the values of a mapping with arbitrary keys.
+
+        Raises
+        ------
+        FormatError
+            If this is no mapping, or a key is no text.
+        """
+        if not isinstance(self.value, dict):
+            raise self.fail(f"found {_kind(self.value)}, expected keys and values.")
+        for key in self.value:
+            if not isinstance(key, str):
+                raise self.fail(f"the key {key!r} is {_kind(key)}, expected text; put it between quotes.")
+            yield self.child(key)
+
+    def items(self) -> Iterator["Node"]:
+        """Yield the values of a list.
+
+        Raises
+        ------
+        FormatError
+            If this is no list.
+        """
+        if not isinstance(self.value, list):
+            raise self.fail(f"found {_kind(self.value)}, expected a list.")
+        for i, value in enumerate(self.value):
+            yield Node(file=self.file, path=f"{self.path}[{i}]", value=value)
+
+    def text(self, choices: Sequence[str] = ()) -> str:
+        """Return a text, one of `choices` if there are any.
+
+        Raises
+        ------
+        FormatError
+            If it is another thing.
+        """
+        if not isinstance(self.value, str):
+            raise self.fail(f"found {_kind(self.value)}, expected text.")
+        if choices and self.value not in choices:
+            raise self.fail(f'found "{self.value}". {_nearest(self.value, choices)}')
+        return self.value
+
+    def integer(self) -> int:
+        """Return a whole number.
+
+        Raises
+        ------
+        FormatError
+            If it is another thing.
+        """
+        if not isinstance(self.value, int) or isinstance(self.value, bool):
+            raise self.fail(f"found {_kind(self.value)}, expected a whole number.")
+        return self.value
+
+    def number(self, *, finite: bool = True) -> float:
+        """Return a number.
+
+        Raises
+        ------
+        FormatError
+            If it is another thing, or not finite where it must be.
+        """
+        value = self.value
+        if isinstance(value, str):  # YAML 1.1 takes 1e-5 for text, YAML 1.2 and people for a number
+            try:
+                value = float(value)
+            except ValueError:
+                raise self.fail(f'found the text "{value}", expected a number.') from None
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            raise self.fail(f"found {_kind(value)}, expected a number.")
+        if finite and not np.isfinite(value):
+            raise self.fail(f"found {value}, expected a finite number.")
+        return float(value)
+
+    def floats(self, length: int, *others: int, finite: bool = True) -> Floats:
+        """Return an array of numbers of shape (length, *others).
+
+        Raises
+        ------
+        FormatError
+            If there is anything else than numbers, or another count of them.
+        """
+        rows = list(self.items())
+        if len(rows) != length:
+            raise self.fail(f"found {len(rows)} {'rows' if others else 'numbers'}, expected {length}.")
+        if others:
+            return np.array([row.floats(*others, finite=finite) for row in rows])
+        return np.array([row.number(finite=finite) for row in rows])
+
+
+def read_yaml(path: str | PathLike[str]) -> Node:
+    """Parse a YAML file; a first line %YAML:1.0, as OpenCV writes it, is tolerated.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, is no YAML, or holds a key twice.
+    """
+    import yaml
+
+    text = read_text(path)
+    if text.startswith("%YAML:"):
+        text = "#" + text
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
+    try:
+        root = loader.get_single_node()
+        _refuse_duplicates(path, root)
+        value = None if root is None else loader.construct_document(root)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        line = f", line {mark.line + 1}" if mark is not None else ""
+        raise FormatError(f"{path}{line}: this is not YAML ({error.problem}).") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise FormatError(f"{path}: this is not YAML ({error}).") from error
+    finally:
+        loader.dispose()
+    return Node(file=str(path), path="", value=value)
+
+
+def read_json(path: str | PathLike[str]) -> Node:
+    """Parse a JSON file.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is no JSON.
+    """
+    try:
+        value = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise FormatError(f"{path}, line {error.lineno}: this is not JSON ({error.msg}).") from error
+    return Node(file=str(path), path="", value=value)
+
+
+def read_text(path: str | PathLike[str]) -> str:
+    """Return the text of a file.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is no text.
+    """
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: this is no text file (byte {error.start} is not UTF-8).") from error
+
+
+def _refuse_duplicates(path: str | PathLike[str], root: Any) -> None:
+    """Raise if a key stands twice in one mapping: the parser would silently keep the last one."""
+    todo = [root] if root is not None else []
+    while todo:
+        node = todo.pop()
+        if node.id == "sequence":
+            todo.extend(child for child in node.value if child.id != "scalar")
+        elif node.id == "mapping":
+            seen: set[str] = set()
+            for key, value in node.value:
+                name = str(key.value)
+                if name in seen:
+                    line = key.start_mark.line + 1
+                    raise FormatError(f"{path}, line {line}: the key {name} stands here twice. Keep one of them.")
+                seen.add(name)
+                todo.append(value)
+
+
+def _nearest(word: str, known: Sequence[str]) -> str:
+    from difflib import get_close_matches
+
+    close = get_close_matches(word, known, n=1, cutoff=0.6)
+    if close:
+        return f"Did you mean {close[0]}?"
+    return f"Expected: {', '.join(known)}." if known else "Nothing is expected here."
+
+
+def _kind(value: object) -> str:
+    names = (
+        (dict, "keys and values"),
+        (list, "a list"),
+        (str, "text"),
+        (bool, "true or false"),
+        (type(None), "nothing"),
+    )
+    return next((name for kind, name in names if isinstance(value, kind)), f"{value!r}")

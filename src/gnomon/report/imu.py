@@ -1,0 +1,182 @@
+"""What the report of an IMU calibration says: the page of page.py, filled from a Result."""
+
+from math import degrees
+
+from ..calibration import Calibration, Gravity
+from ..diagnostics import Result
+from ..recording import Floats
+from ..units import STANDARD_GRAVITY_M_S2
+from . import imu_sections
+from .imu_parameters import parameter_groups
+from .numbers import number, quantity
+from .page import Code, KeyNumber, Page, Parameters, Prose, Section, typeset
+from .provenance import provenance_section
+
+_HEADLINES = {
+    "pass": "This calibration is good to use.",
+    "warn": "This calibration can be used, with the reservations below.",
+    "fail": "Do not use this calibration.",
+}
+_FRAMES = {
+    "accel-x": "the x axis of the body is the sensitivity axis of the x accelerometer, and the y accelerometer lies in "
+    "the x-y plane (Kalibr's convention)",
+    "accel-z": "the z axis of the body is the sensitivity axis of the z accelerometer, and the y accelerometer lies in "
+    "the y-z plane (the convention of Tedaldi and of imu_tk)",
+    "user": "axes of your own, taken from the poses that you named",
+}
+_MODELS = {
+    "basic": "constant gyroscope bias",
+    "g-sensitivity": "gyroscope bias linear in specific force",
+    "none": "accelerometer only",
+}
+
+
+def imu_page(result: Result) -> Page:
+    """Return the page of an IMU calibration."""
+    calibration, diagnostics = result.calibration, result.diagnostics
+    names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
+    sections = (
+        _parameters(calibration),
+        imu_sections.recording_section(diagnostics),
+        imu_sections.rest_section(diagnostics),
+        imu_sections.attitudes_section(diagnostics.intervals),
+        imu_sections.accelerometer_section(diagnostics.intervals),
+        imu_sections.gyroscope_section(diagnostics.rotations, calibration.gravity.value),
+        imu_sections.choices_section(diagnostics),
+        imu_sections.noise_section(diagnostics),
+        _assumptions(calibration),
+        _use(calibration),
+        provenance_section(calibration.provenance),
+    )
+    return Page(
+        title="IMU calibration",
+        subject=names,
+        verdict=calibration.verdict,
+        headline=_HEADLINES[calibration.verdict],
+        key_numbers=_key_numbers(calibration),
+        findings=tuple(typeset(finding) for finding in calibration.assessment.findings),
+        sections=tuple(section for section in sections if section is not None),
+        footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
+    )
+
+
+def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
+    assessment, gravity = calibration.assessment, calibration.gravity
+    force, turn = assessment.holdout.accelerometer_rms, assessment.holdout.rotation_rms
+    milli_g, angle = number(1e3 * force / STANDARD_GRAVITY_M_S2, 3), number(degrees(turn), 3)
+    numbers = [
+        KeyNumber(
+            label="Accelerometer on unseen data",
+            value=quantity(force, "m/s²"),
+            note=f"rms of |f| − g in intervals left out of the fit; {milli_g} mg",
+        ),
+        KeyNumber(
+            label="Gyroscope on unseen data",
+            value=quantity(turn, "rad"),
+            note=f"rms of gravity propagated over rotations left out; {angle}°",
+        ),
+        KeyNumber(
+            label="Static intervals used",
+            value=f"{assessment.intervals_used} of {assessment.intervals_found}",
+            note="attitudes in which gravity was measured",
+        ),
+        KeyNumber(
+            label="Rotations used",
+            value=f"{assessment.rotations_used} of {assessment.rotations_found}",
+            note="movements between static intervals",
+        ),
+        KeyNumber(label="Gravity", value=_gravity(gravity), note=gravity.source[:1].upper() + gravity.source[1:]),
+        KeyNumber(
+            label="Body frame and model",
+            value=calibration.frame,
+            note=_MODELS.get(assessment.model, assessment.model),
+        ),
+    ]
+    if assessment.model == "none":
+        numbers = [n for n in numbers if n.label not in ("Gyroscope on unseen data", "Rotations used")]
+    return tuple(numbers)
+
+
+def _gravity(gravity: Gravity) -> str:
+    spread = f" ± {number(gravity.sigma, 2)}" if gravity.sigma > 0 else ""
+    return f"{number(gravity.value, 7)}{spread}\u00a0m/s²"
+
+
+def _parameters(calibration: Calibration) -> Section:
+    return Section(
+        anchor="parameters",
+        title="Parameters",
+        lead="Each estimate with its standard deviation σ. Bars show the estimate, whiskers ±2σ; the bars of one group "
+        "share one scale. Parameters without σ are fixed by the definition of the body frame or by the model.",
+        blocks=(Parameters(groups=parameter_groups(calibration)),),
+    )
+
+
+def _assumptions(calibration: Calibration) -> Section:
+    gravity, assessment = calibration.gravity, calibration.assessment
+    relative = 100 * gravity.sigma / gravity.value
+    carried = f"; here its σ is {number(relative, 2)}\u00a0%" if relative > 0 else ""
+    frame = _FRAMES.get(calibration.frame, calibration.frame)
+    points = [
+        f"Gravity is {_gravity(gravity)} ({gravity.source}). A relative error of gravity is the same relative error of "
+        f"every accelerometer scale{carried}.",
+        f"The body frame is {calibration.frame}: {frame}.",
+        "Which way an axis points, and that the axes are right-handed, comes from the order of the columns: gravity "
+        "alone cannot tell.",
+    ]
+    if assessment.model != "none":
+        points.append(
+            "A delay between accelerometer and gyroscope cannot be seen in this kind of recording; it is taken as zero."
+        )
+    if assessment.model == "basic":
+        points.append("The bias of the gyroscope does not depend on specific force.")
+    if assessment.held_by_prior:
+        held = ", ".join(assessment.held_by_prior)
+        points.append(f"Not determined by this recording, and held by assumption: {held}.")
+    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+
+
+def _use(calibration: Calibration) -> Section:
+    blocks = [
+        Code(
+            title="On the command line",
+            text="gnomon apply calibration.yaml RECORDING -o calibrated.csv\n"
+            "gnomon show calibration.yaml\n"
+            "gnomon convert calibration.yaml --to kalibr",
+        )
+    ]
+    for name, imu in calibration.imus.items():
+        blocks.append(
+            Code(
+                title="In Python" if len(calibration.imus) == 1 else f"In Python, {name}",
+                text="import gnomon\n\n"
+                'calibration = gnomon.load("calibration.yaml")\n'
+                f'samples = gnomon.read("RECORDING").imus[{name!r}]\n'
+                f"calibrated = calibration.imus[{name!r}].apply(samples)  # m/s² and rad/s in the body frame",
+            )
+        )
+        text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + _matrix("S", imu.accelerometer.sensitivity)
+        text += "\n\n" + _matrix("b", imu.accelerometer.bias[:, None])
+        blocks.append(Code(title=f"Accelerometer: m in {imu.accelerometer.unit}, f in m/s²", text=text))
+        if imu.gyroscope is not None:
+            text = "y = S ω + b + G f    ω = S⁻¹ (y − b − G f)\n\n" + _matrix("S", imu.gyroscope.sensitivity)
+            text += "\n\n" + _matrix("b", imu.gyroscope.bias[:, None])
+            text += "\n\n" + _matrix("G", imu.gyroscope.g_sensitivity)
+            blocks.append(Code(title=f"Gyroscope: y in {imu.gyroscope.unit}, ω in rad/s", text=text))
+    return Section(
+        anchor="use",
+        title="How to use it",
+        lead="The calibration maps what the sensor reads to specific force f and angular rate ω in the body frame.",
+        blocks=tuple(blocks),
+    )
+
+
+def _matrix(name: str, values: Floats) -> str:
+    """Return a matrix as aligned text, rows in brackets."""
+    cells = [[f"{v:.9g}" for v in row] for row in values.tolist()]
+    width = max(len(cell) for row in cells for cell in row)
+    middle = len(cells) // 2
+    return "\n".join(
+        f"{name if i == middle else ' '} {'=' if i == middle else ' '} [ {'  '.join(c.rjust(width) for c in row)} ]"
+        for i, row in enumerate(cells)
+    )

@@ -1,0 +1,216 @@
+"""The parameter table of an IMU: matrices as scales, misalignments and biases that a person can judge, with sigmas."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from math import isfinite, pi
+
+import numpy as np
+
+from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration
+from ..recording import Floats
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
+from .numbers import fixed, number, with_sigma
+from .page import Bar, Parameter, ParameterGroup
+
+_AXES = "xyz"
+_DEG = 180 / pi
+_NOT_DETERMINED = "not determined by this recording"
+
+Triad = AccelerometerCalibration | GyroscopeCalibration
+
+
+def readable_unit(unit: str) -> str:
+    """Return a unit as it is printed, such as "m/s²" for "m/s^2"."""
+    return unit.replace("^2", "²").replace("deg/s", "°/s")
+
+
+def parameter_groups(calibration: Calibration) -> tuple[ParameterGroup, ...]:
+    """Return the groups of parameters of all IMUs, each group with bars on one scale."""
+    groups: list[ParameterGroup] = []
+    for name, imu in calibration.imus.items():
+        prefix = f"{name}: " if len(calibration.imus) > 1 else ""
+        path = f"{name}.accelerometer"
+        nominal = ACCELEROMETER_UNITS_M_S2.get(imu.accelerometer.unit)
+        groups += _shape(calibration, path, f"{prefix}Accelerometer", imu.accelerometer, si="m/s²", unit_in_si=nominal)
+        groups.append(_bias(calibration, path, f"{prefix}Accelerometer bias", imu.accelerometer, "m/s²"))
+        if imu.gyroscope is None:
+            continue
+        path = f"{name}.gyroscope"
+        nominal = GYROSCOPE_UNITS_RAD_S.get(imu.gyroscope.unit)
+        groups += _shape(calibration, path, f"{prefix}Gyroscope", imu.gyroscope, si="rad/s", unit_in_si=nominal)
+        groups.append(_bias(calibration, path, f"{prefix}Gyroscope bias", imu.gyroscope, "rad/s"))
+        if np.any(imu.gyroscope.g_sensitivity != 0):
+            groups.append(_g_sensitivity(calibration, path, f"{prefix}Gyroscope g-sensitivity", imu.gyroscope))
+    return tuple(groups)
+
+
+def _sigmas(calibration: Calibration, path: str) -> Floats:
+    """Return the sigmas (9,) or (3,) of a parameter; rounding below zero counts as zero."""
+    return np.sqrt(np.fmax(np.diag(calibration.covariance(path)), 0.0))
+
+
+def _held(calibration: Calibration, path: str, *elements: str) -> bool:
+    held = set(calibration.assessment.held_by_prior)
+    return path in held or any(f"{path}[{element}]" in held for element in elements)
+
+
+def _shape(
+    calibration: Calibration, path: str, title: str, triad: Triad, *, si: str, unit_in_si: float | None
+) -> Iterator[ParameterGroup]:
+    """Yield the groups of scales and misalignments of a sensitivity matrix (rows are the sensor axes)."""
+    path = f"{path}.sensitivity"
+    covariance = calibration.covariance(path)
+    unit = "" if triad.unit == si else f"{readable_unit(triad.unit)} per {si}"
+    against = "nominal" if unit_in_si else "the mean of the three axes, which share what gravity leaves uncertain"
+    yield ParameterGroup(
+        title=f"{title} scale",
+        note=f"deviation from {against}",
+        rows=_scales(calibration, path, triad.sensitivity, covariance, unit=unit, unit_in_si=unit_in_si),
+    )
+    tilts = _tilts(calibration, path, triad.sensitivity, covariance)
+    if tilts:
+        note = "sine of the angle by which the sensor axis leans out of the body axis"
+        yield ParameterGroup(title=f"{title} misalignment", note=note, rows=tilts)
+
+
+def _scales(
+    calibration: Calibration, path: str, matrix: Floats, covariance: Floats, *, unit: str, unit_in_si: float | None
+) -> tuple[Parameter, ...]:
+    """Return the lengths of the rows; a minus sign says that the axis points the other way."""
+    lengths = np.linalg.norm(matrix, axis=1)
+    slopes = np.zeros((3, 9))  # of the lengths of the rows
+    for i in range(3):
+        slopes[i, 3 * i : 3 * i + 3] = matrix[i] / lengths[i]
+    joint = slopes @ covariance @ slopes.T
+    percents = _deviations(lengths, joint, 1 / unit_in_si if unit_in_si else None)
+    rows: list[Parameter] = []
+    for i, axis in enumerate(_AXES):
+        sign = -1.0 if matrix[i, i] < 0 else 1.0
+        value, spread = with_sigma(sign * float(lengths[i]), float(np.sqrt(np.fmax(joint[i, i], 0.0))))
+        rows.append(
+            Parameter(
+                name=f"scale {axis}",
+                value=value,
+                sigma=spread,
+                unit=unit,
+                reads_as=_percent(*percents[i]),
+                note=_NOT_DETERMINED if _held(calibration, path, *(f"{i},{j}" for j in range(3))) else "",
+            )
+        )
+    return _drawn(rows, percents)
+
+
+def _tilts(calibration: Calibration, path: str, matrix: Floats, covariance: Floats) -> tuple[Parameter, ...]:
+    """Return the components of each row off its own axis over its length, without those that the frame makes zero."""
+    rows, angles = list[Parameter](), list[tuple[float, float]]()
+    for i, j in ((i, j) for i in range(3) for j in range(3) if j != i):
+        length = float(np.linalg.norm(matrix[i])) * (-1.0 if matrix[i, i] < 0 else 1.0)
+        slope = (np.eye(3)[j] - matrix[i, j] * matrix[i] / length**2) / length
+        block = covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        angle, sigma = 1e3 * float(matrix[i, j]) / length, 1e3 * float(np.sqrt(np.fmax(slope @ block @ slope, 0.0)))
+        if angle == 0 and sigma == 0:
+            continue
+        value, spread = with_sigma(angle, sigma, sign=True)
+        angles.append((angle, sigma))
+        rows.append(
+            Parameter(
+                name=f"{_AXES[i]} towards {_AXES[j]}",
+                value=value,
+                sigma=spread,
+                unit="mrad",
+                reads_as=f"{fixed(angle * 1e-3 * _DEG, 3, sign=True)}°",
+                note=_NOT_DETERMINED if _held(calibration, path, f"{i},{j}") else _significance(angle, sigma),
+            )
+        )
+    return _drawn(rows, angles)
+
+
+def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str) -> ParameterGroup:
+    sigmas = _sigmas(calibration, f"{path}.bias")
+    lengths = np.linalg.norm(triad.sensitivity, axis=1)
+    rows: list[Parameter] = []
+    for i, axis in enumerate(_AXES):
+        value, spread = with_sigma(float(triad.bias[i]), float(sigmas[i]))
+        physical, sigma = float(triad.bias[i] / lengths[i]), float(sigmas[i] / lengths[i])
+        # The offset of raw counts is arbitrary; only its uncertainty says something in physical units.
+        reads_as = f"± {_physical(sigma, si)}" if triad.unit == "count" else _physical(physical, si)
+        rows.append(
+            Parameter(
+                name=f"bias {axis}",
+                value=value,
+                sigma=spread,
+                unit=readable_unit(triad.unit),
+                reads_as=reads_as if isfinite(sigma) else "",
+                note=_NOT_DETERMINED if _held(calibration, f"{path}.bias", str(i)) else "",
+            )
+        )
+    drawn = [(float(b), float(s)) for b, s in zip(triad.bias, sigmas, strict=True)]
+    return ParameterGroup(title=title, note="", rows=tuple(rows) if triad.unit == "count" else _drawn(rows, drawn))
+
+
+def _physical(value: float, si: str) -> str:
+    if si == "rad/s":
+        return f"{number(value * _DEG, 3)}\u00a0°/s"
+    return f"{number(value / STANDARD_GRAVITY_M_S2 * 1e3, 3)}\u00a0mg"
+
+
+def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: GyroscopeCalibration) -> ParameterGroup:
+    path = f"{path}.g_sensitivity"
+    sigmas = _sigmas(calibration, path).reshape(3, 3)
+    lengths = np.linalg.norm(gyroscope.sensitivity, axis=1)
+    rows, drawn = list[Parameter](), list[tuple[float, float]]()
+    for i, j in np.ndindex(3, 3):
+        entry, sigma = float(gyroscope.g_sensitivity[i, j]), float(sigmas[i, j])
+        value, spread = with_sigma(entry, sigma, sign=True)
+        drawn.append((entry, sigma))
+        rows.append(
+            Parameter(
+                name=f"{_AXES[i]} by force {_AXES[j]}",
+                value=value,
+                sigma=spread,
+                unit=f"{readable_unit(gyroscope.unit)} per m/s²",
+                reads_as=f"{number(entry / float(lengths[i]) * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g",
+                note=_NOT_DETERMINED if _held(calibration, path, f"{i},{j}") else _significance(entry, sigma),
+            )
+        )
+    note = "change of the bias with specific force"
+    return ParameterGroup(title=title, note=note, rows=_drawn(rows, drawn))
+
+
+def _significance(value: float, sigma: float) -> str:
+    return "within 2σ of zero" if sigma > 0 and abs(value) < 2 * sigma else ""
+
+
+def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> list[tuple[float, float]]:
+    """Return the deviation of each scale from nominal, or from their mean where there is none, with sigma [%]."""
+    reference = float(np.mean(lengths)) if nominal is None else nominal
+    slope = np.eye(3) / reference
+    if nominal is None:
+        slope = slope - np.outer(lengths, np.full(3, 1 / 3)) / reference**2
+    sigmas = np.sqrt(np.fmax(np.diag(slope @ covariance @ slope.T), 0.0))
+    return [(100 * float(x / reference - 1), 100 * float(s)) for x, s in zip(lengths, sigmas, strict=True)]
+
+
+def _percent(value: float, sigma: float) -> str:
+    if abs(value) >= 1000:
+        return f"× {number(1 + value / 100, 3)}"
+    text, spread = with_sigma(value, sigma, sign=True)
+    return f"{text}{f' ± {spread}' if spread else ''}\u00a0%"
+
+
+def _drawn(rows: list[Parameter], values: list[tuple[float, float]]) -> tuple[Parameter, ...]:
+    """Give rows of one group their bars on a common scale, symmetric about zero."""
+    reaches = [abs(v) + 2 * (s if isfinite(s) else 0.0) for v, s in values if isfinite(v)]
+    reach = max(reaches, default=0.0)
+    if not reach > 0:
+        return tuple(rows)
+
+    def place(value: float) -> float:
+        return 50 + 49 * value / reach
+
+    result: list[Parameter] = []
+    for row, (value, sigma) in zip(rows, values, strict=True):
+        spread = 2 * sigma if isfinite(sigma) else 0.0
+        bar = Bar(zero=50.0, value=place(value), low=place(value - spread), high=place(value + spread))
+        result.append(replace(row, bar=bar if isfinite(value) else None))
+    return tuple(result)

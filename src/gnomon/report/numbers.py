@@ -1,0 +1,115 @@
+"""Numbers as a person reads them: digits that mean something, a unit, a sigma."""
+
+from math import floor, isfinite, log10
+
+import numpy as np
+
+from ..recording import Floats
+
+MISSING = "–"
+"""Shown where there is no number."""
+
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9))
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return "10⁻⁷" for -7."""
+    return f"10{str(exponent).translate(_SUPERSCRIPT)}"
+
+
+def number(value: float, digits: int = 4, *, trim: bool = True) -> str:
+    """Return a number with so many significant digits, a true minus sign and powers of ten where they are shorter.
+
+    Zeros at the end are dropped unless `trim` is False, as in columns that are compared.
+
+    Examples
+    --------
+    >>> number(414.8721), number(-2.5e-7), number(float("nan"))
+    ('414.9', '−2.5·10⁻⁷', '–')
+    """
+    if not isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    if 1e-4 <= abs(value) < 1e7:
+        decimals = max(0, digits - 1 - floor(log10(abs(value))))
+        text = f"{value:.{decimals}f}"
+        text = text.rstrip("0").rstrip(".") if trim and "." in text else text
+    else:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+        power = power_of_ten(int(exponent))
+        text = power if mantissa == "1" else f"-{power}" if mantissa == "-1" else f"{mantissa}·{power}"
+    return text.replace("-", "−")
+
+
+def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
+    """Return a number with so many decimals and a true minus sign."""
+    if not isfinite(value):
+        return MISSING
+    rounded = round(value, decimals) + 0.0  # no minus zero
+    return f"{rounded:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
+
+
+def with_sigma(value: float, sigma: float, *, sign: bool = False) -> tuple[str, str]:
+    """Return value and sigma to the second significant digit of sigma.
+
+    A sigma of zero (a value that is fixed) or nan gives an empty second text.
+
+    Examples
+    --------
+    >>> with_sigma(414.87213, 0.0614)
+    ('414.872', '0.061')
+    >>> with_sigma(-1.234e-5, 2.1e-7)
+    ('−1.234·10⁻⁵', '0.021·10⁻⁵')
+    """
+    if not isfinite(value):
+        return MISSING, ""
+    largest = max(abs(value), sigma) if isfinite(sigma) else abs(value)
+    power = floor(log10(largest)) if largest > 0 and not 1e-3 <= largest < 1e7 else 0
+    tail = f"·{power_of_ten(power)}" if power else ""
+    if not (isfinite(sigma) and sigma > 0):
+        return (f"+{number(value, 6)}" if sign and value > 0 else number(value, 6)), ""
+    decimals = min(max(0, power + 1 - floor(log10(sigma))), 12)
+    scale = 10.0**-power
+    return fixed(value * scale, decimals, sign=sign) + tail, fixed(sigma * scale, decimals) + tail
+
+
+def prefixed(largest: float) -> tuple[str, float]:
+    """Return the SI prefix and the factor with which a quantity as large as this reads well.
+
+    Examples
+    --------
+    >>> prefixed(0.0025)
+    ('m', 1000.0)
+    """
+    if not (isfinite(largest) and largest > 0):
+        return _PREFIXES[0]
+    return next((p for p in _PREFIXES if largest * p[1] >= 0.5), _PREFIXES[-1])
+
+
+def quantity(value: float, unit: str, digits: int = 3) -> str:
+    """Return a number with its unit and a fitting SI prefix, such as "2.65 mrad"; the space does not break."""
+    if not isfinite(value):
+        return MISSING
+    prefix, factor = prefixed(abs(value)) if value else ("", 1.0)
+    return f"{number(value * factor, digits, trim=False)}\u00a0{prefix}{unit}"
+
+
+def finite(values: Floats) -> Floats:
+    """Return the finite values, flat."""
+    array = np.asarray(values, dtype=np.float64).ravel()
+    return array[np.isfinite(array)]
+
+
+def rms(values: Floats) -> float:
+    """Return the root mean square of the finite values; nan without any."""
+    kept = finite(values)
+    return float(np.sqrt(np.mean(kept * kept))) if kept.size else float("nan")
+
+
+def largest(values: Floats) -> float:
+    """Return the largest magnitude of the finite values; nan without any."""
+    kept = finite(values)
+    return float(np.max(np.abs(kept))) if kept.size else float("nan")

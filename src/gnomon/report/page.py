@@ -1,0 +1,179 @@
+"""One page for every kind of calibration: verdict, findings, parameters, sections of figures and tables, provenance.
+
+A kind of calibration (imu.py) fills in the values below; the template page.html.jinja knows nothing of sensors.
+"""
+
+import base64
+import hashlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from ..calibration import Verdict
+from ..findings import Finding
+
+_HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyNumber:
+    """A number that a reader should see first, with the sentence that explains it."""
+
+    label: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bar:
+    """A value and its two-sigma whisker, in percent of the width of the cell; `zero` is where zero lies."""
+
+    zero: float
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameter:
+    """One line of the parameter table; texts are formatted, `sigma` is empty for what is fixed."""
+
+    name: str
+    value: str
+    sigma: str
+    unit: str
+    reads_as: str = ""
+    note: str = ""
+    bar: Bar | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterGroup:
+    """Parameters that are compared with each other, and the unit of their bars."""
+
+    title: str
+    note: str
+    rows: tuple[Parameter, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Legend:
+    """What a mark in a figure means; `color` is one of figures.INKS."""
+
+    mark: Literal["line", "dash", "band", "dot", "ring", "square-wave"]
+    color: str
+    label: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """An SVG made by figures.draw, with its legend and caption."""
+
+    title: str
+    svg: str
+    caption: str = ""
+    legend: tuple[Legend, ...] = ()
+    kind: str = "figure"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Rows of texts; the first column is the row's name. `marked` is the index of the row that was chosen."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    caption: str = ""
+    marked: int | None = None
+    prose: bool = False
+    kind: str = "table"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prose:
+    """Paragraphs, or a list of points."""
+
+    lines: tuple[str, ...]
+    points: bool = False
+    kind: str = "prose"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Code:
+    """Something to copy."""
+
+    title: str
+    text: str
+    kind: str = "code"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parameters:
+    """The parameter table."""
+
+    groups: tuple[ParameterGroup, ...]
+    caption: str = ""
+    kind: str = "parameters"
+
+
+Block = Figure | Table | Prose | Code | Parameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """A heading with what belongs under it; `anchor` is its name in links."""
+
+    anchor: str
+    title: str
+    lead: str = ""
+    blocks: tuple[Block, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Page:
+    """A whole report."""
+
+    title: str
+    subject: str
+    verdict: Verdict
+    headline: str
+    key_numbers: tuple[KeyNumber, ...]
+    findings: tuple[Finding, ...]
+    sections: tuple[Section, ...]
+    footer: str
+
+
+def typeset(finding: Finding) -> Finding:
+    """Return a finding, written for any terminal, with the signs that a page can show."""
+
+    def fine(text: str) -> str:
+        return text.replace("m/s^2", "m/s²").replace(" +- ", " ± ").replace(" deg/s", "\u00a0°/s")
+
+    return replace(
+        finding, message=fine(finding.message), consequence=fine(finding.consequence), cure=fine(finding.cure)
+    )
+
+
+def render(page: Page) -> bytes:
+    """Return the page as one UTF-8 HTML document that refers to nothing outside itself."""
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    script = (_HERE / "page.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    html = environment.get_template("page.html.jinja").render(
+        page=page,
+        style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
+        script=Markup(script),
+        # The page may run this one script and load nothing, whatever a file name might try to smuggle in.
+        policy=f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'",
+    )
+    # A file name may hold bytes that are no text; they are shown as escapes.
+    return html.encode("utf-8", "backslashreplace")

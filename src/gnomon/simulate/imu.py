@@ -1,0 +1,172 @@
+"""The simulation of an IMU, from the drawing of its parameters to the recorded numbers."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from .._version import __version__
+from ..calibration import (
+    Assessment,
+    Calibration,
+    Covariance,
+    Gravity,
+    Holdout,
+    ImuCalibration,
+    Provenance,
+    covariance_names,
+)
+from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
+from .scenario import Scenario
+from .sensor import Converter, converters, drawn_imu
+from .thesis import ThesisMotions, thesis_motions
+from .trajectory import Motions, hand_motions
+
+EARTH_RATE_RAD_S = 7.292115e-5
+"""WGS 84."""
+
+BLOCK = 65536
+"""Samples that are made at a time; bounds the memory of a long recording."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _World:
+    """What acts on the sensor."""
+
+    motions: Motions | ThesisMotions
+    gravity: float
+    earth_rate: Floats
+
+    def at(self, t_s: Floats) -> tuple[Floats, Floats]:
+        return self.motions.evaluate(t_s, self.gravity, self.earth_rate)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Clock:
+    """When a triad is sampled (n,), what its stamps say (n,), and which samples are not lost (n,)."""
+
+    t_s: Floats
+    stamps_ns: Integers
+    kept: np.ndarray
+
+
+def simulate_imu(scenario: Scenario, seed: int) -> tuple[Recording, Calibration]:
+    """Make a recording and its truth; see `gnomon.simulate`."""
+    # One stream a purpose: an option for one leaves the others as they are.
+    for_sensor, for_motion, for_force, for_rate, for_walk, for_clock = np.random.default_rng(seed).spawn(6)
+    if scenario.sensor_seed is not None:
+        for_sensor = np.random.default_rng(scenario.sensor_seed)
+    truth = _truth(scenario, seed, drawn_imu(scenario, for_sensor))
+    motions, end_s = (hand_motions if scenario.style == "hand" else thesis_motions)(scenario, for_motion)
+    world = _World(motions=motions, gravity=scenario.gravity, earth_rate=_earth_rate(scenario))
+    rate_hz = scenario.gyroscope_rate_hz or scenario.rate_hz
+    clock = _clock(scenario, end_s, scenario.rate_hz, for_clock)
+    # Triads of one rate come in one packet: the same stamps, the same losses.
+    gyroscope_clock = clock if rate_hz == scenario.rate_hz else _clock(scenario, end_s, rate_hz, for_clock)
+    to_force, to_rate = converters(scenario)
+    accelerometer, gyroscope = _models(truth.imus["imu0"])
+    noise = scenario.accelerometer_noise_density * np.sqrt(scenario.rate_hz) / to_force.unit_si
+    force = _readings(world, clock, accelerometer, noise, for_force)
+    noise = scenario.gyroscope_noise_density * np.sqrt(rate_hz) / to_rate.unit_si
+    rate = _readings(world, gyroscope_clock, gyroscope, noise, for_rate)
+    if scenario.gyroscope_bias_walk:
+        rate += _walk(scenario.gyroscope_bias_walk / to_rate.unit_si / np.sqrt(rate_hz), len(rate), for_walk)
+    samples = ImuSamples(
+        accelerometer=_recorded(force, clock, to_force), gyroscope=_recorded(rate, gyroscope_clock, to_rate)
+    )
+    return Recording(imus={"imu0": samples}), truth
+
+
+def _models(imu: ImuCalibration) -> tuple[Callable[[Floats, Floats], Floats], Callable[[Floats, Floats], Floats]]:
+    """Return the noise-free output of accelerometer and gyroscope as functions of specific force and angular rate."""
+    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
+    assert gyroscope is not None
+
+    def force_reading(force: Floats, _rate: Floats) -> Floats:
+        return force @ accelerometer.sensitivity.T + accelerometer.bias
+
+    def rate_reading(force: Floats, rate: Floats) -> Floats:
+        return rate @ gyroscope.sensitivity.T + gyroscope.bias + force @ gyroscope.g_sensitivity.T
+
+    return force_reading, rate_reading
+
+
+def _readings(
+    world: _World,
+    clock: _Clock,
+    model: Callable[[Floats, Floats], Floats],
+    noise: float,
+    rng: np.random.Generator,
+) -> Floats:
+    """Return noisy readings (n, 3) in the unit of the recording, before the converter."""
+    values = np.empty((len(clock.t_s), 3))
+    for first in range(0, len(values), BLOCK):
+        rows = slice(first, first + BLOCK)
+        values[rows] = model(*world.at(clock.t_s[rows]))
+        values[rows] += noise * rng.standard_normal(values[rows].shape)
+    return values
+
+
+def _walk(step: float, count: int, rng: np.random.Generator) -> Floats:
+    """Return random walks (count, 3) without their mean."""
+    walk = np.cumsum(step * rng.standard_normal((count, 3)), axis=0)
+    return walk - walk.mean(axis=0)
+
+
+def _clock(scenario: Scenario, end_s: float, rate_hz: float, rng: np.random.Generator) -> _Clock:
+    t_s = np.arange(int(end_s * rate_hz + 1e-6) + 1) / rate_hz
+    stamps_ns = t_s * 1e9
+    if scenario.stamp_jitter_s:
+        stamps_ns += rng.normal(0.0, scenario.stamp_jitter_s * 1e9, len(t_s))
+    if scenario.stamp_resolution_s:
+        resolution_ns = scenario.stamp_resolution_s * 1e9
+        stamps_ns = np.rint(stamps_ns / resolution_ns) * resolution_ns
+    kept = rng.random(len(t_s)) >= scenario.dropped if scenario.dropped else np.ones(len(t_s), dtype=bool)
+    return _Clock(t_s=t_s, stamps_ns=np.rint(stamps_ns).astype(np.int64), kept=kept)
+
+
+def _recorded(values: Floats, clock: _Clock, converter: Converter) -> TriadSamples:
+    """Digitise readings (in place) and leave out what is lost."""
+    values, stamps_ns = converter.digitise(values), clock.stamps_ns
+    if not clock.kept.all():
+        values, stamps_ns = values[clock.kept], stamps_ns[clock.kept]
+    values.flags.writeable = False  # handed over, not copied
+    stamps_ns.flags.writeable = False
+    return TriadSamples(t_ns=stamps_ns, values=values, unit=converter.unit)
+
+
+def _earth_rate(scenario: Scenario) -> Floats:
+    """Return the Earth's rate in the world, x north and z up, (3,) [rad/s]."""
+    if scenario.earth_rate_latitude is None:
+        return np.zeros(3)
+    latitude = np.radians(scenario.earth_rate_latitude)
+    return EARTH_RATE_RAD_S * np.array([np.cos(latitude), 0.0, np.sin(latitude)])
+
+
+def _truth(scenario: Scenario, seed: int, imu: ImuCalibration) -> Calibration:
+    imus = {"imu0": imu}
+    names = covariance_names(imus)
+    defaults = Scenario()
+    options = {
+        option.name: str(getattr(scenario, option.name))
+        for option in fields(Scenario)
+        if getattr(scenario, option.name) != getattr(defaults, option.name)
+    }
+    drawn = Calibration(
+        imus=imus,
+        frame="accel-z",
+        gravity=Gravity(value=scenario.gravity, sigma=0.0, source="simulation"),
+        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
+        assessment=Assessment(
+            verdict="pass",
+            findings=(),
+            holdout=Holdout(accelerometer_rms=float("nan")),
+            intervals_found=scenario.intervals,
+            intervals_used=scenario.intervals,
+            rotations_found=scenario.intervals - 1,
+            rotations_used=scenario.intervals - 1,
+            model="g-sensitivity" if scenario.g_sensitivity else "basic",
+        ),
+        provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
+    )
+    return drawn.in_frame("accel-x")

@@ -1,0 +1,58 @@
+"""How a result came about, as an NPZ file: every field of `gnomon.diagnostics` under its path.
+
+The key of an array is the path of its field, such as "intervals.start_s"; what a result does not have has no key.
+A list of candidates is one array for each field, such as "trials.rotation_rms".
+"""
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..diagnostics import ImuDiagnostics
+from .files import atomic_file
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
+
+
+def save_diagnostics(diagnostics: ImuDiagnostics, path: str | PathLike[str]) -> None:
+    """Write diagnostics to a compressed NPZ file; `numpy.load` reads it without pickle.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    with atomic_file(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in diagnostic_arrays(diagnostics):
+            entry = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(entry, "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, array, allow_pickle=False)
+
+
+def diagnostic_arrays(node: Any, path: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield (path, array) of everything in a tree of dataclasses, mappings, sequences and numbers."""
+    if node is None:
+        return
+    if is_dataclass(node):
+        for entry in fields(node):
+            yield from diagnostic_arrays(getattr(node, entry.name), _joined(path, entry.name))
+    elif isinstance(node, dict):
+        for key, value in node.items():  # pyright: ignore[reportUnknownVariableType]
+            yield from diagnostic_arrays(value, _joined(path, str(key)))
+    elif isinstance(node, tuple) and node and is_dataclass(node[0]):
+        for entry in fields(node[0]):
+            yield _joined(path, entry.name), np.array([getattr(item, entry.name) for item in node])
+    elif isinstance(node, tuple):  # of words; also where there are none
+        yield path, np.array(node, dtype=np.str_)
+    else:
+        yield path, np.asarray(node)
+
+
+def _joined(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name

@@ -1,0 +1,175 @@
+"""The scalars of each form of the sensor model, by the names that the documents give them.
+
+Every function takes a triad in the frame of its form: sensitivity (3, 3), bias (3,), for gyroscopes
+g_sensitivity (3, 3), and the unit of the samples. Entries that a form fixes (zeros, ones) are left out.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..models.forms import (
+    AngrisanoAccelerometer,
+    AngrisanoGyroscope,
+    KrebsAccelerometer,
+    KrebsGyroscope,
+    TedaldiAccelerometer,
+    TedaldiGyroscope,
+)
+from ..models.frames import Floats
+from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
+from .units_text import per
+
+_FORCE, _RATE = "m/s^2", "rad/s"
+_LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One scalar of a form."""
+
+    triad: str
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Maker:
+    """Makes the entries of one triad."""
+
+    triad: str
+
+    def one(self, name: str, value: float, unit: str) -> Entry:
+        return Entry(triad=self.triad, name=name, value=float(value), unit=unit)
+
+    def vector(self, name: str, values: Floats, unit: str) -> Iterator[Entry]:
+        """Name x, y, z."""
+        for axis, value in zip("xyz", values.tolist(), strict=True):
+            yield self.one(f"{name}_{axis}", value, unit)
+
+    def matrix(
+        self, name: str, values: Floats, unit: str, places: tuple[tuple[int, int], ...] | None = None
+    ) -> Iterator[Entry]:
+        """Name rows and columns by x, y, z: the sensor axis, then the body axis."""
+        for i, j in places or tuple(np.ndindex(3, 3)):
+            yield self.one(f"{name}_{'xyz'[i]}{'xyz'[j]}", values[i, j], unit)
+
+    def angles(self, T: Floats, signed: dict[str, tuple[int, int, int]], prefix: str) -> Iterator[Entry]:
+        for name, (sign, i, j) in signed.items():
+            yield self.one(f"{prefix}{name}", sign * T[i, j], "rad")
+
+    def scales(self, letter: str, K: Floats, si: str, unit: str) -> Iterator[Entry]:
+        """Correction scales, and their inverses as data sheets print them."""
+        yield from self.vector(letter, K, per(si, unit))
+        yield from self.vector(f"1/{letter}", 1 / K, per(unit, si))
+
+
+_ACCELEROMETER, _GYROSCOPE = _Maker(triad="accelerometer"), _Maker(triad="gyroscope")
+
+_UPPER_ANGLES = {"yz": (-1, 0, 1), "zy": (1, 0, 2), "zx": (-1, 1, 2)}
+_ALL_ANGLES = {**_UPPER_ANGLES, "xz": (1, 1, 0), "xy": (-1, 2, 0), "yx": (1, 2, 1)}
+"""Document A, Eqs. (2.6), (2.7): angle -> (sign, row, column) in T."""
+_ANGRISANO_ANGLES = {"z": (1, 0, 1), "y": (1, 0, 2), "x": (1, 1, 2)}
+_KREBS_ANGLES = {"yz": (1, 1, 0), "zy": (1, 2, 0), "zx": (1, 2, 1)}
+
+
+def sensitivity_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Name sensitivity and bias."""
+    yield from _ACCELEROMETER.matrix("sensitivity", S, per(unit, _FORCE))
+    yield from _ACCELEROMETER.vector("bias", b, unit)
+
+
+def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Name sensitivity, bias and g-sensitivity."""
+    yield from _GYROSCOPE.matrix("sensitivity", S, per(unit, _RATE))
+    yield from _GYROSCOPE.vector("bias", b, unit)
+    yield from _GYROSCOPE.matrix("g_sensitivity", G, per(unit, _FORCE))
+
+
+def tedaldi_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Document A, (2.6): angles alpha, scales s, bias b (added)."""
+    form = TedaldiAccelerometer.from_sensor(S, b)
+    yield from _ACCELEROMETER.angles(form.T, _UPPER_ANGLES, "alpha_")
+    yield from _ACCELEROMETER.scales("s", form.K, _FORCE, unit)
+    yield from _ACCELEROMETER.vector("b", form.b, unit)
+
+
+def tedaldi_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Document A, (2.7): angles gamma, scales s, bias b (added), with document B's g-sensitivity."""
+    form = TedaldiGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.angles(form.T, _ALL_ANGLES, "gamma_")
+    yield from _GYROSCOPE.scales("s", form.K, _RATE, unit)
+    yield from _GYROSCOPE.vector("b", form.b, unit)
+    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+
+
+def krebs_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Document B, chapter 3: misalignments M, scales S, bias b."""
+    form = KrebsAccelerometer.from_sensor(S, b)
+    yield from _ACCELEROMETER.angles(form.M, _KREBS_ANGLES, "M_")
+    yield from _ACCELEROMETER.vector("S", form.S, per(unit, _FORCE))
+    yield from _ACCELEROMETER.vector("b", form.b, unit)
+
+
+def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Document B: misalignments M, scales S, rotation q_bg, g-sensitivity B (chapter 3) and B' (chapter 4), bias b."""
+    form = KrebsGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.angles(form.M, _KREBS_ANGLES, "M_")
+    yield from _GYROSCOPE.vector("S", form.S, per(unit, _RATE))
+    for name, value in zip(("w", "i", "j", "k"), _quaternion(form.C_bg).tolist(), strict=True):
+        yield _GYROSCOPE.one(f"q_bg_{name}", value, "1")
+    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("B'", G, per(unit, _FORCE))
+    yield from _GYROSCOPE.vector("b", form.b, unit)
+
+
+def angrisano_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Document C, (1), (2): angles a, scales k, bias b (subtracted)."""
+    form = AngrisanoAccelerometer.from_sensor(S, b)
+    yield from _ACCELEROMETER.angles(form.T, _ANGRISANO_ANGLES, "a_")
+    yield from _ACCELEROMETER.scales("k", form.K, _FORCE, unit)
+    yield from _ACCELEROMETER.vector("b", form.b, unit)
+
+
+def angrisano_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Document C: as the accelerometer, in a frame of its own, rotated by C_gb and document B's g-sensitivity."""
+    form = AngrisanoGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.angles(form.T, _ANGRISANO_ANGLES, "a_")
+    yield from _GYROSCOPE.scales("k", form.K, _RATE, unit)
+    yield from _GYROSCOPE.vector("b", form.b, unit)
+    yield from _GYROSCOPE.matrix("C_gb", form.C_gb, "1")
+    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+
+
+def kalibr_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Kalibr: M lower triangular, bias."""
+    form = KalibrAccelerometer.from_sensor(S, b)
+    yield from _ACCELEROMETER.matrix("M", form.M, per(unit, _FORCE), _LOWER)
+    yield from _ACCELEROMETER.vector("bias", form.b, unit)
+
+
+def kalibr_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Kalibr: M lower triangular, C_gyro_i, A, bias."""
+    form = KalibrGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.matrix("M", form.M, per(unit, _RATE), _LOWER)
+    yield from _GYROSCOPE.matrix("C_gyro_i", form.C_gyro_i, "1")
+    yield from _GYROSCOPE.matrix("A", form.A, per(unit, _FORCE))
+    yield from _GYROSCOPE.vector("bias", form.b, unit)
+
+
+def _quaternion(rotation: Floats) -> Floats:
+    """Return the Hamilton quaternion (w, x, y, z) of a rotation matrix, w >= 0: the best of the four equal ways."""
+    r = rotation
+    products = np.array(  # 4 q q'
+        [
+            [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
+            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
+            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
+        ]
+    )
+    row = products[int(np.argmax(np.diag(products)))]
+    q = row / np.linalg.norm(row)
+    return -q if q[0] < 0 else q

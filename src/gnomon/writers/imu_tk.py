@@ -1,0 +1,43 @@
+"""imu_tk: for each triad a file of T (3x3), K (3x3) and B (3), white space between them; calibrated = T K (x - B).
+
+The format has no comments. Read back by `readers.imu_tk_calib`.
+"""
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..models.forms import in_frame
+from ..models.project_forms import ImuTkTriad
+from .export import Export, Loss, g_sensitivity_losses, into_frame, numbers_text, uncertainty_loss
+
+
+def export(calibration: Calibration) -> Export:
+    """Return `imu0_acc.calib` and `imu0_gyro.calib` for each IMU.
+
+    Raises
+    ------
+    OptionError
+        If T cannot have a unit diagonal.
+    """
+    moved, losses = into_frame(calibration, ImuTkTriad.frame, "imu_tk's")
+    files: dict[str, str] = {}
+    units: set[str] = set()
+    for name, imu in moved.imus.items():
+        upper = in_frame(imu.accelerometer.sensitivity, ImuTkTriad.frame)
+        files[f"{name}_acc.calib"] = _text(ImuTkTriad.from_sensor(upper, imu.accelerometer.bias))
+        units.add(imu.accelerometer.unit)
+        if imu.gyroscope is not None:
+            files[f"{name}_gyro.calib"] = _text(ImuTkTriad.from_sensor(imu.gyroscope.sensitivity, imu.gyroscope.bias))
+            units.add(imu.gyroscope.unit)
+    unit = Loss(
+        what="unit of the samples",
+        why=f"the files do not say that they take samples in {' and '.join(sorted(units))} to m/s^2 and rad/s.",
+    )
+    return Export(
+        files=files, losses=(*g_sensitivity_losses(moved, "imu_tk"), *losses, unit, uncertainty_loss("imu_tk"))
+    )
+
+
+def _text(form: ImuTkTriad) -> str:
+    blocks = (form.T, np.diag(form.K), form.B[:, None])
+    return "\n".join("".join(f"{numbers_text(row)}\n" for row in block) for block in blocks)

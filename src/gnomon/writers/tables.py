@@ -1,0 +1,186 @@
+"""A calibration as tables of names, values with sigmas, and units, in letters of gnomon, a document or Kalibr."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import floor, isfinite, log10
+from typing import Literal
+
+import numpy as np
+
+from ..calibration import Calibration, ImuCalibration, parameters
+from ..errors import OptionError
+from ..models.frames import Floats, frame_rotation
+from . import form_entries
+from .form_entries import Entry
+
+FormName = Literal["sensitivity", "tedaldi", "krebs", "angrisano", "kalibr"]
+
+_Entries = Callable[..., Iterator[Entry]]
+_FORMS: dict[str, tuple[str | None, _Entries, _Entries]] = {
+    "sensitivity": (None, form_entries.sensitivity_accelerometer, form_entries.sensitivity_gyroscope),
+    "tedaldi": ("accel-z", form_entries.tedaldi_accelerometer, form_entries.tedaldi_gyroscope),
+    "krebs": ("accel-x", form_entries.krebs_accelerometer, form_entries.krebs_gyroscope),
+    "angrisano": ("accel-z", form_entries.angrisano_accelerometer, form_entries.angrisano_gyroscope),
+    "kalibr": ("accel-x", form_entries.kalibr_accelerometer, form_entries.kalibr_gyroscope),
+}
+"""Form -> the frame it lives in (None: any), and what it consists of."""
+
+_EQUATIONS = {
+    "sensitivity": ("measured = sensitivity f + bias", "measured = sensitivity w + bias + g_sensitivity f"),
+    "tedaldi": (
+        "document A: f = T K (measured + b), T = [1 -yz zy; 0 1 -zx; 0 0 1]",
+        "document A: w = T K (measured + b - B f), T = [1 -yz zy; xz 1 -zx; -xy yx 1]",
+    ),
+    "krebs": (
+        "document B: measured = S M f + b, M = [1 0 0; yz 1 0; zy zx 1]",
+        "document B, ch. 3: measured = S M C_bg' w + B C_bg' f + b; in ch. 4, B' f in place of B C_bg' f; q_bg is the "
+        "Hamilton quaternion of C_bg",
+    ),
+    "angrisano": (
+        "document C: f = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1]",
+        "document C: C_gb w = T K (measured - b - B f), T = [1 az ay; 0 1 ax; 0 0 1], in the gyroscope's own frame",
+    ),
+    "kalibr": ("Kalibr: measured = M f + bias", "Kalibr: measured = M C_gyro_i w + A C_gyro_i f + bias"),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A line of a table: name, value with its sigma as text, unit."""
+
+    name: str
+    value: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Rows under a title; `note` is the equation that defines the names."""
+
+    title: str
+    note: str
+    rows: tuple[Row, ...]
+
+
+def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Table, ...]:
+    """Return one table for each triad, every value with its sigma.
+
+    Sigmas follow from the covariance by the Jacobian of the whole way from gnomon's parameters to the form's, change of
+    frame included.
+
+    Parameters
+    ----------
+    form : "sensitivity" (gnomon's own, in the calibration's frame), "tedaldi", "krebs", "angrisano" or "kalibr"
+
+    Raises
+    ------
+    OptionError
+        If there is no such form, or it cannot represent this sensor.
+    """
+    if form not in _FORMS:
+        raise OptionError(f'"{form}" is no form of the sensor model. Choose one of: {", ".join(_FORMS)}.')
+    frame = _FORMS[form][0] or calibration.frame
+    tables: list[Table] = []
+    for name, imu in calibration.imus.items():
+        paths = [path for path, _ in parameters({name: imu})]
+        entries, sigmas = entries_with_sigmas(imu, calibration.covariance(*paths), form)
+        for triad, note in zip(("accelerometer", "gyroscope"), _EQUATIONS[form], strict=True):
+            rows = tuple(
+                Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
+                for entry, sigma in zip(entries, sigmas, strict=True)
+                if entry.triad == triad
+            )
+            if rows:
+                tables.append(Table(title=f"{name} {triad}, body frame {frame}", note=note, rows=rows))
+    return tuple(tables)
+
+
+def entries_with_sigmas(imu: ImuCalibration, covariance: Floats, form: str) -> tuple[list[Entry], Floats]:
+    """Return the scalars of a form, and their standard deviations (k,).
+
+    Parameters
+    ----------
+    covariance : (n, n), of the IMU's scalars in the order of `calibration.parameters`
+    """
+    start = np.concatenate([value.ravel() for _, value in parameters({"": imu})])
+    entries = list(_entries(start, imu, form))
+
+    def values(x: Floats) -> Floats:
+        return np.array([entry.value for entry in _entries(x, imu, form)])
+
+    jacobian = np.empty((len(entries), len(start)))
+    for i, step in enumerate(_steps(imu)):
+        ahead, behind = start.copy(), start.copy()
+        ahead[i] += step
+        behind[i] -= step
+        jacobian[:, i] = (values(ahead) - values(behind)) / (ahead[i] - behind[i])
+    variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
+    # What is left of a variance that should vanish is rounding; the size of the terms tells.
+    terms = np.einsum("ij,j->i", np.abs(jacobian), np.sqrt(np.diag(covariance))) ** 2
+    return entries, np.sqrt(np.where(variance > 1e-18 * terms, variance, 0.0))
+
+
+def _steps(imu: ImuCalibration) -> Iterator[float]:
+    """Yield a step for each scalar, small beside its matrix, over which the forms are as good as quadratic."""
+    for _, value in parameters({"": imu}):
+        size = float(np.abs(value).max())
+        yield from [1e-5 * size if size else 1.0] * value.size
+
+
+def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[Entry]:
+    frame, accelerometer, gyroscope = _FORMS[form]
+    S, b = x[:9].reshape(3, 3), x[9:12]
+    turn = np.eye(3) if frame is None else frame_rotation(S, frame)
+    moved = S @ turn.T
+    if frame is not None:  # exactly, not to rounding
+        moved = np.tril(moved) if frame == "accel-x" else np.triu(moved)
+    yield from accelerometer(moved, b, imu.accelerometer.unit)
+    if imu.gyroscope is not None:
+        R, G = x[12:21].reshape(3, 3), x[24:33].reshape(3, 3)
+        yield from gyroscope(R @ turn.T, x[21:24], G @ turn.T, imu.gyroscope.unit)
+
+
+def value_text(value: float, sigma: float) -> str:
+    """Return value and sigma with two significant digits of sigma.
+
+    Examples
+    --------
+    >>> value_text(414.4075, 0.01234), value_text(0.0, 0.0), value_text(1.23456e-7, 1.2e-9)
+    ('414.408 ± 0.012', '0 (fixed)', '(1.235 ± 0.012)e-07')
+    """
+    if sigma == 0:
+        return f"{value:.6g} (fixed)"
+    if not isfinite(sigma):
+        return f"{value:.6g} (unknown sigma)"
+    exponent = floor(log10(float(f"{sigma:.1e}")))
+    largest = max(exponent, floor(log10(abs(value))) if value else exponent)
+    if -4 <= largest < 6 and exponent < 2:
+        decimals = 1 - exponent
+        return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+    scale, decimals = 10.0**largest, largest - exponent + 1
+    return f"({value / scale:.{decimals}f} ± {sigma / scale:.{decimals}f})e{largest:+03d}"
+
+
+def summary_table(calibration: Calibration) -> Table:
+    """Return what concerns the calibration as a whole: verdict, frame, gravity, errors on unseen data, counts."""
+    assessment, gravity = calibration.assessment, calibration.gravity
+    holdout = assessment.holdout
+    rows = [
+        Row(name="verdict", value=calibration.verdict, unit=""),
+        Row(name="body frame", value=calibration.frame, unit=""),
+        Row(name=f"gravity ({gravity.source})", value=value_text(gravity.value, gravity.sigma), unit="m/s^2"),
+        Row(name="gyroscope model", value=assessment.model, unit=""),
+        Row(name="held-out |f| - g, rms", value=_known(holdout.accelerometer_rms), unit="m/s^2"),
+        Row(name="held-out rotations, rms", value=_known(holdout.rotation_rms), unit="rad"),
+        Row(
+            name="static intervals used",
+            value=f"{assessment.intervals_used} of {assessment.intervals_found}",
+            unit="",
+        ),
+        Row(name="rotations used", value=f"{assessment.rotations_used} of {assessment.rotations_found}", unit=""),
+    ]
+    return Table(title="calibration", note=f"gnomon {calibration.provenance.gnomon_version}", rows=tuple(rows))
+
+
+def _known(value: float) -> str:
+    return f"{value:.3g}" if isfinite(value) else "not known"

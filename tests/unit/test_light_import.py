@@ -1,0 +1,46 @@
+"""Start-up stays light: nothing heavy is imported before it is needed."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("numpy", "scipy", "matplotlib", "jinja2", "yaml", "cattrs", "rich", "tyro")
+
+
+def loaded_after(code):
+    probe = f"import json, sys\n{code}\nprint(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+    result = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    assert loaded_after("import gnomon") == []
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["imu", "--help"], ["simulate", "--help"]])
+def test_help_needs_no_numbers(arguments):
+    loaded = loaded_after(f"from gnomon.cli import main\nassert main({arguments!r}) == 0")
+    assert loaded == ["tyro"]
+
+
+def test_calibrating_needs_neither_scipy_nor_matplotlib(tmp_path):
+    loaded = loaded_after(
+        "import gnomon\n"
+        "from gnomon.cli import main\n"
+        f"assert main(['simulate', '-o', {str(tmp_path / 'r.npz')!r}, '--intervals', '20']) == 0\n"
+        f"assert main(['imu', {str(tmp_path / 'r.npz')!r}, '--no-report']) == 0"
+    )
+    assert "numpy" in loaded
+    assert not {"scipy", "matplotlib", "jinja2", "rich"} & set(loaded)
+
+
+def test_every_public_name_is_there():
+    import gnomon
+
+    for name in gnomon.__all__:
+        assert getattr(gnomon, name) is not None
+    assert callable(gnomon.simulate)
+    with pytest.raises(AttributeError, match="nothing_like_this"):
+        _ = gnomon.nothing_like_this
