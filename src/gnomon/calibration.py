@@ -171,7 +171,8 @@ class Holdout:
     Attributes
     ----------
     accelerometer_rms : leave-one-interval-out rms of |f| - g [m/s^2]
-    rotation_rms : leave-one-rotation-out rms of |u_a - u_g| [rad], u_a measured and u_g propagated gravity; nan without gyroscope
+    rotation_rms : leave-one-rotation-out rms of |u_a - u_g| [rad], u_a measured and u_g propagated gravity; nan without
+        gyroscope
     """
 
     accelerometer_rms: float
@@ -251,7 +252,7 @@ class Calibration:
 
     @property
     def verdict(self) -> Verdict:
-        """ "pass", "warn" or "fail"."""
+        """The verdict, "pass", "warn" or "fail"."""
         return self.assessment.verdict
 
     def parameter(self, path: str) -> Floats:

@@ -34,7 +34,8 @@ class DetectorTrace:
     t_s : (k,) [s]
     statistic : (k,) largest variance magnitude squared in the bin, relative to the resting level (1 = at rest)
     multiplier : threshold in the same unit
-    candidates : (c, 4) multiplier, static intervals, held-out rms [m/s^2], criterion (smaller is better); nan where unusable
+    candidates : (c, 4) multiplier, static intervals, held-out rms [m/s^2], criterion (smaller is better); not finite
+        where unusable
     """
 
     t_s: Floats

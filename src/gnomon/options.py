@@ -42,7 +42,7 @@ class ImuOptions:
     """Threshold of the static detector in units of the resting level; chosen automatically where it is not given."""
 
     t_init_s: float | None = None
-    """Length of the initial static part in seconds; found automatically where it is not given. Presets use 30 s or 50 s."""
+    """Length of the initial static part in seconds, for the presets (30 s or 50 s where it is not given)."""
 
     accelerometer_range: float | None = None
     """Full scale of the accelerometer, in the recording's unit; samples at or beyond it are masked."""

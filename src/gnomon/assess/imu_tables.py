@@ -216,7 +216,8 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
     cosine = np.clip(np.einsum("ki,ki->k", u[1:], u[:-1]), -1, 1)
     neighbours = fit.interval_used[1:] & fit.interval_used[:-1]
     reason = [
-        why or ("" if ok else _why_not_used(beside)) for why, ok, beside in zip(problem.unlinked, fit.rotation_used, neighbours, strict=True)
+        why or ("" if ok else _why_not_used(beside))
+        for why, ok, beside in zip(problem.unlinked, fit.rotation_used, neighbours, strict=True)
     ]
     with np.errstate(divide="ignore"):
         # the length of an error has two components

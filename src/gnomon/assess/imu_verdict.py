@@ -9,6 +9,7 @@ from ..estimate.scaling import ImuEstimate
 from ..findings import Finding
 from ..options import ImuOptions
 from ..recording import Floats
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .imu_tables import ImuEvidence, interval_numbers
 
 _AXES = "xyz"
@@ -16,6 +17,7 @@ _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
 _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
 _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = 0.02, 0.2
+_UNIT_FACTOR = 1.5
 _ORDER = {"problem": 0, "warning": 1, "info": 2, "good": 3}
 
 
@@ -55,6 +57,7 @@ def assess(
         *_uncertainty_findings(evidence, gravity),
         *_observability_findings(evidence),
         *axis_findings(evidence.estimate.gyroscope_sensitivity),
+        *unit_findings(evidence.estimate, evidence.accelerometer_unit, evidence.gyroscope_unit),
         *left_out_findings(diagnostics),
         *gravity_findings(gravity),
         *_model_findings(diagnostics, options),
@@ -97,14 +100,16 @@ def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
         Finding(
             severity=still,  # pyright: ignore[reportArgumentType]
             code="holdout-accelerometer",
-            message=f"Static intervals that were left out show gravity to {1e3 * holdout.accelerometer_rms:.2f} mm/s^2 rms.",
+            message="Static intervals that were left out show gravity to "
+            f"{1e3 * holdout.accelerometer_rms:.2f} mm/s^2 rms.",
             consequence="" if still == "good" else "The accelerometer does not show the same gravity in all attitudes.",
             cure="" if still == "good" else "Hold the sensor stiller, better lying on something, and check its range.",
         ),
         Finding(
             severity=turned,  # pyright: ignore[reportArgumentType]
             code="holdout-rotation",
-            message=f"Rotations that were left out end within {1e3 * holdout.rotation_rms:.2f} mrad rms of the measured gravity.",
+            message="Rotations that were left out end within "
+            f"{1e3 * holdout.rotation_rms:.2f} mrad rms of the measured gravity.",
             consequence="" if turned == "good" else "The gyroscope's rotations do not agree with the accelerometer.",
             cure=""
             if turned == "good"
@@ -114,7 +119,7 @@ def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
 
 
 def _relative_sigmas(evidence: ImuEvidence, gravity: Gravity) -> tuple[float, float, float, float]:
-    """Return the largest sigmas of the accelerometer's scales and angles, then the gyroscope's; gravity's part taken off."""
+    """Return the largest sigmas of the accelerometer's scales (gravity apart) and angles, then the gyroscope's."""
     estimate = evidence.estimate
     sigmas = np.sqrt(np.diag(estimate.covariance))
     a, g = estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity
@@ -139,7 +144,8 @@ def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Findi
             Finding(
                 severity=severity,  # pyright: ignore[reportArgumentType]
                 code=f"uncertainty-{triad}",
-                message=f"The {triad}'s scales are known to {100 * scale:.3f} % and its axes to {1e3 * angle:.2f} mrad (1 sigma, worst axis).",
+                message=f"The {triad}'s scales are known to {100 * scale:.3f} % and its axes to {1e3 * angle:.2f} mrad "
+                "(1 sigma, worst axis).",
                 consequence="" if severity == "good" else "That is coarser than such a recording can give.",
                 cure="" if severity == "good" else cure,
             )
@@ -151,8 +157,7 @@ def missing_attitude(evidence: ImuEvidence) -> str:
     """Name the attitude that would lower the accelerometer's uncertainty most."""
     free = slice(0, 9)
     covariance = evidence.fit.covariance[free, free]
-    s, b, *_ = evidence.fit.state.matrices
-    inverse = np.linalg.inv(s)
+    inverse = np.linalg.inv(evidence.fit.state.matrices[0])
     candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
     u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
     pull = u @ inverse  # derivative of |f| by the measurement
@@ -236,10 +241,35 @@ def axis_findings(sensitivity: Floats) -> list[Finding]:
             severity="warning",
             code="axes-differ",
             message=f"Seen from the accelerometer's axes, gyroscope {', '.join(words)}; its axes are {hand}.",
-            consequence="The calibration holds as it is for data recorded the same way; in other software it may surprise.",
+            consequence="The calibration holds for data recorded the same way; in other software it may surprise.",
             cure=guess,
         )
     ]
+
+
+def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit: str) -> list[Finding]:
+    """Warn where a triad's scales are far from what its unit says; counts say nothing."""
+    rows = (
+        ("accelerometer", accelerometer_unit, estimate.accelerometer_sensitivity, ACCELEROMETER_UNITS_M_S2),
+        ("gyroscope", gyroscope_unit, estimate.gyroscope_sensitivity, GYROSCOPE_UNITS_RAD_S),
+    )
+    findings: list[Finding] = []
+    for triad, unit, sensitivity, table in rows:
+        nominal = table.get(unit)
+        ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
+        if not 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR and np.isfinite(ratio):
+            others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
+            fits = f" Its values look like {others[0]}." if others else ""
+            findings.append(
+                Finding(
+                    severity="warning",
+                    code="unit",
+                    message=f"The {triad}'s values are {ratio:.3g} times what {unit} would give.{fits}",
+                    consequence="The calibration corrects it, but whoever expects that unit elsewhere will be misled.",
+                    cure="State the unit of the recording with --units.",
+                )
+            )
+    return findings
 
 
 def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
@@ -252,7 +282,8 @@ def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
             Finding(
                 severity="warning" if out > 0.1 * len(intervals.used) else "info",
                 code="intervals-left-out",
-                message=f"Static interval{'s' if out > 1 else ''} {interval_numbers(~intervals.used)} of {len(intervals.used)} left out: "
+                message=f"Static interval{'s' if out > 1 else ''} {interval_numbers(~intervals.used)} of "
+                f"{len(intervals.used)} left out: "
                 "gravity differs there from the others.",
                 consequence="The sensor was touched or still moved; the rest of the recording is used.",
                 cure="Let go of the sensor before an interval counts.",
@@ -306,8 +337,8 @@ def _model_findings(diagnostics: ImuDiagnostics, options: ImuOptions) -> list[Fi
         Finding(
             severity="good",
             code="model",
-            message=f"Gyroscope model {chosen.model} ({how}): left-out rotations are predicted to {1e3 * full.rotation_rms:.2f} mrad with "
-            f"g-sensitivity, {1e3 * basic.rotation_rms:.2f} mrad without.",
+            message=f"Gyroscope model {chosen.model} ({how}): left-out rotations are predicted to "
+            f"{1e3 * full.rotation_rms:.2f} mrad with g-sensitivity, {1e3 * basic.rotation_rms:.2f} mrad without.",
         )
     ]
 
@@ -320,15 +351,17 @@ def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
             Finding(
                 severity="info",
                 code="t-init",
-                message=f"The initial static part ({held:.0f} s) is too short to show where the gyroscope's noise averages out.",
+                message=f"The initial static part ({held:.0f} s) is too short to show where the gyroscope's noise "
+                "averages out.",
                 consequence="The bias is nevertheless estimated from all static intervals together.",
-                cure="Let the sensor lie still for a minute before the first rotation to see its Allan deviation flatten.",
+                cure="Let the sensor lie still for a minute before the first rotation to see the curve flatten.",
             )
         ]
     return [
         Finding(
             severity="good",
             code="t-init",
-            message=f"The gyroscope's Allan deviation flattens at {allan.t_init_s:.0f} s; the initial static part lasts {allan.static_s:.0f} s.",
+            message=f"The gyroscope's Allan deviation flattens at {allan.t_init_s:.0f} s; "
+            f"the initial static part lasts {allan.static_s:.0f} s.",
         )
     ]

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.noise import density_of_means
+from ..detect.noise import resting_noise
 from ..detect.static import runs_below
 from ..errors import InitialisationError
 from ..estimate.magnitude import MagnitudeFit, fit_magnitude
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, TriadSamples
 
-MULTIPLIERS = (3.0, 6.0, 12.0, 25.0, 50.0, 100.0, 200.0, 400.0)
+MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
 SHORTEST_S = 0.5
 FEWEST_INTERVALS = 9
 _OUTLIER_SIGMA = 6.0
@@ -59,7 +59,7 @@ def try_threshold(
     duration = (intervals.stop - intervals.start) / samples.rate_hz
     weight = np.sqrt(duration / duration.mean())
     try:
-        fit = fit_magnitude(means, gravity_m_s2, weight)
+        fit = fit_magnitude(means, gravity_m_s2, weight, tolerance=1e-6)
     except InitialisationError:
         return nothing
     left_out = fit.residual / np.maximum(1 - fit.leverage, 1e-6)
@@ -122,7 +122,7 @@ def disturbed(trial: ThresholdTrial, samples: TriadSamples) -> Booleans:
     duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
     weight = np.sqrt(duration / duration.mean())
     left_out = np.abs(trial.fit.residual / np.maximum(1 - trial.fit.leverage, 1e-6)) / weight
-    noise = density_of_means(samples.values, trial.intervals, samples.rate_hz)
+    noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
     white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
     scale = np.maximum(1.4826 * float(np.median(left_out)), white)
     out = left_out > _OUTLIER_SIGMA * scale

@@ -67,7 +67,14 @@ def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progr
     problem, streams = _problem(prepared, chosen, touched, options)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
     fit, heldout, rivals = _choose_model(problem, options)
-    estimate = unscaled(fit, problem.accelerometer, problem.gyroscope, gravity.value, gravity.sigma, options.latitude)
+    estimate = unscaled(
+        fit,
+        problem.accelerometer,
+        problem.gyroscope,
+        gravity_m_s2=gravity.value,
+        gravity_sigma_m_s2=gravity.sigma,
+        latitude_deg=options.latitude,
+    )
     tell("assessing the result")
     evidence = ImuEvidence(
         accelerometer=streams[0],
@@ -123,7 +130,8 @@ def _static_intervals(
                 "alike. Hold the sensor still with every axis up once and down once, and in some directions between."
             )
         raise DetectionError(
-            f"{most} static intervals found, at least {FEWEST_INTERVALS + 1} in different attitudes are needed (36 to 50 are best). "
+            f"{most} static intervals found, at least {FEWEST_INTERVALS + 1} in different attitudes are needed "
+            "(36 to 50 are best). "
             "Hold the sensor still for 2 to 4 s in each attitude, better lying on something than in the hand."
         )
     return chosen, trials, statistic

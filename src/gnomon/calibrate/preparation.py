@@ -6,7 +6,7 @@ import numpy as np
 
 from ..assess.doctor import check
 from ..calibration import AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
-from ..detect.noise import density_of_increments, density_of_means
+from ..detect.noise import resting_noise
 from ..detect.repair import repaired
 from ..detect.saturation import saturated
 from ..detect.time_base import TimeBase, time_base
@@ -61,16 +61,21 @@ def prepare(recording: Recording, options: ImuOptions) -> PreparedImu:
     if not recording.imus:
         raise RecordingError("the recording holds no IMU. Give a file with accelerometer and gyroscope samples.")
     samples = next(iter(recording.imus.values()))
-    findings = check(recording)
+    findings = (*check(recording), *(_assumed(sentence) for sentence in recording.assumptions))
     for finding in findings:
         if finding.severity == "problem":
             kind = DetectionError if finding.code in _PROTOCOL_PROBLEMS else RecordingError
             raise kind(str(finding))
     if not len(samples.gyroscope):
         raise RecordingError(
-            "the recording holds no gyroscope samples. Give a file with both triads, or the gyroscope's file as a second path."
+            "the recording holds no gyroscope samples. "
+            "Give a file with both triads, or the gyroscope's file as a second path."
         )
     return _on_time_base(samples, findings, options)
+
+
+def _assumed(sentence: str) -> Finding:
+    return Finding(severity="info", code="assumed", message=sentence)
 
 
 def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:
@@ -127,12 +132,13 @@ def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibrat
 
 def stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
     """Return samples with their noise at rest, as estimation needs them."""
+    of_means, of_increments = resting_noise(samples.values, still, samples.rate_hz)
     return TriadStream(
         t_s=t_s,
         values=samples.values,
         saturated=clipped,
         rate_hz=samples.rate_hz,
-        density=density_of_means(samples.values, still, samples.rate_hz),
-        density_in_motion=density_of_increments(samples.values, still, samples.rate_hz),
+        density=of_means,
+        density_in_motion=of_increments,
         intervals=still,
     )

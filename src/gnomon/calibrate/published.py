@@ -2,8 +2,8 @@
 
     T_init -> for every threshold: static intervals, Eq. (3.4) -> smallest residual -> Eq. (3.8) -> Result
 
-Kept to reproduce published numbers and to compare with; the default recipe is the better estimator. The sigmas are those
-of ordinary least squares with independent residuals, which adjacent rotations do not have: read them as lower bounds.
+Kept to reproduce published numbers and to compare with; the default recipe is the better estimator. The sigmas are
+those of ordinary least squares with independent residuals, which adjacent rotations do not have: they are lower bounds.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,14 @@ from ..assess.imu_tables import (
     uncalibrated_error,
     uncalibrated_rotation_error,
 )
-from ..assess.imu_verdict import axis_findings, gravity_findings, holdout_findings, verdict_of, worst_first
+from ..assess.imu_verdict import (
+    axis_findings,
+    gravity_findings,
+    holdout_findings,
+    unit_findings,
+    verdict_of,
+    worst_first,
+)
 from ..calibration import (
     Assessment,
     Calibration,
@@ -30,7 +37,7 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..detect.noise import density_of_means
+from ..detect.noise import resting_noise
 from ..detect.static import runs_below, variance_magnitude_squared, window_samples, window_variances
 from ..diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, Result, RotationTable
 from ..errors import DetectionError, InitialisationError
@@ -50,6 +57,7 @@ from ..estimate.tedaldi import (
     static_directions,
 )
 from ..findings import Finding
+from ..geometry.so3 import inverse
 from ..intervals import StaticIntervals, interval_means
 from ..options import ImuOptions
 from ..recording import Floats, Recording
@@ -87,7 +95,14 @@ def calibrate_as_published(
         frame="accel-z",
         gravity=gravity,
         uncertainty=Covariance(names=covariance_names(imus), matrix=estimate.covariance),
-        assessment=_assess(prepared, diagnostics, gravity, options, search, turned, estimate),
+        assessment=_assess(
+            prepared,
+            diagnostics,
+            gravity,
+            estimate,
+            preset=options.preset,
+            converged=search.fit.converged and turned.fit.converged,
+        ),
         provenance=Provenance(
             gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
         ),
@@ -249,7 +264,7 @@ def _held_out_forces(fit: MagnitudeFit, samples: Floats, intervals: int, gravity
 def _estimate(search: _Search, turned: _Turned) -> ImuEstimate:
     """Return the parameters in frame accel-z; sigmas by ordinary least squares."""
     fit, gyro = search.fit, turned.fit
-    sensitivity, sensitivity_g = np.linalg.inv(fit.correction), np.linalg.inv(gyro.correction)
+    sensitivity, sensitivity_g = inverse(fit.correction), inverse(gyro.correction)
     covariance = np.zeros((33, 33))
     unit = np.zeros((12, 9))  # sensitivity (9) and bias (3) by the correction's upper triangle and the bias
     entries = [3 * i + j for i, j in zip(*UPPER, strict=True)]
@@ -280,9 +295,9 @@ def _describe(
     still = search.intervals
     intervals = _interval_table(prepared, search, turned, gravity_m_s2)
     rotations = _rotation_table(prepared, search, turned)
-    density = density_of_means(accelerometer.values, still, accelerometer.rate_hz)
+    density, _ = resting_noise(accelerometer.values, still, accelerometer.rate_hz)
     gyroscope = stream(prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest)
-    sensitivity = np.linalg.inv(turned.fit.correction)
+    sensitivity = inverse(turned.fit.correction)
     row = search.candidates[search.candidates[:, 0] == search.multiplier][0]
     return ImuDiagnostics(
         accelerometer=envelope(t_s, accelerometer.values, accelerometer.unit),
@@ -318,7 +333,7 @@ def _interval_table(prepared: PreparedImu, search: _Search, turned: _Turned, gra
     means = interval_means(samples.values, still)
     error = np.linalg.norm((means - search.fit.bias) @ search.fit.correction.T, axis=1) - gravity_m_s2
     duration = (still.stop - still.start) / samples.rate_hz
-    density = density_of_means(samples.values, still, samples.rate_hz)
+    density, _ = resting_noise(samples.values, still, samples.rate_hz)
     per_unit = np.linalg.norm(search.fit.correction, axis=0)
     return IntervalTable(
         start_s=t_s[still.start],
@@ -345,7 +360,7 @@ def _rotation_table(prepared: PreparedImu, search: _Search, turned: _Turned) -> 
         lengths=turned.segments.lengths,
     )
     held = leave_group_out(turned.fit.jacobian, turned.fit.residual, turned.fit.covariance)
-    sensitivity = np.linalg.inv(turned.fit.correction)
+    sensitivity = inverse(turned.fit.correction)
     return RotationTable(
         start_s=turned.start_s,
         stop_s=turned.stop_s,
@@ -366,10 +381,10 @@ def _assess(
     prepared: PreparedImu,
     diagnostics: ImuDiagnostics,
     gravity: Gravity,
-    options: ImuOptions,
-    search: _Search,
-    turned: _Turned,
     estimate: ImuEstimate,
+    *,
+    preset: str,
+    converged: bool,
 ) -> Assessment:
     trial = diagnostics.trials[0]
     holdout = Holdout(accelerometer_rms=trial.accelerometer_rms, rotation_rms=trial.rotation_rms)
@@ -377,16 +392,17 @@ def _assess(
         *(f for f in prepared.findings if f.severity in ("warning", "info")),
         *holdout_findings(holdout, gravity.value),
         *axis_findings(estimate.gyroscope_sensitivity),
+        *unit_findings(estimate, prepared.accelerometer.unit, prepared.gyroscope.unit),
         *gravity_findings(gravity),
         Finding(
             severity="info",
             code="preset",
-            message=f"Calibrated as {options.preset}, a published form of document A.",
-            consequence="It knows no g-sensitivity, and its sigmas are lower bounds: neighbouring rotations share noise.",
+            message=f"Calibrated as {preset}, a published form of document A.",
+            consequence="It knows no g-sensitivity; its sigmas are lower bounds: neighbouring rotations share noise.",
             cure="Leave out --preset for the better estimator.",
         ),
     ]
-    if not (search.fit.converged and turned.fit.converged):
+    if not converged:
         findings.append(
             Finding(
                 severity="problem",
@@ -401,9 +417,9 @@ def _assess(
         verdict=verdict_of(ordered),
         findings=ordered,
         holdout=holdout,
-        intervals_found=len(search.intervals),
-        intervals_used=len(search.intervals),
-        rotations_found=len(search.intervals) - 1,
-        rotations_used=len(search.intervals) - 1,
+        intervals_found=len(diagnostics.intervals.used),
+        intervals_used=len(diagnostics.intervals.used),
+        rotations_found=len(diagnostics.rotations.used),
+        rotations_used=len(diagnostics.rotations.used),
         model="basic",
     )

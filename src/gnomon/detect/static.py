@@ -6,9 +6,8 @@ that neither the unit nor an axis with more noise than the others matters.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..intervals import StaticIntervals
+from ..intervals import Booleans, StaticIntervals
 from ..recording import Floats, TriadSamples
 
 _CHUNK = 262_144  # samples; bounds the memory of long recordings and the error of the running sums
@@ -33,22 +32,24 @@ def window_variances(values: Floats, window: int) -> Floats:
     variances = np.empty((n, 3))
     for first in range(half, n - half, _CHUNK):
         last = min(first + _CHUNK, n - half)
-        part = values[first - half : last + half]
-        part = part - part.mean(axis=0)  # small numbers keep the running sums exact
+        part = np.array(values[first - half : last + half].T)
+        part -= part.mean(axis=1, keepdims=True)  # small numbers keep the running sums exact
         sums = _window_sums(part, window)
-        sums *= sums
-        sums /= -window
-        sums += _window_sums(part * part, window)
-        np.divide(sums, window - 1, out=variances[first:last])
+        part *= part
+        spread = _window_sums(part, window)
+        spread -= sums * sums / window
+        spread /= window - 1
+        variances[first:last] = spread.T
     variances[:half] = variances[half]
     variances[n - half :] = variances[n - half - 1]
     return variances
 
 
-def _window_sums(values: Floats, window: int) -> Floats:
-    running = np.cumsum(values, axis=0)
-    sums = running[window - 1 :].copy()
-    sums[1:] -= running[:-window]
+def _window_sums(rows: Floats, window: int) -> Floats:
+    """Return the sums of `window` neighbours along rows, (k, n) -> (k, n - window + 1)."""
+    running = np.cumsum(rows, axis=1)
+    sums = running[:, window - 1 :].copy()
+    sums[:, 1:] -= running[:, :-window]
     return sums
 
 
@@ -82,11 +83,13 @@ def resting_variances(variances: Floats, values: Floats, window: int) -> Floats:
 
 
 def quantisation_step(values: Floats) -> Floats:
-    """Return for each axis the smallest step between different neighbouring samples, (3,) [unit]; 0 if it never changes."""
-    steps = np.abs(np.diff(values[:_CHUNK], axis=0))
-    steps[steps == 0] = np.inf
-    smallest = steps.min(axis=0, initial=np.inf)
-    return np.where(np.isfinite(smallest), smallest, 0.0)
+    """Return the smallest step of each axis between different neighbours, (3,) [unit]; 0 if it never changes."""
+    smallest = np.zeros(3)
+    for axis in range(3):
+        steps = np.abs(np.diff(values[:_CHUNK, axis]))
+        moving = steps[steps > 0]
+        smallest[axis] = moving.min() if moving.size else 0.0
+    return smallest
 
 
 def runs_below(statistic: Floats, threshold: float, shortest: int, margin: int = 0) -> StaticIntervals:
@@ -138,35 +141,33 @@ def static_statistic(values: Floats, window: int) -> Floats:
     return variance_magnitude_squared(variances, level) / 3
 
 
-_TURNING_S = 0.25
+_TURNING_S = 0.125
 _TURNING_SIGMA = 8.0
 
 
-def turning(gyroscope: TriadSamples, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def turning(gyroscope: TriadSamples, still: Booleans) -> Booleans:
     """Mark samples at which the gyroscope turns although the accelerometer rests, (n,).
 
-    Turning about the vertical leaves gravity where it is. A mean rate over a quarter of a second that is far from the
-    rate at rest gives it away.
+    Turning about the vertical leaves gravity where it is. A mean rate over an eighth of a second that is far from the
+    rate at rest gives it away; the eighths beside it go with it.
 
     Parameters
     ----------
     gyroscope : samples [unit]
     still : (n,) samples at which the accelerometer rests
     """
-    half = max(1, round(0.5 * _TURNING_S * gyroscope.rate_hz))
-    n, window = len(gyroscope), 2 * half + 1
-    if n <= window or still.sum() < window:
+    length = max(1, round(_TURNING_S * gyroscope.rate_hz))
+    n, blocks = len(gyroscope), len(gyroscope) // length
+    if blocks < 3:
         return np.zeros(n, dtype=bool)
-    marked = np.zeros(n, dtype=bool)
-    quiet = gyroscope.values[still]
-    rest = np.median(quiet[:: max(1, len(quiet) // 20_000)], axis=0)
-    means = np.empty((n, 3))
-    for first in range(half, n - half, _CHUNK):
-        last = min(first + _CHUNK, n - half)
-        means[first:last] = _window_sums(gyroscope.values[first - half : last + half] - rest, window) / window
-    means[:half], means[n - half :] = means[half], means[n - half - 1]
-    np.abs(means, out=means)
-    at_rest = means[still]
-    sigma = 1.4826 * np.median(at_rest[:: max(1, len(at_rest) // 20_000)], axis=0)
-    np.any(means > _TURNING_SIGMA * sigma, axis=1, out=marked)
-    return marked
+    means = gyroscope.values[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
+    resting = means[still[: blocks * length].reshape(blocks, length).all(axis=1)]
+    if len(resting) < 3:
+        return np.zeros(n, dtype=bool)
+    rest = np.median(resting, axis=0)
+    sigma = 1.4826 * np.median(np.abs(resting - rest), axis=0)
+    turns = np.any(np.abs(means - rest) > _TURNING_SIGMA * sigma, axis=1)
+    wide = turns.copy()
+    wide[1:] |= turns[:-1]
+    wide[:-1] |= turns[1:]
+    return np.append(np.repeat(wide, length), np.full(n - blocks * length, wide[-1]))

@@ -40,7 +40,7 @@ def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "st
     origin_ns : where the seconds start [ns]
     choice : force the stamps or the line
     """
-    stamps = (samples.t_ns - origin_ns) * 1e-9
+    stamps = np.asarray((samples.t_ns - origin_ns) * 1e-9, dtype=np.float64)
     if choice == "stamps" or len(stamps) < 3:
         return TimeBase(t_s=stamps, uniform=False, jitter_s=float("nan"))
     steps = np.diff(stamps)

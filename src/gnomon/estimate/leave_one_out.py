@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.so3 import tangent_basis
+from ..geometry.so3 import inverse, tangent_basis
 from ..intervals import Booleans
 from ..recording import Floats
 from ..solve.arrow import ArrowSolution, solve_arrow
@@ -76,7 +76,7 @@ def leave_one_out(data: MultiPositionData, fit: MultiPositionFit, *, g_sensitivi
 
 
 def _change_without(rows: Floats, covariance: Floats, residual: Floats, free: Booleans) -> Floats:
-    """Return the change of theta (k, 30) when each group of rows A with residual r is left out: P A' inv(I - A P A') r."""
+    """Return the change of theta (k, 30) when rows A with residual r are left out: P A' inv(I - A P A') r."""
     gain = covariance @ np.swapaxes(rows, 1, 2)
     kept = np.eye(rows.shape[1]) - rows @ gain
     step = (gain @ np.linalg.solve(kept, residual[..., None]))[..., 0]
@@ -102,4 +102,4 @@ def _forces(accelerometer: Floats, thetas: Floats) -> Floats:
     """Return the specific force (n, 3) [g] of interval k by the parameters thetas[k], or by the only ones."""
     s = np.zeros((len(thetas), 3, 3))
     s[:, LOWER[0], LOWER[1]] = thetas[:, S_]
-    return np.linalg.solve(s, (accelerometer - thetas[:, B_])[..., None])[..., 0]
+    return (inverse(s) @ (accelerometer - thetas[:, B_])[..., None])[..., 0]

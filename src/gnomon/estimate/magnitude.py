@@ -83,6 +83,7 @@ def fit_magnitude(
     magnitude: float,
     weight: Floats | None = None,
     residual: Literal["magnitude", "square"] = "magnitude",
+    tolerance: float = 1e-12,
 ) -> MagnitudeFit:
     """Fit a triangular calibration to measurements of a vector of known magnitude.
 
@@ -92,6 +93,7 @@ def fit_magnitude(
     magnitude : of the measured vector, such as local gravity [m/s^2]
     weight : (n,) multiplies the residuals; all 1 where not given
     residual : "square" is the cost g^2 - |f|^2 of Eq. (3.4); "magnitude" is g - |f|, which has the noise of the sensor
+    tolerance : relative length of a step at which the minimum is reached
 
     Raises
     ------
@@ -103,7 +105,7 @@ def fit_magnitude(
     correction, bias = ellipsoid_start(normal)
     start = np.concatenate([(magnitude * correction)[UPPER], bias])
     weights = np.ones(len(measured)) if weight is None else weight
-    solution = levenberg_marquardt(_magnitude_problem(normal, magnitude, weights, residual), start)
+    solution = levenberg_marquardt(_magnitude_problem(normal, magnitude, weights, residual), start, tolerance)
     turn = np.concatenate([(1 / np.broadcast_to(scale, (3, 3)))[UPPER], scale])  # back to the unit of the sensor
     x = solution.x * turn
     correction = np.zeros((3, 3))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import SolveError
+from ..geometry.so3 import inverse
 from ..intervals import Booleans
 from ..models.frames import frame_rotation
 from ..recording import Floats
@@ -34,7 +35,7 @@ from .rotations import linear_start
 
 _MOST_ITERATIONS = 30
 _NEGLIGIBLE_STEP = 1e-4  # of a sigma; Gauss-Newton's next step would be a thousand times smaller
-_ROUGH_STEP = 0.3  # of a sigma; enough to judge residuals
+_ROUGH_STEP = 0.5  # of a sigma; enough to judge residuals
 _GATE_SIGMA = 5.0
 _FEWEST_INTERVALS = 9
 _HELD = 0.3  # posterior sigma over prior sigma beyond which a parameter is the prior's
@@ -122,17 +123,20 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
     free[G_] = g_sensitivity
     task = Task(data=data, free=free, prior_mean=start.theta, prior_sigma=_prior_sigma(start))
     used = (np.ones(len(start.u), dtype=bool), data.linked)
-    point = _gauss_newton(task, start, _whitening(task, start, ExtraVariance(), used), _ROUGH_STEP)
-    robust = estimate_extra_variance(data, point.state, point.lines, point.arrow, point.whitening, free, robust=True)
+    lines = linearise(data, start)
+    point = _gauss_newton(task, start, lines, _whitening(task, start, ExtraVariance(), used), _ROUGH_STEP)
+    robust = estimate_extra_variance(data, point.state, point.lines, point.arrow, point.whitening, free=free, robust=True)
     used = _gated(task, point, robust, used)
-    extra = _settled_variance(task, point, used)
-    total = point.iterations
-    for tolerance in (_ROUGH_STEP, _NEGLIGIBLE_STEP):
-        point = _gauss_newton(task, point.state, _whitening(task, point.state, extra, used), tolerance)
-        total += point.iterations
-        if tolerance == _ROUGH_STEP:
-            used = _gated(task, point, extra, used)
-            extra = _settled_variance(task, point, used)
+    extra = _settled_variance(task, point, used, robust)
+    whitening = _whitening(task, point.state, extra, used)
+    second = _gauss_newton(task, point.state, point.lines, whitening, _ROUGH_STEP)
+    still_used = _gated(task, second, extra, used)
+    if not all(np.array_equal(a, b) for a, b in zip(used, still_used, strict=True)):
+        used, extra = still_used, _settled_variance(task, second, still_used, extra)
+    whitening = _whitening(task, second.state, extra, used)
+    last = _gauss_newton(task, second.state, second.lines, whitening, _NEGLIGIBLE_STEP)
+    total = point.iterations + second.iterations + last.iterations
+    point = last
     covariance = np.zeros((PARAMETERS, PARAMETERS))
     covariance[np.ix_(free, free)] = point.arrow.corner_covariance
     return MultiPositionFit(
@@ -160,18 +164,18 @@ def start_state(data: MultiPositionData) -> State:
         If the attitudes determine no accelerometer calibration.
     """
     fit = fit_magnitude(data.accelerometer, 1.0)
-    sensitivity = np.linalg.inv(fit.correction).astype(np.float64)
+    sensitivity = inverse(fit.correction)
     sensitivity = sensitivity @ frame_rotation(sensitivity, "accel-x").T
-    inverse = np.linalg.inv(sensitivity)
-    u = (data.accelerometer - fit.bias) @ inverse.T
+    correction = inverse(sensitivity)
+    u = (data.accelerometer - fit.bias) @ correction.T
     still = np.median(data.gyroscope, axis=0)
-    force = (data.segments.accelerometer - fit.bias) @ inverse.T
+    force = (data.segments.accelerometer - fit.bias) @ correction.T
     norm = np.linalg.norm(force, axis=1, keepdims=True)
     moving = replace(data.segments, gyroscope=data.segments.gyroscope - still)
-    correction, _ = linear_start(moving, force / np.where(norm > 0, norm, 1.0))
+    rates, _ = linear_start(moving, force / np.where(norm > 0, norm, 1.0))
     theta = np.zeros(PARAMETERS)
     theta[S_], theta[B_] = sensitivity[LOWER], fit.bias
-    theta[CG_], theta[BG_] = correction.ravel(), still
+    theta[CG_], theta[BG_] = rates.ravel(), still
     return State(theta=theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
@@ -220,9 +224,8 @@ def _parameter_step(task: Task, arrow: ArrowSolution) -> Floats:
     return step
 
 
-def _gauss_newton(task: Task, state: State, whitening: Whitening, tolerance: float) -> Point:
+def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whitening, tolerance: float) -> Point:
     """Iterate until no parameter moves by more than `tolerance` sigma; that last step is taken without integrating."""
-    lines = linearise(task.data, state)
     cost = _cost(lines, whitening, state.theta - task.prior_mean)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         arrow = _solve(task, state, lines, whitening)
@@ -255,18 +258,15 @@ def _gauss_newton(task: Task, state: State, whitening: Whitening, tolerance: flo
     )
 
 
-def _settled_variance(task: Task, point: Point, used: tuple[Booleans, Booleans]) -> ExtraVariance:
-    """Iterate solution and extra variances on one linearisation until they agree to 1 %."""
-    extra = ExtraVariance()
+def _settled_variance(task: Task, point: Point, used: tuple[Booleans, Booleans], extra: ExtraVariance) -> ExtraVariance:
+    """Iterate solution and extra variances on one linearisation until they agree to 2 %."""
     for _ in range(8):
         whitening = _whitening(task, point.state, extra, used)
         arrow = _solve(task, point.state, point.lines, whitening)
         solved = point.lines.extrapolated(_parameter_step(task, arrow), arrow.states)
         old = extra
-        extra = estimate_extra_variance(
-            task.data, point.state, solved, arrow, whitening, task.free, robust=False
-        )
-        if old.agrees_with(extra, 0.01):
+        extra = estimate_extra_variance(task.data, point.state, solved, arrow, whitening, free=task.free, robust=False)
+        if old.agrees_with(extra, 0.02):
             break
     return extra
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from ..geometry.so3 import inverse
 from ..intervals import Booleans
 from ..recording import Floats
 from ..solve.arrow import ArrowSolution
@@ -38,7 +39,7 @@ class ExtraVariance:
 def whitened_rest(data: MultiPositionData, state: State, extra: ExtraVariance) -> tuple[Floats, Floats]:
     """Return inverse roots (n, 3, 3) of the covariances of the accelerometer's and the gyroscope's means at rest."""
     s, _, c_g, _, _ = state.matrices
-    s_g = _inverse(c_g)
+    s_g = inverse(c_g)
     gyroscope = extra.gyroscope + data.earth_rate_variance
     return (
         _inverse_root(data.accelerometer_variance, extra.accelerometer * s @ s.T),
@@ -62,8 +63,8 @@ def estimate_extra_variance(
     lines: Linearisation,
     arrow: ArrowSolution,
     whitening: Whitening,
-    free: Booleans,
     *,
+    free: Booleans,
     robust: bool,
 ) -> ExtraVariance:
     """Return the extra variances at which the residuals' squares are what they should be.
@@ -79,7 +80,7 @@ def estimate_extra_variance(
     turns = rotation_variance(data, state)
     modes = (
         _modes(lines.accelerometer, data.accelerometer_variance, s, 0.0),
-        _modes(lines.gyroscope, data.gyroscope_variance, _inverse(c_g), data.earth_rate_variance),
+        _modes(lines.gyroscope, data.gyroscope_variance, inverse(c_g), data.earth_rate_variance),
         (lines.rotation**2 / turns[:, None], 1 / np.stack([turns, turns], axis=1)),
     )
     redundancy = _redundancies(lines, arrow, whitening, free)
@@ -92,14 +93,10 @@ def estimate_extra_variance(
     return ExtraVariance(accelerometer=found[0], gyroscope=found[1], rotation=found[2])
 
 
-def _inverse(matrix: Floats) -> Floats:
-    return np.linalg.inv(matrix).astype(np.float64)
-
-
 def _inverse_root(white: Floats, extra: Floats) -> Floats:
     """Return inverse Cholesky factors (n, 3, 3) of diag(white_k) + extra."""
     covariance = extra + white[:, :, None] * np.eye(3)
-    return _inverse(np.linalg.cholesky(covariance).astype(np.float64))
+    return inverse(np.linalg.cholesky(covariance).astype(np.float64))
 
 
 def _modes(residual: Floats, white: Floats, root: Floats, floor: float) -> tuple[Floats, Floats]:

@@ -96,8 +96,8 @@ class Turns:
 def integrate(segments: MotionSegments, omega: Floats, regressors: Floats | None = None) -> Turns:
     """Integrate rates by RK4n, Eqs. (3.10)-(3.16), with first-order sensitivities.
 
-    The sensitivity is the integral of R(t) dC z(t) dt by the trapezoid rule, whose error vanishes for motions that begin
-    and end at rest (Euler and Maclaurin).
+    The sensitivity is the integral of R(t) dC z(t) dt by the trapezoid rule, whose error vanishes for motions that
+    begin and end at rest (Euler and Maclaurin).
 
     Parameters
     ----------

@@ -66,6 +66,7 @@ def unscaled(
     fit: MultiPositionFit,
     accelerometer: Scaling,
     gyroscope: Scaling,
+    *,
     gravity_m_s2: float,
     gravity_sigma_m_s2: float,
     latitude_deg: float | None,

@@ -28,8 +28,8 @@ class TedaldiRules:
     t_init_s : length of the initial static part [s]
     multipliers : thresholds that are tried
     statistic : compare the variance magnitude or its square
-    samples : which samples of a static interval enter the accelerometer's cost: "strided" (99 evenly spaced ones and the
-        last), "first" (the first hundred), "mean" (the mean of the middle second)
+    samples : which samples of a static interval enter the accelerometer's cost: "strided" (99 evenly spaced ones and
+        the last), "first" (the first hundred), "mean" (the mean of the middle second)
     residual : g^2 - |f|^2, Eq. (3.4), or g - |f|
     gyroscope_bias : mean over T_init, or over the first static interval
     uniform_dt : integrate with the nominal period instead of the stamps
@@ -188,7 +188,7 @@ def fit_gyroscope(segments: MotionSegments, forces: Floats, u_start: Floats, u_e
         residual=residual,
         propagated=u_end - residual,
         jacobian=jacobian.reshape(-1, 3, 9),
-        covariance=np.linalg.pinv(jacobian.T @ jacobian),
+        covariance=np.asarray(np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64),
         converged=solution.converged,
     )
 
@@ -220,4 +220,5 @@ def leave_group_out(jacobian: Floats, residual: Floats, covariance: Floats) -> F
     covariance : (p, p), inverse of the sum of J'J
     """
     hat = jacobian @ covariance @ np.swapaxes(jacobian, 1, 2)
-    return np.linalg.solve(np.eye(jacobian.shape[1]) - hat, residual[..., None])[..., 0]
+    left_out = np.linalg.solve(np.eye(jacobian.shape[1]) - hat, residual[..., None])[..., 0]
+    return np.asarray(left_out, dtype=np.float64)

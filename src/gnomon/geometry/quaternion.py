@@ -13,14 +13,21 @@ Integers = NDArray[np.int64]
 
 def multiply(a_wxyz: Floats, b_wxyz: Floats) -> Floats:
     """Return the Hamilton product, Eq. (2.14), of quaternions (..., 4)."""
-    aw, ax, ay, az = np.moveaxis(a_wxyz, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b_wxyz, -1, 0)
-    product = np.empty((4, *np.broadcast_shapes(a_wxyz.shape[:-1], b_wxyz.shape[:-1])))
-    product[0] = aw * bw - ax * bx - ay * by - az * bz
-    product[1] = aw * bx + ax * bw + ay * bz - az * by
-    product[2] = aw * by - ax * bz + ay * bw + az * bx
-    product[3] = aw * bz + ax * by - ay * bx + az * bw
-    return np.moveaxis(product, 0, -1)  # components lie together in memory: four times faster than samples
+    return np.moveaxis(_times(np.moveaxis(a_wxyz, -1, 0), np.moveaxis(b_wxyz, -1, 0)), 0, -1)
+
+
+def _times(a: Floats, b: Floats) -> Floats:
+    """Return the Hamilton product with components first, (4, ...): together in memory they are four times faster."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
 
 
 def rotation_from_quaternion(q_wxyz: Floats) -> Floats:
@@ -56,23 +63,18 @@ def rk4n_steps(omega0: Floats, omega1: Floats, dt_s: Floats) -> Floats:
     omega0, omega1 : (..., 3) [rad/s], rates at both ends of the step; between them the rate is linear in time
     dt_s : (...,) [s]
     """
-    dt = np.asarray(dt_s)[..., None]
-    start, end = (_pure(0.5 * dt * omega) for omega in (omega0, omega1))  # dt f(1, t) at c = 0 and c = 1
+    half = 0.5 * np.asarray(dt_s)
+    start, end = np.zeros((2, 4, *omega0.shape[:-1]))  # dt f(1, t) at c = 0 and c = 1
+    start[1:], end[1:] = half * np.moveaxis(omega0, -1, 0), half * np.moveaxis(omega1, -1, 0)
     middle = 0.5 * (start + end)
     k1 = start
-    k2 = middle + 0.5 * multiply(k1, middle)
-    k3 = middle + 0.5 * multiply(k2, middle)
-    k4 = end + multiply(k3, end)
+    k2 = middle + 0.5 * _times(k1, middle)
+    k3 = middle + 0.5 * _times(k2, middle)
+    k4 = end + _times(k3, end)
     step = (k1 + 2 * (k2 + k3) + k4) / 6
-    step[..., 0] += 1.0
-    return normalised(step)
-
-
-def _pure(v: Floats) -> Floats:
-    """Return quaternions (0, v), (..., 4), of vectors (..., 3)."""
-    q = np.zeros((4, *v.shape[:-1]))
-    q[1:] = np.moveaxis(v, -1, 0)
-    return np.moveaxis(q, 0, -1)
+    step[0] += 1.0
+    step /= np.sqrt(np.sum(step * step, axis=0))  # Eq. (3.16)
+    return np.moveaxis(step, 0, -1)
 
 
 def first_order_steps(omega0: Floats, dt_s: Floats) -> Floats:
@@ -92,7 +94,7 @@ def first_order_steps(omega0: Floats, dt_s: Floats) -> Floats:
     return step
 
 
-_BLOCK = 16  # steps that are multiplied one after the other, in all blocks at once
+_BLOCK = 24  # steps that are multiplied one after the other, in all blocks at once
 
 
 def running_products(steps_wxyz: Floats, lengths: Integers) -> Floats:
@@ -119,21 +121,21 @@ def running_products(steps_wxyz: Floats, lengths: Integers) -> Floats:
     padded[:, place] = steps_wxyz.T
     grid = np.ascontiguousarray(padded.reshape(4, -1, _BLOCK).transpose(0, 2, 1))  # component, step, block
     for k in range(1, _BLOCK):
-        grid[:, k] = multiply(grid[:, k - 1].T, grid[:, k].T).T
-    before = _products_before(grid[:, -1].T, blocks)
-    whole = multiply(before[None], np.moveaxis(grid, 0, -1))  # (step, block, 4)
-    return np.moveaxis(whole, 0, 1).reshape(-1, 4)[place]
+        grid[:, k] = _times(grid[:, k - 1], grid[:, k])
+    before = _products_before(grid[:, -1], blocks)
+    whole = _times(before[:, None], grid)
+    return np.moveaxis(whole.transpose(0, 2, 1).reshape(4, -1)[:, place], 0, -1)
 
 
-def _products_before(totals_wxyz: Floats, lengths: Integers) -> Floats:
-    """Return for each block the product of the blocks before it in its segment, by Hillis and Steele's scan."""
-    position = np.arange(len(totals_wxyz)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-    products = np.empty_like(totals_wxyz)
-    products[1:] = totals_wxyz[:-1]
-    products[position == 0] = (1.0, 0.0, 0.0, 0.0)
+def _products_before(totals: Floats, lengths: Integers) -> Floats:
+    """Return for each block (4, n) the product of those before it in its segment, by Hillis and Steele's scan."""
+    position = np.arange(totals.shape[1]) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    products = np.empty_like(totals)
+    products[:, 1:] = totals[:, :-1]
+    products[:, position == 0] = np.array([[1.0], [0.0], [0.0], [0.0]])
     reach, longest = 1, int(lengths.max(initial=0))
     while reach < longest:
         later = np.flatnonzero(position >= reach)
-        products[later] = multiply(products[later - reach], products[later])
+        products[:, later] = _times(products[:, later - reach], products[:, later])
         reach *= 2
     return products

@@ -19,12 +19,18 @@ def tangent_basis(u: Floats) -> Floats:
     """Return two orthonormal vectors perpendicular to each unit vector, as columns: (..., 3) -> (..., 3, 2)."""
     helper = np.zeros_like(u)
     np.put_along_axis(helper, np.abs(u).argmin(axis=-1)[..., None], 1.0, axis=-1)
-    first = np.cross(u, helper)
+    first = np.asarray(np.cross(u, helper), dtype=np.float64)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    return np.stack([first, np.cross(u, first)], axis=-1)
+    return np.stack([first, np.asarray(np.cross(u, first), dtype=np.float64)], axis=-1)
+
+
+def inverse(matrix: Floats) -> Floats:
+    """Return the inverse of matrices (..., 3, 3)."""
+    return np.linalg.inv(matrix).astype(np.float64, copy=False)
 
 
 def nearest_rotation(matrix: Floats) -> Floats:
     """Return the rotation (3, 3), det +1, nearest to a matrix in the Frobenius norm (Kabsch)."""
     left, _, right = np.linalg.svd(matrix)
-    return left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
+    handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray(left @ handed @ right, dtype=np.float64)

@@ -79,5 +79,5 @@ def _damped_step(scaled: Floats, residual: Floats, damping: float) -> Floats:
         residual = np.concatenate([residual, np.zeros(n)])
     q, r = np.linalg.qr(scaled)
     if np.abs(np.diag(r)).min() > 1e-13:
-        return -np.linalg.solve(r, q.T @ residual)
-    return -np.linalg.lstsq(scaled, residual, rcond=1e-12)[0]
+        return -np.asarray(np.linalg.solve(r, q.T @ residual), dtype=np.float64)
+    return -np.asarray(np.linalg.lstsq(scaled, residual, rcond=1e-12)[0], dtype=np.float64)

@@ -16,7 +16,7 @@ from ..errors import FormatError, RecordingError
 from ..readers.stream import Rows, SampleStream, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..units import Units
-from .files import atomic_file
+from ..output import atomic_file
 
 _FORCE, _RATE = ("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]"), ("wx [rad/s]", "wy [rad/s]", "wz [rad/s]")
 

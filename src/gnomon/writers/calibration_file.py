@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration import Assessment, Calibration, Covariance, parameters
 from ..errors import OutputError
 from ..readers.calibration_file import SCHEMA_MAJOR, SCHEMA_MINOR
-from .files import write_whole
+from ..output import write_whole
 from .yaml_text import yaml_lines
 
 FRAMES = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from ..calibration import Calibration
 from ..errors import OptionError, OutputError
 from .export import Export, Loss
-from .files import write_whole
+from ..output import write_whole
 
 FORMATS = {
     "imu_tk": "imu_tk",

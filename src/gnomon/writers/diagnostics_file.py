@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..diagnostics import ImuDiagnostics
-from .files import atomic_file
+from ..output import atomic_file
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..recording import ImuSamples, Recording, TriadSamples
-from .files import atomic_file
+from ..output import atomic_file
 
 _CHUNK = 20_000  # rows; bounds the memory
 _AXES = "xyz"

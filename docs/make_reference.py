@@ -1,0 +1,267 @@
+"""Write the generated pages of the reference: docs/cli.md and docs/python.md.
+
+    python docs/make_reference.py
+
+Both follow from the code: the commands from their dataclasses, the Python names from `gnomon.__all__` and their
+docstrings. A test fails where the pages are older than the code.
+"""
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import tyro.conf
+
+import gnomon
+from gnomon.cli.commands import COMMANDS
+from gnomon.options import ImuOptions
+from gnomon.simulate import Scenario
+
+DOCS = Path(__file__).parent
+GENERATED = "<!-- Made by docs/make_reference.py; do not edit. -->"
+_POSITIONAL = get_args(tyro.conf.Positional[int])[1]
+
+_CLI_HEAD = """\
+# Command line
+
+`gnomon COMMAND --help` says the same. `python -m gnomon` is the same program; `gnomon --version` prints its version.
+Results go to standard output, progress and errors to standard error.
+
+| exit code | meaning |
+|---|---|
+| 0 | finished, and usable (verdict pass or warn) |
+| 2 | wrong usage: an option that does not exist or makes no sense |
+| 3 | bad input, or a place that cannot be written; nothing was written |
+| 4 | finished, but the verdict says do not use; for `check`: a problem was found |
+| 1, 130 | a bug in gnomon (please report it; `GNOMON_DEBUG=1` shows where); interrupted |
+"""
+
+_PYTHON_HEAD = """\
+# Python
+
+Everything public is in the package `gnomon`; nothing is imported before it is used. Values are frozen dataclasses whose
+arrays are read-only. Arrays are float64 with samples first, `(n, 3)`. The command line only wraps these names: its
+options are the fields of `ImuOptions` and `Scenario` ([cli.md](cli.md) describes each), and the names of parameters are
+the paths in [calibration.yaml](files.md#calibrationyaml).
+"""
+
+_SECTIONS = {
+    "What one does": (
+        "read",
+        "check",
+        "calibrate_imu",
+        "save",
+        "load",
+        "convert",
+        "write_report",
+        "simulate",
+    ),
+    "What one chooses": ("ImuOptions", "Scenario", "Units"),
+    "What was measured": ("Recording", "ImuSamples", "TriadSamples"),
+    "What was learned": (
+        "Result",
+        "Calibration",
+        "ImuCalibration",
+        "AccelerometerCalibration",
+        "GyroscopeCalibration",
+        "Covariance",
+        "Finding",
+        "Loss",
+    ),
+    "What can go wrong": (
+        "GnomonError",
+        "RecordingError",
+        "DetectionError",
+        "OptionError",
+        "InitialisationError",
+        "SolveError",
+        "FormatError",
+        "OutputError",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """One argument of a command: how it is written, what it means, its default."""
+
+    words: str
+    meaning: str
+    default: str
+
+
+def main() -> None:
+    """Write both pages."""
+    for name, text in pages().items():
+        (DOCS / name).write_text(text, encoding="utf-8", newline="\n")
+
+
+def pages() -> dict[str, str]:
+    """Return the text of every generated page by its name."""
+    return {"cli.md": _cli_page(), "python.md": _python_page()}
+
+
+def _cli_page() -> str:
+    parts = [GENERATED, _CLI_HEAD]
+    for name, command in COMMANDS.items():
+        options = list(command_options(command))
+        parts += [f"## gnomon {name}", f"```text\n{_usage(name, options)}\n```"]
+        parts.append(_paragraphs(command.__doc__ or ""))
+        parts.append("| argument | meaning | default |\n|---|---|---|\n" + "\n".join(map(_row, options)))
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _usage(name: str, options: list[Option]) -> str:
+    positional = [option.words.strip("`") for option in options if not option.words.startswith("`-")]
+    required = [option.words.split("`, `")[0].strip("`") for option in options if option.default == "required"]
+    return " ".join(["gnomon", name, *positional, *required, "[OPTIONS]"])
+
+
+def _row(option: Option) -> str:
+    return f"| {option.words} | {option.meaning} | {option.default} |"
+
+
+def command_options(command: type) -> Iterator[Option]:
+    """Yield the arguments of a command, those of nested classes in their place."""
+    hints, meanings = get_type_hints(command, include_extras=True), _field_texts(command)
+    for field in fields(command):
+        hint, metavar, aliases = _unwrapped(hints[field.name])
+        if is_dataclass(hint):
+            yield from command_options(hint)
+            continue
+        words = metavar or _metavar(hint)
+        flag = f"--{field.name.replace('_', '-')}"
+        if _POSITIONAL in getattr(hints[field.name], "__metadata__", ()):
+            written, default = words or field.name.upper(), ""
+        elif hint is bool:
+            written, default = (f"--no-{field.name}" if field.default else flag), ""
+        else:
+            written = ", ".join(f"`{name} {words}`".replace("|", "\\|") for name in (*aliases, flag)).strip("`")
+            default = _default(field.default)
+        yield Option(words=f"`{written}`", meaning=meanings[field.name], default=default)
+
+
+def _unwrapped(hint: Any) -> tuple[Any, str | None, tuple[str, ...]]:
+    """Return the bare type, and the metavar and the short names that Annotated gives it."""
+    metavar, aliases = None, ()
+    for extra in getattr(hint, "__metadata__", ()):
+        metavar = getattr(extra, "metavar", None) or metavar
+        aliases = getattr(extra, "aliases", None) or aliases
+    bare = hint.__origin__ if hasattr(hint, "__metadata__") else hint
+    if get_origin(bare) in (Union, UnionType):
+        bare = next(kind for kind in get_args(bare) if kind is not NoneType)
+    return bare, metavar, tuple(aliases)
+
+
+def _metavar(hint: Any) -> str:
+    if get_origin(hint) is Literal:
+        return "{" + ",".join(map(str, get_args(hint))) + "}"
+    if get_origin(hint) is tuple:
+        return " ".join(kind.__name__.upper() for kind in get_args(hint))
+    return "PATH" if hint is Path else hint.__name__.upper()
+
+
+def _default(value: Any) -> str:
+    if value is MISSING:
+        return "required"
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        return f"`{' '.join(f'{item:g}' for item in value)}`"
+    return f"`{value:.6g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _field_texts(owner: type) -> dict[str, str]:
+    """Return field -> the text that stands beneath it in the source, on one line."""
+    body = _definition(owner).body
+    texts: dict[str, str] = {}
+    for statement, following in pairwise(body):
+        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
+            texts[statement.target.id] = " ".join(_text(following).split()).replace("|", "\\|")
+    return texts
+
+
+def _text(statement: ast.stmt) -> str:
+    is_text = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+    return str(statement.value.value) if is_text else ""
+
+
+def _definition(thing: Any) -> Any:
+    return ast.parse(textwrap.dedent(inspect.getsource(thing))).body[0]
+
+
+def _paragraphs(doc: str) -> str:
+    return "\n\n".join(" ".join(part.split()) for part in inspect.cleandoc(doc).split("\n\n"))
+
+
+def _python_page() -> str:
+    parts = [GENERATED, _PYTHON_HEAD]
+    for title, names in _SECTIONS.items():
+        parts.append(f"## {title}")
+        for name in names:
+            thing = getattr(gnomon, name)
+            parts += [f"### {name}", *_described(name, thing)]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _described(name: str, thing: Any) -> Iterator[str]:
+    if inspect.isclass(thing) and issubclass(thing, Exception):
+        base = thing.__mro__[1].__name__
+        yield f"{_paragraphs(thing.__doc__ or '')} (a kind of `{base}`)"
+        return
+    if not inspect.isclass(thing):
+        yield _block(f"gnomon.{name}{_signature(thing)}", thing.__doc__)
+        return
+    yield _block(f"gnomon.{name}", thing.__doc__)
+    if is_dataclass(thing) and "Attributes\n" not in (thing.__doc__ or "") and thing not in (ImuOptions, Scenario):
+        yield f"Fields: {', '.join(f'`{field.name}`' for field in fields(thing))}."
+    if thing in (ImuOptions, Scenario):
+        command = "imu" if thing is ImuOptions else "simulate"
+        listed = ", ".join(f"`{field.name}`" for field in fields(thing))
+        yield f"Fields, each described under [gnomon {command}](cli.md#gnomon-{command}): {listed}."
+    for member, function in vars(thing).items():
+        if member.startswith("_") or not hasattr(function, "__doc__") or not _is_own(function):
+            continue
+        bare = getattr(function, "fget", None) or getattr(function, "__func__", function)
+        signature = "" if isinstance(function, property) else _signature(bare)
+        yield _block(f"{name}.{member}{signature}", bare.__doc__)
+
+
+def _is_own(member: Any) -> bool:
+    return isinstance(member, property | classmethod | staticmethod) or inspect.isfunction(member)
+
+
+def _block(head: str, doc: str | None) -> str:
+    text = inspect.cleandoc(doc or "").split("\n\nExamples\n--------")[0]
+    return f"```text\n{head}\n\n{textwrap.indent(text, '    ')}".rstrip() + "\n```"
+
+
+def _signature(function: Any) -> str:
+    """Return the signature as its source has it; text from the interpreter differs between versions of Python."""
+    node = _definition(function)
+    arguments = ast.unparse(node.args).removeprefix("self, ").removeprefix("cls, ")
+    arguments = "" if arguments in ("self", "cls") else arguments.replace("'", '"')
+    returns = f" -> {ast.unparse(node.returns)}".replace("'", "").replace('"', "") if node.returns else ""
+    one_line = f"({arguments}){returns}"
+    return one_line if len(one_line) < 90 else "(\n    " + ",\n    ".join(_split(arguments)) + f",\n){returns}"
+
+
+def _split(arguments: str) -> Iterator[str]:
+    """Yield arguments that commas outside of brackets separate."""
+    depth, start = 0, 0
+    for i, letter in enumerate(arguments):
+        depth += (letter in "([{") - (letter in ")]}")
+        if letter == "," and depth == 0:
+            yield arguments[start:i].strip()
+            start = i + 1
+    yield arguments[start:].strip()
+
+
+if __name__ == "__main__":
+    main()
