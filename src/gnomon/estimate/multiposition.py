@@ -125,7 +125,9 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
     used = (np.ones(len(start.u), dtype=bool), data.linked)
     lines = linearise(data, start)
     point = _gauss_newton(task, start, lines, _whitening(task, start, ExtraVariance(), used), _ROUGH_STEP)
-    robust = estimate_extra_variance(data, point.state, point.lines, point.arrow, point.whitening, free=free, robust=True)
+    robust = estimate_extra_variance(
+        data, point.state, point.lines, point.arrow, point.whitening, free=free, robust=True
+    )
     used = _gated(task, point, robust, used)
     extra = _settled_variance(task, point, used, robust)
     whitening = _whitening(task, point.state, extra, used)

@@ -13,10 +13,10 @@ import numpy as np
 
 from ..calibration import ImuCalibration
 from ..errors import FormatError, RecordingError
+from ..output import atomic_file
 from ..readers.stream import Rows, SampleStream, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..units import Units
-from ..output import atomic_file
 
 _FORCE, _RATE = ("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]"), ("wx [rad/s]", "wy [rad/s]", "wz [rad/s]")
 

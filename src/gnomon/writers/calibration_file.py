@@ -11,8 +11,8 @@ import numpy as np
 
 from ..calibration import Assessment, Calibration, Covariance, parameters
 from ..errors import OutputError
-from ..readers.calibration_file import SCHEMA_MAJOR, SCHEMA_MINOR
 from ..output import write_whole
+from ..readers.calibration_file import SCHEMA_MAJOR, SCHEMA_MINOR
 from .yaml_text import yaml_lines
 
 FRAMES = {

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from ..calibration import Calibration
 from ..errors import OptionError, OutputError
-from .export import Export, Loss
 from ..output import write_whole
+from .export import Export, Loss
 
 FORMATS = {
     "imu_tk": "imu_tk",

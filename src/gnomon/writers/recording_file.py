@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..recording import ImuSamples, Recording, TriadSamples
 from ..output import atomic_file
+from ..recording import ImuSamples, Recording, TriadSamples
 
 _CHUNK = 20_000  # rows; bounds the memory
 _AXES = "xyz"
