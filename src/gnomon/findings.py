@@ -14,7 +14,8 @@ class Finding:
     Attributes
     ----------
     severity : "good", "info", "warning" or "problem"
-    code : a stable name in kebab-case, for programs and for the documentation
+    code : a stable name in kebab-case, for programs and for the documentation; "assumed" marks what a reader had to
+        take for granted
     message : what was found and where, with numbers and units
     consequence : what follows for the calibration; may be empty
     cure : the next step, in plain words; may be empty

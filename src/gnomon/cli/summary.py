@@ -42,7 +42,7 @@ def advice(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
     """Yield lines with every finding: what was found, what follows, what to do. Good news only if wanted."""
     marks = {"problem": "[!!]", "warning": "[! ]", "info": "[i ]"} | ({"good": "[ok]"} if good else {})
     for finding in findings:
-        if finding.severity in marks:
+        if finding.severity in marks and finding.code != "assumed":  # assumptions were said while reading
             yield from _paragraph(finding.message, f"  {marks[finding.severity]} ", " " * 7)
             if finding.consequence:
                 yield from _paragraph(finding.consequence, " " * 7, " " * 7)

@@ -54,7 +54,7 @@ def imu_page(result: Result) -> Page:
         verdict=calibration.verdict,
         headline=_HEADLINES[calibration.verdict],
         key_numbers=_key_numbers(calibration),
-        findings=tuple(typeset(finding) for finding in calibration.assessment.findings),
+        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
         sections=tuple(section for section in sections if section is not None),
         footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
     )
@@ -130,6 +130,7 @@ def _assumptions(calibration: Calibration) -> Section:
         )
     if assessment.model == "basic":
         points.append("The bias of the gyroscope does not depend on specific force.")
+    points += [finding.message for finding in assessment.findings if finding.code == "assumed"]
     if assessment.held_by_prior:
         held = ", ".join(assessment.held_by_prior)
         points.append(f"Not determined by this recording, and held by assumption: {held}.")
