@@ -142,7 +142,7 @@ def static_statistic(values: Floats, window: int) -> Floats:
 
 
 _TURNING_S = 0.125
-_TURNING_SIGMA = 8.0
+_TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise
 
 
 def turning(gyroscope: TriadSamples, still: Booleans) -> Booleans:
@@ -165,8 +165,8 @@ def turning(gyroscope: TriadSamples, still: Booleans) -> Booleans:
     if len(resting) < 3:
         return np.zeros(n, dtype=bool)
     rest = np.median(resting, axis=0)
-    sigma = 1.4826 * np.median(np.abs(resting - rest), axis=0)
-    turns = np.any(np.abs(means - rest) > _TURNING_SIGMA * sigma, axis=1)
+    usual = np.quantile(np.abs(resting - rest), 0.9, axis=0)
+    turns = np.any(np.abs(means - rest) > _TURNING * usual, axis=1)
     wide = turns.copy()
     wide[1:] |= turns[:-1]
     wide[:-1] |= turns[1:]

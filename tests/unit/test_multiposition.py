@@ -1,0 +1,504 @@
+"""The multi-position problem: derivatives, minimum, covariance, noise levels, outliers, hold-out, and the way back."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gnomon.calibration import ImuCalibration, parameters, rotated
+from gnomon.errors import InitialisationError
+from gnomon.estimate.leave_one_out import leave_one_out
+from gnomon.estimate.multiposition import fit_multiposition, start_state
+from gnomon.estimate.multiposition_model import (
+    B_,
+    BG_,
+    CG_,
+    G_,
+    PARAMETERS,
+    S_,
+    Linearisation,
+    State,
+    Whitening,
+    linearise,
+    normal_equations,
+)
+from gnomon.estimate.rotations import integrate, propagate
+from gnomon.estimate.scaling import Scaling, unscaled
+from gnomon.geometry.so3 import tangent_basis
+from gnomon.models.frames import frame_rotation, rotation_jacobian
+from gnomon.models.gravity import EARTH_RATE_RAD_S
+from gnomon.solve.arrow import solve_arrow
+
+GROUPS = {"S": S_, "b": B_, "C_g": CG_, "b_g": BG_, "G": G_}
+SMALL = {"intervals": 16, "t_init_s": 5.0, "hold_s": (2.5, 3.5)}
+QUIET = {"accelerometer_noise_density": 1e-9, "gyroscope_noise_density": 1e-9}
+GRAVITY = 9.80665
+
+
+@pytest.fixture(scope="module")
+def noisy(multiposition):
+    return multiposition(1, g_sensitivity=2e-4, intervals=30, t_init_s=20.0)[0]
+
+
+@pytest.fixture(scope="module")
+def fitted(noisy):
+    return fit_multiposition(noisy.data, g_sensitivity=True)
+
+
+def matrices(imu: ImuCalibration):
+    return [value for _, value in parameters({"": imu})]
+
+
+def flat(values):
+    return np.concatenate([np.ravel(value) for value in values])
+
+
+def estimate_of(problem, fit, gravity_sigma=0.0, latitude=None):
+    return unscaled(fit, problem.accelerometer, problem.gyroscope, GRAVITY, gravity_sigma, latitude)
+
+
+def values_of(estimate):
+    return (
+        estimate.accelerometer_sensitivity,
+        estimate.accelerometer_bias,
+        estimate.gyroscope_sensitivity,
+        estimate.gyroscope_bias,
+        estimate.g_sensitivity,
+    )
+
+
+# --- the model and its derivatives ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("units", ["si", "raw"])
+def test_start_without_a_guess_is_near_the_truth(multiposition, units):
+    problem, truth = multiposition(3, g_sensitivity=2e-4, units=units, **SMALL)
+    start = start_state(problem.data)
+    s, b, c_g, b_g, g = start.matrices
+    imu = truth.imus["imu0"]
+    np.testing.assert_array_equal(g, 0.0)
+    sensitivity = problem.accelerometer.spread[:, None] * s / GRAVITY
+    np.testing.assert_allclose(
+        sensitivity, imu.accelerometer.sensitivity, atol=1e-3 * imu.accelerometer.sensitivity.max()
+    )
+    bias = problem.accelerometer.spread * b + problem.accelerometer.centre
+    np.testing.assert_allclose(bias, imu.accelerometer.bias, atol=5e-3 * imu.accelerometer.sensitivity.max())
+    gyro = problem.gyroscope.spread[:, None] * np.linalg.inv(c_g)
+    # Accelerations of the hand bend the direction of gravity that this start takes from the accelerometer.
+    np.testing.assert_allclose(gyro, imu.gyroscope.sensitivity, atol=0.25 * imu.gyroscope.sensitivity.max())
+    still = problem.gyroscope.spread * b_g + problem.gyroscope.centre
+    np.testing.assert_allclose(still, imu.gyroscope.bias, atol=4e-3 * imu.gyroscope.sensitivity.max())
+
+
+def central_differences(data, state, lines, move, h):
+    """Return the derivatives of the three groups of residuals, in the tangent planes of `state`."""
+    basis = tangent_basis(state.u)
+
+    def residuals(sign):
+        moved = linearise(data, move(sign * h))
+        # The rotations' residuals live in a tangent plane that itself turns with u: take the vectors instead.
+        gap = moved_state(move(sign * h)).u[1:] - moved.propagated
+        return moved.accelerometer, moved.gyroscope, np.einsum("kij,ki->kj", basis[1:], gap)
+
+    def moved_state(state):
+        return state
+
+    return [(plus - minus) / (2 * h) for plus, minus in zip(residuals(1), residuals(-1), strict=True)]
+
+
+@pytest.fixture(scope="module")
+def off_minimum(noisy, fitted):
+    """A state some way from the minimum, so that no term is small by chance."""
+    rng = np.random.default_rng(11)
+    size = np.concatenate(
+        [np.full(9, 0.02), np.full(9, 0.02 * np.abs(fitted.state.theta[CG_]).max()), np.full(12, 0.01)]
+    )
+    state = fitted.state.moved(size * rng.normal(size=PARAMETERS), 0.01 * rng.normal(size=(len(fitted.state.u), 2)))
+    return state, linearise(noisy.data, state)
+
+
+@pytest.mark.parametrize("k", range(PARAMETERS))
+def test_derivatives_by_parameters(noisy, off_minimum, k):
+    state, lines = off_minimum
+    h = 1e-6
+    one = np.zeros(PARAMETERS)
+    one[k] = 1.0
+    still, at_rest, turned = central_differences(
+        noisy.data, state, lines, lambda d: State(theta=state.theta + d * one, u=state.u), h
+    )
+    np.testing.assert_allclose(lines.accelerometer_theta[:, :, k], still, atol=1e-8)
+    np.testing.assert_allclose(lines.gyroscope_theta[:, :, k], at_rest, atol=1e-8)
+    # The sensitivity of a rotation is integrated by the trapezoid rule; see test_rotations.
+    size = max(np.abs(turned).max(), 1e-3)
+    np.testing.assert_allclose(lines.rotation_theta[:, :, k], turned, atol=1e-3 * size)
+
+
+@pytest.mark.parametrize("direction", [0, 1])
+@pytest.mark.parametrize("parity", [0, 1])
+def test_derivatives_by_directions(noisy, off_minimum, direction, parity):
+    # Every other direction is moved, so that a rotation's two directions are told apart.
+    state, lines = off_minimum
+    moving = np.arange(len(state.u)) % 2 == parity
+    d_u = np.zeros((len(state.u), 2))
+    d_u[moving, direction] = 1.0
+    still, at_rest, turned = central_differences(
+        noisy.data, state, lines, lambda d: state.moved(np.zeros(PARAMETERS), d * d_u), 1e-6
+    )
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", lines.accelerometer_u, d_u), still, atol=1e-8)
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", lines.gyroscope_u, d_u), at_rest, atol=1e-8)
+    by_first = np.einsum("kij,kj->ki", lines.rotation_u, d_u[:-1])
+    np.testing.assert_allclose(by_first + d_u[1:], turned, atol=1e-8)
+
+
+def test_extrapolation_is_linear(noisy, off_minimum):
+    state, lines = off_minimum
+    rng = np.random.default_rng(12)
+    d_theta, d_u = 1e-5 * rng.normal(size=PARAMETERS), 1e-5 * rng.normal(size=(len(state.u), 2))
+    again, foretold = linearise(noisy.data, state.moved(d_theta, d_u)), lines.extrapolated(d_theta, d_u)
+    np.testing.assert_allclose(foretold.accelerometer, again.accelerometer, atol=1e-9)
+    np.testing.assert_allclose(foretold.gyroscope, again.gyroscope, atol=1e-9)
+    # Lengths, as the tangent plane's two axes turn with u; 1e-8 is the trapezoid rule's share of 1e-5.
+    np.testing.assert_allclose(
+        np.linalg.norm(foretold.rotation, axis=1), np.linalg.norm(again.rotation, axis=1), atol=5e-8
+    )
+
+
+def dense(lines: Linearisation, whitening: Whitening, free):
+    """Return Jacobian and residual of the whole problem without its structure: directions first, then parameters."""
+    n, p = len(lines.accelerometer), int(free.sum())
+    rows, residuals = [np.zeros((p, 2 * n + p))], [np.zeros(p)]
+    rows[0][:, 2 * n :] = np.diag(whitening.prior[free])
+    for k in range(n):
+        for name in ("accelerometer", "gyroscope"):
+            root = getattr(whitening, name)[k]
+            block = np.zeros((3, 2 * n + p))
+            block[:, 2 * k : 2 * k + 2] = root @ getattr(lines, f"{name}_u")[k]
+            block[:, 2 * n :] = root @ getattr(lines, f"{name}_theta")[k][:, free]
+            rows.append(block)
+            residuals.append(root @ getattr(lines, name)[k])
+    for k in range(n - 1):
+        block = np.zeros((2, 2 * n + p))
+        block[:, 2 * k : 2 * k + 2] = lines.rotation_u[k]
+        block[:, 2 * k + 2 : 2 * k + 4] = np.eye(2)
+        block[:, 2 * n :] = lines.rotation_theta[k][:, free]
+        rows.append(whitening.rotation[k] * block)
+        residuals.append(whitening.rotation[k] * lines.rotation[k])
+    return np.concatenate(rows), np.concatenate(residuals)
+
+
+@pytest.mark.parametrize("g_sensitivity", [True, False])
+def test_step_and_covariance_are_those_of_the_dense_problem(noisy, g_sensitivity):
+    fit = fit_multiposition(noisy.data, g_sensitivity=g_sensitivity)
+    jacobian, residual = dense(fit.lines, fit.whitening, fit.free)
+    n = len(fit.state.u)
+    normal = jacobian.T @ jacobian
+    scale = np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    arrow = solve_arrow(normal_equations(fit.lines, fit.whitening, np.zeros(PARAMETERS), fit.free))
+    sigma = np.sqrt(np.diag(covariance))
+    step = -covariance @ jacobian.T @ residual / sigma
+    np.testing.assert_allclose(arrow.corner / sigma[2 * n :], step[2 * n :], atol=1e-6)
+    np.testing.assert_allclose(arrow.states.ravel() / sigma[: 2 * n], step[: 2 * n], atol=1e-6)
+    found = fit.covariance[np.ix_(fit.free, fit.free)]
+    corner = covariance[2 * n :, 2 * n :]
+    np.testing.assert_allclose(
+        found / np.outer(sigma[2 * n :], sigma[2 * n :]), corner / np.outer(sigma[2 * n :], sigma[2 * n :]), atol=1e-5
+    )
+    assert (fit.covariance[~fit.free] == 0).all()
+
+
+# --- the minimum ---------------------------------------------------------------------------------------------------
+
+
+def test_noiseless_recording_gives_the_truth(multiposition):
+    # What is left is the integrator's straight line between samples of the rate, which shrinks with the sample period.
+    worst = {}
+    for rate_hz in (100.0, 200.0):
+        problem, truth = multiposition(5, g_sensitivity=3e-4, rate_hz=rate_hz, **QUIET, **SMALL)
+        fit = fit_multiposition(problem.data, g_sensitivity=True)
+        assert fit.converged
+        assert fit.interval_used.all()
+        errors = [
+            a - b for a, b in zip(values_of(estimate_of(problem, fit)), matrices(truth.imus["imu0"]), strict=True)
+        ]
+        worst[rate_hz] = np.array([np.abs(error).max() for error in errors])
+    assert (worst[100.0] < [2e-6, 1e-5, 2e-5, 1e-7, 1e-7]).all()
+    assert worst[200.0][2] < 0.5 * worst[100.0][2]
+
+
+def true_cost(problem, fit, theta, u):
+    lines = linearise(problem.data, State(theta=theta, u=u))
+    parts = [
+        np.einsum("kij,kj->ki", fit.whitening.accelerometer, lines.accelerometer),
+        np.einsum("kij,kj->ki", fit.whitening.gyroscope, lines.gyroscope),
+        fit.whitening.rotation[:, None] * lines.rotation,
+    ]
+    return sum(np.sum(part**2) for part in parts)
+
+
+def test_fit_is_a_minimum(noisy, fitted):
+    # A twentieth of a sigma in any direction costs; a gradient that is left over would make one side cheaper.
+    jacobian, _ = dense(fitted.lines, fitted.whitening, fitted.free)
+    n = len(fitted.state.u)
+    sigma = 1 / np.linalg.norm(jacobian, axis=0)  # of each number, the others being known
+    here = true_cost(noisy, fitted, fitted.state.theta, fitted.state.u)
+    for k in range(PARAMETERS):
+        for sign in (-0.05, 0.05):
+            theta = fitted.state.theta.copy()
+            theta[k] += sign * sigma[2 * n + k]
+            assert true_cost(noisy, fitted, theta, fitted.state.u) > here
+    for k in range(2 * n):
+        for sign in (-0.05, 0.05):
+            d_u = np.zeros(2 * n)
+            d_u[k] = sign * sigma[k]
+            moved = fitted.state.moved(np.zeros(PARAMETERS), d_u.reshape(n, 2))
+            assert true_cost(noisy, fitted, moved.theta, moved.u) > here
+
+
+def test_residuals_have_the_size_of_the_noise(noisy, fitted):
+    assert fitted.converged
+    assert fitted.interval_used.all()
+    assert fitted.rotation_used.all()
+    assert not fitted.held_by_prior.any()
+    assert fitted.extra.accelerometer == fitted.extra.gyroscope == fitted.extra.rotation == 0.0
+    n = len(fitted.state.u)
+    degrees = 3 * n + 3 * n + 2 * (n - 1) - 2 * n - PARAMETERS
+    square = true_cost(noisy, fitted, fitted.state.theta, fitted.state.u)
+    assert square == pytest.approx(degrees, abs=4 * np.sqrt(2 * degrees))
+
+
+def test_scaling_does_not_matter(multiposition):
+    # The same recording in counts of odd sizes about odd offsets.
+    problem, _ = multiposition(6, **SMALL)
+    fit = fit_multiposition(problem.data, g_sensitivity=True)
+    values = problem.accelerometer_means
+    unit, offset = np.array([1e3, 1e-4, 30.0]), np.array([4e4, 5.0, -7e3])
+    other = Scaling(centre=problem.accelerometer.centre * unit + offset, spread=problem.accelerometer.spread * unit)
+    np.testing.assert_allclose(other.scaled(values * unit + offset), problem.data.accelerometer, atol=1e-8)
+    plain = estimate_of(problem, fit)
+    moved = unscaled(fit, other, problem.gyroscope, GRAVITY, 0.0, None)
+    np.testing.assert_allclose(moved.accelerometer_sensitivity, unit[:, None] * plain.accelerometer_sensitivity)
+    np.testing.assert_allclose(moved.accelerometer_bias, unit * plain.accelerometer_bias + offset)
+
+
+def test_attitudes_all_alike_are_refused(noisy):
+    same = np.tile(noisy.data.accelerometer[:1], (len(noisy.data.accelerometer), 1))
+    with pytest.raises(InitialisationError):
+        fit_multiposition(replace(noisy.data, accelerometer=same), g_sensitivity=True)
+
+
+# --- noise levels and outliers -------------------------------------------------------------------------------------
+
+
+def test_scatter_beyond_the_noise_is_found_and_measured(multiposition):
+    problem, _ = multiposition(7, intervals=60, t_init_s=10.0, hold_s=(2.5, 3.0))
+    data, rng, n = problem.data, np.random.default_rng(13), 60
+    plain = fit_multiposition(data, g_sensitivity=True)
+    s, _, c_g, _, _ = plain.state.matrices
+    by_force, by_rate = 2e-3, 2e-3  # [g], [rad/s]; four and eight times the noise of a mean
+    accelerometer = data.accelerometer + by_force * rng.normal(size=(n, 3)) @ s.T
+    gyroscope = data.gyroscope + by_rate * rng.normal(size=(n, 3)) @ np.linalg.inv(c_g).T
+    fit = fit_multiposition(replace(data, accelerometer=accelerometer, gyroscope=gyroscope), g_sensitivity=True)
+    assert fit.interval_used.all()
+    assert np.sqrt(fit.extra.accelerometer) == pytest.approx(by_force, rel=0.2)
+    assert np.sqrt(fit.extra.gyroscope) == pytest.approx(by_rate, rel=0.2)
+    # A turn of its own for each rotation, of 20 mrad: a kick in the middle of it.
+    middle = data.segments.first + data.segments.lengths // 2
+    kicked = data.segments.gyroscope.copy()
+    kicked[middle] += (0.02 / data.segments.dt_s[middle, None]) * rng.normal(size=(n - 1, 3)) @ np.linalg.inv(c_g).T
+    fit = fit_multiposition(replace(data, segments=replace(data.segments, gyroscope=kicked)), g_sensitivity=True)
+    assert fit.rotation_used.all()
+    assert np.sqrt(fit.extra.rotation) == pytest.approx(0.02, rel=0.2)
+
+
+def test_touched_interval_and_broken_rotation_are_left_out(noisy, fitted):
+    data = noisy.data
+    accelerometer = data.accelerometer.copy()
+    accelerometer[9] += [0.03, -0.02, 0.03]
+    kicked = data.segments.gyroscope.copy()
+    k = 20
+    inside = slice(data.segments.first[k] + 5, data.segments.first[k] + 60)
+    kicked[inside] *= 0.7
+    broken = replace(data, accelerometer=accelerometer, segments=replace(data.segments, gyroscope=kicked))
+    fit = fit_multiposition(broken, g_sensitivity=True)
+    np.testing.assert_array_equal(np.flatnonzero(~fit.interval_used), [9])
+    np.testing.assert_array_equal(np.flatnonzero(~fit.rotation_used), [8, 9, 20])
+    sigma = np.sqrt(np.diag(fit.covariance))
+    np.testing.assert_array_less(np.abs(fit.state.theta - fitted.state.theta), 2.5 * sigma)
+    assert fit.extra.accelerometer == fit.extra.rotation == 0.0
+
+
+def test_what_is_wrong_everywhere_is_not_called_an_outlier(noisy):
+    # A gyroscope whose samples are all at wrong times has no good rotations to judge the others by.
+    rolled = np.roll(noisy.data.segments.gyroscope, 400, axis=0)
+    fit = fit_multiposition(
+        replace(noisy.data, segments=replace(noisy.data.segments, gyroscope=rolled)), g_sensitivity=True
+    )
+    assert fit.rotation_used.sum() >= 0.6 * len(fit.rotation_used)
+    assert np.sqrt(fit.extra.rotation) > 0.05
+
+
+# --- hold-out ------------------------------------------------------------------------------------------------------
+
+
+def test_interval_left_out_is_what_refitting_without_it_gives(noisy, fitted):
+    held = leave_one_out(noisy.data, fitted)
+    scale = np.sqrt(np.mean(held.magnitude**2))
+    for k in (0, 7, 18, 29):
+        blind = noisy.data.accelerometer_variance.copy()
+        blind[k] *= 1e12
+        other = fit_multiposition(replace(noisy.data, accelerometer_variance=blind), g_sensitivity=True)
+        s, b, *_ = other.state.matrices
+        refitted = np.linalg.norm(np.linalg.solve(s, noisy.data.accelerometer[k] - b)) - 1
+        assert held.magnitude[k] == pytest.approx(refitted, abs=0.02 * scale)
+    assert np.mean(held.magnitude**2) > np.mean(held.magnitude_fit**2)
+
+
+def test_rotation_left_out_is_what_refitting_without_it_gives(noisy, fitted):
+    data = noisy.data
+    held = leave_one_out(data, fitted)
+    scale = np.sqrt(np.mean(held.rotation**2))
+    for k in (0, 5, 17, 28):
+        linked = data.linked.copy()
+        linked[k] = False
+        other = fit_multiposition(replace(data, linked=linked), g_sensitivity=True)
+        s, b, c_g, b_g, g = other.state.matrices
+        force = np.linalg.solve(s, (data.segments.accelerometer - b).T).T
+        rate = (data.segments.gyroscope - b_g - force @ g.T) @ c_g.T
+        u = np.linalg.solve(s, (data.accelerometer - b).T).T
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        error = u[1:] - propagate(integrate(data.segments, rate).rotation, u[:-1])
+        refitted = tangent_basis(fitted.state.u)[k + 1].T @ error[k]
+        np.testing.assert_allclose(held.rotation[k], refitted, atol=0.05 * scale)
+    assert np.mean(held.rotation**2) > np.mean(held.rotation_fit**2)
+
+
+def test_rival_without_g_sensitivity_is_judged_as_if_it_had_been_fitted(multiposition):
+    problem, _ = multiposition(8, intervals=25, t_init_s=15.0)
+    full = fit_multiposition(problem.data, g_sensitivity=True)
+    basic = fit_multiposition(problem.data, g_sensitivity=False)
+    foretold = leave_one_out(problem.data, full, g_sensitivity=False)
+    fitted = leave_one_out(problem.data, basic)
+    # Each in its own tangent axes: lengths are compared.
+    found, expected = (np.linalg.norm(held.rotation, axis=1) for held in (foretold, fitted))
+    np.testing.assert_allclose(found, expected, atol=0.02 * np.sqrt(np.mean(expected**2)))
+    np.testing.assert_allclose(foretold.magnitude, fitted.magnitude, atol=0.02 * np.std(fitted.magnitude))
+
+
+def test_hold_out_tells_whether_there_is_g_sensitivity(multiposition):
+    for level, better in ((3e-4, True), (0.0, False)):
+        problem, _ = multiposition(9, g_sensitivity=level, intervals=25, t_init_s=15.0)
+        fit = fit_multiposition(problem.data, g_sensitivity=True)
+        full = np.mean(leave_one_out(problem.data, fit).rotation ** 2)
+        basic = np.mean(leave_one_out(problem.data, fit, g_sensitivity=False).rotation ** 2)
+        assert (full < basic) == better
+
+
+# --- the way back to the sensors' units, and to other frames -------------------------------------------------------
+
+
+@pytest.mark.parametrize("latitude", [None, 45.0, -60.0])
+def test_covariance_in_the_sensors_units_against_differences(noisy, fitted, latitude):
+    gravity_sigma = 0.01
+
+    def values(theta, gravity=GRAVITY, earth=0.0):
+        moved = replace(fitted, state=State(theta=theta, u=fitted.state.u))
+        estimate = unscaled(moved, noisy.accelerometer, noisy.gyroscope, gravity, 0.0, latitude)
+        found = list(values_of(estimate))
+        found[4] = found[4] - found[2] * earth / gravity
+        return flat(found)
+
+    theta = fitted.state.theta
+    steps = 1e-6 * np.maximum(np.abs(theta), 1e-2)
+    jacobian = np.stack([(values(theta + h) - values(theta - h)) / (2 * h.max()) for h in np.diag(steps)], axis=1)
+    covariance = jacobian @ fitted.covariance @ jacobian.T
+    by_gravity = (values(theta, GRAVITY + 1e-4) - values(theta, GRAVITY - 1e-4)) / 2e-4
+    covariance += gravity_sigma**2 * np.outer(by_gravity, by_gravity)
+    if latitude is None:  # the vertical part of the earth's rate is then anything, once over the sphere
+        by_earth = values(theta, earth=1e-5) - values(theta)
+        covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth) / 1e-10
+    found = estimate_of(noisy, fitted, gravity_sigma, latitude).covariance
+    sigma = np.sqrt(np.diag(covariance))
+    sigma[sigma == 0] = 1.0
+    np.testing.assert_allclose(found / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=2e-4)
+
+
+@pytest.mark.parametrize("latitude", [40.0, -40.0, 90.0])
+def test_earth_rate_is_taken_off_the_g_sensitivity(multiposition, latitude):
+    problem, truth = multiposition(10, g_sensitivity=1e-4, earth_rate_latitude=latitude, **QUIET, **SMALL)
+    fit = fit_multiposition(problem.data, g_sensitivity=True)
+    imu = truth.imus["imu0"]
+    known, unknown = estimate_of(problem, fit, latitude=latitude), estimate_of(problem, fit)
+    off = imu.gyroscope.sensitivity * EARTH_RATE_RAD_S * np.sin(np.radians(latitude)) / GRAVITY
+    assert np.abs(off).max() > 4e-6
+    # North's part turns with the attitude, too, but not with gravity: it is left over, and averages out only partly.
+    rest = EARTH_RATE_RAD_S * np.cos(np.radians(latitude)) / GRAVITY + 1e-7
+    np.testing.assert_allclose(known.g_sensitivity, imu.gyroscope.g_sensitivity, atol=rest)
+    np.testing.assert_allclose(unknown.g_sensitivity - off, known.g_sensitivity, atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", ["accel-x", "accel-z"])
+@pytest.mark.parametrize("gyroscope", [True, False])
+def test_jacobian_of_a_change_of_frame_against_differences(random_calibration, frame, gyroscope):
+    for start in ("accel-x", "accel-z", "user"):
+        imu = random_calibration(21, frame=start, gyroscope=gyroscope).imus["imu0"]
+        values = matrices(imu)
+        x = flat(values)
+
+        def moved(x, values=values):
+            parts = [p.reshape(v.shape) for p, v in zip(np.split(x, splits), values, strict=True)]
+            rotation = frame_rotation(parts[0], frame)
+            return flat([p @ rotation.T if p.ndim == 2 else p for p in parts])
+
+        splits = np.cumsum([v.size for v in values])[:-1]
+        size = np.concatenate([np.full(v.size, np.abs(v).max()) for v in values])
+        steps = np.diag(1e-6 * size)
+        expected = np.stack([(moved(x + h) - moved(x - h)) / (2 * h.max()) for h in steps], axis=1)
+        found = rotation_jacobian(values, frame_rotation(values[0], frame), frame)
+        np.testing.assert_allclose(found / size[:, None] * size, expected / size[:, None] * size, atol=2e-8)
+
+
+def test_covariance_in_another_frame_is_what_a_sample_of_sensors_scatters_by(random_calibration):
+    calibration = random_calibration(22)
+    rng = np.random.default_rng(23)
+    names, matrix = calibration.uncertainty.names, calibration.uncertainty.matrix
+    root = np.linalg.cholesky(matrix + 1e-12 * np.diag(np.diag(matrix)) + 1e-300 * np.eye(len(names)))
+    values = matrices(calibration.imus["imu0"])
+    splits = np.cumsum([v.size for v in values])[:-1]
+    sample = []
+    for _ in range(600):
+        parts = np.split(flat(values) + root @ rng.normal(size=len(names)), splits)
+        parts = [p.reshape(v.shape) for p, v in zip(parts, values, strict=True)]
+        rotation = frame_rotation(parts[0], "accel-z")
+        sample.append(flat([p @ rotation.T if p.ndim == 2 else p for p in parts]))
+    scatter = np.std(sample, axis=0)
+    predicted = np.sqrt(np.diag(calibration.in_frame("accel-z").uncertainty.matrix))
+    free = predicted > 0
+    assert free.sum() == 30
+    np.testing.assert_allclose(scatter[free] / predicted[free], 1.0, atol=0.12)  # 4 sigma of a deviation from 600
+    np.testing.assert_allclose(scatter[~free], 0.0, atol=1e-9 * np.abs(values[0]).max())
+
+
+def test_frames_there_and_back(random_calibration):
+    calibration = random_calibration(24)
+    back = calibration.in_frame("accel-z").in_frame("accel-x")
+    for found, expected in zip(matrices(back.imus["imu0"]), matrices(calibration.imus["imu0"]), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+    sigma = np.sqrt(np.maximum(np.diag(calibration.uncertainty.matrix), 1e-300))
+    weights = 1 / np.outer(sigma, sigma)
+    free = np.diag(calibration.uncertainty.matrix) > 0
+    np.testing.assert_allclose(
+        (back.uncertainty.matrix * weights)[np.ix_(free, free)],
+        (calibration.uncertainty.matrix * weights)[np.ix_(free, free)],
+        atol=1e-9,
+    )
+
+
+def test_left_handed_accelerometer_keeps_a_minus_in_either_frame(random_calibration):
+    imu = random_calibration(25).imus["imu0"]
+    mirrored = replace(imu.accelerometer, sensitivity=np.diag([1.0, -1.0, 1.0]) @ imu.accelerometer.sensitivity)
+    for frame in ("accel-x", "accel-z"):
+        rotation = frame_rotation(mirrored.sensitivity, frame)
+        assert np.linalg.det(rotation) == pytest.approx(1.0)
+        turned = rotated(replace(imu, accelerometer=mirrored), rotation).accelerometer.sensitivity
+        assert np.count_nonzero(np.diag(turned) < 0) == 1
