@@ -1,5 +1,7 @@
 """Verdict and advice on an IMU calibration: what to trust, what to do next."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..calibration import Assessment, Gravity, Holdout, Verdict
@@ -52,7 +54,7 @@ def assess(
     chosen = next(trial for trial in diagnostics.trials if trial.chosen)
     holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
     findings = [
-        *(f for f in noticed if f.severity in ("warning", "info")),
+        *(_weighed(f, diagnostics) for f in noticed if f.severity in ("warning", "info")),
         *holdout_findings(holdout, gravity.value),
         *_uncertainty_findings(evidence, gravity),
         *_observability_findings(evidence),
@@ -61,6 +63,7 @@ def assess(
         *left_out_findings(diagnostics),
         *gravity_findings(gravity),
         *_model_findings(diagnostics, options),
+        *_drift_findings(evidence),
         *_allan_findings(diagnostics),
     ]
     if not evidence.fit.converged:
@@ -84,6 +87,16 @@ def assess(
         rotations_used=int(diagnostics.rotations.used.sum()),
         model=chosen.model,
         held_by_prior=_held_names(evidence.fit.held_by_prior),
+    )
+
+
+def _weighed(finding: Finding, diagnostics: ImuDiagnostics) -> Finding:
+    """Return what the doctor found; saturation that cost no rotation is no reason to warn."""
+    harmless = finding.code == "saturation" and not any("saturated" in why for why in diagnostics.rotations.reason)
+    if not harmless:
+        return finding
+    return replace(
+        finding, severity="info", consequence="No rotation between static intervals is touched by it.", cure=""
     )
 
 
@@ -339,6 +352,24 @@ def _model_findings(diagnostics: ImuDiagnostics, options: ImuOptions) -> list[Fi
             code="model",
             message=f"Gyroscope model {chosen.model} ({how}): left-out rotations are predicted to "
             f"{1e3 * full.rotation_rms:.2f} mrad with g-sensitivity, {1e3 * basic.rotation_rms:.2f} mrad without.",
+        )
+    ]
+
+
+def _drift_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Say how far the gyroscope's bias wandered, where it did."""
+    drift = evidence.fit.drift * evidence.problem.gyroscope.spread
+    rates = np.abs(drift / np.linalg.norm(evidence.estimate.gyroscope_sensitivity, axis=1))
+    if not rates.any():
+        return []
+    return [
+        Finding(
+            severity="info",
+            code="gyroscope-drift",
+            message=f"The gyroscope's bias wandered by up to {1e3 * rates.max():.2g} mrad/s "
+            f"({np.degrees(rates.max()):.2g} deg/s) during the recording.",
+            consequence="The wandering is part of the model; the bias given is its mean over time.",
+            cure="Let the sensor warm up before it is used or calibrated.",
         )
     ]
 

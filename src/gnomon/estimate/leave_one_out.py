@@ -17,7 +17,6 @@ from .multiposition_model import (
     B_,
     G_,
     LOWER,
-    PARAMETERS,
     S_,
     Linearisation,
     MultiPositionData,
@@ -76,11 +75,11 @@ def leave_one_out(data: MultiPositionData, fit: MultiPositionFit, *, g_sensitivi
 
 
 def _change_without(rows: Floats, covariance: Floats, residual: Floats, free: Booleans) -> Floats:
-    """Return the change of theta (k, 30) when rows A with residual r are left out: P A' inv(I - A P A') r."""
+    """Return the change of theta (k, p) when rows A with residual r are left out: P A' inv(I - A P A') r."""
     gain = covariance @ np.swapaxes(rows, 1, 2)
     kept = np.eye(rows.shape[1]) - rows @ gain
     step = (gain @ np.linalg.solve(kept, residual[..., None]))[..., 0]
-    change = np.zeros((len(rows), PARAMETERS))
+    change = np.zeros((len(rows), len(free)))
     change[:, free] = step[:, -int(free.sum()) :]
     return change
 
@@ -89,11 +88,11 @@ def _without_g_sensitivity(fit: MultiPositionFit) -> tuple[Linearisation, ArrowS
     """Return the linearised solution with G = 0."""
     free = fit.free.copy()
     free[G_] = False
-    to_zero = np.zeros(PARAMETERS)
+    to_zero = np.zeros(len(free))
     to_zero[G_] = -fit.state.theta[G_]
     lines = fit.lines.extrapolated(to_zero, np.zeros((len(fit.state.u), 2)))
-    arrow = solve_arrow(normal_equations(lines, fit.whitening, np.zeros(PARAMETERS), free))
-    step = np.zeros(PARAMETERS)
+    arrow = solve_arrow(normal_equations(lines, fit.whitening, np.zeros(len(free)), free))
+    step = np.zeros(len(free))
     step[free] = arrow.corner
     return lines.extrapolated(step, arrow.states), arrow, free, fit.state.theta + to_zero + step
 

@@ -14,6 +14,7 @@ from ..intervals import Booleans
 from ..models.frames import frame_rotation
 from ..recording import Floats
 from ..solve.arrow import ArrowSolution, solve_arrow
+from .drift import walk_density, walk_precision, with_drift
 from .magnitude import fit_magnitude
 from .multiposition_model import (
     B_,
@@ -48,14 +49,17 @@ class Task:
     Attributes
     ----------
     data : scaled means and segments
-    free : (30,) bool, parameters that are estimated
-    prior_mean, prior_sigma : (30,) of the weak prior
+    free : (30 + 3 j,) bool, parameters that are estimated
+    prior_mean : (30 + 3 j,)
+    prior_sigma : (30,) of the weak prior
+    prior_precision : (30 + 3 j,) * 2, with the drift's random walk
     """
 
     data: MultiPositionData
     free: Booleans
     prior_mean: Floats
     prior_sigma: Floats
+    prior_precision: Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,6 +85,7 @@ class MultiPositionFit:
     held_by_prior : (30,) bool, posterior sigma above 0.3 of the weak prior's
     lines, whitening, arrow, free : the last linearisation, for leave-one-out
     extra : variances beyond the noise at rest
+    drift : (n, 3) the gyroscope's bias in each interval minus its mean, scaled units; zero where none was found
     iterations : Gauss-Newton steps
     converged : whether the last step was negligible
     interval_used, rotation_used : (n,), (n - 1,) bool, not gated as outliers
@@ -94,6 +99,7 @@ class MultiPositionFit:
     arrow: ArrowSolution
     free: Booleans
     extra: ExtraVariance
+    drift: Floats
     iterations: int
     converged: bool
     interval_used: Booleans
@@ -103,8 +109,8 @@ class MultiPositionFit:
 def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiPositionFit:
     """Fit the multi-position model.
 
-    Three rounds: robust noise levels show outliers, noise levels without them weigh the rest, and the last round
-    converges.
+    Robust noise levels show outliers; noise levels without them weigh the rest. Where the gyroscope's residuals at rest
+    then wander in time, a drift joins the model.
 
     Parameters
     ----------
@@ -119,14 +125,19 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
         If the normal equations are not positive definite even with the weak prior.
     """
     start = start_state(data)
-    free = np.ones(PARAMETERS, dtype=bool)
-    free[G_] = g_sensitivity
-    task = Task(data=data, free=free, prior_mean=start.theta, prior_sigma=_prior_sigma(start))
+    task = _task(data, start, None, g_sensitivity=g_sensitivity)
     used = (np.ones(len(start.u), dtype=bool), data.linked)
-    lines = linearise(data, start)
-    point = _gauss_newton(task, start, lines, _whitening(task, start, ExtraVariance(), used), _ROUGH_STEP)
+    whitening = _whitening(task, start, ExtraVariance(), used)
+    point = _gauss_newton(task, start, linearise(data, start), whitening, _ROUGH_STEP)
+    walk = walk_density(data.interval_s, point.lines.gyroscope, used[0])
+    if walk is not None:
+        data = with_drift(data)
+        task = _task(data, start, walk, g_sensitivity=g_sensitivity)
+        state = State(theta=np.append(point.state.theta, np.zeros(len(task.free) - PARAMETERS)), u=point.state.u)
+        whitening = _whitening(task, state, ExtraVariance(), used)
+        point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
     robust = estimate_extra_variance(
-        data, point.state, point.lines, point.arrow, point.whitening, free=free, robust=True
+        data, point.state, point.lines, point.arrow, point.whitening, free=task.free, robust=True
     )
     used = _gated(task, point, robust, used)
     extra = _settled_variance(task, point, used, robust)
@@ -137,10 +148,33 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
         used, extra = still_used, _settled_variance(task, second, still_used, extra)
     whitening = _whitening(task, second.state, extra, used)
     last = _gauss_newton(task, second.state, second.lines, whitening, _NEGLIGIBLE_STEP)
-    total = point.iterations + second.iterations + last.iterations
-    point = last
-    covariance = np.zeros((PARAMETERS, PARAMETERS))
-    covariance[np.ix_(free, free)] = point.arrow.corner_covariance
+    return _finished(task, last, extra, used, point.iterations + second.iterations + last.iterations)
+
+
+def _task(data: MultiPositionData, start: State, walk: Floats | None, *, g_sensitivity: bool) -> Task:
+    sigma = _prior_sigma(start)
+    knots = data.drift[0].shape[1]
+    free = np.ones(PARAMETERS + 3 * knots, dtype=bool)
+    free[G_] = g_sensitivity
+    precision = np.zeros((len(free), len(free)))
+    precision[:PARAMETERS, :PARAMETERS] = np.diag(1 / sigma**2)
+    if walk is not None:
+        precision[PARAMETERS:, PARAMETERS:] = walk_precision(data, walk)
+    return Task(
+        data=data,
+        free=free,
+        prior_mean=np.append(start.theta, np.zeros(3 * knots)),
+        prior_sigma=sigma,
+        prior_precision=precision,
+    )
+
+
+def _finished(
+    task: Task, point: Point, extra: ExtraVariance, used: tuple[Booleans, Booleans], iterations: int
+) -> MultiPositionFit:
+    covariance = np.zeros((len(task.free),) * 2)
+    covariance[np.ix_(task.free, task.free)] = point.arrow.corner_covariance
+    covariance = covariance[:PARAMETERS, :PARAMETERS]
     return MultiPositionFit(
         state=point.state,
         covariance=covariance,
@@ -148,9 +182,10 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
         lines=point.lines,
         whitening=point.whitening,
         arrow=point.arrow,
-        free=free,
+        free=task.free,
         extra=extra,
-        iterations=total,
+        drift=task.data.drift[0] @ point.state.knots,
+        iterations=iterations,
         converged=point.converged,
         interval_used=used[0],
         rotation_used=used[1],
@@ -196,7 +231,7 @@ def _whitening(task: Task, state: State, extra: ExtraVariance, used: tuple[Boole
         accelerometer=accelerometer * kept[:, None, None],
         gyroscope=gyroscope * kept[:, None, None],
         rotation=linked / np.sqrt(rotation_variance(task.data, state) + extra.rotation),
-        prior=1 / task.prior_sigma,
+        prior=task.prior_precision,
     )
 
 
@@ -205,9 +240,8 @@ def _cost(lines: Linearisation, whitening: Whitening, from_prior: Floats) -> flo
         np.einsum("kij,kj->ki", whitening.accelerometer, lines.accelerometer),
         np.einsum("kij,kj->ki", whitening.gyroscope, lines.gyroscope),
         whitening.rotation[:, None] * lines.rotation,
-        whitening.prior * from_prior,
     )
-    return float(sum(np.sum(part**2) for part in parts))
+    return float(sum(np.sum(part**2) for part in parts) + from_prior @ whitening.prior @ from_prior)
 
 
 def _solve(task: Task, state: State, lines: Linearisation, whitening: Whitening) -> ArrowSolution:
@@ -221,7 +255,7 @@ def _solve(task: Task, state: State, lines: Linearisation, whitening: Whitening)
 
 
 def _parameter_step(task: Task, arrow: ArrowSolution) -> Floats:
-    step = np.zeros(PARAMETERS)
+    step = np.zeros(len(task.free))
     step[task.free] = arrow.corner
     return step
 

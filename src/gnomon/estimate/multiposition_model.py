@@ -8,6 +8,8 @@ depends on the specific force as in document B, chapter 3. In units of gravity f
     gyroscope at rest        y_k = b_g + G u_k
     gyroscope in motion      omega = C_g (y - b_g - G f),  f = inv(S) (x - b)
     rotation k               u_{k+1} = R_k' u_k,  R_k integrated from omega
+
+A bias that wanders is b_g plus hat functions of time with a random walk for their prior; b_g is then its mean.
 """
 
 from dataclasses import dataclass
@@ -21,7 +23,7 @@ from .rotations import MotionSegments, integrate, propagate
 
 LOWER = np.tril_indices(3)
 PARAMETERS = 30
-"""S (6, lower triangle in row order), b (3), C_g (9), b_g (3), G (9)."""
+"""S (6, lower triangle in row order), b (3), C_g (9), b_g (3), G (9); the knots of a drift, 3 each, follow."""
 S_, B_, CG_, BG_, G_ = slice(0, 6), slice(6, 9), slice(9, 18), slice(18, 21), slice(21, 30)
 
 
@@ -36,7 +38,10 @@ class MultiPositionData:
     segments : the rotations
     rotation_variance : (n - 1, 3) variance of the integrated rate of each gyroscope axis by the noise at rest
     linked : (n - 1,) bool, whether a rotation may be used
+    interval_s, rotation_s : (n,), (n - 1,) middle of each static interval and of each rotation [s]
+    span_s : start of the first and end of the last static interval [s]
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
+    drift_at_rest, drift_in_motion : (n, j), (n - 1, j) values of the drift's hat functions; j = 0 without drift
     """
 
     accelerometer: Floats
@@ -46,12 +51,25 @@ class MultiPositionData:
     segments: MotionSegments
     rotation_variance: Floats
     linked: np.ndarray
+    interval_s: Floats
+    rotation_s: Floats
+    span_s: tuple[float, float]
     earth_rate_variance: float = 0.0
+    drift_at_rest: Floats | None = None
+    drift_in_motion: Floats | None = None
+
+    @property
+    def drift(self) -> tuple[Floats, Floats]:
+        """Values of the hat functions at rest and in motion, (n, j) and (n - 1, j)."""
+        if self.drift_at_rest is None or self.drift_in_motion is None:
+            n = len(self.accelerometer)
+            return np.empty((n, 0)), np.empty((n - 1, 0))
+        return self.drift_at_rest, self.drift_in_motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class State:
-    """A point in the space of unknowns: parameters theta (30,) and directions u (n, 3)."""
+    """A point in the space of unknowns: parameters theta (30 + 3 j,) and directions u (n, 3)."""
 
     theta: Floats
     u: Floats
@@ -69,6 +87,11 @@ class State:
             self.theta[G_].reshape(3, 3),
         )
 
+    @property
+    def knots(self) -> Floats:
+        """Values of the drift at its knots, (j, 3)."""
+        return self.theta[PARAMETERS:].reshape(-1, 3)
+
     def moved(self, d_theta: Floats, d_u: Floats) -> "State":
         """Return the state after a step; d_u (n, 2) in the tangent planes of u."""
         u = self.u + np.einsum("kij,kj->ki", tangent_basis(self.u), d_u)
@@ -85,8 +108,8 @@ class Linearisation:
     rotation : (n - 1, 2) residuals of the rotations, in the tangent plane of the second direction [rad]
     accelerometer_u, gyroscope_u : (n, 3, 2) derivatives by the interval's direction
     rotation_u : (n - 1, 2, 2) by the first direction; the one by the second is the identity
-    accelerometer_theta, gyroscope_theta : (n, 3, 30)
-    rotation_theta : (n - 1, 2, 30)
+    accelerometer_theta, gyroscope_theta : (n, 3, 30 + 3 j)
+    rotation_theta : (n - 1, 2, 30 + 3 j)
     propagated : (n - 1, 3) R_k' u_k
     """
 
@@ -130,7 +153,7 @@ class Whitening:
     ----------
     accelerometer, gyroscope : (n, 3, 3)
     rotation : (n - 1,) [1/rad]
-    prior : (30,) inverse sigmas of the weak prior
+    prior : (30 + 3 j,) * 2, precision of the weak prior and of the drift's random walk
     """
 
     accelerometer: Floats
@@ -142,19 +165,21 @@ class Whitening:
 def linearise(data: MultiPositionData, state: State) -> Linearisation:
     """Return residuals (observed minus predicted at rest; second minus propagated direction) and derivatives."""
     s, b, _, b_g, g = state.matrices
-    u, n = state.u, len(state.u)
+    u, n, p = state.u, len(state.u), len(state.theta)
     basis = tangent_basis(u)
-    accelerometer_theta = np.zeros((n, 3, PARAMETERS))
+    hats, _ = data.drift
+    accelerometer_theta = np.zeros((n, 3, p))
     for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
         accelerometer_theta[:, i, column] = -u[:, j]
     accelerometer_theta[:, :, B_] = -np.eye(3)
-    gyroscope_theta = np.zeros((n, 3, PARAMETERS))
+    gyroscope_theta = np.zeros((n, 3, p))
     gyroscope_theta[:, :, BG_] = -np.eye(3)
     gyroscope_theta[:, :, G_] = -np.einsum("ij,kc->kijc", np.eye(3), u).reshape(n, 3, 9)
+    gyroscope_theta[:, :, PARAMETERS:] = -np.einsum("ij,kc->kicj", np.eye(3), hats).reshape(n, 3, -1)
     propagated, rotation_u, rotation_theta = _rotations(data, state, basis)
     return Linearisation(
         accelerometer=data.accelerometer - u @ s.T - b,
-        gyroscope=data.gyroscope - u @ g.T - b_g,
+        gyroscope=data.gyroscope - u @ g.T - b_g - hats @ state.knots,
         rotation=np.einsum("kij,ki->kj", basis[1:], u[1:] - propagated),
         accelerometer_u=-s @ basis,
         gyroscope_u=-g @ basis,
@@ -172,6 +197,9 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     s, b, c_g, b_g, g = state.matrices
     force = (data.segments.accelerometer - b) @ np.linalg.inv(s).T
     rate = data.segments.gyroscope - b_g - force @ g.T
+    _, hats = data.drift
+    if hats.shape[1]:
+        rate -= np.repeat(hats @ state.knots, data.segments.lengths, axis=0)
     regressors = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
     turns = integrate(data.segments, rate @ c_g.T, regressors)
     start = state.u[:-1]
@@ -180,13 +208,14 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     by_c = np.einsum("kil,klac->kiac", turned, turns.sensitivity)
     by_rate_offset, by_force = by_c[..., 3], by_c[..., 4:]
     pull = c_g @ g @ np.linalg.inv(s)  # omega by what the accelerometer reads
-    theta = np.empty((m, 2, PARAMETERS))
+    theta = np.empty((m, 2, len(state.theta)))
     by_s = np.einsum("kiac,aj->kijc", by_force, pull)
     theta[..., S_] = by_s[:, :, LOWER[0], LOWER[1]]
     theta[..., B_] = by_rate_offset @ pull
     theta[..., CG_] = by_c[..., :3].reshape(m, 2, 9)
     theta[..., BG_] = -by_rate_offset @ c_g
     theta[..., G_] = -np.einsum("kiac,aj->kijc", by_force, c_g).reshape(m, 2, 9)
+    theta[..., PARAMETERS:] = np.einsum("kc,kij->kicj", hats, theta[..., BG_]).reshape(m, 2, -1)
     return propagate(turns.rotation, start), -back @ basis[:-1], theta
 
 
@@ -195,14 +224,14 @@ def normal_equations(lines: Linearisation, whitening: Whitening, from_prior: Flo
 
     Parameters
     ----------
-    from_prior : (30,) theta minus the mean of the prior
-    free : (30,) bool; the others stay where they are
+    from_prior : (30 + 3 j,) theta minus the mean of the prior
+    free : (30 + 3 j,) bool; the others stay where they are
     """
     n, p = len(lines.accelerometer), int(free.sum())
     diagonal, border = np.zeros((n, 2, 2)), np.zeros((n, 2, p))
     gradient = np.zeros((n, 2))
-    corner = np.diag(whitening.prior[free] ** 2)
-    corner_gradient = whitening.prior[free] ** 2 * from_prior[free]
+    corner = whitening.prior[np.ix_(free, free)].copy()
+    corner_gradient = whitening.prior[free] @ from_prior
     rest = (
         (lines.accelerometer, lines.accelerometer_u, lines.accelerometer_theta, whitening.accelerometer),
         (lines.gyroscope, lines.gyroscope_u, lines.gyroscope_theta, whitening.gyroscope),
