@@ -10,12 +10,8 @@ from gnomon.errors import InitialisationError
 from gnomon.estimate.leave_one_out import leave_one_out
 from gnomon.estimate.multiposition import fit_multiposition, start_state
 from gnomon.estimate.multiposition_model import (
-    B_,
-    BG_,
     CG_,
-    G_,
     PARAMETERS,
-    S_,
     Linearisation,
     State,
     Whitening,
@@ -29,9 +25,8 @@ from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.solve.arrow import solve_arrow
 
-GROUPS = {"S": S_, "b": B_, "C_g": CG_, "b_g": BG_, "G": G_}
 SMALL = {"intervals": 16, "t_init_s": 5.0, "hold_s": (2.5, 3.5)}
-QUIET = {"accelerometer_noise_density": 1e-9, "gyroscope_noise_density": 1e-9}
+QUIET = {"accelerometer_noise_density": 1e-6, "gyroscope_noise_density": 1e-6}
 GRAVITY = 9.80665
 
 
@@ -53,8 +48,15 @@ def flat(values):
     return np.concatenate([np.ravel(value) for value in values])
 
 
-def estimate_of(problem, fit, gravity_sigma=0.0, latitude=None):
-    return unscaled(fit, problem.accelerometer, problem.gyroscope, GRAVITY, gravity_sigma, latitude)
+def estimate_of(problem, fit, accelerometer=None, gravity=GRAVITY, gravity_sigma=0.0, latitude=None):
+    return unscaled(
+        fit,
+        accelerometer or problem.accelerometer,
+        problem.gyroscope,
+        gravity_m_s2=gravity,
+        gravity_sigma_m_s2=gravity_sigma,
+        latitude_deg=latitude,
+    )
 
 
 def values_of(estimate):
@@ -90,18 +92,15 @@ def test_start_without_a_guess_is_near_the_truth(multiposition, units):
     np.testing.assert_allclose(still, imu.gyroscope.bias, atol=4e-3 * imu.gyroscope.sensitivity.max())
 
 
-def central_differences(data, state, lines, move, h):
+def central_differences(data, state, move, h=1e-6):
     """Return the derivatives of the three groups of residuals, in the tangent planes of `state`."""
     basis = tangent_basis(state.u)
 
     def residuals(sign):
-        moved = linearise(data, move(sign * h))
-        # The rotations' residuals live in a tangent plane that itself turns with u: take the vectors instead.
-        gap = moved_state(move(sign * h)).u[1:] - moved.propagated
-        return moved.accelerometer, moved.gyroscope, np.einsum("kij,ki->kj", basis[1:], gap)
-
-    def moved_state(state):
-        return state
+        state = move(sign * h)
+        lines = linearise(data, state)
+        gap = state.u[1:] - lines.propagated  # lines.rotation has tangent planes that turn with u
+        return lines.accelerometer, lines.gyroscope, np.einsum("kij,ki->kj", basis[1:], gap)
 
     return [(plus - minus) / (2 * h) for plus, minus in zip(residuals(1), residuals(-1), strict=True)]
 
@@ -120,11 +119,10 @@ def off_minimum(noisy, fitted):
 @pytest.mark.parametrize("k", range(PARAMETERS))
 def test_derivatives_by_parameters(noisy, off_minimum, k):
     state, lines = off_minimum
-    h = 1e-6
     one = np.zeros(PARAMETERS)
     one[k] = 1.0
     still, at_rest, turned = central_differences(
-        noisy.data, state, lines, lambda d: State(theta=state.theta + d * one, u=state.u), h
+        noisy.data, state, lambda d: State(theta=state.theta + d * one, u=state.u)
     )
     np.testing.assert_allclose(lines.accelerometer_theta[:, :, k], still, atol=1e-8)
     np.testing.assert_allclose(lines.gyroscope_theta[:, :, k], at_rest, atol=1e-8)
@@ -142,7 +140,7 @@ def test_derivatives_by_directions(noisy, off_minimum, direction, parity):
     d_u = np.zeros((len(state.u), 2))
     d_u[moving, direction] = 1.0
     still, at_rest, turned = central_differences(
-        noisy.data, state, lines, lambda d: state.moved(np.zeros(PARAMETERS), d * d_u), 1e-6
+        noisy.data, state, lambda d: state.moved(np.zeros(PARAMETERS), d * d_u)
     )
     np.testing.assert_allclose(np.einsum("kij,kj->ki", lines.accelerometer_u, d_u), still, atol=1e-8)
     np.testing.assert_allclose(np.einsum("kij,kj->ki", lines.gyroscope_u, d_u), at_rest, atol=1e-8)
@@ -157,9 +155,9 @@ def test_extrapolation_is_linear(noisy, off_minimum):
     again, foretold = linearise(noisy.data, state.moved(d_theta, d_u)), lines.extrapolated(d_theta, d_u)
     np.testing.assert_allclose(foretold.accelerometer, again.accelerometer, atol=1e-9)
     np.testing.assert_allclose(foretold.gyroscope, again.gyroscope, atol=1e-9)
-    # Lengths, as the tangent plane's two axes turn with u; 1e-8 is the trapezoid rule's share of 1e-5.
+    # Lengths, as the tangent plane's two axes turn with u; the trapezoid rule's share is 1e-7.
     np.testing.assert_allclose(
-        np.linalg.norm(foretold.rotation, axis=1), np.linalg.norm(again.rotation, axis=1), atol=5e-8
+        np.linalg.norm(foretold.rotation, axis=1), np.linalg.norm(again.rotation, axis=1), atol=2e-7
     )
 
 
@@ -222,7 +220,7 @@ def test_noiseless_recording_gives_the_truth(multiposition):
             a - b for a, b in zip(values_of(estimate_of(problem, fit)), matrices(truth.imus["imu0"]), strict=True)
         ]
         worst[rate_hz] = np.array([np.abs(error).max() for error in errors])
-    assert (worst[100.0] < [2e-6, 1e-5, 2e-5, 1e-7, 1e-7]).all()
+    assert (worst[100.0] < [2e-6, 1e-5, 3e-5, 5e-7, 5e-7]).all()
     assert worst[200.0][2] < 0.5 * worst[100.0][2]
 
 
@@ -276,7 +274,7 @@ def test_scaling_does_not_matter(multiposition):
     other = Scaling(centre=problem.accelerometer.centre * unit + offset, spread=problem.accelerometer.spread * unit)
     np.testing.assert_allclose(other.scaled(values * unit + offset), problem.data.accelerometer, atol=1e-8)
     plain = estimate_of(problem, fit)
-    moved = unscaled(fit, other, problem.gyroscope, GRAVITY, 0.0, None)
+    moved = estimate_of(problem, fit, accelerometer=other)
     np.testing.assert_allclose(moved.accelerometer_sensitivity, unit[:, None] * plain.accelerometer_sensitivity)
     np.testing.assert_allclose(moved.accelerometer_bias, unit * plain.accelerometer_bias + offset)
 
@@ -317,7 +315,8 @@ def test_touched_interval_and_broken_rotation_are_left_out(noisy, fitted):
     accelerometer[9] += [0.03, -0.02, 0.03]
     kicked = data.segments.gyroscope.copy()
     k = 20
-    inside = slice(data.segments.first[k] + 5, data.segments.first[k] + 60)
+    middle = data.segments.first[k] + data.segments.lengths[k] // 2
+    inside = slice(middle - 30, middle + 30)
     kicked[inside] *= 0.7
     broken = replace(data, accelerometer=accelerometer, segments=replace(data.segments, gyroscope=kicked))
     fit = fit_multiposition(broken, g_sensitivity=True)
@@ -403,7 +402,7 @@ def test_covariance_in_the_sensors_units_against_differences(noisy, fitted, lati
 
     def values(theta, gravity=GRAVITY, earth=0.0):
         moved = replace(fitted, state=State(theta=theta, u=fitted.state.u))
-        estimate = unscaled(moved, noisy.accelerometer, noisy.gyroscope, gravity, 0.0, latitude)
+        estimate = estimate_of(noisy, moved, gravity=gravity, latitude=latitude)
         found = list(values_of(estimate))
         found[4] = found[4] - found[2] * earth / gravity
         return flat(found)
@@ -417,10 +416,11 @@ def test_covariance_in_the_sensors_units_against_differences(noisy, fitted, lati
     if latitude is None:  # the vertical part of the earth's rate is then anything, once over the sphere
         by_earth = values(theta, earth=1e-5) - values(theta)
         covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth) / 1e-10
-    found = estimate_of(noisy, fitted, gravity_sigma, latitude).covariance
+    found = estimate_of(noisy, fitted, gravity_sigma=gravity_sigma, latitude=latitude).covariance
     sigma = np.sqrt(np.diag(covariance))
     sigma[sigma == 0] = 1.0
-    np.testing.assert_allclose(found / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=2e-4)
+    # That the earth's share is known only as well as the gyroscope's scale is left out: correlations of 1e-3.
+    np.testing.assert_allclose(found / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=2e-3)
 
 
 @pytest.mark.parametrize("latitude", [40.0, -40.0, 90.0])
@@ -429,7 +429,7 @@ def test_earth_rate_is_taken_off_the_g_sensitivity(multiposition, latitude):
     fit = fit_multiposition(problem.data, g_sensitivity=True)
     imu = truth.imus["imu0"]
     known, unknown = estimate_of(problem, fit, latitude=latitude), estimate_of(problem, fit)
-    off = imu.gyroscope.sensitivity * EARTH_RATE_RAD_S * np.sin(np.radians(latitude)) / GRAVITY
+    off = known.gyroscope_sensitivity * EARTH_RATE_RAD_S * np.sin(np.radians(latitude)) / GRAVITY
     assert np.abs(off).max() > 4e-6
     # North's part turns with the attitude, too, but not with gravity: it is left over, and averages out only partly.
     rest = EARTH_RATE_RAD_S * np.cos(np.radians(latitude)) / GRAVITY + 1e-7
@@ -443,14 +443,13 @@ def test_jacobian_of_a_change_of_frame_against_differences(random_calibration, f
     for start in ("accel-x", "accel-z", "user"):
         imu = random_calibration(21, frame=start, gyroscope=gyroscope).imus["imu0"]
         values = matrices(imu)
-        x = flat(values)
+        x, splits = flat(values), np.cumsum([v.size for v in values])[:-1]
 
-        def moved(x, values=values):
+        def moved(x, values=values, splits=splits):
             parts = [p.reshape(v.shape) for p, v in zip(np.split(x, splits), values, strict=True)]
             rotation = frame_rotation(parts[0], frame)
             return flat([p @ rotation.T if p.ndim == 2 else p for p in parts])
 
-        splits = np.cumsum([v.size for v in values])[:-1]
         size = np.concatenate([np.full(v.size, np.abs(v).max()) for v in values])
         steps = np.diag(1e-6 * size)
         expected = np.stack([(moved(x + h) - moved(x - h)) / (2 * h.max()) for h in steps], axis=1)

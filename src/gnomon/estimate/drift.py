@@ -70,4 +70,4 @@ def walk_precision(data: MultiPositionData, density: Floats) -> Floats:
     mean = np.full(count, 1 / (count - 1))
     mean[[0, -1]] *= 0.5
     walk = difference.T @ difference + _ZERO_MEAN_WEIGHT * np.outer(mean, mean)
-    return np.kron(walk, np.diag(1 / (density * spacing)))
+    return np.asarray(np.kron(walk, np.diag(1 / (density * spacing))), dtype=np.float64)
