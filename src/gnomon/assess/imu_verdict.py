@@ -377,7 +377,7 @@ def _drift_findings(evidence: ImuEvidence) -> list[Finding]:
 def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     allan = diagnostics.allan
     if allan is None or not np.isfinite(allan.t_init_s):
-        held = 0.0 if allan is None else allan.static_s
+        held = float(diagnostics.intervals.stop_s[0] - diagnostics.intervals.start_s[0])
         return [
             Finding(
                 severity="info",

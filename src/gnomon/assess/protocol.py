@@ -104,7 +104,7 @@ def distinct_attitudes(means: Floats, accelerometer: TriadSamples) -> tuple[int,
     """Return how many attitudes are at least 10 degrees apart, and gravity in the unit (nan if unknown).
 
     A chord between two readings of gravity needs no bias, only the radius of the sphere on which they lie: gravity in
-    the unit, or the sphere through the readings where the unit is raw counts.
+    the unit. Raw counts, whose axes may have any scale, are divided by the range of each axis first.
 
     Parameters
     ----------
@@ -112,22 +112,37 @@ def distinct_attitudes(means: Floats, accelerometer: TriadSamples) -> tuple[int,
     accelerometer : its unit and samples
     """
     factor = ACCELEROMETER_UNITS_M_S2[accelerometer.unit]
-    radius = STANDARD_GRAVITY_M_S2 / factor if factor else _sphere_radius(means)
-    span = float(np.linalg.norm(means.max(axis=0) - means.min(axis=0)))
-    # Raw counts of too few attitudes lie on no certain sphere; half their span is then the least radius.
-    limit = 2 * (radius if np.isfinite(radius) else 0.5 * span) * np.sin(np.radians(_APART_DEG) / 2)
-    if not np.isfinite(radius) and span <= 10 * _rest_noise(accelerometer):
-        return 1, radius
+    if factor:
+        radius = STANDARD_GRAVITY_M_S2 / factor
+        return _count_apart(means, radius), radius
+    spread = 0.5 * np.ptp(means, axis=0)
+    turned = spread > 5 * _rest_noise(accelerometer)
+    if not turned.any():
+        return 1, float("nan")
+    scaled = np.where(turned, means / np.where(turned, spread, 1.0), 0.0)
+    radius = _sphere_radius(scaled)
+    # Too few attitudes lie on no certain sphere; half their span is then the least radius.
+    span = float(np.linalg.norm(np.ptp(scaled, axis=0)))
+    alike = turned.all() and spread.max() < 2 * spread.min()
+    return (
+        _count_apart(scaled, radius if np.isfinite(radius) else 0.5 * span),
+        _sphere_radius(means) if alike else float("nan"),
+    )
+
+
+def _count_apart(means: Floats, radius: float) -> int:
+    limit = 2 * radius * np.sin(np.radians(_APART_DEG) / 2)
     kept = means[:1]
     for mean in means[1:]:
         if (((kept - mean) ** 2).sum(axis=1) > limit**2).all():
             kept = np.vstack([kept, mean])
-    return len(kept), radius
+    return len(kept)
 
 
-def _rest_noise(samples: TriadSamples) -> float:
+def _rest_noise(samples: TriadSamples) -> Floats:
+    """Return the sample-to-sample noise of each axis, (3,) [unit]."""
     steps = np.diff(samples.values[:5000], axis=0)
-    return float(np.sqrt((steps**2).sum(axis=1).mean() / 2))
+    return np.sqrt((steps**2).mean(axis=0) / 2)
 
 
 def _sphere_radius(points: Floats) -> float:

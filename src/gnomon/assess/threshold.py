@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..detect.noise import resting_noise
-from ..detect.static import runs_below
+from ..detect.static import runs_below, trimmed
 from ..errors import InitialisationError
 from ..estimate.magnitude import MagnitudeFit, fit_magnitude
 from ..intervals import Booleans, StaticIntervals, interval_means
@@ -20,6 +20,24 @@ MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
 SHORTEST_S = 0.5
 FEWEST_INTERVALS = 9
 _OUTLIER_SIGMA = 6.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What the detectors saw of an accelerometer's samples.
+
+    Attributes
+    ----------
+    samples : accelerometer
+    statistic : (n,) from `detect.static.static_statistic`; infinite where a sample cannot be static
+    stirs : (n,) samples with which no static interval begins or ends
+    saturated : (n,) samples that no static interval may hold
+    """
+
+    samples: TriadSamples
+    statistic: Floats
+    stirs: Booleans
+    saturated: Booleans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,20 +52,20 @@ class ThresholdTrial:
     criterion: float
 
 
-def try_threshold(
-    samples: TriadSamples, statistic: Floats, multiplier: float, gravity_m_s2: float, saturated: Booleans
-) -> ThresholdTrial:
+def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
     """Find the static intervals at one threshold and judge them.
 
     Parameters
     ----------
-    samples : accelerometer
-    statistic : (n,) from `detect.static.static_statistic`; infinite where a sample cannot be static
-    saturated : (n,) samples that no interval may hold
+    motion : what the detectors saw
+    multiplier : threshold in units of the resting level
+    gravity_m_s2 : magnitude of gravity
     """
-    intervals = runs_below(statistic, multiplier, max(2, round(SHORTEST_S * samples.rate_hz)))
-    if saturated.any() and len(intervals):
-        clipped = np.concatenate([[0], np.cumsum(saturated)])
+    samples = motion.samples
+    shortest = max(2, round(SHORTEST_S * samples.rate_hz))
+    intervals = trimmed(runs_below(motion.statistic, multiplier, shortest), motion.stirs, shortest)
+    if motion.saturated.any() and len(intervals):
+        clipped = np.concatenate([[0], np.cumsum(motion.saturated)])
         intervals = intervals.where(clipped[intervals.stop] == clipped[intervals.start])
     intervals = one_per_rest(samples.values, intervals)
     means = interval_means(samples.values, intervals)
@@ -101,14 +119,10 @@ def one_per_rest(values: Floats, intervals: StaticIntervals) -> StaticIntervals:
 
 
 def choose_threshold(
-    samples: TriadSamples,
-    statistic: Floats,
-    gravity_m_s2: float,
-    saturated: Booleans,
-    multipliers: tuple[float, ...] = MULTIPLIERS,
+    motion: Motion, gravity_m_s2: float, multipliers: tuple[float, ...] = MULTIPLIERS
 ) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
     """Return the best threshold and all that were tried; the best has no fit where none could be calibrated."""
-    trials = tuple(try_threshold(samples, statistic, m, gravity_m_s2, saturated) for m in multipliers)
+    trials = tuple(try_threshold(motion, m, gravity_m_s2) for m in multipliers)
     best = min(trials, key=lambda trial: (trial.criterion, -len(trial.intervals)))
     return best, trials
 

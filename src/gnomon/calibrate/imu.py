@@ -10,7 +10,7 @@ import numpy as np
 from .._version import __version__
 from ..assess.imu_tables import ImuEvidence, describe
 from ..assess.imu_verdict import assess
-from ..assess.threshold import FEWEST_INTERVALS, MULTIPLIERS, ThresholdTrial, choose_threshold, disturbed
+from ..assess.threshold import FEWEST_INTERVALS, MULTIPLIERS, Motion, ThresholdTrial, choose_threshold, disturbed
 from ..calibration import (
     Calibration,
     Covariance,
@@ -24,6 +24,7 @@ from ..estimate.leave_one_out import HeldOut, leave_one_out
 from ..estimate.multiposition import MultiPositionFit, fit_multiposition
 from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.scaling import unscaled
+from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
@@ -119,9 +120,11 @@ def _static_intervals(
             "Record at least nine attitudes of 2 to 4 s each."
         )
     statistic = static_statistic(samples.values, window)
-    statistic[_turns_at_rest(prepared, statistic)] = np.inf
+    turns, stirs = _turns_at_rest(prepared, statistic)
+    statistic[turns] = np.inf
+    motion = Motion(samples=samples, statistic=statistic, stirs=stirs, saturated=prepared.accelerometer_saturated)
     multipliers = MULTIPLIERS if options.multiplier is None else (options.multiplier,)
-    chosen, trials = choose_threshold(samples, statistic, gravity_m_s2, prepared.accelerometer_saturated, multipliers)
+    chosen, trials = choose_threshold(motion, gravity_m_s2, multipliers)
     if chosen.fit is None:
         most = max(len(trial.intervals) for trial in trials)
         if most > FEWEST_INTERVALS:
@@ -137,19 +140,20 @@ def _static_intervals(
     return chosen, trials, statistic
 
 
-def _turns_at_rest(prepared: PreparedImu, statistic: Floats) -> np.ndarray:
-    """Mark the accelerometer samples (n,) that rest while the gyroscope turns, as about the vertical."""
+def _turns_at_rest(prepared: PreparedImu, statistic: Floats) -> tuple[Booleans, Booleans]:
+    """Mark the accelerometer samples (n,) that rest while the gyroscope turns, as about the vertical, or stirs."""
     t_accel, t_gyro = prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s
     still = statistic < _SURELY_STILL
     if t_accel is t_gyro:
         return turning(prepared.gyroscope, still)
     nearest = np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)
-    turns = turning(prepared.gyroscope, still[nearest])
-    return turns[np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)]
+    turns, stirs = turning(prepared.gyroscope, still[nearest])
+    at_accel = np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)
+    return turns[at_accel], stirs[at_accel]
 
 
 def _problem(
-    prepared: PreparedImu, chosen: ThresholdTrial, touched: np.ndarray, options: ImuOptions
+    prepared: PreparedImu, chosen: ThresholdTrial, touched: Booleans, options: ImuOptions
 ) -> tuple[MultiPositionProblem, tuple[TriadStream, TriadStream]]:
     """Gather what the undisturbed intervals and the rotations between them measured."""
     still = chosen.intervals.where(~touched)

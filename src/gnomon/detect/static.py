@@ -142,32 +142,62 @@ def static_statistic(values: Floats, window: int) -> Floats:
 
 
 _TURNING_S = 0.125
-_TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise
+_TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise, and room for a hand's tremor
+_STIRRING = 5.4  # times the median at rest: eight sigma of white noise
 
 
-def turning(gyroscope: TriadSamples, still: Booleans) -> Booleans:
-    """Mark samples at which the gyroscope turns although the accelerometer rests, (n,).
+def turning(gyroscope: TriadSamples, still: Booleans) -> tuple[Booleans, Booleans]:
+    """Mark samples at which the gyroscope turns although the accelerometer rests, (n,) and (n,).
 
     Turning about the vertical leaves gravity where it is. A mean rate over an eighth of a second that is far from the
-    rate at rest gives it away; the eighths beside it go with it.
+    rate at rest gives it away; the eighths beside it go with it. Two marks make a hysteresis: samples that turn cannot
+    be static, and a static interval cannot begin or end with samples that stir. Between them a hand's tremor may stay.
 
     Parameters
     ----------
     gyroscope : samples [unit]
     still : (n,) samples at which the accelerometer rests
+
+    Returns
+    -------
+    turns, stirs
     """
     length = max(1, round(_TURNING_S * gyroscope.rate_hz))
     n, blocks = len(gyroscope), len(gyroscope) // length
+    nothing = np.zeros(n, dtype=bool)
     if blocks < 3:
-        return np.zeros(n, dtype=bool)
+        return nothing, nothing
     means = gyroscope.values[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
-    resting = means[still[: blocks * length].reshape(blocks, length).all(axis=1)]
-    if len(resting) < 3:
-        return np.zeros(n, dtype=bool)
-    rest = np.median(resting, axis=0)
-    usual = np.quantile(np.abs(resting - rest), 0.9, axis=0)
-    turns = np.any(np.abs(means - rest) > _TURNING * usual, axis=1)
+    resting = still[: blocks * length].reshape(blocks, length).all(axis=1)
+    if resting.sum() < 3:
+        return nothing, nothing
+    away = np.abs(means - np.median(means[resting], axis=0))
+    usual, median = np.quantile(away[resting], [0.9, 0.5], axis=0)
+    turns = np.any(away > _TURNING * usual, axis=1)
     wide = turns.copy()
     wide[1:] |= turns[:-1]
     wide[:-1] |= turns[1:]
-    return np.append(np.repeat(wide, length), np.full(n - blocks * length, wide[-1]))
+    stirs = wide | np.any(away > _STIRRING * median, axis=1)
+    rest = n - blocks * length
+    return (
+        np.append(np.repeat(wide, length), np.full(rest, wide[-1])),
+        np.append(np.repeat(stirs, length), np.full(rest, stirs[-1])),
+    )
+
+
+def trimmed(intervals: StaticIntervals, stirs: Booleans, shortest: int) -> StaticIntervals:
+    """Return the intervals without the samples at their ends that stir, where enough is left.
+
+    Parameters
+    ----------
+    stirs : (n,) from `turning`
+    shortest : least number of samples
+    """
+    quiet = np.flatnonzero(~stirs)
+    if not len(quiet) or not len(intervals):
+        return intervals.where(np.zeros(len(intervals), dtype=bool))
+    first = np.searchsorted(quiet, intervals.start)
+    last = np.searchsorted(quiet, intervals.stop) - 1
+    start, stop = quiet[np.minimum(first, len(quiet) - 1)], quiet[np.maximum(last, 0)] + 1
+    keep = (last >= first) & (stop - start >= shortest)
+    return StaticIntervals(start=start[keep], stop=stop[keep])

@@ -78,7 +78,7 @@ def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None)
     slope = None if accelerometer is None else _turning_of_gravity(accelerometer, values, t_ns)
     if slope is not None:
         unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
-        return Unit(unit=unit, reason=f"gravity turns by {slope:.3g} rad while one unit is integrated for a second")
+        return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
     _, spread = _windows(values)
     noise = max(float(np.quantile(spread, 0.1)) / np.sqrt(3), 1e-6)
     centred = np.abs(values - np.median(values[:: max(1, len(values) // 10_000)], axis=0))

@@ -109,7 +109,8 @@ def _made_stamps(file: TextFile, layout: Layout, count: int, rate_hz: float | No
     if rate_hz is None:
         raise RecordingError(
             f"{file.name}: no column holds the time, and nothing tells the sample rate. State it with --rate, for "
-            f"example --rate 100. If one of the columns is the time: {HELP}"
+            "example --rate 100. If a column holds the time, name the columns: "
+            '--columns "t ax ay az gx gy gz" (_ skips one).'
         )
     return uniform_stamps(count, rate_hz), f"{file.name}: no stamps; {rate_hz:g} Hz {origin}."
 
