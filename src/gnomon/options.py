@@ -26,8 +26,7 @@ class ImuOptions:
     """Height above the ellipsoid in metres, used with --latitude."""
 
     frame: str = "accel-x"
-    """Body frame: accel-x (Kalibr), accel-z (Tedaldi), or static intervals in which a body axis of yours pointed up or
-    down, such as "x=3 y=12 z=-7" (interval 3 with x up, 12 with y up, 7 with z down)."""
+    """Body frame: accel-x (Kalibr), accel-z (Tedaldi), or poses "x=3 z=-7" (interval 3 with x up, 7 with z down)."""
 
     model: Literal["auto", "basic", "g-sensitivity"] = "auto"
     """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""

@@ -65,17 +65,8 @@ def assess(
         *_model_findings(diagnostics, options),
         *_drift_findings(evidence),
         *_allan_findings(diagnostics),
+        *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
     ]
-    if not evidence.fit.converged:
-        findings.append(
-            Finding(
-                severity="problem",
-                code="not-converged",
-                message=f"The fit did not settle within {evidence.fit.iterations} steps.",
-                consequence="Its parameters are not a minimum.",
-                cure="Record again with more attitudes, and with rotations about all three axes.",
-            )
-        )
     ordered = worst_first(findings)
     return Assessment(
         verdict=verdict_of(ordered),
@@ -98,6 +89,22 @@ def _weighed(finding: Finding, diagnostics: ImuDiagnostics) -> Finding:
     return replace(
         finding, severity="info", consequence="No rotation between static intervals is touched by it.", cure=""
     )
+
+
+def convergence_findings(converged: bool, iterations: int | None = None) -> list[Finding]:
+    """Say that the fit did not settle, and within how many steps where that is known; nothing if it did."""
+    if converged:
+        return []
+    within = "" if iterations is None else f" within {iterations} steps"
+    return [
+        Finding(
+            severity="problem",
+            code="not-converged",
+            message=f"The fit did not settle{within}.",
+            consequence="Its parameters are not a minimum.",
+            cure="Record again with more attitudes, and with rotations about all three axes.",
+        )
+    ]
 
 
 def _graded(value: float, warn: float, fail: float) -> str:

@@ -20,6 +20,9 @@ MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
 SHORTEST_S = 0.5
 FEWEST_INTERVALS = 9
 _OUTLIER_SIGMA = 6.0
+_SUSPICIOUS_SIGMA = 2.5
+_REWEIGHTINGS = 6
+_NO_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,15 +133,35 @@ def choose_threshold(
 def disturbed(trial: ThresholdTrial, samples: TriadSamples) -> Booleans:
     """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
 
-    Judged by the residual when left out, against the median of all and the noise of the mean.
+    Where a residual stands out, the sum of absolute residuals is minimised first, by reweighting, so that several
+    disturbed intervals cannot hide by bending the fit; then each interval is judged by its residual when left out of a
+    fit to those that agree. Residuals of a few per cent of gravity are linear enough to be refitted as they stand.
     """
     assert trial.fit is not None
     duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
     weight = np.sqrt(duration / duration.mean())
-    left_out = np.abs(trial.fit.residual / np.maximum(1 - trial.fit.leverage, 1e-6)) / weight
     noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
     white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
-    scale = np.maximum(1.4826 * float(np.median(left_out)), white)
-    out = left_out > _OUTLIER_SIGMA * scale
+    residual, jacobian = trial.fit.residual / weight, trial.fit.jacobian / weight[:, None]
+
+    def left_out(given: Floats) -> Floats:
+        """Return the size of each residual in a weighted fit from which it was left out."""
+        q, r = np.linalg.qr(jacobian * given[:, None])
+        step = -np.linalg.lstsq(r, q.T @ (residual * given), rcond=1e-12)[0]
+        leverage = np.einsum("ij,ij->i", q, q)
+        return np.abs(residual + jacobian @ step) / np.maximum(1 - leverage, 1e-6)
+
+    def stand_out(size: Floats, usual: float, sigmas: float) -> Booleans:
+        return size > sigmas * np.maximum(1.4826 * usual, white)
+
+    nothing = np.zeros(len(weight), dtype=bool)
+    size = left_out(weight)
+    if not stand_out(size, float(np.median(size)), _SUSPICIOUS_SIGMA).any():
+        return nothing
+    for _ in range(_REWEIGHTINGS):
+        size = left_out(1 / np.sqrt(np.maximum(size, white)))
+    agree = ~stand_out(size, 2 * float(np.median(size)), _OUTLIER_SIGMA)
+    size = left_out(np.where(agree, weight, _NO_WEIGHT))
+    out = stand_out(size, float(np.median(size[agree])), _OUTLIER_SIGMA)
     keeps_enough = (~out).sum() >= max(FEWEST_INTERVALS + 1, 0.6 * len(out))
-    return out if keeps_enough else np.zeros(len(out), dtype=bool)
+    return out if keeps_enough else nothing

@@ -22,6 +22,7 @@ from ..assess.imu_tables import (
 )
 from ..assess.imu_verdict import (
     axis_findings,
+    convergence_findings,
     gravity_findings,
     holdout_findings,
     unit_findings,
@@ -401,17 +402,8 @@ def _assess(
             consequence="It knows no g-sensitivity; its sigmas are lower bounds: neighbouring rotations share noise.",
             cure="Leave out --preset for the better estimator.",
         ),
+        *convergence_findings(converged),
     ]
-    if not converged:
-        findings.append(
-            Finding(
-                severity="problem",
-                code="not-converged",
-                message="The fit did not settle.",
-                consequence="Its parameters are not a minimum.",
-                cure="Record again with more attitudes, and with rotations about all three axes.",
-            )
-        )
     ordered = worst_first(findings)
     return Assessment(
         verdict=verdict_of(ordered),

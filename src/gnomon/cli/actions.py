@@ -28,10 +28,11 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
     with result_folder(folder) as staging:
         terminal.progress("reading the recording")
         recording = _read(command.recording)
+        terminal.close()
+        _say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
         result = calibrate_imu(recording, command.options, progress=terminal.progress)
         _write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
-    _say_assumptions(recording.assumptions, terminal)
     _say_result(result.calibration, folder, terminal, parameters=True)
     terminal.document(_result_document(result.calibration, folder, recording.assumptions))
     return _exit_code(result.calibration)

@@ -63,6 +63,7 @@ class MagnitudeFit:
     correction : (3, 3) upper triangular, f = correction @ (m - bias) [m/s^2 per unit]
     bias : (3,) [unit]
     residual : (n,) weighted residuals at the minimum
+    jacobian : (n, 9) their derivatives, in scaled parameters
     covariance : (9, 9) of the correction's six entries in row order and the bias, for residuals of unit variance
     leverage : (n,) diagonal of the hat matrix
     cost : half the sum of squared residuals
@@ -72,6 +73,7 @@ class MagnitudeFit:
     correction: Floats
     bias: Floats
     residual: Floats
+    jacobian: Floats
     covariance: Floats
     leverage: Floats
     cost: float
@@ -115,6 +117,7 @@ def fit_magnitude(
         correction=correction,
         bias=x[6:] + centre,
         residual=solution.residual,
+        jacobian=solution.jacobian,
         covariance=unscaled * np.outer(turn, turn),
         leverage=leverage,
         cost=solution.cost,

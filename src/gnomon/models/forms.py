@@ -9,10 +9,14 @@ A form holds the same sensor in the letters of a document. `from_sensor` and `to
 the document's own equation, so that a test can show that the samples are the same. Each form belongs to a body frame
 (`frame`): a document that makes the accelerometer's matrix triangular fixes the frame by doing so. Bring the sensor
 into that frame first (`models.frames`). Sign conventions differ: document A adds the bias, document C subtracts it.
+
+How a document writes one triad, its matrix and its bias, is the same for accelerometer and gyroscope and stands once:
+`CorrectedTriad`, `KrebsTriad`. A gyroscope's form adds where its axes lie, and the g-sensitivity.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -23,8 +27,114 @@ KrebsReading = Literal["chapter 3", "chapter 4"]
 """Document B states the g-sensitivity twice: in the gyroscope's frame (chapter 3) and in the body frame (chapter 4)."""
 
 
+class TriadForm(ABC):
+    """One triad in the letters of a document: s = response to x, with x in axes in which the document's matrix lives.
+
+    Attributes
+    ----------
+    frame : str, the body frame in which the sensor has to be stated; None where any will do
+    """
+
+    __slots__ = ()
+    frame: ClassVar[Any]
+
+    @classmethod
+    @abstractmethod
+    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
+        """Return the document's letters for a sensitivity (3, 3) in the form's own axes, and a bias (3,)."""
+
+    @abstractmethod
+    def _joined(self) -> tuple[Floats, Floats]:
+        """Return the sensitivity (3, 3) in the form's own axes, and the bias (3,)."""
+
+    @abstractmethod
+    def _measured(self, truth: Floats) -> Floats:
+        """Return the document's equation for specific force or angular rate (n, 3) in the form's own axes."""
+
+
+class AccelerometerForm(TriadForm):
+    """An accelerometer: its own axes are those of the body frame."""
+
+    __slots__ = ()
+
+    @classmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
+        """Convert from S_a (3, 3) [unit per m/s^2] in the form's frame and b_a (3,) [unit].
+
+        Raises
+        ------
+        OptionError
+            If the sensitivity is not in the form's frame, or the form cannot hold such a sensor.
+        """
+        return cls(**cls._split(sensitivity if cls.frame is None else in_frame(sensitivity, cls.frame), bias))
+
+    def to_sensor(self) -> tuple[Floats, Floats]:
+        """Return S_a (3, 3) and b_a (3,)."""
+        return self._joined()
+
+    def predict(self, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
+        return self._measured(force)
+
+
+class GyroscopeForm(TriadForm):
+    """A gyroscope: its own axes may be turned against the body frame, and it feels specific force."""
+
+    __slots__ = ()
+
+    @classmethod
+    @abstractmethod
+    def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
+        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2].
+
+        Raises
+        ------
+        OptionError
+            If the form cannot hold such a sensor.
+        """
+
+    @abstractmethod
+    def to_sensor(self) -> tuple[Floats, Floats, Floats]:
+        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+
+    @abstractmethod
+    def predict(self, rate: Floats, force: Floats) -> Floats:
+        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TedaldiAccelerometer:
+class CorrectedTriad(TriadForm):
+    """Documents A and C write the correction of a measurement: x = T K (s - b), or x = T K (s + b) in document A.
+
+    Attributes
+    ----------
+    T : (3, 3), unit diagonal
+    K : (3,) [SI per unit], the diagonal
+    b : (3,) [unit]
+    whose : the form's owner, for messages
+    bias_sign : +1 if the document subtracts b from the measurement, -1 if it adds it
+    """
+
+    whose: ClassVar[str]
+    bias_sign: ClassVar[int]
+    T: Floats
+    K: Floats
+    b: Floats
+
+    @classmethod
+    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
+        T, K = unit_diagonal(inverse(sensitivity), cls.whose)
+        return {"T": T, "K": K, "b": cls.bias_sign * bias}
+
+    def _joined(self) -> tuple[Floats, Floats]:
+        return inverse(self.T * self.K), self.bias_sign * self.b
+
+    def _measured(self, truth: Floats) -> Floats:
+        return (truth @ inverse(self.T).T) / self.K + self.bias_sign * self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TedaldiAccelerometer(CorrectedTriad, AccelerometerForm):
     """Document A, Eqs. (2.6), (3.3): a_O = T K (a_S + b), with T = [1 -yz zy; 0 1 -zx; 0 0 1].
 
     Attributes
@@ -35,33 +145,12 @@ class TedaldiAccelerometer:
     """
 
     frame: ClassVar[str] = "accel-z"
-    T: Floats
-    K: Floats
-    b: Floats
-
-    @classmethod
-    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
-        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-z and b_a (3,) [unit].
-
-        Raises
-        ------
-        OptionError
-            If the sensitivity is not in frame accel-z.
-        """
-        T, K = unit_diagonal(inverse(in_frame(sensitivity, cls.frame)), "Tedaldi's")
-        return cls(T=T, K=K, b=-bias)
-
-    def to_sensor(self) -> tuple[Floats, Floats]:
-        """Return S_a (3, 3) and b_a (3,)."""
-        return inverse(self.T * self.K), -self.b
-
-    def predict(self, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
-        return (force @ inverse(self.T).T) / self.K - self.b
+    whose: ClassVar[str] = "Tedaldi's"
+    bias_sign: ClassVar[int] = -1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TedaldiGyroscope:
+class TedaldiGyroscope(CorrectedTriad, GyroscopeForm):
     """Document A, Eqs. (2.7), (3.5): w_O = T K (w_S + b), with T = [1 -yz zy; xz 1 -zx; -xy yx 1].
 
     Joined with document B's g-sensitivity: w_O = T K (w_S + b - B f_O); document A has B = 0.
@@ -75,34 +164,23 @@ class TedaldiGyroscope:
     """
 
     frame: ClassVar[str] = "accel-z"
-    T: Floats
-    K: Floats
-    b: Floats
+    whose: ClassVar[str] = "Tedaldi's"
+    bias_sign: ClassVar[int] = -1
     B: Floats
 
     @classmethod
     def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
-        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2].
-
-        Raises
-        ------
-        OptionError
-            If an axis of the gyroscope does not respond to the body axis of the same name at all.
-        """
-        T, K = unit_diagonal(inverse(sensitivity), "Tedaldi's")
-        return cls(T=T, K=K, b=-bias, B=g_sensitivity)
+        return cls(**cls._split(sensitivity, bias), B=g_sensitivity)
 
     def to_sensor(self) -> tuple[Floats, Floats, Floats]:
-        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
-        return inverse(self.T * self.K), -self.b, self.B
+        return *self._joined(), self.B
 
     def predict(self, rate: Floats, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
-        return (rate @ inverse(self.T).T) / self.K - self.b + force @ self.B.T
+        return self._measured(rate) + force @ self.B.T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AngrisanoAccelerometer:
+class AngrisanoAccelerometer(CorrectedTriad, AccelerometerForm):
     """Document C, Eqs. (1), (2): s = T K (s_out - b), with T = [1 az ay; 0 1 ax; 0 0 1].
 
     Attributes
@@ -113,33 +191,12 @@ class AngrisanoAccelerometer:
     """
 
     frame: ClassVar[str] = "accel-z"
-    T: Floats
-    K: Floats
-    b: Floats
-
-    @classmethod
-    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
-        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-z and b_a (3,) [unit].
-
-        Raises
-        ------
-        OptionError
-            If the sensitivity is not in frame accel-z.
-        """
-        T, K = unit_diagonal(inverse(in_frame(sensitivity, cls.frame)), "Angrisano's")
-        return cls(T=T, K=K, b=bias)
-
-    def to_sensor(self) -> tuple[Floats, Floats]:
-        """Return S_a (3, 3) and b_a (3,)."""
-        return inverse(self.T * self.K), self.b
-
-    def predict(self, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
-        return (force @ inverse(self.T).T) / self.K + self.b
+    whose: ClassVar[str] = "Angrisano's"
+    bias_sign: ClassVar[int] = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AngrisanoGyroscope:
+class AngrisanoGyroscope(CorrectedTriad, GyroscopeForm):
     """Document C, Eqs. (1), (2), for the gyroscope, in an orthogonal frame G of its own: w_G = T K (y - b).
 
     Norms of rates cannot tell how G lies to the body; C_gb, which document C leaves open, completes the model, as does
@@ -155,30 +212,54 @@ class AngrisanoGyroscope:
     """
 
     frame: ClassVar[str] = "accel-z"
-    T: Floats
-    K: Floats
-    b: Floats
+    whose: ClassVar[str] = "Angrisano's"
+    bias_sign: ClassVar[int] = 1
     B: Floats
     C_gb: Floats
 
     @classmethod
     def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
-        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
-        C_gb = frame_rotation(sensitivity, "accel-z")
-        T, K = unit_diagonal(inverse(np.triu(sensitivity @ C_gb.T)), "Angrisano's")
-        return cls(T=T, K=K, b=bias, B=g_sensitivity, C_gb=C_gb)
+        upper, C_gb = in_own_axes(sensitivity, cls.frame)
+        return cls(**cls._split(upper, bias), B=g_sensitivity, C_gb=C_gb)
 
     def to_sensor(self) -> tuple[Floats, Floats, Floats]:
-        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
-        return inverse(self.T * self.K) @ self.C_gb, self.b, self.B
+        sensitivity, bias = self._joined()
+        return sensitivity @ self.C_gb, bias, self.B
 
     def predict(self, rate: Floats, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
-        return (rate @ self.C_gb.T @ inverse(self.T).T) / self.K + self.b + force @ self.B.T
+        return self._measured(rate @ self.C_gb.T) + force @ self.B.T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KrebsAccelerometer:
+class KrebsTriad(TriadForm):
+    """Document B writes the measurement: s = S M x + b, with M unit lower triangular.
+
+    Attributes
+    ----------
+    S : (3,) [unit per SI], the diagonal
+    M : (3, 3), unit lower triangular
+    b : (3,) [unit]
+    """
+
+    frame: ClassVar[str] = "accel-x"
+    S: Floats
+    M: Floats
+    b: Floats
+
+    @classmethod
+    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
+        S = np.diag(sensitivity).copy()
+        return {"S": S, "M": sensitivity / S[:, None], "b": bias}
+
+    def _joined(self) -> tuple[Floats, Floats]:
+        return self.S[:, None] * self.M, self.b
+
+    def _measured(self, truth: Floats) -> Floats:
+        return (truth @ self.M.T) * self.S + self.b
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KrebsAccelerometer(KrebsTriad, AccelerometerForm):
     """Document B, chapter 3: a~ = S M f + b, with M unit lower triangular, [1 0 0; yz 1 0; zy zx 1].
 
     Against the angles of document A: M_yz = -alpha_yz, M_zy = +alpha_zy, M_zx = -alpha_zx.
@@ -190,35 +271,9 @@ class KrebsAccelerometer:
     b : (3,) [unit]
     """
 
-    frame: ClassVar[str] = "accel-x"
-    S: Floats
-    M: Floats
-    b: Floats
-
-    @classmethod
-    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
-        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-x and b_a (3,) [unit].
-
-        Raises
-        ------
-        OptionError
-            If the sensitivity is not in frame accel-x.
-        """
-        lower = in_frame(sensitivity, cls.frame)
-        S = np.diag(lower).copy()
-        return cls(S=S, M=lower / S[:, None], b=bias)
-
-    def to_sensor(self) -> tuple[Floats, Floats]:
-        """Return S_a (3, 3) and b_a (3,)."""
-        return self.S[:, None] * self.M, self.b
-
-    def predict(self, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
-        return (force @ self.M.T) * self.S + self.b
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KrebsGyroscope:
+class KrebsGyroscope(KrebsTriad, GyroscopeForm):
     """Document B: w~ = S M C_bg' w + B C_bg' f + b (chapter 3), or with B f in place of B C_bg' f (chapter 4).
 
     Attributes
@@ -231,34 +286,26 @@ class KrebsGyroscope:
     reading : "chapter 3" or "chapter 4"
     """
 
-    frame: ClassVar[str] = "accel-x"
-    S: Floats
-    M: Floats
     C_bg: Floats
     B: Floats
-    b: Floats
     reading: KrebsReading = "chapter 3"
 
     @classmethod
     def from_sensor(
         cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats, reading: KrebsReading = "chapter 3"
     ) -> Self:
-        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
-        C_bg = frame_rotation(sensitivity, "accel-x").T
-        lower = np.tril(sensitivity @ C_bg)
-        S = np.diag(lower).copy()
-        B = g_sensitivity @ C_bg if reading == "chapter 3" else g_sensitivity
-        return cls(S=S, M=lower / S[:, None], C_bg=C_bg, B=B, b=bias, reading=reading)
+        lower, C_gb = in_own_axes(sensitivity, cls.frame)
+        B = g_sensitivity @ C_gb.T if reading == "chapter 3" else g_sensitivity
+        return cls(**cls._split(lower, bias), C_bg=C_gb.T, B=B, reading=reading)
 
     def to_sensor(self) -> tuple[Floats, Floats, Floats]:
-        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
+        sensitivity, bias = self._joined()
         G = self.B @ self.C_bg.T if self.reading == "chapter 3" else self.B
-        return (self.S[:, None] * self.M) @ self.C_bg.T, self.b, G
+        return sensitivity @ self.C_bg.T, bias, G
 
     def predict(self, rate: Floats, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
         acting = force @ self.C_bg if self.reading == "chapter 3" else force
-        return (rate @ self.C_bg @ self.M.T) * self.S + acting @ self.B.T + self.b
+        return self._measured(rate @ self.C_bg) + acting @ self.B.T
 
 
 def in_frame(sensitivity: Floats, frame: str) -> Floats:
@@ -278,6 +325,20 @@ def in_frame(sensitivity: Floats, frame: str) -> Floats:
     exact = sensitivity.copy()
     exact[entries] = 0.0
     return exact
+
+
+def in_own_axes(sensitivity: Floats, frame: str) -> tuple[Floats, Floats]:
+    """Return a gyroscope's sensitivity (3, 3) in axes of its own, triangular as `frame` asks, and C (3, 3) into them.
+
+    Raises
+    ------
+    OptionError
+        If the frame is neither "accel-x" nor "accel-z".
+    """
+    C = frame_rotation(sensitivity, frame)
+    own = sensitivity @ C.T
+    own[tuple(np.transpose(fixed_entries(frame)))] = 0.0
+    return own, C
 
 
 def inverse(matrix: Floats) -> Floats:

@@ -9,17 +9,17 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from .forms import in_frame, inverse, unit_diagonal
-from .frames import Floats, frame_rotation
+from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_own_axes, inverse, unit_diagonal
+from .frames import Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KalibrAccelerometer:
-    """Kalibr, "scale-misalignment": m = M f + b with M lower triangular and its diagonal free.
+class KalibrTriad(TriadForm):
+    """Kalibr, "scale-misalignment": s = M x + b with M lower triangular and its diagonal free.
 
     Attributes
     ----------
-    M : (3, 3) [unit per m/s^2], lower triangular
+    M : (3, 3) [unit per SI], lower triangular
     b : (3,) [unit]; Kalibr lets it vary with time
     """
 
@@ -28,27 +28,29 @@ class KalibrAccelerometer:
     b: Floats
 
     @classmethod
-    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
-        """Convert from S_a (3, 3) [unit per m/s^2] in frame accel-x and b_a (3,) [unit].
+    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
+        return {"M": sensitivity, "b": bias}
 
-        Raises
-        ------
-        OptionError
-            If the sensitivity is not in frame accel-x.
-        """
-        return cls(M=in_frame(sensitivity, cls.frame), b=bias)
-
-    def to_sensor(self) -> tuple[Floats, Floats]:
-        """Return S_a (3, 3) and b_a (3,)."""
+    def _joined(self) -> tuple[Floats, Floats]:
         return self.M, self.b
 
-    def predict(self, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
-        return force @ self.M.T + self.b
+    def _measured(self, truth: Floats) -> Floats:
+        return truth @ self.M.T + self.b
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class KalibrGyroscope:
+class KalibrAccelerometer(KalibrTriad, AccelerometerForm):
+    """Kalibr, "scale-misalignment": m = M f + b with M lower triangular and its diagonal free.
+
+    Attributes
+    ----------
+    M : (3, 3) [unit per m/s^2], lower triangular
+    b : (3,) [unit]; Kalibr lets it vary with time
+    """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KalibrGyroscope(KalibrTriad, GyroscopeForm):
     """Kalibr, "scale-misalignment": y = M C w + A C f + b with M lower triangular and C = C_gyro_i.
 
     Attributes
@@ -59,25 +61,20 @@ class KalibrGyroscope:
     b : (3,) [unit]; Kalibr lets it vary with time
     """
 
-    frame: ClassVar[str] = "accel-x"
-    M: Floats
     C_gyro_i: Floats
     A: Floats
-    b: Floats
 
     @classmethod
     def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
-        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
-        C = frame_rotation(sensitivity, "accel-x")
-        return cls(M=np.tril(sensitivity @ C.T), C_gyro_i=C, A=g_sensitivity @ C.T, b=bias)
+        lower, C = in_own_axes(sensitivity, cls.frame)
+        return cls(**cls._split(lower, bias), C_gyro_i=C, A=g_sensitivity @ C.T)
 
     def to_sensor(self) -> tuple[Floats, Floats, Floats]:
-        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
-        return self.M @ self.C_gyro_i, self.b, self.A @ self.C_gyro_i
+        sensitivity, bias = self._joined()
+        return sensitivity @ self.C_gyro_i, bias, self.A @ self.C_gyro_i
 
     def predict(self, rate: Floats, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
-        return rate @ self.C_gyro_i.T @ self.M.T + force @ self.C_gyro_i.T @ self.A.T + self.b
+        return self._measured(rate @ self.C_gyro_i.T) + force @ self.C_gyro_i.T @ self.A.T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,12 +115,12 @@ class ImuTkTriad:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImucalAccelerometer:
-    """imucal (Ferraris): m = K R f + b with the rows of R of unit length; any body frame.
+class ImucalTriad(TriadForm):
+    """imucal (Ferraris): s = K R x + b with the rows of R of unit length; any body frame.
 
     Attributes
     ----------
-    K : (3,) [unit per m/s^2], the diagonal
+    K : (3,) [unit per SI], the diagonal
     R : (3, 3), sensitivity axes as unit rows
     b : (3,) [unit]
     """
@@ -134,22 +131,31 @@ class ImucalAccelerometer:
     b: Floats
 
     @classmethod
-    def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
-        """Convert from S_a (3, 3) [unit per m/s^2] and b_a (3,) [unit]."""
+    def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
         K = np.sqrt(np.square(sensitivity).sum(axis=1))
-        return cls(K=K, R=sensitivity / K[:, None], b=bias)
+        return {"K": K, "R": sensitivity / K[:, None], "b": bias}
 
-    def to_sensor(self) -> tuple[Floats, Floats]:
-        """Return S_a (3, 3) and b_a (3,)."""
+    def _joined(self) -> tuple[Floats, Floats]:
         return self.K[:, None] * self.R, self.b
 
-    def predict(self, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of specific force (n, 3) [m/s^2]."""
-        return (force @ self.R.T) * self.K + self.b
+    def _measured(self, truth: Floats) -> Floats:
+        return (truth @ self.R.T) * self.K + self.b
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImucalGyroscope:
+class ImucalAccelerometer(ImucalTriad, AccelerometerForm):
+    """imucal (Ferraris): m = K R f + b with the rows of R of unit length; any body frame.
+
+    Attributes
+    ----------
+    K : (3,) [unit per m/s^2], the diagonal
+    R : (3, 3), sensitivity axes as unit rows
+    b : (3,) [unit]
+    """
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImucalGyroscope(ImucalTriad, GyroscopeForm):
     """imucal (Ferraris): y = K R w + K_ga f + b with the rows of R of unit length; any body frame.
 
     Attributes
@@ -160,22 +166,14 @@ class ImucalGyroscope:
     b : (3,) [unit]
     """
 
-    frame: ClassVar[None] = None
-    K: Floats
-    R: Floats
     K_ga: Floats
-    b: Floats
 
     @classmethod
     def from_sensor(cls, sensitivity: Floats, bias: Floats, g_sensitivity: Floats) -> Self:
-        """Convert from S_g (3, 3) [unit per rad/s], b_g (3,) [unit] and G (3, 3) [unit per m/s^2]."""
-        K = np.sqrt(np.square(sensitivity).sum(axis=1))
-        return cls(K=K, R=sensitivity / K[:, None], K_ga=g_sensitivity, b=bias)
+        return cls(**cls._split(sensitivity, bias), K_ga=g_sensitivity)
 
     def to_sensor(self) -> tuple[Floats, Floats, Floats]:
-        """Return S_g (3, 3), b_g (3,) and G (3, 3)."""
-        return self.K[:, None] * self.R, self.b, self.K_ga
+        return *self._joined(), self.K_ga
 
     def predict(self, rate: Floats, force: Floats) -> Floats:
-        """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
-        return (rate @ self.R.T) * self.K + force @ self.K_ga.T + self.b
+        return self._measured(rate) + force @ self.K_ga.T

@@ -1,16 +1,37 @@
 """Format "folder": a dataset in the layout of EuRoC or Kalibr, a pair of files, or one single file."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
-from ..errors import RecordingError
+from ..errors import OptionError, RecordingError
 
 _LAYOUTS = ("mav0/imu0/data.csv", "imu0/data.csv", "data.csv", "imu0.csv")
 _SUFFIXES = (".csv", ".txt", ".log", ".dat", ".tsv", ".mat", ".npz")
 _ACCELEROMETER, _GYROSCOPE = re.compile(r"acc", re.IGNORECASE), re.compile(r"gyr", re.IGNORECASE)
 
 
-def find_recording(folder: Path) -> tuple[Path, ...]:
+def recording_files(paths: Sequence[str | Path]) -> list[Path]:
+    """Return the one file, or the accelerometer and gyroscope files, that the paths of a recording mean.
+
+    Raises
+    ------
+    OptionError
+        If there are too few or too many paths.
+    RecordingError
+        If the path is a folder that does not hold one recording.
+    """
+    files = [Path(path) for path in paths]
+    if len(files) == 1 and files[0].is_dir():
+        files = list(_recording_in(files[0]))
+    if not 1 <= len(files) <= 2 or (len(files) == 2 and any(path.is_dir() for path in files)):
+        raise OptionError(
+            f"{len(files)} paths given. Give one file, one folder, or an accelerometer file and a gyroscope file."
+        )
+    return files
+
+
+def _recording_in(folder: Path) -> tuple[Path, ...]:
     """Return the file, or the accelerometer and gyroscope files, that a folder holds.
 
     Raises

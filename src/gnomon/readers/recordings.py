@@ -9,11 +9,11 @@ from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSa
 from ..units import Units
 from .column_roles import HELP
 from .files import NPZ_MAGIC, file_source, first_bytes, read_text
-from .folder import find_recording
+from .folder import recording_files
 from .recognise import accelerometer_is_first, accelerometer_unit, gyroscope_unit
 from .table import Table, Triad, read_table
 
-_Stream = tuple[Integers, Triad]
+StampedTriad = tuple[Integers, Triad]
 
 
 def read(
@@ -41,20 +41,14 @@ def read(
     stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
     if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
         raise OptionError(f"rate {rate_hz:g} Hz must be greater than zero.")
-    files = [Path(path) for path in paths]
-    if len(files) == 1 and files[0].is_dir():
-        files = list(find_recording(files[0]))
-    if not 1 <= len(files) <= 2 or (len(files) == 2 and any(path.is_dir() for path in files)):
-        raise OptionError(
-            f"{len(files)} paths given. Give one file, one folder, or an accelerometer file and a gyroscope file."
-        )
+    files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):
         return _read_npz(files, columns, rate_hz, stated)
     texts = [read_text(path) for path in files]
     tables = [read_table(text, columns, rate_hz, stated) for text in texts]
     notes = [note for table in tables for note in table.notes]
     pair = len(files) == 2
-    streams = _in_two_files(tables, files, notes) if pair else _in_one_file(tables[0], files[0].name, notes)
+    streams = in_two_files(tables, files, notes) if pair else in_one_file(tables[0], files[0].name, notes)
     return Recording(
         imus={"imu0": _samples(*streams, stated, notes, "")},
         sources=tuple(text.source for text in texts),
@@ -74,7 +68,7 @@ def _read_npz(files: list[Path], columns: str | None, rate_hz: float | None, sta
     tables = read_npz(files[0], rate_hz)
     for imu, parts in tables.items():
         notes += [note for part in parts for note in part.notes]
-        streams: list[_Stream] = [(part.t_ns, part.triads[0]) for part in parts]
+        streams: list[StampedTriad] = [(part.t_ns, part.triads[0]) for part in parts]
         imus[imu] = _samples(
             streams[0], streams[1] if len(streams) > 1 else None, stated, notes, f"{imu} " * (len(tables) > 1)
         )
@@ -82,7 +76,7 @@ def _read_npz(files: list[Path], columns: str | None, rate_hz: float | None, sta
     return Recording(imus=imus, sources=(source,), assumptions=tuple(notes))
 
 
-def _in_one_file(table: Table, where: str, notes: list[str]) -> tuple[_Stream, _Stream | None]:
+def in_one_file(table: Table, where: str, notes: list[str]) -> tuple[StampedTriad, StampedTriad | None]:
     """Return accelerometer and gyroscope of a table that holds both, or of an accelerometer alone."""
     if len(table.triads) == 1:
         (triad,) = table.triads
@@ -104,13 +98,13 @@ def _in_one_file(table: Table, where: str, notes: list[str]) -> tuple[_Stream, _
     return (table.t_ns, first), (table.t_ns, second)
 
 
-def _in_two_files(tables: list[Table], files: list[Path], notes: list[str]) -> tuple[_Stream, _Stream]:
+def in_two_files(tables: list[Table], files: list[Path], notes: list[str]) -> tuple[StampedTriad, StampedTriad]:
     """Return accelerometer and gyroscope of two tables: by header, else by file name, else by their values."""
     names = [path.name for path in files]
     for table, name in zip(tables, names, strict=True):
         if len(table.triads) != 1:
             raise RecordingError(f"{name}: found two triads; of two files, each must hold one. Give this file alone.")
-    streams: list[_Stream] = [(table.t_ns, table.triads[0]) for table in tables]
+    streams: list[StampedTriad] = [(table.t_ns, table.triads[0]) for table in tables]
     quantities = [triad.quantity for _, triad in streams]
     if quantities.count("accelerometer") == 2 or quantities.count("gyroscope") == 2:
         both = "an accelerometer" if quantities[0] == "accelerometer" else "a gyroscope"
@@ -128,7 +122,9 @@ def _in_two_files(tables: list[Table], files: list[Path], notes: list[str]) -> t
     return (streams[0], streams[1]) if first else (streams[1], streams[0])
 
 
-def _samples(accel: _Stream, gyro: _Stream | None, stated: Units, notes: list[str], prefix: str) -> ImuSamples:
+def _samples(
+    accel: StampedTriad, gyro: StampedTriad | None, stated: Units, notes: list[str], prefix: str
+) -> ImuSamples:
     """Make samples with units: stated, else named in the file, else recognised."""
     unit, reason = _known(stated.accelerometer, accel[1].unit)
     if unit is None:
@@ -137,7 +133,7 @@ def _samples(accel: _Stream, gyro: _Stream | None, stated: Units, notes: list[st
     notes.append(f"{prefix}accelerometer in {unit} ({reason}).")
     accelerometer = TriadSamples(t_ns=accel[0], values=accel[1].values, unit=unit)
     if gyro is None:
-        notes.append(f"{prefix}no gyroscope; only the accelerometer can be calibrated.")
+        notes.append(f"{prefix}no gyroscope in this recording.")
         return ImuSamples(
             accelerometer=accelerometer,
             gyroscope=TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit="rad/s"),

@@ -5,9 +5,7 @@ where it is short. The units of the samples are known beforehand, from the calib
 file says, or gravity shows, takes precedence, so that a calibration for other units can be refused.
 """
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,42 +14,8 @@ from ..errors import OptionError, RecordingError
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..units import Units
 from .files import NPZ_MAGIC, first_bytes
-from .folder import find_recording
-from .recognise import accelerometer_unit
-
-Blocks = Iterator[TriadSamples]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SampleStream:
-    """One IMU's samples in consecutive blocks; the blocks of the two triads need not have the same stamps or lengths.
-
-    Attributes
-    ----------
-    accelerometer, gyroscope : iterators of TriadSamples, to be consumed once; the gyroscope's may be None
-    """
-
-    accelerometer: Blocks
-    gyroscope: Blocks | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UnitChoice:
-    """Units that were stated, and those that are taken where nothing tells otherwise."""
-
-    stated: Units
-    expected: Units
-
-    def accelerometer(self, named: str | None, values: Floats) -> str:
-        """Return the unit: stated, else named in the file, else shown by gravity in the first values, else expected."""
-        if self.stated.accelerometer is not None or named is not None:
-            return self.stated.accelerometer or str(named)
-        shown = accelerometer_unit(values).unit if len(values) > 1 else "count"
-        return shown if shown != "count" else self.expected.accelerometer or "count"
-
-    def gyroscope(self, named: str | None) -> str:
-        """Return the unit: stated, else named in the file, else expected."""
-        return self.stated.gyroscope or named or self.expected.gyroscope or "count"
+from .folder import recording_files
+from .sample_stream import Blocks, SampleStream, UnitChoice
 
 
 def stream_of(samples: ImuSamples, block: int = 65_536) -> SampleStream:
@@ -90,13 +54,7 @@ def open_stream(
         If an option does not fit the recording.
     """
     choice = UnitChoice(stated=units or Units(), expected=expected)
-    files = [Path(path) for path in paths]
-    if len(files) == 1 and files[0].is_dir():
-        files = list(find_recording(files[0]))
-    if not 1 <= len(files) <= 2 or (len(files) == 2 and any(path.is_dir() for path in files)):
-        raise OptionError(
-            f"{len(files)} paths given. Give one file, one folder, or an accelerometer file and a gyroscope file."
-        )
+    files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):
         from .stream_npz import open_npz
 
@@ -106,23 +64,6 @@ def open_stream(
     from .stream_text import open_text
 
     return open_text(files, choice, columns, rate_hz, block_bytes)
-
-
-def shared_blocks(blocks: Iterator[ImuSamples]) -> SampleStream:
-    """Split blocks that hold both triads into two iterators; what one of them has not yet taken is kept for it."""
-    waiting: tuple[deque[TriadSamples], deque[TriadSamples]] = (deque(), deque())
-
-    def side(which: int) -> Blocks:
-        while True:
-            if not waiting[which]:
-                block = next(blocks, None)
-                if block is None:
-                    return
-                waiting[0].append(block.accelerometer)
-                waiting[1].append(block.gyroscope)
-            yield waiting[which].popleft()
-
-    return SampleStream(accelerometer=side(0), gyroscope=side(1))
 
 
 class Rows:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..errors import RecordingError
 from ..recording import TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .sample_stream import Blocks, SampleStream, UnitChoice
 from .stamps import to_ns
-from .stream import Blocks, SampleStream, UnitChoice
 
 _UNITS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
 _FIRST_ROWS = 100_000  # from which the unit of the accelerometer is recognised

@@ -15,9 +15,9 @@ from ..errors import RecordingError
 from ..recording import ImuSamples, Integers, Source, TriadSamples
 from .column_roles import Roles, roles
 from .files import TextFile, first_bytes, refuse_binary
-from .recordings import _in_one_file, _in_two_files  # pyright: ignore[reportPrivateUsage]
+from .recordings import in_one_file, in_two_files
+from .sample_stream import SampleStream, UnitChoice, shared_blocks
 from .stamps import guess_time_unit, stamp_kind, to_ns
-from .stream import SampleStream, UnitChoice, shared_blocks
 from .table import preamble_rate, read_table
 from .text_table import Column, Layout, parse, sniff
 
@@ -67,9 +67,9 @@ def open_text(
     heads = [_head(path) for path in files]
     tables = [read_table(head, columns, rate_hz, choice.stated) for head in heads]
     if len(files) == 1:
-        accelerometer, gyroscope = _in_one_file(tables[0], files[0].name, [])
+        accelerometer, gyroscope = in_one_file(tables[0], files[0].name, [])
     else:
-        accelerometer, gyroscope = _in_two_files(tables, files, [])
+        accelerometer, gyroscope = in_two_files(tables, files, [])
     wanted = (accelerometer[1], None if gyroscope is None else gyroscope[1])
     units = (
         choice.accelerometer(accelerometer[1].unit, accelerometer[1].values),

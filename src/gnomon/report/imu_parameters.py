@@ -110,16 +110,14 @@ def _tilts(calibration: Calibration, path: str, matrix: Floats, covariance: Floa
         angle, sigma = 1e3 * float(matrix[i, j]) / length, 1e3 * float(np.sqrt(np.fmax(slope @ block @ slope, 0.0)))
         if angle == 0 and sigma == 0:
             continue
-        value, spread = with_sigma(angle, sigma, sign=True)
         angles.append((angle, sigma))
         rows.append(
-            Parameter(
-                name=f"{_AXES[i]} towards {_AXES[j]}",
-                value=value,
-                sigma=spread,
+            _about_zero(
+                f"{_AXES[i]} towards {_AXES[j]}",
+                angles[-1],
                 unit="mrad",
                 reads_as=f"{fixed(angle * 1e-3 * _DEG, 3, sign=True)}°",
-                note=_NOT_DETERMINED if _held(calibration, path, f"{i},{j}") else _significance(angle, sigma),
+                held=_held(calibration, path, f"{i},{j}"),
             )
         )
     return _drawn(rows, angles)
@@ -161,24 +159,27 @@ def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: G
     rows, drawn = list[Parameter](), list[tuple[float, float]]()
     for i, j in np.ndindex(3, 3):
         entry, sigma = float(gyroscope.g_sensitivity[i, j]), float(sigmas[i, j])
-        value, spread = with_sigma(entry, sigma, sign=True)
         drawn.append((entry, sigma))
         rows.append(
-            Parameter(
-                name=f"{_AXES[i]} by force {_AXES[j]}",
-                value=value,
-                sigma=spread,
+            _about_zero(
+                f"{_AXES[i]} by force {_AXES[j]}",
+                drawn[-1],
                 unit=f"{readable_unit(gyroscope.unit)} per m/s²",
                 reads_as=f"{number(entry / float(lengths[i]) * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g",
-                note=_NOT_DETERMINED if _held(calibration, path, f"{i},{j}") else _significance(entry, sigma),
+                held=_held(calibration, path, f"{i},{j}"),
             )
         )
     note = "change of the bias with specific force"
     return ParameterGroup(title=title, note=note, rows=_drawn(rows, drawn))
 
 
-def _significance(value: float, sigma: float) -> str:
-    return "within 2σ of zero" if sigma > 0 and abs(value) < 2 * sigma else ""
+def _about_zero(name: str, found: tuple[float, float], *, unit: str, reads_as: str, held: bool) -> Parameter:
+    """Return the row of a value, with sigma, that is zero in an ideal sensor."""
+    value, sigma = found
+    text, spread = with_sigma(value, sigma, sign=True)
+    insignificant = "within 2σ of zero" if sigma > 0 and abs(value) < 2 * sigma else ""
+    note = _NOT_DETERMINED if held else insignificant
+    return Parameter(name=name, value=text, sigma=spread, unit=unit, reads_as=reads_as, note=note)
 
 
 def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> list[tuple[float, float]]:

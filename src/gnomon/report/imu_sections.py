@@ -1,5 +1,6 @@
 """The sections of an IMU report that show how the calibration came about."""
 
+from collections.abc import Iterator
 from math import asin, degrees, isfinite
 
 import numpy as np
@@ -150,23 +151,24 @@ def accelerometer_section(intervals: IntervalTable) -> Section | None:
         "Held out: the calibration was made without the interval that it is tested on.",
     )
     rows: list[tuple[str, ...]] = []
-    for name, error in (
-        ("before", intervals.error_before),
-        ("after", intervals.error_after),
-        ("held out", intervals.error_holdout),
-        ("expected (σ)", intervals.sigma),
-    ):
-        spread, mean, worst = _in_numbers(error[used])
+    for name, (spread, mean, worst) in _in_numbers(intervals):
         milli_g = number(1e3 * spread / STANDARD_GRAVITY_M_S2, 3, trim=False)
         rows.append((name, *(quantity(v, "m/s²") for v in (spread, mean, worst)), milli_g))
     table = Table(title="In numbers", head=("|f| − g", "rms", "mean size", "worst", "rms in mg"), rows=tuple(rows))
     return Section(anchor="accelerometer", title="Accelerometer", blocks=(figure, table))
 
 
-def _in_numbers(errors: Floats) -> tuple[float, float, float]:
-    """Return rms, mean magnitude and largest magnitude of the finite errors; nan without any."""
-    values = np.abs(finite(errors))
-    return rms(values), float(np.mean(values)) if values.size else float("nan"), largest(values)
+def _in_numbers(table: IntervalTable | RotationTable) -> Iterator[tuple[str, tuple[float, float, float]]]:
+    """Yield each kind of error with rms, mean magnitude and largest magnitude over the used rows; nan without any."""
+    used = np.asarray(table.used, dtype=bool)
+    for name, errors in (
+        ("before", table.error_before),
+        ("after", table.error_after),
+        ("held out", table.error_holdout),
+        ("expected (σ)", table.sigma),
+    ):
+        values = np.abs(finite(errors[used]))
+        yield name, (rms(values), float(np.mean(values)) if values.size else float("nan"), largest(values))
 
 
 def gyroscope_section(rotations: RotationTable, gravity: float) -> Section | None:
@@ -183,13 +185,7 @@ def gyroscope_section(rotations: RotationTable, gravity: float) -> Section | Non
         "grows with the angle speaks of scale or misalignment, one that does not of bias or noise.",
     )
     rows: list[tuple[str, ...]] = []
-    for name, error in (
-        ("before", rotations.error_before),
-        ("after", rotations.error_after),
-        ("held out", rotations.error_holdout),
-        ("expected (σ)", rotations.sigma),
-    ):
-        spread, mean, worst = _in_numbers(error[used])
+    for name, (spread, mean, worst) in _in_numbers(rotations):
         # |u_a - u_g| is the chord of the angle between the two unit vectors.
         angle = degrees(2 * asin(min(worst / 2, 1.0))) if isfinite(worst) else float("nan")
         rows.append(

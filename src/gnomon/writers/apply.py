@@ -14,7 +14,8 @@ import numpy as np
 from ..calibration import ImuCalibration
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
-from ..readers.stream import Rows, SampleStream, open_stream, stream_of
+from ..readers.sample_stream import SampleStream
+from ..readers.stream import Rows, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..units import Units
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
+    CorrectedTriad,
     KrebsAccelerometer,
     KrebsGyroscope,
     TedaldiAccelerometer,
@@ -37,9 +38,10 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Maker:
-    """Makes the entries of one triad."""
+    """Makes the entries of one triad; si is the unit of what it measures."""
 
     triad: str
+    si: str
 
     def one(self, name: str, value: float, unit: str) -> Entry:
         return Entry(triad=self.triad, name=name, value=float(value), unit=unit)
@@ -60,13 +62,17 @@ class _Maker:
         for name, (sign, i, j) in signed.items():
             yield self.one(f"{prefix}{name}", sign * T[i, j], "rad")
 
-    def scales(self, letter: str, K: Floats, si: str, unit: str) -> Iterator[Entry]:
-        """Correction scales, and their inverses as data sheets print them."""
-        yield from self.vector(letter, K, per(si, unit))
-        yield from self.vector(f"1/{letter}", 1 / K, per(unit, si))
+    def corrected(
+        self, form: CorrectedTriad, signed: dict[str, tuple[int, int, int]], prefix: str, letter: str, unit: str
+    ) -> Iterator[Entry]:
+        """Name angles, correction scales with their inverses as data sheets print them, and bias."""
+        yield from self.angles(form.T, signed, prefix)
+        yield from self.vector(letter, form.K, per(self.si, unit))
+        yield from self.vector(f"1/{letter}", 1 / form.K, per(unit, self.si))
+        yield from self.vector("b", form.b, unit)
 
 
-_ACCELEROMETER, _GYROSCOPE = _Maker(triad="accelerometer"), _Maker(triad="gyroscope")
+_ACCELEROMETER, _GYROSCOPE = _Maker(triad="accelerometer", si=_FORCE), _Maker(triad="gyroscope", si=_RATE)
 
 _UPPER_ANGLES = {"yz": (-1, 0, 1), "zy": (1, 0, 2), "zx": (-1, 1, 2)}
 _ALL_ANGLES = {**_UPPER_ANGLES, "xz": (1, 1, 0), "xy": (-1, 2, 0), "yx": (1, 2, 1)}
@@ -90,18 +96,13 @@ def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterato
 
 def tedaldi_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
     """Document A, (2.6): angles alpha, scales s, bias b (added)."""
-    form = TedaldiAccelerometer.from_sensor(S, b)
-    yield from _ACCELEROMETER.angles(form.T, _UPPER_ANGLES, "alpha_")
-    yield from _ACCELEROMETER.scales("s", form.K, _FORCE, unit)
-    yield from _ACCELEROMETER.vector("b", form.b, unit)
+    yield from _ACCELEROMETER.corrected(TedaldiAccelerometer.from_sensor(S, b), _UPPER_ANGLES, "alpha_", "s", unit)
 
 
 def tedaldi_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
     """Document A, (2.7): angles gamma, scales s, bias b (added), with document B's g-sensitivity."""
     form = TedaldiGyroscope.from_sensor(S, b, G)
-    yield from _GYROSCOPE.angles(form.T, _ALL_ANGLES, "gamma_")
-    yield from _GYROSCOPE.scales("s", form.K, _RATE, unit)
-    yield from _GYROSCOPE.vector("b", form.b, unit)
+    yield from _GYROSCOPE.corrected(form, _ALL_ANGLES, "gamma_", "s", unit)
     yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
 
 
@@ -127,18 +128,13 @@ def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entr
 
 def angrisano_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
     """Document C, (1), (2): angles a, scales k, bias b (subtracted)."""
-    form = AngrisanoAccelerometer.from_sensor(S, b)
-    yield from _ACCELEROMETER.angles(form.T, _ANGRISANO_ANGLES, "a_")
-    yield from _ACCELEROMETER.scales("k", form.K, _FORCE, unit)
-    yield from _ACCELEROMETER.vector("b", form.b, unit)
+    yield from _ACCELEROMETER.corrected(AngrisanoAccelerometer.from_sensor(S, b), _ANGRISANO_ANGLES, "a_", "k", unit)
 
 
 def angrisano_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
     """Document C: as the accelerometer, in a frame of its own, rotated by C_gb and document B's g-sensitivity."""
     form = AngrisanoGyroscope.from_sensor(S, b, G)
-    yield from _GYROSCOPE.angles(form.T, _ANGRISANO_ANGLES, "a_")
-    yield from _GYROSCOPE.scales("k", form.K, _RATE, unit)
-    yield from _GYROSCOPE.vector("b", form.b, unit)
+    yield from _GYROSCOPE.corrected(form, _ANGRISANO_ANGLES, "a_", "k", unit)
     yield from _GYROSCOPE.matrix("C_gb", form.C_gb, "1")
     yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import floor, isfinite, log10
-from typing import Literal
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from . import form_entries
 from .form_entries import Entry
-
-FormName = Literal["sensitivity", "tedaldi", "krebs", "angrisano", "kalibr"]
 
 _Entries = Callable[..., Iterator[Entry]]
 _FORMS: dict[str, tuple[str | None, _Entries, _Entries]] = {

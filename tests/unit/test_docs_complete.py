@@ -1,0 +1,197 @@
+"""The documentation tells everything there is, and nothing that is not."""
+
+import ast
+import contextlib
+import importlib.util
+import io
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import gnomon
+from gnomon.calibration import parameters
+from gnomon.cli import main
+from gnomon.cli.commands import COMMANDS
+from gnomon.cli.parse import parse
+from gnomon.readers.npz import __doc__ as npz_keys
+from gnomon.writers.calibration_file import calibration_text
+from gnomon.writers.conversion import FORMATS
+from gnomon.writers.diagnostics_file import diagnostic_arrays
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+DOCUMENTED_CODE = re.compile(r"^- (\*\*`.*?)\(", re.MULTILINE)
+SHORT = gnomon.Scenario(intervals=20, t_init_s=20.0, g_sensitivity=3e-4)
+
+
+def text(name):
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def shell_commands(page):
+    """Yield the words of every `gnomon` command in a page's shell blocks."""
+    for block in SHELL.findall(page.read_text(encoding="utf-8")):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] == ["gnomon"]:
+                end = next((i for i, word in enumerate(words) if word.startswith((">", "2>"))), len(words))
+                yield words[1:end]
+
+
+def run(arguments):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as errors:
+        code = main(arguments)
+    assert code == 0, f"gnomon {shlex.join(arguments)}: exit code {code}: {errors.getvalue()}"
+
+
+@pytest.fixture(scope="module")
+def result():
+    recording, _ = gnomon.simulate(SHORT, seed=2)
+    return gnomon.calibrate_imu(recording)
+
+
+@pytest.fixture(scope="module")
+def generated():
+    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.pages()
+
+
+@pytest.mark.parametrize("name", ["cli.md", "python.md"])
+def test_generated_pages_are_up_to_date(name, generated):
+    assert text(name) == generated[name], "run: python docs/make_reference.py"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_in_the_help_is_documented(name, capsys):
+    with pytest.raises(SystemExit):
+        parse([name, "--help"])
+    options = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", capsys.readouterr().out)) - {"-h", "--help", "-gnomon"}
+    section = text("cli.md").split(f"## gnomon {name}\n")[1].split("\n## ")[0]
+    assert options
+    assert {option for option in options if not re.search(rf"`{option}[` ]", section)} == set()
+
+
+def test_every_public_name_is_documented():
+    names = set(gnomon.__all__) - {"__version__"}
+    assert {name for name in names if f"\n### {name}\n" not in text("python.md")} == set()
+
+
+def finding_codes():
+    """Return every code that the source gives to a finding; a part that is filled in becomes a star."""
+    codes = set()
+    for folder in ("assess", "calibrate"):
+        for path in (ROOT / "src" / "gnomon" / folder).glob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                    value = next(keyword.value for keyword in node.keywords if keyword.arg == "code")
+                    parts = value.values if isinstance(value, ast.JoinedStr) else [value]
+                    codes.add("".join(part.value if isinstance(part, ast.Constant) else "*" for part in parts))
+    return codes
+
+
+def test_every_finding_is_explained_and_no_other():
+    written = {code for line in DOCUMENTED_CODE.findall(text("how-to.md")) for code in re.findall(r"`([\w-]+)`", line)}
+    patterns = {code: re.compile(re.escape(code).replace(r"\*", r"[\w-]+")) for code in finding_codes()}
+    assert len(patterns) > 30
+    assert {code for code, pattern in patterns.items() if not any(map(pattern.fullmatch, written))} == set()
+    assert {code for code in written if not any(p.fullmatch(code) for p in patterns.values())} == set()
+
+
+def keys_of(node, path=""):
+    """Yield the path of every key of a document, list items by their first."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield f"{path}.{key}".lstrip(".")
+            yield from keys_of(value, f"{path}.{key}")
+    elif isinstance(node, list) and node and isinstance(node[0], dict):
+        yield from keys_of(node[0], path)
+
+
+def test_every_key_of_the_calibration_file_is_documented(result):
+    section = text("files.md").split("## calibration.yaml")[1].split("\n## ")[0]
+    document = yaml.safe_load(calibration_text(result.calibration))
+    document["provenance"]["inputs"] = [{"name": "", "sha256": ""}]
+    last = {path.rsplit(".", 1)[-1] for path in keys_of(document)} - {"imu0", *document["provenance"]["options"]}
+    sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in parameters(result.calibration.imus)}
+    assert sigmas < last
+    assert {key for key in last - sigmas if not re.search(rf"[`.]{key}[`.]", section)} == set()
+
+
+def test_every_key_of_the_diagnostics_is_documented(result):
+    section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
+    names = {name for name, _ in diagnostic_arrays(result.diagnostics)}
+    written = set(re.findall(r"`([a-z_]+\.[a-z_.]+)`", section.replace("numpy.load", "")))
+    assert written == names
+
+
+def test_every_npz_key_and_export_format_is_documented():
+    keys = set(re.findall(r"^    (\w+)|, (\w+_ns)", npz_keys, re.MULTILINE))
+    keys = {a or b for a, b in keys}
+    assert len(keys) > 6
+    assert {key for key in keys if f"`{key}`" not in text("files.md")} == set()
+    assert {name for name in FORMATS if f"| `{name}` |" not in text("files.md")} == set()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if target.startswith(("http:", "https:")):
+            continue
+        name, _, anchor = target.partition("#")
+        path = page.parent / name if name else page
+        assert path.exists(), f"{page.name}: {target}"
+        if anchor:
+            titles = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+            assert anchor in anchors, f"{page.name}: {target}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_path_of_a_machine(page):
+    content = page.read_text(encoding="utf-8")
+    assert not re.search(r"/(?:work|tmp|home|root|Users)/", content)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_can_be_parsed(page):
+    for words in shell_commands(page):
+        if words[0] != "demo" or words[1:]:
+            assert type(parse(words)) is COMMANDS[words[0]]
+
+
+def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    commands = list(shell_commands(DOCS / "tutorial.md"))
+    assert [words[0] for words in commands] == ["simulate", "check", "imu", "show", "apply", "convert"]
+    for words in commands:
+        run(words)
+    assert (tmp_path / "first" / "result" / "report.html").exists()
+    header = text("tutorial.md").split("```text\n")[1].split("\n")[0]
+    rows = np.loadtxt("first/recording.csv", delimiter=",", skiprows=1)
+    rows[:, 0] //= 1000
+    Path("mine.csv").write_text(header + "\n", encoding="utf-8")
+    with Path("mine.csv").open("a", encoding="utf-8") as file:
+        np.savetxt(file, rows, fmt="%d", delimiter=",")
+    assert gnomon.read("mine.csv").imus["imu0"].gyroscope.rate_hz == pytest.approx(100)
+
+
+def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, seed in (("log.csv", 1), ("flight.csv", 2)):
+        run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
+    page = ROOT / "README.md"
+    commands = list(shell_commands(page))
+    assert [words[0] for words in commands] == ["check", "imu", "show", "apply", "convert"]
+    for words in commands:
+        run(words)
+    exec(compile(PYTHON.search(page.read_text(encoding="utf-8"))[1], "README.md", "exec"), {})
+    assert (tmp_path / "report.html").exists()
