@@ -12,11 +12,13 @@ import argparse
 import os
 import platform
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems are small
@@ -26,7 +28,6 @@ import numpy as np
 import gnomon
 from gnomon.calibrate.preparation import prepare
 from gnomon.detect.static import static_statistic, window_samples
-from gnomon.writers.recording_file import save_recording
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(os.environ.get("GNOMON_DATA", HERE.parent.parent / "shared" / "data"))
@@ -73,21 +74,26 @@ def steps(recording: gnomon.Recording, options: gnomon.ImuOptions) -> dict[str, 
         gnomon.calibrate_imu(recording, options, lambda step, marks=marks: marks.append((step, time.process_time())))
         marks.append(("", time.process_time()))
         if run:
-            for (step, start), (_, end) in zip(marks[:-1], marks[1:], strict=True):
+            for (step, start), (_, end) in pairwise(marks):
                 gathered.setdefault(step, []).append(end - start)
     return {step: statistics.median(seconds) for step, seconds in gathered.items()}
 
 
+_WATCH = """
+import os, resource, subprocess, sys
+done = subprocess.run(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(usage.ru_utime + usage.ru_stime, usage.ru_maxrss, done.returncode)
+"""
+"""Run in a small process of its own, as a child's peak memory starts with that of its parent."""
+
+
 def child(arguments: list[str]) -> tuple[float, float, int]:
     """Run Python with arguments and return its CPU time [s], its peak memory [MiB] and its exit code."""
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    sink = os.open(os.devnull, os.O_RDWR)
-    actions = [(os.POSIX_SPAWN_DUP2, sink, descriptor) for descriptor in (0, 1, 2)]
-    process = os.posix_spawn(sys.executable, [sys.executable, *arguments], environment, file_actions=actions)
-    _, status, usage = os.wait4(process, 0)
-    os.close(sink)
+    command = [sys.executable, "-S", "-c", _WATCH, sys.executable, *arguments]
+    words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
     per_mib = 1024 if sys.platform != "darwin" else 1024**2
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / per_mib, os.waitstatus_to_exitcode(status)
+    return float(words[0]), float(words[1]) / per_mib, int(words[2])
 
 
 def in_memory(recording: gnomon.Recording) -> Table:
@@ -159,7 +165,10 @@ def long_recordings(hours: list[float]) -> Table:
         with tempfile.TemporaryDirectory() as scratch:
             path = Path(scratch) / "recording.npz"
             intervals = round(length * 3600 / 6.25)
-            save_recording(simulated(intervals), path)
+            simulation = ["simulate", "-o", str(path), "--intervals", str(intervals), "--rate-hz", str(LONG_RATE_HZ)]
+            if child(["-m", "gnomon", *simulation])[2]:
+                message = f"the simulation of {length:g} h failed"
+                raise SystemExit(message)
             arguments = ["-m", "gnomon", "imu", str(path), "--no-report", "-o", str(Path(scratch) / "result")]
             cpu, memory, code = child(arguments)
             table.add(
@@ -169,11 +178,6 @@ def long_recordings(hours: list[float]) -> Table:
             if code:
                 table.note = f"The {length:g} h recording ended with exit code {code}."
     return table
-
-
-def simulated(intervals: int) -> gnomon.Recording:
-    scenario = gnomon.Scenario(intervals=intervals, rate_hz=LONG_RATE_HZ, g_sensitivity=1e-4)
-    return gnomon.simulate(scenario, seed=0)[0]
 
 
 def machine() -> str:

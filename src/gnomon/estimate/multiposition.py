@@ -295,14 +295,14 @@ def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whi
 
 
 def _settled_variance(task: Task, point: Point, used: tuple[Booleans, Booleans], extra: ExtraVariance) -> ExtraVariance:
-    """Iterate solution and extra variances on one linearisation until they agree to 2 %."""
+    """Iterate solution and extra variances on one linearisation until they agree to 5 %."""
     for _ in range(8):
         whitening = _whitening(task, point.state, extra, used)
         arrow = _solve(task, point.state, point.lines, whitening)
         solved = point.lines.extrapolated(_parameter_step(task, arrow), arrow.states)
         old = extra
         extra = estimate_extra_variance(task.data, point.state, solved, arrow, whitening, free=task.free, robust=False)
-        if old.agrees_with(extra, 0.02):
+        if old.agrees_with(extra, 0.05):
             break
     return extra
 
