@@ -132,6 +132,20 @@ def test_running_products_of_nothing():
     assert running_products(np.empty((0, 4)), np.empty(0, dtype=np.int64)).shape == (0, 4)
 
 
+@pytest.mark.parametrize(
+    ("a", "b"), [((4,), (5, 4)), ((5, 4), (4,)), ((3, 1, 4), (5, 4)), ((2, 1, 4), (1, 3, 4)), ((4,), (4,))]
+)
+def test_products_broadcast(a, b):
+    rng = np.random.default_rng(6)
+    left, right = rng.normal(size=a), rng.normal(size=b)
+    shape = np.broadcast_shapes(a, b)
+    found = multiply(left, right)
+    assert found.shape == shape
+    pairs = zip(np.broadcast_to(left, shape).reshape(-1, 4), np.broadcast_to(right, shape).reshape(-1, 4), strict=True)
+    one_by_one = [multiply(p, q) for p, q in pairs]
+    np.testing.assert_allclose(found.reshape(-1, 4), one_by_one, rtol=1e-15)
+
+
 def test_normalised():
     q = np.random.default_rng(1).normal(size=(5, 2, 4)) * 1e3
     np.testing.assert_allclose(np.linalg.norm(normalised(q), axis=-1), 1.0, rtol=1e-15)

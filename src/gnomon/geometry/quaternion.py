@@ -18,7 +18,7 @@ def multiply(a_wxyz: Floats, b_wxyz: Floats) -> Floats:
 
 def _times(a: Floats, b: Floats) -> Floats:
     """Return the Hamilton product with components first, (4, ...); without temporary arrays it is six times faster."""
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    product = np.empty((4, *np.broadcast_shapes(a.shape[1:], b.shape[1:])))
     term = np.empty(product.shape[1:])
     for k, terms in enumerate(_HAMILTON):
         component = product[k, ...]  # a view, of single quaternions too
