@@ -272,7 +272,7 @@ def test_nominal_scale_of_known_units(make_result, unit, scale):
 def test_failed_writing_leaves_nothing(make_result, tmp_path):
     target = tmp_path / "folder"
     target.mkdir()
-    with pytest.raises(OutputError, match="cannot be written"):
+    with pytest.raises(OutputError, match="this is a folder"):
         write_report(make_result(), target)
     with pytest.raises(OutputError, match="nowhere"):
         write_report(make_result(), tmp_path / "nowhere" / "report.html")
