@@ -61,8 +61,8 @@ def variance_magnitude_squared(variances: Floats, level: Floats | float = 1.0) -
     variances : (n, 3), from `window_variances`
     level : (3,) variance of each axis at rest, or 1 for s^2 in the sensor's unit as printed
     """
-    scaled = variances / level
-    return np.einsum("ij,ij->i", scaled, scaled)
+    weight = np.square(np.broadcast_to(np.minimum(1 / np.asarray(level), 1e150), 3))  # a silent axis stays finite
+    return np.einsum("ij,ij,j->i", variances, variances, weight)
 
 
 def resting_variances(variances: Floats, values: Floats, window: int) -> Floats:

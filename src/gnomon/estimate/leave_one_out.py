@@ -54,17 +54,17 @@ def leave_one_out(data: MultiPositionData, fit: MultiPositionFit, *, g_sensitivi
     lines, arrow, free, theta = fit.lines, fit.arrow, fit.free, fit.state.theta
     if not g_sensitivity and free[G_].any():
         lines, arrow, free, theta = _without_g_sensitivity(fit)
-    rows, covariance = interval_rows("accelerometer", lines, arrow, fit.whitening, free)
+    rows, gain = interval_rows("accelerometer", lines, arrow, fit.whitening, free)
     residual = np.einsum("kij,kj->ki", fit.whitening.accelerometer, lines.accelerometer)
-    thetas = theta + _change_without(rows, covariance, residual, free)
+    thetas = theta + _change_without(rows, gain, residual, free)
     forces = _forces(data.accelerometer, theta[None])
     norms = np.linalg.norm(forces, axis=1)
     measured = forces / norms[:, None]
     basis = tangent_basis(fit.state.u)
     offset = np.einsum("kij,ki->kj", basis, measured - fit.state.u)
     direct = lines.rotation + offset[1:] + np.einsum("kij,kj->ki", lines.rotation_u, offset[:-1])
-    rows, covariance = rotation_rows(lines, arrow, fit.whitening, free)
-    change = _change_without(rows, covariance, fit.whitening.rotation[:, None] * lines.rotation, free)
+    rows, gain = rotation_rows(lines, arrow, fit.whitening, free)
+    change = _change_without(rows, gain, fit.whitening.rotation[:, None] * lines.rotation, free)
     return HeldOut(
         magnitude=np.linalg.norm(_forces(data.accelerometer, thetas), axis=1) - 1,
         magnitude_fit=norms - 1,
@@ -74,9 +74,8 @@ def leave_one_out(data: MultiPositionData, fit: MultiPositionFit, *, g_sensitivi
     )
 
 
-def _change_without(rows: Floats, covariance: Floats, residual: Floats, free: Booleans) -> Floats:
+def _change_without(rows: Floats, gain: Floats, residual: Floats, free: Booleans) -> Floats:
     """Return the change of theta (k, p) when rows A with residual r are left out: P A' inv(I - A P A') r."""
-    gain = covariance @ np.swapaxes(rows, 1, 2)
     kept = np.eye(rows.shape[1]) - rows @ gain
     step = (gain @ np.linalg.solve(kept, residual[..., None]))[..., 0]
     change = np.zeros((len(rows), len(free)))

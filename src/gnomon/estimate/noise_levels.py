@@ -114,7 +114,7 @@ def _modes(residual: Floats, white: Floats, root: Floats, floor: float) -> tuple
 def interval_rows(
     name: str, lines: Linearisation, arrow: ArrowSolution, whitening: Whitening, free: Booleans
 ) -> tuple[Floats, Floats]:
-    """Return the whitened rows of a group at rest and the covariance of what they touch.
+    """Return the whitened rows A of a group at rest, and their gain P A' with the covariance P of what they touch.
 
     Parameters
     ----------
@@ -122,36 +122,42 @@ def interval_rows(
 
     Returns
     -------
-    (n, 3, 2 + p) rows by the interval's direction and the free parameters, and (n, 2 + p, 2 + p) covariance
+    (n, 3, 2 + p) rows by the interval's direction and the p free parameters, and (n, 2 + p, 3) gain
     """
-    by_u, by_theta = getattr(lines, f"{name}_u"), getattr(lines, f"{name}_theta")[..., free]
-    jacobian = getattr(whitening, name) @ np.concatenate([by_u, by_theta], axis=2)
-    n, p = len(by_u), by_theta.shape[2]
-    covariance = np.empty((n, 2 + p, 2 + p))
-    covariance[:, :2, :2] = arrow.state_covariance
-    covariance[:, :2, 2:] = arrow.cross_covariance
-    covariance[:, 2:, :2] = np.swapaxes(arrow.cross_covariance, 1, 2)
-    covariance[:, 2:, 2:] = arrow.corner_covariance
-    return jacobian, covariance
+    whitener = getattr(whitening, name)
+    by_u, by_theta = whitener @ getattr(lines, f"{name}_u"), whitener @ getattr(lines, f"{name}_theta")[..., free]
+    u, theta = np.swapaxes(by_u, 1, 2), np.swapaxes(by_theta, 1, 2)
+    cross = arrow.cross_covariance
+    gain = np.concatenate(
+        [
+            arrow.state_covariance @ u + cross @ theta,
+            np.swapaxes(cross, 1, 2) @ u + np.swapaxes(by_theta @ arrow.corner_covariance, 1, 2),
+        ],
+        axis=1,
+    )
+    return np.concatenate([by_u, by_theta], axis=2), gain
 
 
 def rotation_rows(
     lines: Linearisation, arrow: ArrowSolution, whitening: Whitening, free: Booleans
 ) -> tuple[Floats, Floats]:
-    """Return the whitened rows of the rotations, (n - 1, 2, 4 + p), and the covariance of what they touch."""
-    m, p = len(lines.rotation), int(free.sum())
-    jacobian = np.empty((m, 2, 4 + p))
-    jacobian[:, :, :2], jacobian[:, :, 2:4] = lines.rotation_u, np.eye(2)
-    jacobian[:, :, 4:] = lines.rotation_theta[..., free]
-    jacobian *= whitening.rotation[:, None, None]
-    covariance = np.empty((m, 4 + p, 4 + p))
-    covariance[:, :2, :2], covariance[:, 2:4, 2:4] = arrow.state_covariance[:-1], arrow.state_covariance[1:]
-    covariance[:, :2, 2:4] = arrow.next_covariance
-    covariance[:, 2:4, :2] = np.swapaxes(arrow.next_covariance, 1, 2)
-    covariance[:, :2, 4:], covariance[:, 2:4, 4:] = arrow.cross_covariance[:-1], arrow.cross_covariance[1:]
-    covariance[:, 4:, :4] = np.swapaxes(covariance[:, :4, 4:], 1, 2)
-    covariance[:, 4:, 4:] = arrow.corner_covariance
-    return jacobian, covariance
+    """Return the whitened rows A of the rotations, (n - 1, 2, 4 + p), and their gain P A', (n - 1, 4 + p, 2)."""
+    weight = whitening.rotation[:, None, None]
+    first, theta_rows = weight * lines.rotation_u, weight * lines.rotation_theta[..., free]
+    second = weight * np.eye(2)
+    u, v, theta = (np.swapaxes(rows, 1, 2) for rows in (first, second, theta_rows))
+    own, following, cross = arrow.state_covariance, arrow.next_covariance, arrow.cross_covariance
+    gain = np.concatenate(
+        [
+            own[:-1] @ u + following @ v + cross[:-1] @ theta,
+            np.swapaxes(following, 1, 2) @ u + own[1:] @ v + cross[1:] @ theta,
+            np.swapaxes(cross[:-1], 1, 2) @ u
+            + np.swapaxes(cross[1:], 1, 2) @ v
+            + np.swapaxes(theta_rows @ arrow.corner_covariance, 1, 2),
+        ],
+        axis=1,
+    )
+    return np.concatenate([first, second, theta_rows], axis=2), gain
 
 
 def _redundancies(
@@ -163,7 +169,7 @@ def _redundancies(
         interval_rows("gyroscope", lines, arrow, whitening, free),
         rotation_rows(lines, arrow, whitening, free),
     )
-    traces = [np.sum((rows @ covariance) * rows, axis=(1, 2)) for rows, covariance in groups]
+    traces = [np.einsum("kij,kji->k", rows, gain) for rows, gain in groups]
     return 3.0 - traces[0], 3.0 - traces[1], 2.0 - traces[2]
 
 

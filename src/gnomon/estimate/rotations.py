@@ -11,6 +11,8 @@ import numpy as np
 from ..geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ..recording import Floats, Integers, frozen_array
 
+_PART = 100_000  # samples
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MotionSegments:
@@ -39,6 +41,26 @@ class MotionSegments:
     def first(self) -> Integers:
         """Index of the first sample of each rotation, (m,)."""
         return np.cumsum(self.lengths) - self.lengths
+
+    def parts(self) -> list[tuple[slice, slice]]:
+        """Return slices of rotations, and of their samples, that bound the memory of what each sample needs."""
+        ends = np.cumsum(self.lengths)
+        parts: list[tuple[slice, slice]] = []
+        rotation = sample = 0
+        while rotation < len(ends):
+            last = max(int(np.searchsorted(ends, sample + _PART, "right")), rotation + 1)
+            parts.append((slice(rotation, last), slice(sample, int(ends[last - 1]))))
+            rotation, sample = last, int(ends[last - 1])
+        return parts
+
+    def part(self, rotations: slice, samples: slice) -> "MotionSegments":
+        """Return some of the rotations with their samples, without copying them."""
+        return MotionSegments(
+            gyroscope=self.gyroscope[samples],
+            accelerometer=self.accelerometer[samples],
+            dt_s=self.dt_s[samples],
+            lengths=self.lengths[rotations],
+        )
 
     @property
     def duration_s(self) -> Floats:
@@ -105,6 +127,19 @@ def integrate(segments: MotionSegments, omega: Floats, regressors: Floats | None
     omega : (n, 3) [rad/s] at the samples of the segments
     regressors : (n, 7) z of the module's head; no sensitivity is computed where it is not given
     """
+    parts = [
+        _integrate_part(
+            segments.part(rotations, samples), omega[samples], None if regressors is None else regressors[samples]
+        )
+        for rotations, samples in segments.parts()
+    ]
+    return Turns(
+        rotation=np.concatenate([part.rotation for part in parts]),
+        sensitivity=np.concatenate([part.sensitivity for part in parts]),
+    )
+
+
+def _integrate_part(segments: MotionSegments, omega: Floats, regressors: Floats | None) -> Turns:
     first, lengths = segments.first, segments.lengths
     following = np.minimum(np.arange(len(omega)) + 1, len(omega) - 1)
     steps = rk4n_steps(omega, omega[following], segments.dt_s)
@@ -147,8 +182,10 @@ def linear_start(segments: MotionSegments, u_path: Floats) -> tuple[Floats, Floa
     """
     weight = 0.5 * segments.dt_s
     weight[1:] += 0.5 * segments.dt_s[:-1]
-    outer = (weight[:, None, None] * u_path[:, :, None] * segments.gyroscope[:, None, :]).reshape(-1, 9)
-    moments = np.add.reduceat(outer, segments.first).reshape(-1, 3, 3)  # integral of u_b y_c
+    weighted = weight[:, None] * segments.gyroscope
+    moments = np.empty((len(segments.lengths), 3, 3))  # integral of u_b y_c
+    for b in range(3):
+        moments[:, b] = np.add.reduceat(u_path[:, b : b + 1] * weighted, segments.first)
     last = segments.first + segments.lengths - 1
     change = u_path[last] - u_path[segments.first]
     levi_civita = np.zeros((3, 3, 3))
