@@ -167,8 +167,10 @@ def _problem(
             "Both must be recorded together and stamped by one clock."
         )
     gyroscope = stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
-    cosine = 1.0 if options.latitude is None else np.cos(np.radians(options.latitude))
-    return build_problem(accelerometer, gyroscope, EARTH_RATE_RAD_S**2 * cosine**2 / 3), (accelerometer, gyroscope)
+    # The earth's horizontal rate, of unknown heading, spread over the two level axes; 2/3 is the mean over the sphere.
+    cosine_squared = 2 / 3 if options.latitude is None else float(np.cos(np.radians(options.latitude)) ** 2)
+    unmodelled = EARTH_RATE_RAD_S**2 * cosine_squared / 2
+    return build_problem(accelerometer, gyroscope, unmodelled), (accelerometer, gyroscope)
 
 
 def _choose_model(
