@@ -38,7 +38,7 @@ study: dev
 	$(BIN)/python -m pytest -m slow
 
 bench: dev
-	$(BIN)/python -m pytest benchmarks
+	$(BIN)/python benchmarks/imu.py
 
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed
