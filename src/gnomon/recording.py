@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+_PACKET_FACTOR = 3.0  # a mean step this much longer than the median comes from packets, not from gaps
+
+
 def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """Return a read-only C-ordered array; values are copied unless they already are one."""
     if isinstance(values, np.ndarray) and values.dtype == dtype and values.flags.c_contiguous:
@@ -68,10 +71,12 @@ class TriadSamples:
 
     @property
     def rate_hz(self) -> float:
-        """Median sample rate [Hz]; nan with fewer than two distinct stamps."""
-        step = float(np.median(np.diff(self.t_ns))) if len(self) > 1 else 0.0
-        if step <= 0 and len(self) > 1:
-            step = float(self.t_ns[-1] - self.t_ns[0]) / (len(self) - 1)
+        """Sample rate [Hz]: by the median step, or the mean where samples were stamped in packets; nan if unknown."""
+        if len(self) < 2:
+            return float("nan")
+        step = float(np.median(np.diff(self.t_ns)))
+        mean = float(self.t_ns[-1] - self.t_ns[0]) / (len(self) - 1)
+        step = mean if mean > _PACKET_FACTOR * step else step
         return 1e9 / step if step > 0 else float("nan")
 
     @property

@@ -426,3 +426,40 @@ def test_sigmas_in_a_frame_are_what_repetitions_scatter_by(repeated, poses, fram
 def test_frames_that_do_not_exist_are_refused(simulated, frame):
     with pytest.raises(gnomon.OptionError, match="frame"):
         calibrate(simulated[0], frame=frame)
+
+
+# --- many bad rotations, and stamps in packets -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [(4,), (4, 12), (2, 7, 12, 17, 22)], ids=str)
+def test_bad_rotations_do_not_hide_each_other(bad):
+    recording, _ = gnomon.simulate(gnomon.Scenario(g_sensitivity=1e-4, intervals=30, t_init_s=20.0), seed=3)
+    options = gnomon.ImuOptions(gravity=9.80665, model="g-sensitivity")
+    good = gnomon.calibrate_imu(recording, options)
+    samples, rotations = recording.imus["imu0"], good.diagnostics.rotations
+    t_s, values = samples.gyroscope.t_s, samples.gyroscope.values.copy()
+    for k in bad:
+        middle = 0.5 * (rotations.start_s[k] + rotations.stop_s[k])
+        values[np.abs(t_s - middle) < 0.3] *= 0.9
+    slipping = replace(samples, gyroscope=replace(samples.gyroscope, values=values))
+    found = gnomon.calibrate_imu(gnomon.Recording(imus={"imu0": slipping}), options)
+    assert tuple(np.flatnonzero(~found.diagnostics.rotations.used)) == bad
+    sigma = "imu0.gyroscope.sensitivity"
+    assert found.calibration.sigma(sigma).max() < 1.5 * good.calibration.sigma(sigma).max()
+
+
+@pytest.mark.parametrize("apart_ns", [0, 10_000, 1_000_000])
+def test_stamps_in_packets_give_the_calibration_of_uniform_ones(apart_ns):
+    # Ten samples come together every tenth of a second, as over a serial port.
+    recording, _ = gnomon.simulate(gnomon.Scenario(g_sensitivity=1e-4, intervals=20, t_init_s=20.0), seed=4)
+    samples, options = recording.imus["imu0"], gnomon.ImuOptions(gravity=9.80665)
+    number = np.arange(len(samples.gyroscope))
+    t_ns = (number // 10 + 1) * 100_000_000 + (number % 10) * apart_ns
+    packets = gnomon.ImuSamples(
+        accelerometer=replace(samples.accelerometer, t_ns=t_ns), gyroscope=replace(samples.gyroscope, t_ns=t_ns)
+    )
+    plain = gnomon.calibrate_imu(recording, options).calibration
+    found = gnomon.calibrate_imu(gnomon.Recording(imus={"imu0": packets}), options).calibration
+    for name in ("imu0.accelerometer.sensitivity", "imu0.gyroscope.sensitivity"):
+        difference = np.abs(found.parameter(name) - plain.parameter(name))
+        assert (difference <= 0.2 * plain.sigma(name) + 1e-12).all()

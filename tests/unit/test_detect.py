@@ -370,12 +370,21 @@ def test_lost_samples_leave_gaps_in_the_line():
     np.testing.assert_allclose(base.t_s, TRUE_S[kept] - 1.0, atol=3e-5)
 
 
-@pytest.mark.parametrize("kind", ["bursts", "wander", "two rates", "duplicate"])
+@pytest.mark.parametrize("apart_s", [0.0, 1e-5, 1e-3])
+def test_packets_lie_on_a_line_over_all_samples(apart_s):
+    # All ten samples of a packet are stamped when it arrives.
+    arrival = np.repeat(TRUE_S[9::10], 10) + np.tile(apart_s * np.arange(10), len(TRUE_S) // 10)
+    base = clock(arrival)
+    assert base.uniform
+    np.testing.assert_allclose(np.diff(base.t_s), np.diff(TRUE_S)[: len(arrival) - 1], rtol=1e-4)
+    halted = arrival + 2.0 * (np.arange(len(arrival)) >= 2000)  # two seconds are missing: the line does not hold
+    assert not clock(halted).uniform
+
+
+@pytest.mark.parametrize("kind", ["wander", "two rates", "duplicate"])
 def test_stamps_that_no_line_explains_stay(kind):
     t = TRUE_S.copy()
-    if kind == "bursts":  # all ten samples of a packet have the stamp of its arrival
-        t = np.repeat(TRUE_S[9::10], 10)
-    elif kind == "wander":  # the sensor's clock is slow to warm up: 80 ms in all
+    if kind == "wander":  # the sensor's clock is slow to warm up: 80 ms in all
         t = TRUE_S + 0.08 * np.sin(np.linspace(0, 3, N))
     elif kind == "two rates":
         t = 3.0 + np.cumsum(np.where(np.arange(N) < N // 2, 0.010, 0.0145))

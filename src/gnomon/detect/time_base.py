@@ -7,6 +7,9 @@ import numpy as np
 
 from ..recording import Floats, TriadSamples, frozen_array
 
+_PACKETS = 0.3  # share of samples that are stamped together with the one before
+_PACKET_S = 0.5
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimeBase:
@@ -27,12 +30,20 @@ class TimeBase:
         object.__setattr__(self, "t_s", frozen_array(self.t_s))
 
 
+def _near_a_line(stamps: Floats) -> bool:
+    """Return whether stamps of packets lie near a straight line over the sample's number: nothing is missing."""
+    number = np.arange(len(stamps), dtype=np.float64)
+    slope, start = np.polyfit(number, stamps, 1)
+    return bool(np.abs(stamps - start - slope * number).max() < _PACKET_S)
+
+
 def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "stamps", "uniform"] = "auto") -> TimeBase:
     """Return the instants of sampling.
 
     A sensor samples by its own clock; stamps are often rounded or delayed on their way. The hypothesis of a uniform
     clock is tested: every stamp must lie within half a period of a straight line over the sample's number, counted with
-    missing samples. If it holds the line is the better clock, otherwise the stamps are all there is.
+    missing samples. If it holds the line is the better clock, otherwise the stamps are all there is. Where samples were
+    stamped in packets, as they came over a wire, the line over all of them is the clock while no packet is far from it.
 
     Parameters
     ----------
@@ -44,9 +55,12 @@ def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "st
     if choice == "stamps" or len(stamps) < 3:
         return TimeBase(t_s=stamps, uniform=False, jitter_s=float("nan"))
     steps = np.diff(stamps)
-    period = float(np.median(steps))
-    if period <= 0:
-        period = float(np.mean(steps))
+    period = 1 / samples.rate_hz
+    together = steps < 0.5 * period
+    if choice == "auto" and np.mean(together) > _PACKETS:
+        choice = "uniform" if _near_a_line(stamps) else "stamps"
+        if choice == "stamps":
+            return TimeBase(t_s=stamps, uniform=False, jitter_s=float("nan"))
     number = np.zeros(len(stamps))
     np.cumsum(np.rint(steps / period), out=number[1:])
     if choice == "uniform":

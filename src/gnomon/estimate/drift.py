@@ -15,6 +15,7 @@ from .multiposition_model import MultiPositionData
 _MOST_KNOTS = 30
 _INTERVALS_PER_KNOT = 1.5
 _SIGMA = 1.3
+_FARTHEST = 60  # intervals between two that are compared
 _ZERO_MEAN_WEIGHT = 1e6  # of the walk's own precision: the mean over time belongs to the bias
 
 
@@ -40,11 +41,14 @@ def walk_density(t_s: Floats, residual: Floats, used: Booleans) -> Floats | None
     wanders = (ratio < 2 - _SIGMA * 2 / np.sqrt(n)) & (total > 0)
     if not wanders.any():
         return None
-    i, j = np.triu_indices(n, 1)
-    distance = t[j] - t[i]
-    near = distance < (t[-1] - t[0]) / 3
-    lag = distance[near] - distance[near].mean()
-    squares = (r[j[near]] - r[i[near]]) ** 2
+    first = np.arange(n)
+    apart = np.arange(1, min(n, _FARTHEST))
+    i, j = (pairs.ravel() for pairs in np.broadcast_arrays(first[:, None], first[:, None] + apart))
+    i, j = i[j < n], j[j < n]
+    near = t[j] - t[i] < (t[-1] - t[0]) / 3
+    i, j = i[near], j[near]
+    lag = (t[j] - t[i]) - np.mean(t[j] - t[i])
+    squares = (r[j] - r[i]) ** 2
     slope = lag @ squares / (lag @ lag)
     least = total / n / (t[-1] - t[0]) * 1e-4  # an axis that stays keeps a walk too small to matter
     return np.where(wanders, np.maximum(slope, least), least)
