@@ -1,6 +1,6 @@
 """Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -60,8 +60,11 @@ def prepare(recording: Recording, options: ImuOptions) -> PreparedImu:
     """
     if not recording.imus:
         raise RecordingError("the recording holds no IMU. Give a file with accelerometer and gyroscope samples.")
-    samples = next(iter(recording.imus.values()))
-    findings = (*check(recording), *(_assumed(sentence) for sentence in recording.assumptions))
+    name, samples = next(iter(recording.imus.items()))
+    assumptions = recording.assumptions
+    if len(recording.imus) > 1:
+        assumptions += (f"the recording holds {len(recording.imus)} IMUs; {name} is the one that is calibrated.",)
+    findings = (*check(replace(recording, imus={name: samples})), *map(_assumed, assumptions))
     for finding in findings:
         if finding.severity == "problem":
             kind = DetectionError if finding.code in _PROTOCOL_PROBLEMS else RecordingError
