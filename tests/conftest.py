@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -32,6 +33,10 @@ from gnomon.diagnostics import (
 )
 from gnomon.findings import Finding
 from gnomon.recording import Source
+
+# The same examples on every run: what fails here fails for everyone.
+hypothesis.settings.register_profile("steady", derandomize=True)
+hypothesis.settings.load_profile("steady")
 
 
 def _calibration(findings, names, verdict, counts, *, gyroscope, unit) -> Calibration:

@@ -30,6 +30,14 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     return array
 
 
+_LARGEST = 1e100  # squares and sums of samples stay finite; no sensor reads a number like that
+
+
+def measurable(values: Floats) -> NDArray[np.bool_]:
+    """Return which numbers a sensor can have read: not NaN, not infinite, not beyond all measure."""
+    return np.abs(values) < _LARGEST
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadSamples:
     """Samples of one three-axis sensor.

@@ -505,3 +505,12 @@ def test_wrong_use(tmp_path) -> None:
     np.savez(tmp_path / "rec.npz", accelerometer=np.zeros((5, 3)))
     with pytest.raises(OptionError, match="columns are for text tables"):
         gnomon.read(tmp_path / "rec.npz", columns="t ax ay az")
+
+
+@pytest.mark.parametrize("number", ["1e160", "-1e300"])
+def test_numbers_beyond_all_measure_are_refused(tmp_path, number):
+    rows = ["0.01 0.1 0.2 9.8 0.01 0.02 0.03"] * 5 + [f"0.06 0.1 {number} 9.8 0.01 0.02 0.03"]
+    path = tmp_path / "table.txt"
+    path.write_text("\n".join(rows) + "\n")
+    with pytest.raises(RecordingError, match=f"line 6, column 3: found {number}, expected a finite number"):
+        gnomon.read(path, rate_hz=100)

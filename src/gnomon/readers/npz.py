@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from ..recording import Floats, Integers
+from ..recording import Floats, Integers, measurable
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .stamps import to_ns
 from .table import Table, Triad, uniform_stamps
@@ -98,7 +98,7 @@ def _values(raw: NDArray[Any], where: str) -> Floats:
     if len(raw) < 2:
         raise RecordingError(f"{where}: found {len(raw)} samples; a recording has many.")
     values: Floats = np.ascontiguousarray(raw, dtype=np.float64)
-    good: NDArray[np.bool_] = np.isfinite(values).all(axis=1)  # pyright: ignore[reportAssignmentType]
+    good: NDArray[np.bool_] = measurable(values).all(axis=1)  # pyright: ignore[reportAssignmentType]
     if not good.all():
         raise RecordingError(
             f"{where}: sample {int(np.argmin(good))} is NaN or infinite ({int((~good).sum())} of {len(good)} are). "

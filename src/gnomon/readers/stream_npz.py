@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from ..recording import TriadSamples
+from ..recording import TriadSamples, measurable
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .sample_stream import Blocks, SampleStream, UnitChoice
 from .stamps import to_ns
@@ -94,7 +94,7 @@ class _Triad:
         done = 0
         for raw in _array(archive, self.key, self.rows):
             values = np.ascontiguousarray(raw, dtype=np.float64)
-            good = np.isfinite(values).all(axis=1)
+            good = measurable(values).all(axis=1)
             if not good.all():
                 raise RecordingError(
                     f"{self.path.name}, {self.key}: sample {done + int(np.argmin(good))} is NaN or infinite. "

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
+from ..recording import measurable
 from .files import TextFile
 
 _HEAD_BYTES = 65_536
@@ -175,7 +176,7 @@ def parse(file: TextFile, layout: Layout, kinds: list[str]) -> tuple[list[Column
     except ValueError as error:
         raise _located(file, layout, kinds, data) or RecordingError(f"{file.name}: {error}") from None
     columns = [table[name] for name, _ in fields]
-    if not all(np.isfinite(column).all() for column, kind in zip(columns, kinds, strict=True) if kind == "f8"):
+    if not all(measurable(column).all() for column, kind in zip(columns, kinds, strict=True) if kind == "f8"):
         raise _located(file, layout, kinds, data) or RecordingError(f"{file.name}: NaN or infinity in the table.")
     return columns, note
 
@@ -216,9 +217,9 @@ def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes) -> R
             if kind and not is_number(token):
                 found = f'"{token[:40]}"' if token else "nothing"
                 return RecordingError(f"{where}, {name}: found {found}, expected a number. Mend or remove this line.")
-            if kind and not np.isfinite(float(token.strip('"'))):
+            if kind and not measurable(np.array(float(token.strip('"')))):
                 return RecordingError(
-                    f"{where}, {name}: found {token}, expected a finite number. "
+                    f"{where}, {name}: found {token}, expected a finite number that a sensor can read. "
                     "Remove this line if the sample is lost; gnomon treats the gap as such."
                 )
             if kind == "i8" and not re.fullmatch(r"[-+]?\d+", token.strip('"')):
