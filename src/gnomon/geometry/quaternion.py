@@ -55,6 +55,26 @@ def rotation_from_quaternion(q_wxyz: Floats) -> Floats:
     return rotation
 
 
+def quaternion_from_rotation(rotation: Floats) -> Floats:
+    """Return unit quaternions (..., 4), w >= 0, of rotations (..., 3, 3).
+
+    The products 4 q_i q_j are sums of the matrix's elements; the row of the largest q_i gives all four without loss.
+    """
+    R = rotation
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    products = np.empty((*R.shape[:-2], 4, 4))
+    products[..., 0, 0] = 1 + trace
+    for i in range(3):
+        products[..., i + 1, i + 1] = 1 - trace + 2 * R[..., i, i]
+        j, k = (i + 1) % 3, (i + 2) % 3
+        products[..., 0, i + 1] = products[..., i + 1, 0] = R[..., k, j] - R[..., j, k]
+        products[..., j + 1, k + 1] = products[..., k + 1, j + 1] = R[..., j, k] + R[..., k, j]
+    largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    q = normalised(q)
+    return np.where(q[..., :1] < 0, -q, q)
+
+
 def normalised(q_wxyz: Floats) -> Floats:
     """Return q / |q|, Eq. (3.16), of quaternions (..., 4)."""
     return q_wxyz / np.sqrt(np.einsum("...i,...i->...", q_wxyz, q_wxyz))[..., None]

@@ -54,11 +54,36 @@ def frame_rotation(sensitivity: Floats, frame: str) -> Floats:
     return axes
 
 
+_GENERATORS = np.array(
+    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]],
+    dtype=float,
+)
+"""[e]x of the three unit vectors."""
+
+
+def frame_turn(sensitivity: Floats, rotation: Floats, frame: str) -> Floats:
+    """Return by which small rotation delta the frame turns when the accelerometer's sensitivity changes, (3, 9) [rad].
+
+    Q' becomes Q' Exp(delta) such that the entries that the frame fixes stay zero: with S_new = S Q' and a perturbation
+    dS, dS_new = dS Q' + S_new [delta]x, three linear equations for delta.
+
+    Parameters
+    ----------
+    sensitivity : (3, 3), of the accelerometer in the old frame; the columns of the result are its entries in row order
+    rotation : (3, 3), from `frame_rotation`
+    """
+    entries = [3 * i + j for i, j in fixed_entries(frame)]
+    turn = np.kron(np.eye(3), rotation)  # dS Q' on the nine entries in row order
+    return np.asarray(-np.linalg.solve(_tilt(sensitivity @ rotation.T)[entries], turn[entries]), dtype=np.float64)
+
+
+def _tilt(matrix: Floats) -> Floats:
+    """Return the derivative (9, 3) of the entries of matrix @ Exp(delta), in row order."""
+    return np.stack([(matrix @ generator).ravel() for generator in _GENERATORS], axis=1)
+
+
 def rotation_jacobian(matrices: list[Floats], rotation: Floats, frame: str) -> Floats:
     """Return the Jacobian (n, n) of all scalars of one IMU under a change to `frame`, which depends on them.
-
-    With S_new = S Q' and a perturbation dS, the frame turns by a small delta such that the entries that the frame fixes
-    stay zero: dS_new = dS Q' + S_new [delta]x, three linear equations for delta.
 
     Parameters
     ----------
@@ -66,23 +91,13 @@ def rotation_jacobian(matrices: list[Floats], rotation: Floats, frame: str) -> F
         g_sensitivity (3, 3), in the old frame
     rotation : (3, 3), from `frame_rotation`
     """
-    sizes = [m.size for m in matrices]
-    starts = np.concatenate([[0], np.cumsum(sizes)])
+    starts = np.concatenate([[0], np.cumsum([m.size for m in matrices])])
     jacobian = np.eye(starts[-1])
-    moved = [m @ rotation.T if m.ndim == 2 else m for m in matrices]
-    generators = np.array(
-        [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]],
-        dtype=float,
-    )
-    turn = np.kron(np.eye(3), rotation)  # dS Q' on the nine entries in row order
-    for m, start in zip(matrices, starts, strict=False):
-        if m.ndim == 2:
+    turn = np.kron(np.eye(3), rotation)
+    delta = frame_turn(matrices[0], rotation, frame)
+    for matrix, start in zip(matrices, starts, strict=False):
+        if matrix.ndim == 2:
             jacobian[start : start + 9, start : start + 9] = turn
-    entries = [3 * i + j for i, j in fixed_entries(frame)]
-    tilt = np.stack([(moved[0] @ g).ravel() for g in generators], axis=1)  # (9, 3)
-    delta = -np.linalg.solve(tilt[entries], turn[entries])  # (3, 9) by dS of the accelerometer
-    for new, start in zip(moved, starts, strict=False):
-        if new.ndim == 2:
-            jacobian[start : start + 9, :9] += np.stack([(new @ g).ravel() for g in generators], axis=1) @ delta
-    jacobian[entries] = 0.0
+            jacobian[start : start + 9, :9] += _tilt(matrix @ rotation.T) @ delta
+    jacobian[[3 * i + j for i, j in fixed_entries(frame)]] = 0.0
     return jacobian

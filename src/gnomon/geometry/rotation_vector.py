@@ -1,0 +1,147 @@
+"""Rotation vectors: exponential map, its inverse, and the derivatives that a spline of rotation vectors needs.
+
+With R = Exp(phi) = exp([phi]x) and theta = |phi|,
+
+    Exp(phi + d) = Exp(phi) Exp(Jr(phi) d) + O(d^2),     Jr(phi) = I - b [phi]x + c [phi]x^2,
+
+    b = (1 - cos theta) / theta^2,   c = (theta - sin theta) / theta^3.
+
+Where phi changes with time, Jr(phi) phi' is the angular rate in the turning body's frame. The chart has its
+singularity at theta = 2 pi.
+"""
+
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .quaternion import quaternion_from_rotation
+from .so3 import skew
+
+Floats = NDArray[np.float64]
+
+_SERIES_BELOW = 0.25
+"""theta^2 below which the series are used: there they are exact, and above it the closed forms lose two digits only."""
+
+_TERMS = 9
+
+
+def _series(coefficients: list[float], x: Floats) -> Floats:
+    """Return sum_n coefficients[n] x^n."""
+    total = np.full_like(x, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        total *= x
+        total += coefficient
+    return total
+
+
+_A = [(-1) ** n / factorial(2 * n + 1) for n in range(_TERMS)]
+_B = [(-1) ** n / factorial(2 * n + 2) for n in range(_TERMS)]
+_C = [(-1) ** n / factorial(2 * n + 3) for n in range(_TERMS)]
+_B_SLOPE = [(-1) ** n * 2 * n / factorial(2 * n + 2) for n in range(1, _TERMS + 1)]
+_C_SLOPE = [(-1) ** n * 2 * n / factorial(2 * n + 3) for n in range(1, _TERMS + 1)]
+
+
+def _coefficients(squared: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return a = sin(theta)/theta, b, c, and the slopes b'/theta, c'/theta, of theta^2."""
+    small = squared < _SERIES_BELOW
+    x = np.where(small, 1.0, squared)
+    theta = np.sqrt(x)
+    sine, versine = np.sin(theta), 2 * np.sin(theta / 2) ** 2
+    closed = (
+        sine / theta,
+        versine / x,
+        (theta - sine) / (x * theta),
+        (theta * sine - 2 * versine) / (x * x),
+        (theta * versine - 3 * (theta - sine)) / (x * x * theta),
+    )
+    if not small.any():
+        return closed
+    near = np.where(small, squared, 0.0)
+    a, b, c, b_slope, c_slope = (
+        np.where(small, _series(series, near), form)
+        for series, form in zip((_A, _B, _C, _B_SLOPE, _C_SLOPE), closed, strict=True)
+    )
+    return a, b, c, b_slope, c_slope
+
+
+def rotation_from_rotvec(phi: Floats) -> Floats:
+    """Return Exp(phi), (..., 3, 3), of rotation vectors (..., 3) [rad]."""
+    a, b, *_ = _coefficients(_squared(phi))
+    return np.eye(3) + a[..., None, None] * skew(phi) + b[..., None, None] * _skew_squared(phi)
+
+
+def right_jacobian(phi: Floats) -> Floats:
+    """Return Jr(phi), (..., 3, 3), of rotation vectors (..., 3) [rad]."""
+    _, b, c, *_ = _coefficients(_squared(phi))
+    return np.eye(3) - b[..., None, None] * skew(phi) + c[..., None, None] * _skew_squared(phi)
+
+
+def turning(phi: Floats, phi_rate: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return how a body turns whose rotation vector changes.
+
+    Parameters
+    ----------
+    phi : (n, 3) [rad]
+    phi_rate : (n, 3) its time derivative [rad/s]
+
+    Returns
+    -------
+    rotation : (n, 3, 3) Exp(phi)
+    jacobian : (n, 3, 3) Jr(phi)
+    omega : (n, 3) angular rate in the body's frame, Jr(phi) phi_rate [rad/s]
+    omega_by_phi : (n, 3, 3) derivative of omega by phi [1/s]
+    """
+    a, b, c, b_slope, c_slope = (value[:, None, None] for value in _coefficients(_squared(phi)))
+    cross, cross_squared = skew(phi), _skew_squared(phi)
+    rotation = np.eye(3) + a * cross + b * cross_squared
+    jacobian = np.eye(3) - b * cross + c * cross_squared
+    once = np.matmul(cross, phi_rate[:, :, None])
+    twice = np.matmul(cross, once)
+    row, column = phi[:, None, :], phi[:, :, None]
+    rate_row, rate_column = phi_rate[:, None, :], phi_rate[:, :, None]
+    by_phi = b * skew(phi_rate) - b_slope * (once * row) + c_slope * (twice * row)
+    by_phi += c * (column * rate_row - 2 * (rate_column * row))
+    by_phi += np.eye(3) * (c * np.matmul(row, rate_column))
+    omega = phi_rate - b[:, :, 0] * once[:, :, 0] + c[:, :, 0] * twice[:, :, 0]
+    return rotation, jacobian, omega, by_phi
+
+
+def rotvec_from_rotation(rotation: Floats) -> Floats:
+    """Return the rotation vectors (..., 3) of rotations (..., 3, 3), with |phi| <= pi; also at half a turn."""
+    q = quaternion_from_rotation(rotation)
+    length = np.linalg.norm(q[..., 1:], axis=-1)
+    angle = 2 * np.arctan2(length, q[..., 0])
+    tiny = length < 1e-7
+    factor = np.where(tiny, 2.0, angle / np.where(tiny, 1.0, length))
+    return factor[..., None] * q[..., 1:]
+
+
+def nearest_branch(phi: Floats, guide: Floats) -> Floats:
+    """Return, of all rotation vectors of the same rotations, the ones nearest to a guide; all (..., 3) [rad]."""
+    length = np.linalg.norm(phi, axis=-1, keepdims=True)
+    along = np.linalg.norm(guide, axis=-1, keepdims=True)
+    fallback = guide / np.where(along > 0, along, 1.0)
+    axis = np.where(length > 1e-9, phi / np.where(length > 1e-9, length, 1.0), fallback)
+    turns = np.rint((np.sum(axis * guide, axis=-1, keepdims=True) - length) / (2 * np.pi))
+    return phi + 2 * np.pi * turns * axis
+
+
+def unwrapped(phi: Floats) -> Floats:
+    """Return rotation vectors (n, ..., 3) [rad] that change continuously along the first axis.
+
+    Each is put on the branch nearest to its predecessor; neighbours must be much less than half a turn apart.
+    """
+    result = phi.copy()
+    for i in range(1, len(phi)):
+        result[i] = nearest_branch(phi[i], result[i - 1])
+    return result
+
+
+def _squared(phi: Floats) -> Floats:
+    return np.einsum("...i,...i->...", phi, phi)
+
+
+def _skew_squared(phi: Floats) -> Floats:
+    """Return [phi]x^2 = phi phi' - |phi|^2 I."""
+    return phi[..., :, None] * phi[..., None, :] - _squared(phi)[..., None, None] * np.eye(3)

@@ -1,0 +1,296 @@
+"""Cameras as Kalibr combines them: a projection, a distortion of its plane, focal lengths and principal point.
+
+    p_cam (x right, y down, z forward) -> m = projection(p_cam) -> d = distortion(m) -> u = fu dx + pu,  v = fv dy + pv
+
+See `models.projections` and `models.distortions` for the equations. Pixel (0, 0) is the centre of the top-left pixel.
+"""
+
+from dataclasses import dataclass, field, replace
+from math import isfinite
+from typing import Literal, Self, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import OptionError
+from .distortions import DISTORTIONS, Bent, DistortionName
+from .projections import PROJECTIONS, ProjectionName
+
+Floats = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
+ParameterKind = Literal["projection", "focal", "principal", "distortion"]
+
+_LINEAR = ("fu", "fv", "pu", "pv")
+_NEAREST_M, _FARTHEST_M = 1e-100, 1e100  # beyond them the squares would leave the range of floating point numbers
+_BLOCK = 8192  # points at a time: the intermediate arrays of a block stay in the cache
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Projected:
+    """Image of points, and its derivatives.
+
+    All arrays are views whose components are contiguous, such as pixels[:, 0] or by_point[:, i, j].
+
+    Attributes
+    ----------
+    pixels : (n, 2) [px]; nan where not valid
+    valid : (n,) whether the point is inside the model's domain (in front of the camera, ...)
+    by_point : (n, 2, 3) derivative by the point [px/m], zero where not valid; None where not asked for
+    by_parameters : (n, 2, q) derivative by `Camera.parameters`, zero where not valid; None where not asked for
+    """
+
+    pixels: Floats
+    valid: Booleans
+    by_point: Floats | None
+    by_parameters: Floats | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Camera:
+    """A camera with its intrinsics.
+
+    Attributes
+    ----------
+    projection : "pinhole", "omni", "eucm" or "ds"
+    intrinsics : pinhole (fu fv pu pv), omni (xi fu fv pu pv), eucm (alpha beta fu fv pu pv), ds (xi alpha fu fv pu pv)
+    distortion : "none", "radtan", "equidistant" or "fov"
+    distortion_coeffs : none (), radtan (k1 k2 p1 p2), equidistant (k1 k2 k3 k4), fov (w)
+    resolution : (width, height) [px]
+    line_delay_s : time from the exposure of one row to that of the next [s]; zero for a global shutter
+    topic : ROS topic that Kalibr's files name, or ""
+    distortion_limit : distance from the optical axis, in the plane of the projection, beyond which the distortion folds
+        back and is not used; follows from the coefficients
+
+    Raises
+    ------
+    OptionError
+        If there is no such model, or its parameters are not of it.
+
+    Examples
+    --------
+    >>> camera = Camera(
+    ...     projection="pinhole", intrinsics=[460, 458, 320, 240], distortion="none", distortion_coeffs=[],
+    ...     resolution=(640, 480),
+    ... )
+    >>> camera.project(np.array([[0.1, 0.0, 1.0]])).pixels
+    array([[366., 240.]])
+    """
+
+    projection: ProjectionName
+    intrinsics: Floats
+    distortion: DistortionName
+    distortion_coeffs: Floats
+    resolution: tuple[int, int]
+    line_delay_s: float = 0.0
+    topic: str = ""
+    distortion_limit: float = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _check_name("projection", self.projection, get_args(ProjectionName))
+        _check_name("distortion", self.distortion, get_args(DistortionName))
+        projection, distortion = PROJECTIONS[self.projection], DISTORTIONS[self.distortion]
+        intrinsics = _numbers(self.projection, "intrinsics", self.intrinsics, (*projection.names, *_LINEAR))
+        coeffs = _numbers(self.distortion, "distortion_coeffs", self.distortion_coeffs, distortion.names)
+        for name, focal in zip(_LINEAR, intrinsics[-4:-2], strict=False):
+            if not focal > 0:
+                raise OptionError(f"focal length {name} {focal:g} must be greater than zero.")
+        projection.check(tuple(intrinsics[:-4]))
+        distortion.check(coeffs)
+        if not isfinite(self.line_delay_s):
+            raise OptionError(f"line_delay_s {self.line_delay_s:g} must be a finite number of seconds.")
+        object.__setattr__(self, "intrinsics", intrinsics)
+        object.__setattr__(self, "distortion_coeffs", coeffs)
+        object.__setattr__(self, "resolution", _resolution(self.resolution))
+        object.__setattr__(self, "distortion_limit", distortion.limit(coeffs))
+
+    @property
+    def model(self) -> str:
+        """Both names in one, such as "pinhole-radtan"."""
+        return f"{self.projection}-{self.distortion}"
+
+    @property
+    def parameters(self) -> Floats:
+        """The intrinsics, then the distortion coefficients, (q,)."""
+        return np.concatenate([self.intrinsics, self.distortion_coeffs])
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Where each parameter stands, such as "intrinsics[0]", (q,)."""
+        return tuple(
+            f"{name}[{k}]" for name in ("intrinsics", "distortion_coeffs") for k in range(len(getattr(self, name)))
+        )
+
+    @property
+    def parameter_symbols(self) -> tuple[str, ...]:
+        """How each parameter is called, such as "fu", (q,)."""
+        return (*PROJECTIONS[self.projection].names, *_LINEAR, *DISTORTIONS[self.distortion].names)
+
+    @property
+    def parameter_kinds(self) -> tuple[ParameterKind, ...]:
+        """What each parameter does: the shape of the projection, focal length, principal point or distortion, (q,)."""
+        shape: tuple[ParameterKind, ...] = ("projection",) * len(PROJECTIONS[self.projection].names)
+        bending: tuple[ParameterKind, ...] = ("distortion",) * len(self.distortion_coeffs)
+        return (*shape, "focal", "focal", "principal", "principal", *bending)
+
+    def with_parameters(self, vector: ArrayLike) -> Self:
+        """Return the camera with other intrinsics and distortion coefficients (q,), in the order of `parameters`.
+
+        Raises
+        ------
+        OptionError
+            If they are not of the model: as for the constructor.
+        """
+        values = _numbers(self.model, "parameters", vector, self.parameter_symbols)
+        split = len(self.intrinsics)
+        return replace(self, intrinsics=values[:split], distortion_coeffs=values[split:])
+
+    def project(self, points: Floats, *, parameters_jacobian: bool = False, point_jacobian: bool = True) -> Projected:
+        """Return where points (n, 3) [m] in the camera's frame are seen.
+
+        Points outside the model's domain (behind the camera, beyond the cone in which its projection is one-to-one, or
+        beyond `distortion_limit`) have no pixel and no derivatives. Whether a pixel is inside the image is not asked.
+
+        Raises
+        ------
+        OptionError
+            If the points are not (n, 3).
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise OptionError(f"points must be (n, 3); found {points.shape}.")
+        n = len(points)
+        image = _Image(
+            pixels=np.empty((2, n)),
+            valid=np.empty(n, dtype=np.bool_),
+            by_point=np.empty((2, 3, n)) if point_jacobian else None,
+            by_parameters=np.zeros((2, len(self.parameters), n)) if parameters_jacobian else None,
+        )
+        with np.errstate(all="ignore"):  # points outside the domain may overflow; they are blanked afterwards
+            for start in range(0, n, _BLOCK):
+                self._project_block(points[start : start + _BLOCK], slice(start, start + _BLOCK), image)
+        image.blank_invalid()
+        return image.projected()
+
+    def _project_block(self, points: Floats, block: slice, image: "_Image") -> None:
+        fu, fv, pu, pv = (float(value) for value in self.intrinsics[-4:])
+        derive = image.by_parameters is not None
+        shape = tuple(float(value) for value in self.intrinsics[:-4])
+        x, y, z = (np.ascontiguousarray(points[:, axis]) for axis in range(3))
+        divisor = PROJECTIONS[self.projection].divide(shape, x, y, z, derive)
+        inverse = 1 / divisor.value
+        mx, my = x * inverse, y * inverse
+        s = mx * mx + my * my
+        bent = DISTORTIONS[self.distortion].bend(self.distortion_coeffs, mx, my, s, derive)
+        in_range = (divisor.value > _NEAREST_M) & (divisor.value < _FARTHEST_M)
+        image.valid[block] = divisor.inside & in_range & (s < self.distortion_limit * self.distortion_limit)
+        image.pixels[0, block] = fu * bent.x + pu
+        image.pixels[1, block] = fv * bent.y + pv
+        if image.by_parameters is not None:
+            _plane_jacobian(image.by_parameters[:, len(shape) :, block], bent, (fu, fv))
+        elif image.by_point is None:
+            return
+        for row, by_mx, by_my in ((0, fu * bent.xx, fu * bent.xy), (1, fv * bent.xy, fv * bent.yy)):
+            by_x, by_y = by_mx * inverse, by_my * inverse  # with D held fast
+            shrink = by_x * mx + by_y * my  # minus the derivative by D: m = (x, y) / D
+            if image.by_point is not None:
+                out, towards_axis = image.by_point[row, :, block], shrink * divisor.by_radius
+                np.subtract(by_x, towards_axis * x, out=out[0])
+                np.subtract(by_y, towards_axis * y, out=out[1])
+                np.multiply(-shrink, divisor.by_z, out=out[2])
+            if image.by_parameters is not None:
+                for k, by_shape in enumerate(divisor.by_shape):
+                    np.multiply(-shrink, by_shape, out=image.by_parameters[row, k, block])
+
+    def unproject(self, pixels: Floats) -> tuple[Floats, Booleans]:
+        """Return the rays that are seen at pixels (n, 2) [px].
+
+        Returns
+        -------
+        rays : (n, 3) unit vectors in the camera's frame; nan where not valid
+        valid : (n,) whether the model has a ray for the pixel
+
+        Raises
+        ------
+        OptionError
+            If the pixels are not (n, 2).
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        if pixels.ndim != 2 or pixels.shape[1] != 2:
+            raise OptionError(f"pixels must be (n, 2); found {pixels.shape}.")
+        fu, fv, pu, pv = self.intrinsics[-4:]
+        projection, distortion = PROJECTIONS[self.projection], DISTORTIONS[self.distortion]
+        with np.errstate(all="ignore"):
+            dx, dy = (pixels[:, 0] - pu) / fu, (pixels[:, 1] - pv) / fv
+            mx, my, straight = distortion.straighten(self.distortion_coeffs, self.distortion_limit, dx, dy)
+            scale, z, lifted = projection.lift(tuple(self.intrinsics[:-4]), mx * mx + my * my)
+            rays = np.stack([scale * mx, scale * my, z], axis=1)
+            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        valid = straight & lifted & np.isfinite(rays).all(axis=1)
+        rays[~valid] = np.nan
+        return rays, valid
+
+
+@dataclass(slots=True, kw_only=True)
+class _Image:
+    """The arrays of `Projected` while they are filled, components first."""
+
+    pixels: Floats
+    valid: Booleans
+    by_point: Floats | None
+    by_parameters: Floats | None
+
+    def blank_invalid(self) -> None:
+        if self.valid.all():
+            return
+        invalid = ~self.valid
+        self.pixels[:, invalid] = np.nan
+        for jacobian in (self.by_point, self.by_parameters):
+            if jacobian is not None:
+                jacobian[:, :, invalid] = 0.0
+
+    def projected(self) -> Projected:
+        return Projected(
+            pixels=self.pixels.T,
+            valid=self.valid,
+            by_point=None if self.by_point is None else self.by_point.transpose(2, 0, 1),
+            by_parameters=None if self.by_parameters is None else self.by_parameters.transpose(2, 0, 1),
+        )
+
+
+def _plane_jacobian(out: Floats, bent: Bent, focal: tuple[float, float]) -> None:
+    """Write the derivatives by fu, fv, pu, pv and the distortion's coefficients into out (2, 4 + c, k), zero so far."""
+    out[0, 0], out[1, 1] = bent.x, bent.y
+    out[0, 2] = out[1, 3] = 1.0
+    for k, pair in enumerate(bent.by_coeffs, start=4):
+        for row in range(2):
+            np.multiply(focal[row], pair[row], out=out[row, k])
+
+
+def _check_name(what: str, name: str, names: tuple[str, ...]) -> None:
+    if name not in names:
+        raise OptionError(f"there is no {what} {name!r}; it must be one of {', '.join(names)}.")
+
+
+def _numbers(model: str, what: str, values: ArrayLike, names: tuple[str, ...]) -> Floats:
+    """Return the values as a read-only array, one for each name."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise OptionError(f"{what} of {model} must be numbers; found {values!r}.") from None
+    if array.size == 0:
+        array = array.reshape(0)
+    if array.shape != (len(names),):
+        letters = f" ({' '.join(names)})" if names else ""
+        raise OptionError(f"{model} takes {len(names)} {what}{letters}; found {array.size}.")
+    for name, value in zip(names, array, strict=True):
+        if not isfinite(value):
+            raise OptionError(f"{name} of {model} is {value:g}; it must be a finite number.")
+    array.flags.writeable = False
+    return array
+
+
+def _resolution(values: tuple[int, int]) -> tuple[int, int]:
+    sides = tuple(values)
+    if len(sides) != 2 or not all(float(side).is_integer() and side > 0 for side in sides):
+        raise OptionError(f"resolution must be width and height, whole numbers above zero; found {list(sides)}.")
+    return int(sides[0]), int(sides[1])

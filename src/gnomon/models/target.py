@@ -1,0 +1,183 @@
+"""Calibration boards as Kalibr's target.yaml describes them: which points they carry, in which order.
+
+The board's frame is the world of a camera calibration; z = 0 on the board.
+
+    aprilgrid     tags of 4 corners, ids row by row from the lower left; x right, y up, z to the viewer. The points are
+                  numbered along rows of 2 cols corners, from the lowest row up, from left to right.
+    checkerboard  inner corners; point r cols + c is at (r row_spacing, c col_spacing, 0).
+    circlegrid    centres; point r cols + c is at (r spacing, c spacing, 0), and on the asymmetric grid at
+                  ((2 c + r mod 2) spacing, r spacing, 0).
+"""
+
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import OptionError, RecordingError
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+TargetKind = Literal["aprilgrid", "checkerboard", "circlegrid"]
+
+_FEWEST = {"aprilgrid": 1, "checkerboard": 2, "circlegrid": 2}
+_LENGTHS = {
+    "aprilgrid": ("tag_size_m", "tag_spacing"),
+    "checkerboard": ("row_spacing_m", "col_spacing_m"),
+    "circlegrid": ("spacing_m",),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Target:
+    """A calibration board; made by `Target.aprilgrid`, `Target.checkerboard` or `Target.circlegrid`.
+
+    Attributes
+    ----------
+    kind : "aprilgrid", "checkerboard" or "circlegrid"
+    cols, rows : number of tags, of inner corners or of circles
+    tag_size_m : side of a tag (aprilgrid) [m]
+    tag_spacing : gap between two tags over the side of a tag (aprilgrid)
+    row_spacing_m, col_spacing_m : distance between rows and between columns (checkerboard) [m]
+    spacing_m : distance between circles (circlegrid) [m]; on the asymmetric grid that between rows, and half of that
+        between neighbours in a row
+    asymmetric : whether every other row of circles is shifted (circlegrid)
+    points : (n, 3) the points in the board's frame, in Kalibr's order [m]; follows from the rest
+
+    Raises
+    ------
+    OptionError
+        If a number of rows or columns is too small, or a length is not greater than zero.
+
+    Examples
+    --------
+    >>> board = Target.aprilgrid(tag_cols=6, tag_rows=6, tag_size_m=0.088, tag_spacing=0.3)
+    >>> print(board.describe())
+    AprilGrid 6 x 6, tags of 88 mm, gap 26.4 mm
+    >>> board.points[[0, 1, 12]].tolist()
+    [[0.0, 0.0, 0.0], [0.088, 0.0, 0.0], [0.0, 0.088, 0.0]]
+    >>> board.point_of_tag_corner([0, 1], [3, 0]).tolist()
+    [12, 2]
+    """
+
+    kind: TargetKind
+    cols: int
+    rows: int
+    tag_size_m: float = 0.0
+    tag_spacing: float = 0.0
+    row_spacing_m: float = 0.0
+    col_spacing_m: float = 0.0
+    spacing_m: float = 0.0
+    asymmetric: bool = False
+    points: Floats = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.kind not in _FEWEST:
+            raise OptionError(f"there is no target {self.kind!r}; it must be one of {', '.join(_FEWEST)}.")
+        for name in ("cols", "rows"):
+            count = getattr(self, name)
+            if not (float(count).is_integer() and count >= _FEWEST[self.kind]):
+                raise OptionError(
+                    f"{name} {count:g} of the {self.kind} must be a whole number of at least {_FEWEST[self.kind]}."
+                )
+            object.__setattr__(self, name, int(count))
+        for name in _LENGTHS[self.kind]:
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise OptionError(f"{name} {value:g} of the {self.kind} must be a finite number greater than zero.")
+        object.__setattr__(self, "points", self._points())
+
+    @classmethod
+    def aprilgrid(cls, *, tag_cols: int, tag_rows: int, tag_size_m: float, tag_spacing: float) -> Self:
+        """Return a grid of AprilTags; `tag_spacing` is the gap between two tags over the side of a tag."""
+        return cls(kind="aprilgrid", cols=tag_cols, rows=tag_rows, tag_size_m=tag_size_m, tag_spacing=tag_spacing)
+
+    @classmethod
+    def checkerboard(cls, *, cols: int, rows: int, row_spacing_m: float, col_spacing_m: float) -> Self:
+        """Return a checkerboard; `cols` and `rows` count its inner corners."""
+        return cls(kind="checkerboard", cols=cols, rows=rows, row_spacing_m=row_spacing_m, col_spacing_m=col_spacing_m)
+
+    @classmethod
+    def circlegrid(cls, *, cols: int, rows: int, spacing_m: float, asymmetric: bool = False) -> Self:
+        """Return a grid of circles."""
+        return cls(kind="circlegrid", cols=cols, rows=rows, spacing_m=spacing_m, asymmetric=asymmetric)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Extent of the points along x and y [m]."""
+        x, y, _ = np.ptp(self.points, axis=0)
+        return float(x), float(y)
+
+    @property
+    def tags(self) -> int:
+        """Number of tags; zero unless the board is an aprilgrid."""
+        return self.cols * self.rows if self.kind == "aprilgrid" else 0
+
+    def describe(self) -> str:
+        """Return the board in a few words, such as "AprilGrid 6 x 6, tags of 88 mm, gap 26.4 mm"."""
+        grid = f"{self.cols} x {self.rows}"
+        if self.kind == "aprilgrid":
+            gap = self.tag_spacing * self.tag_size_m
+            return f"AprilGrid {grid}, tags of {_millimetres(self.tag_size_m)}, gap {_millimetres(gap)}"
+        if self.kind == "checkerboard":
+            row, col = _millimetres(self.row_spacing_m), _millimetres(self.col_spacing_m)
+            squares = f"squares of {row}" if row == col else f"rows {row}, columns {col} apart"
+            return f"Checkerboard {grid} inner corners, {squares}"
+        kind = "Asymmetric circle grid" if self.asymmetric else "Circle grid"
+        return f"{kind} {grid}, spacing {_millimetres(self.spacing_m)}"
+
+    def point_of_tag_corner(self, tag_id: ArrayLike, corner_idx: ArrayLike) -> Integers:
+        """Return the numbers of the points at corners of tags.
+
+        Parameters
+        ----------
+        tag_id : (m,) tag, from 0
+        corner_idx : (m,) its corner 0..3, counter-clockwise from the lower left
+
+        Raises
+        ------
+        OptionError
+            If the board has no tags.
+        RecordingError
+            If a tag or a corner is not on the board.
+        """
+        if self.kind != "aprilgrid":
+            raise OptionError(f"a {self.kind} has no tags; its corners are numbered as points.")
+        tag, corner = np.broadcast_arrays(np.asarray(tag_id, dtype=np.int64), np.asarray(corner_idx, dtype=np.int64))
+        strange = (tag < 0) | (tag >= self.tags) | (corner < 0) | (corner > 3)
+        if strange.any():
+            k = int(np.argmax(strange.ravel()))
+            raise RecordingError(
+                f"corner {corner.ravel()[k]} of tag {tag.ravel()[k]} is not on the board: it has tags 0 to "
+                f"{self.tags - 1}, with corners 0 to 3."
+            )
+        tag_row, tag_col = np.divmod(tag, self.cols)
+        upper = corner >= 2
+        right = (corner == 1) | (corner == 2)
+        return (2 * tag_row + upper) * (2 * self.cols) + 2 * tag_col + right
+
+    def _points(self) -> Floats:
+        """Return the points (n, 3), read-only."""
+        per_tag = 2 if self.kind == "aprilgrid" else 1
+        row, col = np.divmod(np.arange(per_tag * self.rows * per_tag * self.cols), per_tag * self.cols)
+        points = np.zeros((len(row), 3))
+        if self.kind == "aprilgrid":
+            for axis, index in enumerate((col, row)):
+                points[:, axis] = self.tag_size_m * ((1 + self.tag_spacing) * (index // 2) + index % 2)
+        elif self.kind == "checkerboard":
+            points[:, 0], points[:, 1] = self.row_spacing_m * row, self.col_spacing_m * col
+        elif self.asymmetric:
+            points[:, 0], points[:, 1] = self.spacing_m * (2 * col + row % 2), self.spacing_m * row
+        else:
+            points[:, 0], points[:, 1] = self.spacing_m * row, self.spacing_m * col
+        points.flags.writeable = False
+        return points
+
+
+def _millimetres(length_m: float) -> str:
+    return f"{1000 * length_m:.5g} mm"

@@ -1,0 +1,243 @@
+"""Normal equations of a long chain of control points and a border of parameters that touch all of them.
+
+Each term of the cost touches `order` neighbouring control points, of d scalars each, and some of the p border
+parameters. Gathered into super-blocks of order - 1 control points the matrix is block tridiagonal with a border,
+
+    [ D0  E0            F0 ]
+    [ E0' D1  E1        F1 ]
+    [     E1' D2  ..    .. ]
+    [ F0' F1' ..        C  ]
+
+and is factorised from the first block to the last with a few dense operations a block, in place: time and memory grow
+linearly with the chain. Right-hand sides and border are carried along, so that the Schur complement of the border, and
+with it the covariance of the parameters, falls out.
+"""
+
+from dataclasses import dataclass
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dtrsm, dtrsv  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+
+Floats = NDArray[np.float64]
+
+
+class Workspace:
+    """Memory that is used again from one iteration to the next.
+
+    Fresh memory costs more than the arithmetic on it. Equations and factor that were made in a workspace are valid
+    until the next ones are made in it.
+    """
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, Floats] = {}
+
+    def zeros(self, name: str, shape: tuple[int, ...]) -> Floats:
+        """Return an array of zeros under a name; what was there before is overwritten."""
+        size = prod(shape)
+        flat = self._arrays.get(name)
+        if flat is None or len(flat) < size:
+            flat = self._arrays[name] = np.zeros(size)
+        else:
+            flat[:size] = 0.0
+        return flat[:size].reshape(shape)
+
+
+class BorderedBand:
+    """Normal equations that are being summed up.
+
+    The d scalars of a control point come in groups, such as its pose and its biases, so that what a term adds is
+    contiguous in memory.
+
+    Attributes
+    ----------
+    groups : sizes of the groups; they sum to d
+    band : band[g][h] (n, size of g, order, size of h), entries [i, :, j, :] of group g of control point i (rows) and
+        group h of control point i + j (columns); of a control point with itself (j = 0) one of [g][h] and [h][g]
+        suffices, since the two are summed up, and of [g][g] both triangles are needed
+    border : (n, d, p) blocks of control points and border parameters
+    rhs : (n, d, q) right-hand sides of the control points, such as the gradient
+    tail : (n, d, p + q) both of them, one behind the other
+    corner : (p, p), corner_rhs : (p, q) the same of the border parameters
+    """
+
+    def __init__(
+        self,
+        *,
+        controls: int,
+        order: int,
+        groups: tuple[int, ...],
+        parameters: int,
+        sides: int,
+        workspace: Workspace | None = None,
+    ) -> None:
+        self.workspace = workspace or Workspace()
+        self.groups = groups
+        self.order = order
+        self.band = [
+            [self.workspace.zeros(f"band {g} {h}", (controls, a, order, b)) for h, b in enumerate(groups)]
+            for g, a in enumerate(groups)
+        ]
+        self.tail = self.workspace.zeros("tail", (controls, sum(groups), parameters + sides))
+        self.border, self.rhs = self.tail[:, :, :parameters], self.tail[:, :, parameters:]
+        self.corner = np.zeros((parameters, parameters))
+        self.corner_rhs = np.zeros((parameters, sides))
+
+    def starts(self) -> list[int]:
+        """Return the first scalar of every group, and their sum."""
+        return [0, *np.cumsum(self.groups).tolist()]
+
+    def damped(self, damping: float) -> None:
+        """Add a fraction of the diagonal to the diagonal (Marquardt)."""
+        for g in range(len(self.groups)):
+            diagonal = np.einsum("nii->ni", self.band[g][g][:, :, 0, :])
+            diagonal += damping * diagonal
+        corner = np.einsum("ii->i", self.corner)
+        corner += damping * corner
+
+    def factorised(self) -> "Factor":
+        """Return the factor, which is valid until the next one is made in the same workspace.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the matrix is not positive definite.
+        """
+        return _factorise(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Factor:
+    """Block Cholesky factor of the chain, with border and right-hand sides eliminated.
+
+    Attributes
+    ----------
+    lower : (b, s, s) Cholesky factors L of the super-blocks, transposed
+    eliminated : (b, s + p + q, s) rows [L^-1 E | L^-1 F | L^-1 r] of each super-block, transposed
+    schur : (p, p) Schur complement of the border parameters
+    schur_sides : (p, q) its right-hand sides
+    controls, size : number of control points, scalars of each
+    """
+
+    lower: Floats
+    eliminated: Floats
+    schur: Floats
+    schur_sides: Floats
+    controls: int
+    size: int
+
+    @property
+    def _border(self) -> slice:
+        s = self.lower.shape[1]
+        return slice(s, s + len(self.schur))
+
+    def _side(self, side: int) -> int:
+        return self.lower.shape[1] + len(self.schur) + side
+
+    def quadratic(self, a: int, b: int, free: NDArray[np.intp], schur_inverse: Floats) -> float:
+        """Return r_a' N^-1 r_b of two right-hand sides, with the border parameters outside of `free` held."""
+        inner = float(np.sum(self.eliminated[:, self._side(a)] * self.eliminated[:, self._side(b)]))
+        left, right = self.schur_sides[free, a], self.schur_sides[free, b]
+        return inner + float(left @ schur_inverse @ right)
+
+    def inner(self, sides: NDArray[np.intp]) -> Floats:
+        """Return r_a' (band alone)^-1 r_b of all pairs of some right-hand sides."""
+        rows = self.eliminated[:, self.lower.shape[1] + len(self.schur) + sides]
+        return np.tensordot(rows, rows, axes=((0, 2), (0, 2)))
+
+    def substituted(self, side: int, parameters: Floats) -> Floats:
+        """Return the control points' part of the solution of N x = r, (n, d).
+
+        Parameters
+        ----------
+        side : right-hand side
+        parameters : (p,) the border parameters' part of the solution
+        """
+        blocks, s = self.lower.shape[:2]
+        right = self.eliminated[:, self._side(side)] - np.tensordot(
+            parameters, self.eliminated[:, self._border], axes=(0, 1)
+        )
+        solution = np.empty((blocks, s))
+        following = np.zeros(s)
+        for k in range(blocks - 1, -1, -1):
+            rhs = right[k] - following @ self.eliminated[k, :s]
+            following = dtrsv(self.lower[k].T, rhs, lower=1, trans=1)
+            solution[k] = following
+        return solution.reshape(-1, self.size)[: self.controls]
+
+    def marginals(self, free: NDArray[np.intp], schur_inverse: Floats) -> Floats:
+        """Return the covariance of every super-block of control points, (b, s, s), border parameters included."""
+        blocks, s = self.lower.shape[:2]
+        border = s + free
+        result = np.empty((blocks, s, s))
+        own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
+        for k in range(blocks - 1, -1, -1):
+            inverse = dtrtri(self.lower[k].T, lower=1)[0]
+            gain = inverse.T @ self.eliminated[k, :s].T
+            z = inverse.T @ self.eliminated[k][border].T - gain @ z_next
+            own = inverse.T @ inverse + gain @ own @ gain.T
+            result[k] = own + z @ schur_inverse @ z.T
+            z_next = z
+        return result
+
+
+def _factorise(system: BorderedBand) -> Factor:
+    p, q = system.border.shape[2], system.rhs.shape[2]
+    lower, chain = _gathered(system)
+    blocks, s = lower.shape[:2]
+    total = np.zeros((p + q, p + q))
+    ahead = np.zeros((0, s))
+    for k in range(blocks):
+        if k:  # what block k - 1 sends on: its [E F r]' times its own E
+            update = ahead @ ahead[:s].T
+            lower[k] -= update[:s]
+            chain[k, s:] -= update[s:]
+        failed = dpotrf(lower[k].T, lower=1, clean=1, overwrite_a=1)[1]
+        if failed:
+            raise np.linalg.LinAlgError(f"super-block {k} of {blocks} is not positive definite")
+        dtrsm(1.0, lower[k].T, chain[k].T, lower=1, overwrite_b=1)
+        ahead = chain[k]
+        total += ahead[s:] @ ahead[s:].T
+    return Factor(
+        lower=lower,
+        eliminated=chain,
+        schur=system.corner - total[:p, :p],
+        schur_sides=system.corner_rhs - total[:p, p:],
+        controls=len(system.border),
+        size=sum(system.groups),
+    )
+
+
+def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
+    """Return the super-blocks on the diagonal (b, s, s), and [E | F | r] transposed (b, s + p + q, s).
+
+    Transposed rows in C order are columns in Fortran order, so that LAPACK works in place.
+    """
+    n, d, p = system.border.shape
+    order, q = system.order, system.rhs.shape[2]
+    per_block = max(order - 1, 1)
+    blocks, s = -(-n // per_block), per_block * d
+    lower = system.workspace.zeros("lower", (blocks, s, s))
+    chain = system.workspace.zeros("chain", (blocks, s + p + q, s))
+    diagonal = lower.reshape(blocks, per_block, d, per_block, d)
+    ahead = chain[:, :s].reshape(blocks, per_block, d, per_block, d)  # E': control point of the column comes first
+    starts = system.starts()
+    for row in range(per_block):
+        count = len(range(row, n, per_block))
+        within = min(order, per_block - row)  # control points that are in the same block
+        for g, h in np.ndindex(len(system.groups), len(system.groups)):
+            rows, columns = slice(starts[g], starts[g + 1]), slice(starts[h], starts[h + 1])
+            part = system.band[g][h][row::per_block]
+            diagonal[:count, row, rows, row : row + within, columns] += part[:, :, :within]
+            if g != h:  # the control point with itself: its other triangle
+                diagonal[:count, row, columns, row, rows] += np.swapaxes(part[:, :, 0], 1, 2)
+            beyond = order - within
+            ahead[:count, :beyond, columns, row, rows] += part[:, :, within:].transpose(0, 2, 3, 1)
+        place = slice(row * d, (row + 1) * d)
+        chain[:count, s:, place] = np.swapaxes(system.tail[row::per_block], 1, 2)
+    # LAPACK reads one triangle only: the lower one of the Fortran view, the upper one of these rows.
+    alone = np.arange((n - (blocks - 1) * per_block) * d, s)  # padding control points are unit and alone
+    lower[-1, alone, alone] = 1.0
+    return lower, chain
