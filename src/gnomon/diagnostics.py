@@ -159,11 +159,202 @@ class ImuDiagnostics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SignalFit:
+    """A triad of an IMU as measured, and as the estimated trajectory and calibration predict it (Figs. 5.6 and 5.7).
+
+    Attributes
+    ----------
+    t_s : (n,) [s from the start of the recording]
+    measured, predicted : (n, 3) [unit]
+    basic : (n, 3) [unit] prediction of the basic model, or None where it was not estimated
+    used : (n,) bool, False where the sample was masked (saturated) or lies outside the trajectory
+    sigma : predicted standard deviation of a single sample's noise [unit]
+    unit : "m/s^2" or "rad/s"
+    """
+
+    t_s: Floats
+    measured: Floats
+    predicted: Floats
+    basic: Floats | None
+    used: np.ndarray
+    sigma: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BiasTrack:
+    """A bias over time.
+
+    Attributes
+    ----------
+    t_s : (k,) [s from the start of the recording]
+    value, sigma : (k, 3) estimate and its standard deviation [unit]
+    random_walk : assumed random walk [unit/sqrt(s)]
+    unit : "m/s^2" or "rad/s"
+    """
+
+    t_s: Floats
+    value: Floats
+    sigma: Floats
+    random_walk: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CornerFit:
+    """The corners of one camera as detected, and how far the prediction is from them.
+
+    Attributes
+    ----------
+    frame_t_s : (f,) time of every frame on the IMU's clock [s from the start of the recording]
+    frame_corners : (f,) number of corners detected in it
+    frame_rms : (f,) rms residual of the frame's corners, per axis [px]; nan without corners
+    frame_used : (f,) bool
+    frame_reason : (f,) why the frame was not used, or ""
+    frame : (m,) index of each corner's frame
+    point : (m,) number of each corner on the target
+    pixels : (m, 2) detected [px]
+    residual : (m, 2) predicted minus detected [px]; nan where the frame was not predicted
+    weight : (m,) robust weight, 0 to 1
+    sigma_px : standard deviation of a corner per axis that was used [px]
+    resolution : (width, height) [px]
+    """
+
+    frame_t_s: Floats
+    frame_corners: np.ndarray
+    frame_rms: Floats
+    frame_used: np.ndarray
+    frame_reason: tuple[str, ...]
+    frame: np.ndarray
+    point: np.ndarray
+    pixels: Floats
+    residual: Floats
+    weight: Floats
+    sigma_px: float
+    resolution: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrajectoryTrack:
+    """The estimated trajectory at the stamps of imu0, where it is known.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64 stamps of the IMU [ns]
+    p_target_imu : (n, 3) origin of the IMU in the target's frame [m]
+    q_target_imu_wxyz : (n, 4) attitude, Hamilton: v_target = q v_imu q*
+    omega_imu : (n, 3) angular rate [rad/s]
+    f_imu : (n, 3) specific force [m/s^2]
+    position_sigma : (n, 3) [m] or None; attitude_sigma : (n, 3) [rad] or None (marginals, on request)
+    """
+
+    t_ns: np.ndarray
+    p_target_imu: Floats
+    q_target_imu_wxyz: Floats
+    omega_imu: Floats
+    f_imu: Floats
+    position_sigma: Floats | None = None
+    attitude_sigma: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EstimatedParameter:
+    """One scalar parameter of the batch estimation.
+
+    Attributes
+    ----------
+    name : such as "cam0.T_cam_imu.rotation[0]", "imu0.M_g[2]", "gravity.direction[1]"
+    unit : such as "rad", "m", "s", ""
+    value, start : estimate and initial guess; of rotations and directions the small angle from the initial guess
+    sigma : standard deviation
+    prior_sigma : of the prior; infinite where there is none
+    status : "estimated", "prior" (a stated prior) or "fixed"
+    """
+
+    name: str
+    unit: str
+    value: float
+    start: float
+    sigma: float
+    prior_sigma: float
+    status: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NoiseLevel:
+    """A noise level: as stated beforehand, as found in the residuals, and as used.
+
+    Attributes
+    ----------
+    name : such as "imu0.gyroscope", "imu0.accelerometer", "cam0.corners"
+    unit : such as "rad/s/sqrt(Hz)", "px"
+    nominal : nan where nothing was stated
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    estimated: float
+    used: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolverStep:
+    """One Gauss-Newton iteration: cost before it, largest step in sigmas of a parameter, damping, and if accepted."""
+
+    cost: float
+    largest_step: float
+    damping: float
+    accepted: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraImuDiagnostics:
+    """How a camera-IMU calibration came about.
+
+    Attributes
+    ----------
+    signals : "imu0.accelerometer", "imu0.gyroscope" -> SignalFit
+    biases : the same names -> BiasTrack
+    corners : "cam0", ... -> CornerFit
+    trajectory : estimated trajectory
+    parameters : every scalar of the batch estimation, also the fixed ones
+    correlation : (p, p) of the parameters that were estimated, in their order
+    noise : levels
+    steps : iterations of the solution, in order
+    gravity_target : (3,) gravity in the target's frame, pointing down [m/s^2]
+    gravity_sigma : (3,) [m/s^2]
+    gravity_plane : (3, 2) unit vectors, target frame, along which gravity.direction[0] and [1] tilt it
+    knots_per_s, spline_order : of the trajectory
+    segments : number of pieces of the trajectory
+    baselines : "cam1_cam0" -> (4, 4) T_cam1_cam0
+    initial_time_shift_s : "cam0" -> time shift found before the batch estimation
+    """
+
+    signals: dict[str, SignalFit]
+    biases: dict[str, BiasTrack]
+    corners: dict[str, CornerFit]
+    trajectory: TrajectoryTrack
+    parameters: tuple[EstimatedParameter, ...]
+    correlation: Floats
+    noise: tuple[NoiseLevel, ...]
+    steps: tuple[SolverStep, ...]
+    gravity_target: Floats
+    gravity_sigma: Floats
+    gravity_plane: Floats
+    knots_per_s: float
+    spline_order: int
+    segments: int
+    baselines: dict[str, Floats]
+    initial_time_shift_s: dict[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
     """A calibration, and how it came about."""
 
     calibration: Calibration
-    diagnostics: ImuDiagnostics
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics
 
     def _repr_html_(self) -> str:
         return self.calibration._repr_html_()  # pyright: ignore[reportPrivateUsage]

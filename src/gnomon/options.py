@@ -50,14 +50,88 @@ class ImuOptions:
     """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
 
     def __post_init__(self) -> None:
-        if self.gravity is not None and not 9.0 < self.gravity < 10.5:
-            raise OptionError(
-                f"gravity {self.gravity:g} m/s^2 is found nowhere on Earth (9.76 to 9.84). "
-                "Give the local value in m/s^2, or --latitude and --altitude."
-            )
-        if self.latitude is not None and not -90 <= self.latitude <= 90:
-            raise OptionError(f"latitude {self.latitude:g} deg is not between -90 and 90.")
-        for name in ("window_s", "multiplier", "t_init_s", "accelerometer_range", "gyroscope_range"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise OptionError(f"{name} {value:g} must be greater than zero.")
+        _check_place(self.gravity, self.latitude)
+        _check_positive(self, ("window_s", "multiplier", "t_init_s", "accelerometer_range", "gyroscope_range"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraImuOptions:
+    """How to calibrate cameras and an IMU that were waved together in front of a board (document B)."""
+
+    model: Literal["basic", "scale-misalignment", "full"] = "full"
+    """Model of the IMU: ideal but for its biases (basic); with scale, misalignment and gyroscope rotation
+    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of document B (full)."""
+
+    gravity: float | None = None
+    """Local gravity in m/s^2, where you know it."""
+
+    latitude: float | None = None
+    """Latitude in degrees, from which normal gravity (WGS 84) is computed unless gravity is stated."""
+
+    altitude: float = 0.0
+    """Height above the ellipsoid in metres, used with --latitude."""
+
+    noise: Literal["estimated", "nominal"] = "estimated"
+    """Weigh the measurements by the noise found in the residuals (default), or by the nominal noise."""
+
+    pixel_sigma: float | None = None
+    """Nominal standard deviation of a corner in px, per axis; where it is not given, the scatter of the corners about
+    their frames' poses is taken."""
+
+    knots_per_s: float | None = None
+    """Knots of the trajectory's spline per second; chosen by the fastest motion and the IMU's rate where not given."""
+
+    spline_order: Literal[4, 5, 6] = 6
+    """Order of the trajectory's spline."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their start value, such as imu0.B_g or cam0.time_shift_cam_imu."""
+
+    free: tuple[str, ...] = ()
+    """Parameters to estimate that are fixed otherwise, such as cam0.intrinsics, cam0.line_delay or target.scale."""
+
+    prior: tuple[str, ...] = ()
+    """Parameters to estimate with a prior about their start value, NAME=SIGMA, such as cam0.intrinsics=2."""
+
+    line_delay: float | None = None
+    """Time from one image row to the next in seconds, of every camera (rolling shutter)."""
+
+    robust: bool = True
+    """Single corners that fit badly count less (Huber), and whole frames that do are left out; with --no-robust all of
+    them count alike."""
+
+    accelerometer_range: float | None = None
+    """Full scale of the accelerometer, in m/s^2; samples at or beyond it are masked."""
+
+    gyroscope_range: float | None = None
+    """Full scale of the gyroscope, in rad/s; samples at or beyond it are masked."""
+
+    compare: bool = False
+    """Estimate the basic model too, to compare what both predict (Figs. 5.6 and 5.7 of document B). The command line
+    always does for a report, which shows it."""
+
+    max_iterations: int = 30
+    """Most Gauss-Newton iterations of one solution."""
+
+    def __post_init__(self) -> None:
+        _check_place(self.gravity, self.latitude)
+        _check_positive(
+            self, ("pixel_sigma", "knots_per_s", "accelerometer_range", "gyroscope_range", "max_iterations")
+        )
+
+
+def _check_place(gravity_m_s2: float | None, latitude_deg: float | None) -> None:
+    if gravity_m_s2 is not None and not 9.0 < gravity_m_s2 < 10.5:
+        raise OptionError(
+            f"gravity {gravity_m_s2:g} m/s^2 is found nowhere on Earth (9.76 to 9.84). "
+            "Give the local value in m/s^2, or --latitude and --altitude."
+        )
+    if latitude_deg is not None and not -90 <= latitude_deg <= 90:
+        raise OptionError(f"latitude {latitude_deg:g} deg is not between -90 and 90.")
+
+
+def _check_positive(options: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and not value > 0:
+            raise OptionError(f"{name} {value:g} must be greater than zero.")

@@ -1,7 +1,7 @@
 """What was measured: samples, as recorded, with their stamps and their unit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import RecordingError
+from .models.camera import Camera
+from .models.noise import ImuNoise
 from .units import Units
 
 Floats = NDArray[np.float64]
@@ -95,10 +97,71 @@ class TriadSamples:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuSamples:
-    """Both triads of one IMU; they may differ in rate and stamps, but share one clock."""
+    """Both triads of one IMU; they may differ in rate and stamps, but share one clock.
+
+    Attributes
+    ----------
+    noise : what its data sheet or its Allan deviation says, where that was stated
+    topic : ROS topic that Kalibr's files name, or ""
+    """
 
     accelerometer: TriadSamples
     gyroscope: TriadSamples
+    noise: ImuNoise | None = None
+    topic: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraFrames:
+    """What one camera saw of the board: the corners that were detected, frame by frame.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64 [ns]
+        Stamps of all frames, in the order of time, also of frames in which nothing was detected; any clock.
+    frame : (m,) int64
+        For each corner, its frame's index into `t_ns`; ascending.
+    point : (m,) int64
+        For each corner, its number on the target, as `Target.points` counts (Kalibr's order).
+    pixels : (m, 2) float64 [px]
+        Where it was detected; (0, 0) is the centre of the top-left pixel.
+    camera : Camera
+        Lens and intrinsics that were known beforehand.
+    T_cam_imu : (4, 4) or None
+        Initial guess of the extrinsics, where one was stated; it is not needed.
+    time_shift_cam_imu_s : float or None
+        Initial guess of t_imu - t_cam [s], where one was stated; it is not needed.
+
+    Raises
+    ------
+    RecordingError
+        If the shapes do not fit, a corner belongs to no frame, or a coordinate is not a finite number.
+    """
+
+    t_ns: Integers
+    frame: Integers
+    point: Integers
+    pixels: Floats
+    camera: Camera
+    T_cam_imu: Floats | None = None
+    time_shift_cam_imu_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("t_ns", "frame", "point"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), np.int64))
+        object.__setattr__(self, "pixels", frozen_array(self.pixels))
+        if self.T_cam_imu is not None:
+            object.__setattr__(self, "T_cam_imu", frozen_array(self.T_cam_imu))
+        corners = len(self.frame)
+        if self.pixels.shape != (corners, 2) or self.point.shape != (corners,) or self.t_ns.ndim != 1:
+            raise RecordingError(
+                f"corners must be (m, 2) with m frames and m points; found pixels {self.pixels.shape}, "
+                f"frames {self.frame.shape}, points {self.point.shape}."
+            )
+        if corners and (self.frame.min() < 0 or self.frame.max() >= len(self.t_ns) or (np.diff(self.frame) < 0).any()):
+            raise RecordingError("every corner must belong to a frame, and corners must be in the order of frames.")
+        if not np.isfinite(self.pixels).all():
+            raise RecordingError(f"corner {int(np.argmin(np.isfinite(self.pixels).all(axis=1)))} is not a number.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +179,7 @@ class Recording:
     Attributes
     ----------
     imus : mapping from "imu0", "imu1", ... to ImuSamples
+    cameras : mapping from "cam0", "cam1", ... to CameraFrames; empty for an IMU alone
     sources : the files that were read
     assumptions : sentences on what the reader had to assume, such as units or the rate
     """
@@ -123,9 +187,11 @@ class Recording:
     imus: Mapping[str, ImuSamples]
     sources: tuple[Source, ...] = ()
     assumptions: tuple[str, ...] = ()
+    cameras: Mapping[str, CameraFrames] = field(default_factory=dict[str, "CameraFrames"])
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))
+        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
 
     @classmethod
     def from_arrays(cls, t_s: ArrayLike, gyro: ArrayLike, accel: ArrayLike, units: str | Units = "si") -> Self:

@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .calibration_file import load
+    from .camera_imu import read_camera_imu
     from .recordings import read
 
-_HOMES = {"load": "calibration_file", "read": "recordings"}
+_HOMES = {"load": "calibration_file", "read": "recordings", "read_camera_imu": "camera_imu"}
 
-__all__ = ["load", "read"]
+__all__ = ["load", "read", "read_camera_imu"]
 
 
 def __getattr__(name: str) -> Any:

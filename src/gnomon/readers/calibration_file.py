@@ -1,10 +1,12 @@
-"""gnomon's own calibration file, schema "gnomon/1"; `writers.calibration_file` writes it.
+"""gnomon's own calibration file, schemas "gnomon/1" and "gnomon/1.1"; `writers.calibration_file` writes it.
 
-A later minor of the schema, "gnomon/1.1" and so on, may only add keys that are optional here, so that older files stay
-readable; a newer minor than this version knows is refused, since its keys may matter.
+A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
+newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
+assessment.camera_imu, which stands there in place of the counts of a multi-position recording.
 """
 
 import re
+from dataclasses import replace
 from os import PathLike
 
 import numpy as np
@@ -27,10 +29,11 @@ from ..findings import Finding
 from ..models.forms import in_frame
 from ..recording import Floats, Source
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry
 from .structured import Node, read_yaml
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 0
+SCHEMA_MINOR = 1
 
 TOP_KEYS = (
     "schema",
@@ -55,27 +58,31 @@ def load(path: str | PathLike[str]) -> Calibration:
         If the file cannot be read, or is not as the schema says; the message names the key.
     """
     root = read_yaml(path)
-    _check_schema(root)
+    minor = _checked_minor(root)
     top = root.mapping(TOP_KEYS)
-    top["cameras"].mapping()
     imus = {node.key: _imu(node) for node in top["imus"].entries()}
+    if minor == 0:
+        top["cameras"].mapping()
+    cameras = {node.key: camera_entry(node) for node in top["cameras"].entries()}
     calibration = Calibration(
         imus=imus,
         frame=_frame(top["body_frame"], top["imus"], imus),
         gravity=_gravity(top["gravity"]),
-        uncertainty=_covariance(top["covariance"], covariance_names(imus)),
-        assessment=_assessment(top["assessment"]),
+        uncertainty=_covariance(top["covariance"], covariance_names(imus, cameras)),
+        assessment=_assessment(top["assessment"], tuple(cameras), minor),
         provenance=_provenance(top["provenance"]),
+        cameras=cameras,
     )
     if top["verdict"].text(_VERDICTS) != calibration.verdict:
         raise top["verdict"].fail(
             f'"{top["verdict"].value}" contradicts assessment.verdict, "{calibration.verdict}". They are one thing.'
         )
-    _check_sigmas(top["imus"], calibration)
+    _check_sigmas(top, calibration)
     return calibration
 
 
-def _check_schema(root: Node) -> None:
+def _checked_minor(root: Node) -> int:
+    """Return the minor of a schema that this version reads."""
     if not isinstance(root.value, dict) or not isinstance(root.value.get("schema"), str):
         raise root.fail(
             'this is no gnomon calibration: it does not begin with "schema: gnomon/1". '
@@ -93,6 +100,7 @@ def _check_schema(root: Node) -> None:
         )
     if major < SCHEMA_MAJOR:
         raise stated.fail(f"found {stated.value}, expected gnomon/{SCHEMA_MAJOR}.")
+    return minor
 
 
 def _imu(node: Node) -> ImuCalibration:
@@ -171,33 +179,40 @@ def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
     return Covariance(names=names, matrix=matrix)
 
 
-def _check_sigmas(node: Node, calibration: Calibration) -> None:
+def _check_sigmas(top: dict[str, Node], calibration: Calibration) -> None:
     """Refuse sigmas that contradict the covariance: which of the two was meant cannot be known."""
-    for path, value in parameters(calibration.imus):
-        imu, triad, name = path.split(".")
-        stated = node.child(imu).child(triad)
-        if f"{name}_sigma" not in stated.value:
+    for path, value in parameters(calibration.imus, calibration.cameras):
+        sensor, _, name = path.partition(".")
+        if sensor in calibration.cameras:
+            stated, key = top["cameras"].child(sensor), SIGMAS[name]
+        else:
+            triad, name = name.split(".")
+            stated, key = top["imus"].child(sensor).child(triad), f"{name}_sigma"
+        if key not in stated.value:
             continue
-        entry = stated.child(f"{name}_sigma")
-        given, right = entry.floats(*value.shape, finite=False), calibration.sigma(path)
-        if not np.allclose(given, right, rtol=1e-6, atol=0.0, equal_nan=True):
+        entry = stated.child(key)
+        given = entry.floats(*value.shape, finite=False) if value.ndim else entry.number(finite=False)
+        if not np.allclose(given, calibration.sigma(path), rtol=1e-6, atol=0.0, equal_nan=True):
             raise entry.fail("this contradicts the covariance, whose copy it is. Correct both, or remove this line.")
 
 
-def _assessment(node: Node) -> Assessment:
+def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
     counts = ("intervals_found", "intervals_used", "rotations_found", "rotations_used")
-    keys = node.mapping(("verdict", "model", "holdout", *counts, "held_by_prior", "findings"))
-    holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"))
-    rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
+    with_cameras = minor > 0 and isinstance(node.value, dict) and "camera_imu" in node.value
+    basis = ("camera_imu",) if with_cameras else ("holdout", *counts)
+    keys = node.mapping(("verdict", "model", *basis, "held_by_prior", "findings"))
     verdict = keys["verdict"].text(_VERDICTS)
-    return Assessment(
+    common = Assessment(
         verdict=verdict,  # pyright: ignore[reportArgumentType]
         findings=tuple(_finding(item) for item in keys["findings"].items()),
-        holdout=Holdout(**rms),
-        **{name: keys[name].integer() for name in counts},
         model=keys["model"].text(),
         held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
     )
+    if with_cameras:
+        return replace(common, camera_imu=camera_imu_entry(keys["camera_imu"], cameras))
+    holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"))
+    rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
+    return replace(common, holdout=Holdout(**rms), **{name: keys[name].integer() for name in counts})
 
 
 def _finding(node: Node) -> Finding:

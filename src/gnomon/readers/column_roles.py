@@ -98,10 +98,10 @@ def _named(names: list[ColumnName], layout: Layout, where: str, origin: str) -> 
     named = [triad for triad in triads if triad.quantity != "unnamed"]
     if not triads:
         raise RecordingError(f"{where}: {origin} names no accelerometer and no gyroscope. {HELP}")
-    return Roles(time=_time(names, layout), triads=tuple(named or triads))
+    return Roles(time=time_columns(names, layout), triads=tuple(named or triads))
 
 
-def _time(names: list[ColumnName], layout: Layout) -> tuple[tuple[int, str | None], ...]:
+def time_columns(names: list[ColumnName], layout: Layout) -> tuple[tuple[int, str | None], ...]:
     """Choose among the columns that may be stamps those that hold numbers; a header stamp beats the time of arrival."""
     row = layout.sample[0]
     found = [i for i, name in enumerate(names) if name.quantity == "time" and is_number(row[i], layout.decimal_comma)]

@@ -1,6 +1,7 @@
 """gnomon's table of name, value, sigma and unit, as `writers.parameter_csv` makes it and spreadsheets return it."""
 
 import csv
+import re
 from os import PathLike
 
 import numpy as np
@@ -19,7 +20,7 @@ _SHAPES = {
 
 
 def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
-    """Read the table.
+    """Read the IMUs of the table; cameras are passed over, and named.
 
     Raises
     ------
@@ -39,12 +40,15 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
     table.pop("body_frame", None)
     table.pop("gravity", None)
     names = sorted({name.split(".")[0] for name in table})
+    cameras = [name for name in names if re.fullmatch(r"cam\d+", name)]
+    table = {name: row for name, row in table.items() if name.split(".")[0] not in cameras}
     reader = _Table(path, table)
-    imus = {name: reader.imu(name) for name in names}
+    imus = {name: reader.imu(name) for name in names if name not in cameras}
     if table:
         name, (number, _) = next(iter(table.items()))
         raise FormatError(f"{path}, line {number}: {name} is no parameter of a calibration.")
-    return ForeignCalibration(imus=imus, frame=recognised_frame(imus), sigmas=reader.sigmas)
+    notes = tuple(f"{name} was passed over." for name in cameras)
+    return ForeignCalibration(imus=imus, frame=recognised_frame(imus), sigmas=reader.sigmas, notes=notes)
 
 
 class _Table:

@@ -1,5 +1,6 @@
 """What samples are, told from their values: which triad is which, and in which unit."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,8 @@ from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 _WINDOWS = 1000
 _WINDOW = 50  # samples; half a second at usual rates
 _LIKE_GRAVITY = (0.8, 1.2)  # an uncalibrated accelerometer reads gravity within 20 %
+_LIKE_GRAVITY_IN_MOTION = (0.5, 2.0)
+_RATES_IN_MOTION = (("rad/s", 10.0), ("deg/s", 2000.0), ("mdeg/s", np.inf))  # largest rms of a hand that waves a sensor
 _DECISIVE = 10.0  # ratio of the scatters of the two triads between rests
 
 
@@ -38,9 +41,9 @@ def rest_magnitude(values: Floats) -> float:
     return float(np.median(np.linalg.norm(means[quiet], axis=1)))
 
 
-def _gravity_unit(magnitude: float) -> str | None:
+def _gravity_unit(magnitude: float, limits: tuple[float, float] = _LIKE_GRAVITY) -> str | None:
     for unit, factor in ACCELEROMETER_UNITS_M_S2.items():
-        if factor is not None and _LIKE_GRAVITY[0] < magnitude * factor / STANDARD_GRAVITY_M_S2 < _LIKE_GRAVITY[1]:
+        if factor is not None and limits[0] < magnitude * factor / STANDARD_GRAVITY_M_S2 < limits[1]:
             return unit
     return None
 
@@ -89,6 +92,47 @@ def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None)
         evidence += 2 * np.log(peak / 30.0)
     unit = "deg/s" if evidence > 0 else "rad/s"
     return Unit(unit=unit, reason=f"noise at rest {noise:.2g}, largest value {peak:.3g}")
+
+
+def accelerometer_unit_in_motion(values: Floats) -> Unit:
+    """Recognise the unit of an accelerometer, (n, 3), that never rests, from its median magnitude."""
+    if _whole_numbers(values):
+        return Unit(unit="count", reason="whole numbers")
+    magnitude = float(np.median(np.linalg.norm(values, axis=1)))
+    unit = _gravity_unit(magnitude, _LIKE_GRAVITY_IN_MOTION)
+    if unit is not None:
+        return Unit(unit=unit, reason=f"its median magnitude is {magnitude:.4g}")
+    return Unit(unit="count", reason=f"its median magnitude, {magnitude:.4g}, is gravity in no known unit")
+
+
+def gyroscope_unit_in_motion(values: Floats, t_ns: Integers, accelerometer: Floats | None) -> Unit:
+    """Recognise the unit of a gyroscope that never rests: by the turns of gravity, else by how fast a hand moves.
+
+    Parameters
+    ----------
+    values, t_ns, accelerometer : as for `gyroscope_unit`
+    """
+    if _whole_numbers(values) and np.ptp(values) > 0:
+        return Unit(unit="count", reason="whole numbers")
+    slope = None if accelerometer is None else _turning_of_gravity(accelerometer, values, t_ns)
+    if slope is not None:
+        unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
+        return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
+    rms = float(np.sqrt(values.var(axis=0).sum()))
+    unit = next(unit for unit, largest in _RATES_IN_MOTION if rms <= largest)
+    return Unit(unit=unit, reason=f"its root mean square is {rms:.3g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recogniser:
+    """What tells the units from the values: of the accelerometer, and of the gyroscope given its stamps and force."""
+
+    accelerometer: Callable[[Floats], Unit]
+    gyroscope: Callable[[Floats, Integers, Floats | None], Unit]
+
+
+WITH_RESTS = Recogniser(accelerometer=accelerometer_unit, gyroscope=gyroscope_unit)
+IN_MOTION = Recogniser(accelerometer=accelerometer_unit_in_motion, gyroscope=gyroscope_unit_in_motion)
 
 
 def _turning_of_gravity(accelerometer: Floats, gyroscope: Floats, t_ns: Integers) -> float | None:

@@ -10,7 +10,7 @@ from ..units import Units
 from .column_roles import HELP
 from .files import NPZ_MAGIC, file_source, first_bytes, read_text
 from .folder import recording_files
-from .recognise import accelerometer_is_first, accelerometer_unit, gyroscope_unit
+from .recognise import WITH_RESTS, Recogniser, accelerometer_is_first
 from .table import Table, Triad, read_table
 
 StampedTriad = tuple[Integers, Triad]
@@ -38,25 +38,38 @@ def read(
     OptionError
         If an option does not fit the recording.
     """
+    return read_recognising(WITH_RESTS, *paths, columns=columns, rate_hz=rate_hz, units=units)
+
+
+def read_recognising(
+    recogniser: Recogniser,
+    *paths: str | Path,
+    columns: str | None = None,
+    rate_hz: float | None = None,
+    units: str | Units | None = None,
+) -> Recording:
+    """Read a recording like `read`, with what tells the units from the values where nothing states them."""
     stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
     if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
         raise OptionError(f"rate {rate_hz:g} Hz must be greater than zero.")
     files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):
-        return _read_npz(files, columns, rate_hz, stated)
+        return _read_npz(files, columns, rate_hz, stated, recogniser)
     texts = [read_text(path) for path in files]
     tables = [read_table(text, columns, rate_hz, stated) for text in texts]
     notes = [note for table in tables for note in table.notes]
     pair = len(files) == 2
     streams = in_two_files(tables, files, notes) if pair else in_one_file(tables[0], files[0].name, notes)
     return Recording(
-        imus={"imu0": _samples(*streams, stated, notes, "")},
+        imus={"imu0": _samples(*streams, stated, recogniser, notes)},
         sources=tuple(text.source for text in texts),
         assumptions=tuple(notes),
     )
 
 
-def _read_npz(files: list[Path], columns: str | None, rate_hz: float | None, stated: Units) -> Recording:
+def _read_npz(
+    files: list[Path], columns: str | None, rate_hz: float | None, stated: Units, recogniser: Recogniser
+) -> Recording:
     if columns is not None:
         raise OptionError(f"columns are for text tables; {files[0].name} is an NPZ file, whose arrays have names.")
     if len(files) != 1:
@@ -69,9 +82,9 @@ def _read_npz(files: list[Path], columns: str | None, rate_hz: float | None, sta
     for imu, parts in tables.items():
         notes += [note for part in parts for note in part.notes]
         streams: list[StampedTriad] = [(part.t_ns, part.triads[0]) for part in parts]
-        imus[imu] = _samples(
-            streams[0], streams[1] if len(streams) > 1 else None, stated, notes, f"{imu} " * (len(tables) > 1)
-        )
+        said: list[str] = []
+        imus[imu] = _samples(streams[0], streams[1] if len(streams) > 1 else None, stated, recogniser, said)
+        notes += [f"{imu} {note}" if len(tables) > 1 else note for note in said]
     source: Source = file_source(files[0])
     return Recording(imus=imus, sources=(source,), assumptions=tuple(notes))
 
@@ -123,26 +136,26 @@ def in_two_files(tables: list[Table], files: list[Path], notes: list[str]) -> tu
 
 
 def _samples(
-    accel: StampedTriad, gyro: StampedTriad | None, stated: Units, notes: list[str], prefix: str
+    accel: StampedTriad, gyro: StampedTriad | None, stated: Units, recogniser: Recogniser, notes: list[str]
 ) -> ImuSamples:
     """Make samples with units: stated, else named in the file, else recognised."""
     unit, reason = _known(stated.accelerometer, accel[1].unit)
     if unit is None:
-        found = accelerometer_unit(accel[1].values)
+        found = recogniser.accelerometer(accel[1].values)
         unit, reason = found.unit, found.reason
-    notes.append(f"{prefix}accelerometer in {unit} ({reason}).")
+    notes.append(f"accelerometer in {unit} ({reason}).")
     accelerometer = TriadSamples(t_ns=accel[0], values=accel[1].values, unit=unit)
     if gyro is None:
-        notes.append(f"{prefix}no gyroscope in this recording.")
+        notes.append("no gyroscope in this recording.")
         return ImuSamples(
             accelerometer=accelerometer,
             gyroscope=TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit="rad/s"),
         )
     unit, reason = _known(stated.gyroscope, gyro[1].unit)
     if unit is None:
-        found = gyroscope_unit(gyro[1].values, gyro[0], _force_at(gyro[0], accelerometer))
+        found = recogniser.gyroscope(gyro[1].values, gyro[0], _force_at(gyro[0], accelerometer))
         unit, reason = found.unit, found.reason
-    notes.append(f"{prefix}gyroscope in {unit} ({reason}).")
+    notes.append(f"gyroscope in {unit} ({reason}).")
     return ImuSamples(
         accelerometer=accelerometer, gyroscope=TriadSamples(t_ns=gyro[0], values=gyro[1].values, unit=unit)
     )

@@ -11,6 +11,7 @@ from ..recording import Floats, Integers
 from ..units import TIME_UNITS_NS
 
 _LARGEST_NS = 9.2e18
+_HALF_A_DAY_NS = 12 * 3.6e12
 _DECIMALS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _EPOCH_S = (6e8, 4.1e9)  # 1989 to 2099
 _POSSIBLE_HZ = (0.5, 1e5)
@@ -50,6 +51,15 @@ def guess_time_unit(stamps: NDArray[Any]) -> tuple[str, str]:
     return unit, f"the rate is then {rates[unit]:.4g} Hz"
 
 
+def strayed(t_ns: Integers) -> int | None:
+    """Return the index of the first stamp that is more than half a day from the middle one, (n,) [ns]; None if none is.
+
+    No recording is so long; a stamp that was written wrong would make it last for years.
+    """
+    far = np.abs(t_ns - np.median(t_ns)) > _HALF_A_DAY_NS if len(t_ns) else np.empty(0, bool)
+    return int(np.argmax(far)) if far.any() else None
+
+
 def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
     """Return stamps in nanoseconds, (n,) int64.
 
@@ -62,14 +72,14 @@ def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
     Raises
     ------
     RecordingError
-        If a stamp does not fit into 64 bits of nanoseconds.
+        If a stamp is no number, or does not fit into 64 bits of nanoseconds.
     """
     if stamps.dtype.kind == "S":
         exact = _text_to_ns(stamps, _DECIMALS[unit])
         if exact is not None:
             return exact
     factor = TIME_UNITS_NS[unit]
-    numbers: Floats = stamps.astype(np.float64)
+    numbers = _numbers(stamps, where)
     if not np.isfinite(numbers).all():
         raise RecordingError(f"{where}: stamp {int(np.argmin(np.isfinite(numbers))) + 1} is not a finite number.")
     if len(numbers) and float(np.abs(numbers).max()) * factor > _LARGEST_NS:
@@ -80,6 +90,21 @@ def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
     if stamps.dtype.kind in "iu":
         return stamps.astype(np.int64) * factor
     return np.rint(numbers * factor).astype(np.int64)
+
+
+def _numbers(stamps: NDArray[Any], where: str) -> Floats:
+    try:
+        return stamps.astype(np.float64)
+    except ValueError:
+        for row, stamp in enumerate(stamps):
+            try:
+                float(stamp)
+            except ValueError:
+                found = bytes(stamp).decode("latin-1")
+                raise RecordingError(
+                    f'{where}: stamp {row + 1} is "{found}", which is no number. Mend or remove its line.'
+                ) from None
+        raise
 
 
 def _text_to_ns(stamps: NDArray[Any], decimals: int) -> Integers | None:

@@ -127,9 +127,13 @@ class Node:
                 raise self.fail(f'found the text "{value}", expected a number.') from None
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self.fail(f"found {_kind(value)}, expected a number.")
-        if finite and not np.isfinite(value):
-            raise self.fail(f"found {value}, expected a finite number.")
-        return float(value)
+        try:
+            number = float(value)
+        except OverflowError:  # a whole number of more than 308 digits
+            number = float("inf")
+        if finite and not np.isfinite(number):
+            raise self.fail(f"found {number}, expected a finite number.")
+        return number
 
     def floats(self, length: int, *others: int, finite: bool = True) -> Floats:
         """Return an array of numbers of shape (length, *others).

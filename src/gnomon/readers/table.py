@@ -26,6 +26,11 @@ _PREAMBLE = re.compile(
     r"\W*(?P<tail>[A-Za-z]*)\W*"
 )
 
+RATE_HELP = (
+    "State it with --rate, for example --rate 100. If a column holds the time, name the columns: "
+    '--columns "t ax ay az gx gy gz" (_ skips one).'
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Triad:
@@ -107,11 +112,7 @@ def _made_stamps(file: TextFile, layout: Layout, count: int, rate_hz: float | No
     if rate_hz is None:
         rate_hz, origin = preamble_rate(layout.preamble), "as its preamble says"
     if rate_hz is None:
-        raise RecordingError(
-            f"{file.name}: no column holds the time, and nothing tells the sample rate. State it with --rate, for "
-            "example --rate 100. If a column holds the time, name the columns: "
-            '--columns "t ax ay az gx gy gz" (_ skips one).'
-        )
+        raise RecordingError(f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP}")
     return uniform_stamps(count, rate_hz), f"{file.name}: no stamps; {rate_hz:g} Hz {origin}."
 
 

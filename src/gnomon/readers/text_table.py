@@ -64,8 +64,16 @@ def split_line(line: str, delimiter: str | None) -> list[str]:
     return [token.strip() for token in line.split(delimiter)] if delimiter else line.split()
 
 
-def sniff(file: TextFile) -> Layout:
+SAMPLE_ROWS = "time, three accelerations, three angular rates"
+
+
+def sniff(file: TextFile, expected: str = SAMPLE_ROWS) -> Layout:
     """Find out how a table is written, from its first lines.
+
+    Parameters
+    ----------
+    file : the table
+    expected : what is in its rows, for messages
 
     Raises
     ------
@@ -84,7 +92,7 @@ def sniff(file: TextFile) -> Layout:
     if not counts:
         raise RecordingError(
             f"{file.name}: no table of numbers found in the first {len(lines)} lines (the first one begins with "
-            f'"{lines[0][:40]}"). Expected rows such as: time, three accelerations, three angular rates.'
+            f'"{lines[0][:40]}"). Expected rows such as: {expected}.'
         )
     columns = max(counts, key=lambda n: (counts[n], n))
     first = _first_row(rows, masks, columns)
@@ -140,12 +148,15 @@ def _header_tokens(line: str, delimiter: str | None) -> list[str]:
     return [token.strip('"').strip() for token in split_line(line, delimiter)]
 
 
-def parse(file: TextFile, layout: Layout, kinds: list[str]) -> tuple[list[Column], str | None]:
+def parse(
+    file: TextFile, layout: Layout, kinds: list[str], *, may_be_lost: bool = False
+) -> tuple[list[Column], str | None]:
     """Return the columns of a table.
 
     Parameters
     ----------
     kinds : NumPy dtype of each column, such as "f8", "i8", "S40"; "" for columns that are not wanted
+    may_be_lost : whether NaN and infinity are let through, as marks of values that were lost
 
     Returns
     -------
@@ -155,7 +166,7 @@ def parse(file: TextFile, layout: Layout, kinds: list[str]) -> tuple[list[Column
     Raises
     ------
     RecordingError
-        If a row has too few or too many columns, or text, NaN or infinity where a number belongs.
+        If a row has too few or too many columns, or text where a number belongs, or NaN or infinity that may not be.
     """
     data, note = _without_cut_line(file, layout)
     if layout.decimal_comma:
@@ -174,10 +185,13 @@ def parse(file: TextFile, layout: Layout, kinds: list[str]) -> tuple[list[Column
             ndmin=1,
         )
     except ValueError as error:
-        raise _located(file, layout, kinds, data) or RecordingError(f"{file.name}: {error}") from None
+        raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(f"{file.name}: {error}") from None
     columns = [table[name] for name, _ in fields]
-    if not all(measurable(column).all() for column, kind in zip(columns, kinds, strict=True) if kind == "f8"):
-        raise _located(file, layout, kinds, data) or RecordingError(f"{file.name}: NaN or infinity in the table.")
+    numbers = [column for column, kind in zip(columns, kinds, strict=True) if kind == "f8" and not may_be_lost]
+    if not all(measurable(column).all() for column in numbers):
+        raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(
+            f"{file.name}: NaN or infinity in the table."
+        )
     return columns, note
 
 
@@ -203,7 +217,12 @@ def _rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]]:
             yield number, row
 
 
-def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes) -> RecordingError | None:
+def line_number(file: TextFile, layout: Layout, row: int) -> int:
+    """Return the number of the line, from 1, that holds a row of data, from 0; slow, for messages."""
+    return next(number for i, (number, _) in enumerate(_rows(layout, file.data)) if i == row)
+
+
+def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes, may_be_lost: bool) -> RecordingError | None:
     """Say where a table is not as it should be; slow, and only called once it is known to be wrong."""
     for number, row in _rows(layout, data):
         where = f"{file.name}, line {number}"
@@ -217,7 +236,7 @@ def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes) -> R
             if kind and not is_number(token):
                 found = f'"{token[:40]}"' if token else "nothing"
                 return RecordingError(f"{where}, {name}: found {found}, expected a number. Mend or remove this line.")
-            if kind and not measurable(np.array(float(token.strip('"')))):
+            if kind and not may_be_lost and not measurable(np.array(float(token.strip('"')))):
                 return RecordingError(
                     f"{where}, {name}: found {token}, expected a finite number that a sensor can read. "
                     "Remove this line if the sample is lost; gnomon treats the gap as such."

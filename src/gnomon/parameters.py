@@ -1,0 +1,110 @@
+"""The scalars of a calibration: their names, their order in the covariance, and how a change of body frame moves them.
+
+First come the scalars of every IMU, then those of every camera. A matrix is listed row by row. The rotation of a camera
+is named by its rotation vector; its covariance is that of a small rotation on the right (`CameraCalibration`).
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from .geometry.rotation_vector import rotvec_from_rotation
+from .models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
+from .recording import Floats
+from .sensors import CameraCalibration, ImuCalibration, rotated, rotated_camera
+
+_NO_CAMERAS: Mapping[str, CameraCalibration] = MappingProxyType({})
+
+
+def parameters(
+    imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration] = _NO_CAMERAS
+) -> Iterator[tuple[str, Floats]]:
+    """Yield (path, value) of every parameter, in the order of the covariance."""
+    for name, imu in imus.items():
+        yield f"{name}.accelerometer.sensitivity", imu.accelerometer.sensitivity
+        yield f"{name}.accelerometer.bias", imu.accelerometer.bias
+        if imu.gyroscope is not None:
+            yield f"{name}.gyroscope.sensitivity", imu.gyroscope.sensitivity
+            yield f"{name}.gyroscope.bias", imu.gyroscope.bias
+            yield f"{name}.gyroscope.g_sensitivity", imu.gyroscope.g_sensitivity
+    for name, camera in cameras.items():
+        yield f"{name}.T_cam_imu.rotation", rotvec_from_rotation(camera.T_cam_imu[:3, :3])
+        yield f"{name}.T_cam_imu.translation", camera.T_cam_imu[:3, 3]
+        yield f"{name}.time_shift_cam_imu", np.array(camera.time_shift_cam_imu)
+        yield f"{name}.line_delay", np.array(camera.camera.line_delay_s)
+        yield f"{name}.intrinsics", camera.camera.intrinsics
+        yield f"{name}.distortion_coeffs", camera.camera.distortion_coeffs
+
+
+def element_names(path: str, shape: tuple[int, ...]) -> list[str]:
+    """Return the names of a parameter's scalars in row order, "imu0.gyroscope.bias[2]"; of a lone scalar its path."""
+    return [f"{path}[{','.join(map(str, index))}]" if index else path for index in np.ndindex(shape)]
+
+
+def covariance_names(
+    imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration] = _NO_CAMERAS
+) -> tuple[str, ...]:
+    """Return the names of all scalars of all IMUs, then of all cameras, in the order of the covariance."""
+    return tuple(name for path, value in parameters(imus, cameras) for name in element_names(path, value.shape))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Moved:
+    """Sensors in another body frame.
+
+    Attributes
+    ----------
+    imus, cameras : as in a calibration
+    jacobian : (n, n) derivative of all scalars by those in the old frame
+    """
+
+    imus: dict[str, ImuCalibration]
+    cameras: dict[str, CameraCalibration]
+    jacobian: Floats
+
+
+def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration], frame: str) -> Moved:
+    """Return the sensors in body frame "accel-x" or "accel-z", each IMU in its own, the cameras in that of the first.
+
+    With f_new = Q f_old a camera sees T_new = T_old (Q', 0). Q itself depends on the accelerometer: where its scalars
+    are off, the frame is turned by a further delta (`models.frames.frame_turn`). A camera's small rotation d, on the
+    right, is therefore d_new = Q d_old + delta.
+
+    Raises
+    ------
+    OptionError
+        If `frame` is neither.
+    """
+    moved: dict[str, ImuCalibration] = {}
+    jacobian = np.eye(len(covariance_names(imus, cameras)))
+    turn, by_sensitivity = np.eye(3), np.zeros((3, 9))
+    start = 0
+    for name, imu in imus.items():
+        sensitivity = imu.accelerometer.sensitivity
+        rotation = frame_rotation(sensitivity, frame)
+        moved[name] = _with_exact_zeros(rotated(imu, rotation), frame)
+        block = rotation_jacobian(_matrices(imu), rotation, frame)
+        if start == 0:
+            turn, by_sensitivity = rotation, frame_turn(sensitivity, rotation, frame)
+        jacobian[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    for camera in cameras.values():
+        jacobian[start : start + 3, start : start + 3] = turn
+        jacobian[start : start + 3, :9] = by_sensitivity
+        start += len(covariance_names({}, {"": camera}))
+    turned = {name: rotated_camera(camera, turn) for name, camera in cameras.items()}
+    return Moved(imus=moved, cameras=turned, jacobian=jacobian)
+
+
+def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:
+    """Return the IMU without the rounding that a rotation leaves in the elements that the frame makes zero."""
+    sensitivity = imu.accelerometer.sensitivity.copy()
+    for entry in fixed_entries(frame):
+        sensitivity[entry] = 0.0
+    return replace(imu, accelerometer=replace(imu.accelerometer, sensitivity=sensitivity))
+
+
+def _matrices(imu: ImuCalibration) -> list[Floats]:
+    return [value for _, value in parameters({"": imu})]

@@ -1,0 +1,117 @@
+"""The cameras of gnomon's own calibration file, schema "gnomon/1.1"."""
+
+import math
+from typing import get_args
+
+import numpy as np
+
+from ..calibration import CameraCalibration, CameraImuFit
+from ..errors import OptionError
+from ..models.camera import Camera
+from ..models.distortions import DistortionName
+from ..models.projections import ProjectionName
+from ..recording import Floats
+from .structured import Node
+
+SIGMAS = {
+    "T_cam_imu.rotation": "T_cam_imu_rotation_sigma",
+    "T_cam_imu.translation": "T_cam_imu_translation_sigma",
+    "time_shift_cam_imu": "time_shift_cam_imu_sigma",
+    "line_delay": "line_delay_sigma",
+    "intrinsics": "intrinsics_sigma",
+    "distortion_coeffs": "distortion_coeffs_sigma",
+}
+"""Parameter of a camera -> the key of its standard deviation."""
+
+_KEYS = (
+    "T_cam_imu",
+    "time_shift_cam_imu",
+    "camera_model",
+    "intrinsics",
+    "distortion_model",
+    "distortion_coeffs",
+    "resolution",
+    "line_delay",
+    "rostopic",
+)
+
+
+def camera_entry(node: Node) -> CameraCalibration:
+    """Return one camera.
+
+    Raises
+    ------
+    FormatError
+        If a key is missing or unknown, or a value is not as expected.
+    """
+    keys = node.mapping(_KEYS, tuple(SIGMAS.values()))
+    width, height = (item.integer() for item in _pair(keys["resolution"]))
+    try:
+        camera = Camera(
+            projection=keys["camera_model"].text(get_args(ProjectionName)),  # pyright: ignore[reportArgumentType]
+            intrinsics=_numbers(keys["intrinsics"]),
+            distortion=keys["distortion_model"].text(get_args(DistortionName)),  # pyright: ignore[reportArgumentType]
+            distortion_coeffs=_numbers(keys["distortion_coeffs"]),
+            resolution=(width, height),
+            line_delay_s=keys["line_delay"].number(),
+            topic=keys["rostopic"].text(),
+        )
+    except OptionError as error:
+        raise node.fail(str(error)) from None
+    return CameraCalibration(
+        T_cam_imu=_pose(keys["T_cam_imu"]),
+        time_shift_cam_imu=keys["time_shift_cam_imu"].number(),
+        camera=camera,
+    )
+
+
+def _numbers(node: Node) -> Floats:
+    return np.array([item.number() for item in node.items()], dtype=np.float64)
+
+
+def _pair(node: Node) -> list[Node]:
+    items = list(node.items())
+    if len(items) != 2:
+        raise node.fail(f"found {len(items)} numbers, expected width and height.")
+    return items
+
+
+def _pose(node: Node) -> Floats:
+    matrix = node.floats(4, 4)
+    rotation = matrix[:3, :3]
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise node.fail("the last row of a pose is [0.0, 0.0, 0.0, 1.0].")
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
+        raise node.fail("its first three rows and columns are no rotation matrix.")
+    return matrix
+
+
+def camera_imu_entry(node: Node, cameras: tuple[str, ...]) -> CameraImuFit:
+    """Return what a camera-IMU calibration rests on; there is an entry for each of the cameras.
+
+    Raises
+    ------
+    FormatError
+        If a key is missing or unknown, or a value is not as expected.
+    """
+    keys = node.mapping(("duration_s", "converged", "cameras"))
+    if not isinstance(keys["converged"].value, bool):
+        raise keys["converged"].fail("expected true or false.")
+    counts = ("frames_found", "frames_used", "corners_used")
+    entries = {
+        name: entry.mapping((*counts, "reprojection_rms_px"))
+        for name, entry in keys["cameras"].mapping(cameras).items()
+    }
+    found, used, corners = ({name: entry[count].integer() for name, entry in entries.items()} for count in counts)
+    return CameraImuFit(
+        frames_found=found,
+        frames_used=used,
+        corners_used=corners,
+        reprojection_rms_px={name: _known(entry["reprojection_rms_px"]) for name, entry in entries.items()},
+        duration_s=keys["duration_s"].number(),
+        converged=keys["converged"].value,
+    )
+
+
+def _known(node: Node) -> float:
+    return math.nan if node.value is None else node.number()

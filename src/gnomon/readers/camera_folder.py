@@ -1,0 +1,85 @@
+"""What a recording of cameras and IMUs holds: which file is which stream, by its name."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import RecordingError
+
+_TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
+_CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
+_FRAMES = re.compile(rf"(cam\d+)[-_/]frames{_TABLE}", re.IGNORECASE)
+_IMU = re.compile(rf"(imu\d*)(/data)?({_TABLE}|\.npz)", re.IGNORECASE)
+_IMAGE = re.compile(r"(cam\d+)/(data/)?[^/]+\.(png|jpe?g|bmp|tiff?|pgm)", re.IGNORECASE)
+_EXPECTED = "cam0_corners.csv (ts_ns,tag_id,corner_idx,u_px,v_px), cam1_corners.csv, ... and imu0.csv, also gzipped"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CornerStream:
+    """Files of one camera whose corners were detected beforehand.
+
+    Attributes
+    ----------
+    corners : table with one row a corner
+    frames : table with one row a frame, also of frames without corners; None where there is none
+    """
+
+    corners: Path
+    frames: Path | None
+
+
+def corner_streams(folder: Path) -> dict[str, CornerStream]:
+    """Return the cameras, "cam0", "cam1", ..., whose corners are in a folder.
+
+    Raises
+    ------
+    RecordingError
+        If there are none.
+    """
+    corners, frames = _matching(folder, _CORNERS), _matching(folder, _FRAMES)
+    if corners:
+        return {name: CornerStream(corners=path, frames=frames.get(name)) for name, path in corners.items()}
+    found = "this version reads corners, not images. " if _matching(folder, _IMAGE) else ""
+    raise RecordingError(f"{folder}: no corners of a camera in this folder; {found}Expected {_EXPECTED}.")
+
+
+def imu_files(folder: Path) -> dict[str, Path]:
+    """Return the IMUs, "imu0", "imu1", ..., whose samples are in a folder.
+
+    Raises
+    ------
+    RecordingError
+        If there are none.
+    """
+    found = {("imu0" if name == "imu" else name): path for name, path in _matching(folder, _IMU).items()}
+    if not found:
+        raise RecordingError(f"{folder}: no samples of an IMU in this folder. Expected {_EXPECTED}.")
+    return found
+
+
+def recording_folder(path: Path) -> Path:
+    """Return the folder of a recording; of EuRoC's layout the folder mav0 in it.
+
+    Raises
+    ------
+    RecordingError
+        If it is no folder.
+    """
+    if path.is_dir():
+        return path / "mav0" if (path / "mav0").is_dir() else path
+    problem = (
+        "this is a file, and the recording of a camera and an IMU is a folder" if path.exists() else "no such folder"
+    )
+    raise RecordingError(f"{path}: {problem}. Expected a folder with {_EXPECTED}.")
+
+
+def _matching(folder: Path, pattern: re.Pattern[str]) -> dict[str, Path]:
+    """Return name -> file, in the order of their numbers; of the same stream twice the shorter name, unpacked."""
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        inner = sorted(path.glob("*")) + sorted(path.glob("data/*")) if path.is_dir() else [path]
+        for file in inner:
+            match = pattern.fullmatch(file.relative_to(folder).as_posix())
+            if match and file.is_file():
+                found.setdefault(match[1].lower(), file)
+    return dict(sorted(found.items(), key=lambda item: (len(item[0]), item[0])))

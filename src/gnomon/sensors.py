@@ -1,0 +1,175 @@
+"""Calibrated sensors: an IMU's two triads, and the camera that moves with them.
+
+The one sensor model of gnomon (see docs/theory): with specific force f [m/s^2] and angular rate omega [rad/s] in the
+body frame, and measurements in the unit of the recording,
+
+    accelerometer = sensitivity @ f + bias
+    gyroscope     = sensitivity @ omega + bias + g_sensitivity @ f
+
+The models of documents A, B and C and of other projects are exact views of it.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import FormatError
+from .models.camera import Camera
+from .recording import Floats, ImuSamples, TriadSamples, frozen_array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AccelerometerCalibration:
+    """measured = sensitivity @ f + bias.
+
+    Attributes
+    ----------
+    sensitivity : (3, 3) [unit per m/s^2], body frame to sensor axes
+    bias : (3,) [unit], sensor axes
+    unit : unit of the measurements
+    """
+
+    sensitivity: Floats
+    bias: Floats
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensitivity", frozen_array(self.sensitivity))
+        object.__setattr__(self, "bias", frozen_array(self.bias))
+
+    def specific_force(self, values: Floats) -> Floats:
+        """Return the specific force in the body frame, (n, 3) [m/s^2], of measurements (n, 3) [unit]."""
+        return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GyroscopeCalibration:
+    """measured = sensitivity @ omega + bias + g_sensitivity @ f.
+
+    Attributes
+    ----------
+    sensitivity : (3, 3) [unit per rad/s], body frame to sensor axes
+    bias : (3,) [unit], sensor axes
+    g_sensitivity : (3, 3) [unit per m/s^2], body frame to sensor axes
+    unit : unit of the measurements
+    """
+
+    sensitivity: Floats
+    bias: Floats
+    g_sensitivity: Floats
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensitivity", frozen_array(self.sensitivity))
+        object.__setattr__(self, "bias", frozen_array(self.bias))
+        object.__setattr__(self, "g_sensitivity", frozen_array(self.g_sensitivity))
+
+    def angular_rate(self, values: Floats, specific_force: Floats) -> Floats:
+        """Return the angular rate in the body frame, (n, 3) [rad/s].
+
+        Parameters
+        ----------
+        values : (n, 3) [unit]
+        specific_force : (n, 3) [m/s^2], body frame, at the same instants
+        """
+        unbiased = values - self.bias - _mapped(self.g_sensitivity, specific_force)
+        return _mapped(np.linalg.inv(self.sensitivity), unbiased)
+
+
+def _mapped(matrix: NDArray[np.floating[Any]], vectors: Floats) -> Floats:
+    """Return matrix @ v of vectors (..., 3), rounded alike however many there are, which BLAS does not promise."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuCalibration:
+    """Both triads of one IMU, in one body frame."""
+
+    accelerometer: AccelerometerCalibration
+    gyroscope: GyroscopeCalibration | None = None
+
+    def apply(self, samples: ImuSamples) -> ImuSamples:
+        """Turn measurements into specific force [m/s^2] and angular rate [rad/s] in the body frame.
+
+        The g-sensitivity of the gyroscope needs the specific force at the stamps of the gyroscope; where the two triads
+        have stamps of their own it is interpolated linearly.
+
+        Raises
+        ------
+        FormatError
+            If the samples are not in the unit for which the calibration was made.
+        """
+        for triad, stream in ((self.accelerometer, samples.accelerometer), (self.gyroscope, samples.gyroscope)):
+            if triad is not None and triad.unit != stream.unit:
+                raise FormatError(
+                    f"the calibration is for measurements in {triad.unit}, the samples are in {stream.unit}. "
+                    "Read the recording with the units that it had when it was calibrated (--units)."
+                )
+        force = self.accelerometer.specific_force(samples.accelerometer.values)
+        calibrated = TriadSamples(t_ns=samples.accelerometer.t_ns, values=force, unit="m/s^2")
+        if self.gyroscope is None:
+            return ImuSamples(accelerometer=calibrated, gyroscope=samples.gyroscope)
+        at_gyro = interpolate_triad(calibrated, samples.gyroscope)
+        rate = self.gyroscope.angular_rate(samples.gyroscope.values, at_gyro)
+        return ImuSamples(
+            accelerometer=calibrated,
+            gyroscope=TriadSamples(t_ns=samples.gyroscope.t_ns, values=rate, unit="rad/s"),
+        )
+
+
+def interpolate_triad(source: TriadSamples, target: TriadSamples) -> Floats:
+    """Return `source` at the stamps of `target`, (len(target), 3), linearly interpolated and held at the ends."""
+    if np.array_equal(source.t_ns, target.t_ns):
+        return source.values
+    if not len(source) or not len(target):
+        return np.zeros((len(target), 3))
+    origin = min(source.t_ns[0], target.t_ns[0])
+    t_source, t_target = (source.t_ns - origin) * 1e-9, (target.t_ns - origin) * 1e-9
+    return np.column_stack([np.interp(t_target, t_source, source.values[:, axis]) for axis in range(3)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCalibration:
+    """How one camera sees what imu0 feels.
+
+    The covariance of a Calibration holds, for camera "cam0", the scalars "cam0.T_cam_imu.rotation[0..2]" (small
+    rotation delta on the right, R_cam_imu Exp(delta), body frame) [rad], "cam0.T_cam_imu.translation[0..2]" (the last
+    column of T_cam_imu) [m], "cam0.time_shift_cam_imu" [s], "cam0.line_delay" [s], "cam0.intrinsics[0..]" [px; the
+    projection's own parameters without unit] and "cam0.distortion_coeffs[0..]"; zero rows where a scalar was fixed.
+
+    Attributes
+    ----------
+    T_cam_imu : (4, 4) body (imu0) coordinates to camera coordinates, p_cam = T_cam_imu @ p_imu [m]
+    time_shift_cam_imu : t_imu = t_cam + time_shift_cam_imu [s]
+    camera : lens and intrinsics, as used or as estimated
+    """
+
+    T_cam_imu: Floats
+    time_shift_cam_imu: float
+    camera: Camera
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_cam_imu", frozen_array(self.T_cam_imu))
+
+
+def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
+    """Return the IMU with its body frame turned: f_new = rotation @ f_old, (3, 3)."""
+    accelerometer = replace(imu.accelerometer, sensitivity=imu.accelerometer.sensitivity @ rotation.T)
+    if imu.gyroscope is None:
+        return ImuCalibration(accelerometer=accelerometer)
+    gyroscope = replace(
+        imu.gyroscope,
+        sensitivity=imu.gyroscope.sensitivity @ rotation.T,
+        g_sensitivity=imu.gyroscope.g_sensitivity @ rotation.T,
+    )
+    return ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope)
+
+
+def rotated_camera(camera: CameraCalibration, rotation: Floats) -> CameraCalibration:
+    """Return the camera with the body frame turned: f_new = rotation @ f_old, (3, 3); the body's origin stays."""
+    moved = camera.T_cam_imu.copy()
+    moved[:3, :3] = camera.T_cam_imu[:3, :3] @ rotation.T
+    return replace(camera, T_cam_imu=moved)

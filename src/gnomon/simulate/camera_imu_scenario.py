@@ -1,0 +1,274 @@
+"""What to simulate of cameras and an IMU before a board; it is also the simulated recording's scenario file."""
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+from ..errors import OptionError
+
+MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling"]
+ImuPreset = Literal["thesis", "consumer", "ideal"]
+TargetName = Literal["aprilgrid", "checkerboard", "circlegrid"]
+
+INTRINSICS = {"pinhole": 4, "omni": 5, "eucm": 6, "ds": 6}
+DISTORTION_COEFFS = {"none": 0, "radtan": 4, "equidistant": 4, "fov": 1}
+"""How many numbers each lens model has."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraImuScenario:
+    """Cameras and an IMU that are waved together before a board (document B, section 5.1)."""
+
+    duration_s: float = 60.0
+    """Length of the recording in seconds; 90 in document B."""
+
+    motion: MotionName = "normal"
+    """gentle: document B's mean rate 0.366 rad/s and acceleration 3.12 m/s^2. normal: by hand, up to 2.5 Hz. tremor:
+    normal with a tremor up to 12 Hz. shaky: up to 20 Hz and 10 m/s^2. rolling: normal while turning over and over about
+    the optical axis. translation: without any turn. one-axis: turns about the optical axis alone. static: at rest."""
+
+    imu_rate_hz: float = 200.0
+    """Sample rate of the IMU."""
+
+    camera_rate_hz: float = 20.0
+    """Frame rate of the cameras."""
+
+    target_type: TargetName = "aprilgrid"
+    """Kind of board. Of an AprilGrid every corner in the image is detected, of other boards all corners or none."""
+
+    target_cols: int = 6
+    """Tags of an AprilGrid, inner corners of a checkerboard or circles in a row."""
+
+    target_rows: int = 6
+    """Rows of them."""
+
+    target_size_m: float = 0.088
+    """Side of a tag, of a square, or distance of two circles, in metres."""
+
+    target_spacing: float = 0.3
+    """Gap between the tags of an AprilGrid, as a fraction of a tag's side."""
+
+    target_asymmetric: bool = False
+    """Whether every other row of a circle grid is shifted."""
+
+    target_scale: float = 1.0
+    """How much larger the true board is than the board that goes with the recording."""
+
+    board_lean_deg: float = 3.0
+    """How far the board's upper edge leans away from the viewer, in degrees; 90 lies on the floor."""
+
+    board_turn_deg: float = 1.2
+    """How far the board is turned in its plane, in degrees."""
+
+    distance_m: float = 0.9
+    """Mean distance from the camera to the middle of the board in metres."""
+
+    projection: Literal["pinhole", "omni", "eucm", "ds"] = "pinhole"
+    """Projection of the lens, as Kalibr names it."""
+
+    intrinsics: tuple[float, ...] = (460.0, 458.5, 322.4, 237.1)
+    """True intrinsics in Kalibr's order; of a pinhole fu fv pu pv."""
+
+    distortion: Literal["none", "radtan", "equidistant", "fov"] = "radtan"
+    """Distortion of the lens, as Kalibr names it."""
+
+    distortion_coeffs: tuple[float, ...] = (-0.28, 0.075, 0.0002, -0.00015)
+    """True coefficients of the distortion."""
+
+    resolution: tuple[int, int] = (640, 480)
+    """Width and height of the images in px."""
+
+    focal_error: float = 0.0
+    """By which fraction the focal length that goes with the recording is too long."""
+
+    principal_point_error_px: float = 0.0
+    """By how many px the principal point that goes with the recording is off, in u and v."""
+
+    pixel_noise_px: float = 0.3
+    """Standard deviation of a detected corner, per axis."""
+
+    line_delay_s: float = 0.0
+    """Time from one image row to the next in seconds (rolling shutter)."""
+
+    known_line_delay: bool = True
+    """Whether the camera that goes with the recording states the line delay, or none."""
+
+    cameras: Literal[1, 2] = 1
+    """Number of cameras; they expose at the same instants."""
+
+    baseline_m: float = 0.11
+    """Distance of the second camera from the first in metres, to its right."""
+
+    random_extrinsics: bool = False
+    """Draw T_cam_imu, any rotation, instead of a camera that looks along the IMU's x axis."""
+
+    lever_arm_m: float = 0.3
+    """Longest distance between the IMU and the camera that is drawn, in metres."""
+
+    time_shift_s: float = 0.007
+    """t_imu - t_cam of cam0 in seconds."""
+
+    time_shift_range_s: float | None = None
+    """Draw the time shift between minus and plus this instead, in seconds."""
+
+    time_shift_difference_s: float = 0.002
+    """How much larger the time shift of the second camera is, in seconds."""
+
+    clock_offset_s: float = 0.0
+    """Added to the cameras' stamps: clocks of unrelated origin."""
+
+    gravity: float = 9.80665
+    """Local gravity in m/s^2."""
+
+    earth_rate_latitude: float | None = None
+    """Latitude in degrees where the Earth turns below the recording, whose viewer looks north; without it the Earth
+    stands still."""
+
+    imu: ImuPreset = "consumer"
+    """True errors and noise of the IMU. thesis: Table A.1 of document B. consumer: the same errors, noise of a good
+    consumer sensor. ideal: no errors, the same noise."""
+
+    accelerometer_noise_density: float | None = None
+    """White noise in m/s^2/sqrt(Hz), in place of the preset's."""
+
+    accelerometer_random_walk: float | None = None
+    """Walk of the bias in m/s^2/sqrt(s), in place of the preset's."""
+
+    gyroscope_noise_density: float | None = None
+    """White noise in rad/s/sqrt(Hz), in place of the preset's."""
+
+    gyroscope_random_walk: float | None = None
+    """Walk of the bias in rad/s/sqrt(s), in place of the preset's; Table A.1 can be read as 0.0087 or far less."""
+
+    noise_factor: float = 1.0
+    """Multiplies all noise and walk of the IMU; 1, 0.1 and 0.01 in document B."""
+
+    scale_range: float | None = None
+    """Draw the elements of S_a and S_g between 1 minus and plus this, in place of the preset's."""
+
+    misalignment_range: float | None = None
+    """Draw the elements of M_a and M_g between minus and plus this, in place of the preset's."""
+
+    gyroscope_rotation_range: float | None = None
+    """Draw the rotation vector of C_bg, each component between minus and plus this in radians."""
+
+    g_sensitivity_range: float | None = None
+    """Draw the elements of B_g between minus and plus this, in rad/s per m/s^2."""
+
+    accelerometer_bias_range: float | None = None
+    """Draw the initial bias between minus and plus this, in m/s^2, in place of the preset's."""
+
+    gyroscope_bias_range: float | None = None
+    """Draw the initial bias between minus and plus this, in rad/s, in place of the preset's."""
+
+    accelerometer_range: float | None = None
+    """Full scale of the accelerometer in m/s^2; readings stop there."""
+
+    gyroscope_range: float | None = None
+    """Full scale of the gyroscope in rad/s; readings stop there."""
+
+    dropped_samples: float = 0.0
+    """Fraction of the IMU's samples that are lost, one by one."""
+
+    imu_jitter_s: float = 0.0
+    """Standard deviation of the IMU's stamps about the instants of sampling, in seconds."""
+
+    imu_gaps_s: tuple[tuple[float, float], ...] = ()
+    """Start and length of times without IMU samples, in seconds from the start."""
+
+    outliers: float = 0.0
+    """Fraction of the corners that are detected in a wrong place."""
+
+    outlier_px: float = 10.0
+    """Mean distance of such a wrong place, in px; from half to one and a half of it."""
+
+    dropped_frames: float = 0.0
+    """Fraction of the frames that are lost, one by one."""
+
+    late_frames: float = 0.0
+    """Fraction of the frames whose stamp is 5 to 20 ms late."""
+
+    shifted_frames: float = 0.0
+    """Fraction of the frames all of whose corners are shifted by the same vector."""
+
+    shift_px: float = 5.0
+    """Length of that vector in px."""
+
+    camera_jitter_s: float = 0.0
+    """Standard deviation of the cameras' stamps about the instants of exposure, in seconds."""
+
+    camera_gaps_s: tuple[tuple[float, float], ...] = ()
+    """Start and length of times without frames, in seconds from the start."""
+
+    trajectory_seed: int | None = None
+    """Draw the path and the instants of exposure from this seed, so that many recordings of one path can be made."""
+
+    sensor_seed: int | None = None
+    """Draw errors, initial biases, extrinsics and time shift from this seed, so that many recordings of one rig can be
+    made."""
+
+    def __post_init__(self) -> None:
+        self._check_numbers()
+        self._check_lens()
+        for name in ("imu_gaps_s", "camera_gaps_s"):
+            for start, length in getattr(self, name):
+                if not (start >= 0 and length > 0):
+                    raise OptionError(f"{name} {start:g} {length:g}: give start and length, neither below zero.")
+        if self.target_cols < 2 or self.target_rows < 2:
+            raise OptionError(f"a board of {self.target_cols} x {self.target_rows} is too small; give at least 2 x 2.")
+        if self.duration_s * min(self.imu_rate_hz, self.camera_rate_hz) < 2:
+            raise OptionError(f"duration_s {self.duration_s:g} is too short for two samples.")
+
+    def _check_numbers(self) -> None:
+        for name in _POSITIVE:
+            _check(name, getattr(self, name), lowest=0.0, inclusive=False)
+        for name in _NOT_NEGATIVE:
+            _check(name, getattr(self, name), lowest=0.0, inclusive=True)
+        for name in _FINITE:
+            _check(name, getattr(self, name))
+        for name in ("dropped_samples", "outliers", "dropped_frames", "late_frames", "shifted_frames"):
+            if not 0 <= getattr(self, name) < 1:
+                raise OptionError(f"{name} {getattr(self, name):g}: give a fraction from 0 to below 1.")
+        if self.earth_rate_latitude is not None and not -90 <= self.earth_rate_latitude <= 90:
+            raise OptionError(f"earth_rate_latitude {self.earth_rate_latitude:g} deg is not between -90 and 90.")
+        if self.scale_range is not None and self.scale_range >= 1:
+            raise OptionError(f"scale_range {self.scale_range:g}: a scale of zero or less measures nothing.")
+        if self.focal_error <= -1:
+            raise OptionError(f"focal_error {self.focal_error:g} must be above -1.")
+
+    def _check_lens(self) -> None:
+        for name, model, numbers in (
+            ("intrinsics", self.projection, INTRINSICS),
+            ("distortion_coeffs", self.distortion, DISTORTION_COEFFS),
+        ):
+            values = getattr(self, name)
+            if len(values) != numbers[model]:
+                raise OptionError(f"{name}: {model} has {numbers[model]} of them, found {len(values)}.")
+            if not all(isfinite(value) for value in values):
+                raise OptionError(f"{name} {' '.join(f'{value:g}' for value in values)}: give finite numbers.")
+        if min(self.resolution) < 2:
+            raise OptionError(f"resolution {self.resolution[0]} x {self.resolution[1]} is no image.")
+
+
+_POSITIVE = (
+    *("duration_s", "imu_rate_hz", "camera_rate_hz", "target_size_m", "target_scale", "distance_m", "gravity"),
+    *("accelerometer_range", "gyroscope_range"),
+)
+_NOT_NEGATIVE = (
+    *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s"),
+    *("accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density", "gyroscope_random_walk"),
+    *("noise_factor", "scale_range", "misalignment_range", "gyroscope_rotation_range", "g_sensitivity_range"),
+    *("accelerometer_bias_range", "gyroscope_bias_range", "outlier_px", "shift_px", "imu_jitter_s", "camera_jitter_s"),
+)
+_FINITE = (
+    *("board_lean_deg", "board_turn_deg", "focal_error", "principal_point_error_px", "baseline_m", "time_shift_s"),
+    *("time_shift_difference_s", "clock_offset_s"),
+)
+
+
+def _check(name: str, value: float | None, *, lowest: float = float("-inf"), inclusive: bool = True) -> None:
+    if value is None:
+        return
+    if not isfinite(value) or not (value >= lowest if inclusive else value > lowest):
+        bound = "" if lowest < 0 else " not below zero" if inclusive else " greater than zero"
+        raise OptionError(f"{name} {value:g} must be a finite number{bound}.")
