@@ -17,53 +17,73 @@ from .errors import (
     RecordingError,
     SolveError,
 )
-from .simulate import Scenario, simulate  # at once: later, the function would be hidden by the room of the same name
+
+# At once: later, the function simulate would be hidden by the room of the same name.
+from .simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
 
 if TYPE_CHECKING:
     from .assess.doctor import check
-    from .calibrate import calibrate_imu
+    from .calibrate import calibrate_camera_imu, calibrate_imu
     from .calibration import (
         AccelerometerCalibration,
         Calibration,
+        CameraCalibration,
         Covariance,
         GyroscopeCalibration,
         ImuCalibration,
     )
     from .diagnostics import Result
     from .findings import Finding
-    from .options import ImuOptions
-    from .readers import load, read
-    from .recording import ImuSamples, Recording, TriadSamples
+    from .models.camera import Camera
+    from .models.noise import ImuNoise
+    from .models.target import Target
+    from .options import CameraImuOptions, ImuOptions
+    from .readers import load, read, read_camera_imu
+    from .recording import CameraFrames, ImuSamples, Recording, TriadSamples
     from .report import write_report
     from .units import Units
-    from .writers import Loss, convert, save
+    from .writers import Loss, convert, save, save_camera_imu_files
 
 _HOMES = {
     "AccelerometerCalibration": "calibration",
     "Calibration": "calibration",
+    "CameraCalibration": "calibration",
     "Covariance": "calibration",
     "Finding": "findings",
     "GyroscopeCalibration": "calibration",
     "ImuCalibration": "calibration",
+    "Camera": "models.camera",
+    "CameraFrames": "recording",
+    "CameraImuOptions": "options",
+    "ImuNoise": "models.noise",
     "ImuOptions": "options",
     "ImuSamples": "recording",
     "Loss": "writers",
     "Recording": "recording",
     "Result": "diagnostics",
+    "Target": "models.target",
     "TriadSamples": "recording",
     "Units": "units",
+    "calibrate_camera_imu": "calibrate",
     "calibrate_imu": "calibrate",
     "check": "assess.doctor",
     "convert": "writers",
     "load": "readers",
     "read": "readers",
+    "read_camera_imu": "readers",
     "save": "writers",
+    "save_camera_imu_files": "writers",
     "write_report": "report",
 }
 
 __all__ = [
     "AccelerometerCalibration",
     "Calibration",
+    "Camera",
+    "CameraCalibration",
+    "CameraFrames",
+    "CameraImuOptions",
+    "CameraImuScenario",
     "Covariance",
     "DetectionError",
     "Finding",
@@ -71,6 +91,7 @@ __all__ = [
     "GnomonError",
     "GyroscopeCalibration",
     "ImuCalibration",
+    "ImuNoise",
     "ImuOptions",
     "ImuSamples",
     "InitialisationError",
@@ -82,16 +103,21 @@ __all__ = [
     "Result",
     "Scenario",
     "SolveError",
+    "Target",
     "TriadSamples",
     "Units",
     "__version__",
+    "calibrate_camera_imu",
     "calibrate_imu",
     "check",
     "convert",
     "load",
     "read",
+    "read_camera_imu",
     "save",
+    "save_camera_imu_files",
     "simulate",
+    "simulate_camera_imu",
     "write_report",
 ]
 

@@ -20,7 +20,7 @@ from ..models.gravity import (
     WORLD_GRAVITY_SIGMA_M_S2,
     normal_gravity_m_s2,
 )
-from ..options import ImuOptions
+from ..options import CameraImuOptions, ImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..units import STANDARD_GRAVITY_M_S2
 
@@ -98,7 +98,7 @@ def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: I
     )
 
 
-def local_gravity(options: ImuOptions) -> Gravity:
+def local_gravity(options: ImuOptions | CameraImuOptions) -> Gravity:
     """Return gravity as stated, by latitude, or standard gravity with the spread that it has in the world."""
     if options.gravity is not None:
         return Gravity(value=options.gravity, sigma=0.0, source="as stated")
@@ -111,7 +111,7 @@ def local_gravity(options: ImuOptions) -> Gravity:
     )
 
 
-def stated_options(options: ImuOptions) -> dict[str, str]:
+def stated_options(options: ImuOptions | CameraImuOptions) -> dict[str, str]:
     """Return the options that differ from their default, as text."""
     return {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
 

@@ -1,0 +1,311 @@
+"""What a camera-IMU calibration was made of, as the tables of its diagnostics."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..calibration import Gravity
+from ..diagnostics import (
+    BiasTrack,
+    CameraImuDiagnostics,
+    CornerFit,
+    EstimatedParameter,
+    NoiseLevel,
+    SignalFit,
+    SolverStep,
+    TrajectoryTrack,
+)
+from ..estimate.camera_imu.choices import choices
+from ..estimate.camera_imu.first_guess import Look
+from ..estimate.camera_imu.inertial_terms import InertialData, predicted, specific_force
+from ..estimate.camera_imu.parameters import Parameters, blocks, coordinates
+from ..estimate.camera_imu.publish import Published
+from ..estimate.camera_imu.solution import Solution, frame_mean_square
+from ..estimate.camera_imu.trajectory import POSE, Bases
+from ..estimate.camera_imu.uncertainty import Uncertainty, with_uncertain
+from ..estimate.camera_imu.visual_terms import instants
+from ..geometry.quaternion import quaternion_from_rotation
+from ..models.noise import ImuNoise
+from ..models.target import Target
+from ..options import CameraImuOptions
+from ..recording import CameraFrames, Floats, Recording
+
+_TRIADS = ("gyroscope", "accelerometer")
+_UNITS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraImuEvidence:
+    """What a camera-IMU calibration was made of.
+
+    Attributes
+    ----------
+    recording, target, options : as given
+    prepared_rates_hz : sample rates of gyroscope and accelerometer
+    origin_ns : stamp at which the seconds start [ns]
+    nominal, noise_stated : noise of the IMU beforehand, and whether it was stated
+    looks : what every camera saw
+    start : start values of the parameters
+    solution, uncertainty : the estimate
+    basic : the basic model's estimate on the same measurements, or None
+    gravity : what was taken for gravity
+    published : what is published
+    """
+
+    recording: Recording
+    target: Target
+    prepared_rates_hz: tuple[float, float]
+    origin_ns: int
+    nominal: ImuNoise
+    noise_stated: bool
+    options: CameraImuOptions
+    looks: tuple[Look, ...]
+    start: Parameters
+    solution: Solution
+    uncertainty: Uncertainty
+    basic: Solution | None
+    gravity: Gravity
+    published: Published
+
+
+def describe(evidence: CameraImuEvidence) -> CameraImuDiagnostics:
+    """Return the tables."""
+    solution = evidence.solution
+    parameters, grid = solution.state.parameters, solution.state.trajectory.grid
+    estimated = _parameters(evidence)
+    covariance = _covariance(evidence)
+    scale = np.sqrt(np.diag(covariance))
+    return CameraImuDiagnostics(
+        signals=_signals(evidence),
+        biases=_biases(evidence),
+        corners={look.name: _corners(evidence, i, look) for i, look in enumerate(evidence.looks)},
+        trajectory=_trajectory(evidence),
+        parameters=estimated,
+        correlation=covariance / np.outer(scale, scale),
+        noise=_noise(evidence),
+        steps=tuple(
+            SolverStep(cost=i.cost, largest_step=i.largest_step, damping=i.damping, accepted=i.accepted)
+            for i in solution.iterations
+        ),
+        gravity_target=parameters.gravity,
+        gravity_sigma=_gravity_sigma(evidence),
+        gravity_plane=parameters.gravity_plane,
+        knots_per_s=1 / grid.spacing_s,
+        spline_order=grid.order,
+        segments=len(grid.segments),
+        baselines=_baselines(evidence),
+        initial_time_shift_s={look.name: look.alignment.time_shift_s for look in evidence.looks},
+    )
+
+
+def _covariance(evidence: CameraImuEvidence) -> Floats:
+    """Return the covariance of the free parameters, the uncertainty of gravity included."""
+    count = len(evidence.uncertainty.names)
+    return with_uncertain(evidence.uncertainty, "gravity.magnitude", evidence.gravity.sigma)[:count, :count]
+
+
+def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
+    solution = evidence.solution
+    sigma = dict(zip(evidence.uncertainty.names, np.sqrt(np.diag(_covariance(evidence))), strict=True))
+    prior = dict(zip(solution.layout.names, solution.layout.prior_sigma, strict=True))
+    status = choices(evidence.start, evidence.options).status
+    origin = solution.layout.start
+    found: list[EstimatedParameter] = []
+    for block in blocks(origin):
+        values = np.atleast_1d(coordinates(block.name, solution.state.parameters, origin))
+        starts = np.atleast_1d(coordinates(block.name, origin, origin))
+        for scalar, value, start in zip(block.scalars(), values, starts, strict=True):
+            held = status[scalar] == "fixed"
+            found.append(
+                EstimatedParameter(
+                    name=scalar,
+                    unit=block.unit,
+                    value=float(value),
+                    start=float(start),
+                    sigma=0.0 if held else float(sigma[scalar]),
+                    prior_sigma=float("inf") if held else float(prior[scalar]),
+                    status=status[scalar],
+                )
+            )
+    return tuple(found)
+
+
+def _signals(evidence: CameraImuEvidence) -> dict[str, SignalFit]:
+    found: dict[str, SignalFit] = {}
+    for data in evidence.solution.measurements.inertial:
+        full = _predictions(evidence.solution, data)
+        basic = None if evidence.basic is None else _predictions(evidence.basic, data)
+        noise = evidence.solution.noise.imus[data.imu]
+        for k, name in enumerate(_TRIADS):
+            triad = getattr(data, name)
+            if triad is None:
+                continue
+            found[f"imu{data.imu}.{name}"] = SignalFit(
+                t_s=data.t_s,
+                measured=triad.values,
+                predicted=full[k],
+                basic=None if basic is None else basic[k],
+                used=triad.used & np.isfinite(full[k][:, 0]),
+                sigma=getattr(noise, name),
+                unit=_UNITS[name],
+            )
+    return found
+
+
+def _predictions(solution: Solution, data: InertialData) -> tuple[Floats, Floats]:
+    """Return what gyroscope and accelerometer should read, (n, 3) each; nan outside of the trajectory."""
+    trajectory, parameters = solution.state.trajectory, solution.state.parameters
+    places = trajectory.grid.places(data.t_s)
+    inside = places.inside
+    places = places.some(inside)
+    motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
+    force = specific_force(motion, parameters.gravity)
+    both = predicted(parameters.imus[data.imu], motion, force, trajectory.bias(places, data.imu))
+    whole = np.full((2, len(data.t_s), 3), np.nan)
+    whole[0, inside], whole[1, inside] = both
+    return whole[0], whole[1]
+
+
+def _biases(evidence: CameraImuEvidence) -> dict[str, BiasTrack]:
+    """Return the biases at the knots, with their standard deviations."""
+    solution = evidence.solution
+    trajectory, step = solution.state.trajectory, solution.step
+    index, t_s = trajectory.grid.knot_times()
+    thin = slice(None, None, max(1, len(index) // 2000))
+    index, t_s = index[thin], t_s[thin]
+    marginals = step.factor.marginals(solution.layout.free_index, step.covariance)
+    size = step.factor.size
+    per_block = marginals.shape[1] // size
+    variances = np.einsum("bii->bi", marginals).reshape(len(marginals) * per_block, size)[index]
+    found: dict[str, BiasTrack] = {}
+    for imu, walks in enumerate(solution.noise.walks):
+        for k, name in enumerate(_TRIADS):
+            columns = slice(POSE + 6 * imu + 3 * k, POSE + 6 * imu + 3 * k + 3)
+            found[f"imu{imu}.{name}"] = BiasTrack(
+                t_s=t_s,
+                value=trajectory.controls[index, columns],
+                sigma=np.sqrt(variances[:, columns]),
+                random_walk=walks[k],
+                unit=_UNITS[name],
+            )
+    return found
+
+
+def _corners(evidence: CameraImuEvidence, camera: int, look: Look) -> CornerFit:
+    """Return the fit of every corner that was detected, also in frames that were not used."""
+    frames, solution = look.frames, evidence.solution
+    data, sums = solution.measurements.visual[camera], solution.lin.sums[camera]
+    count = len(frames.t_ns)
+    corners = np.bincount(frames.frame, minlength=count)
+    places = solution.state.trajectory.grid.places(instants(data, solution.state.parameters.cameras[camera]))
+    predicted_exposure = places.inside & (sums.valid > 0)
+    chosen = np.isin(frames.frame, look.poses.exposures.frame)
+    residual, weight = np.full((len(frames.frame), 2), np.nan), np.zeros(len(frames.frame))
+    known = np.repeat(predicted_exposure, sums.lengths)
+    residual[chosen] = np.where(known[:, None], sums.residual, np.nan)
+    used_exposure = solution.measurements.used[camera]
+    used_corner = np.repeat(used_exposure & predicted_exposure, sums.lengths)
+    weight[chosen] = np.where(used_corner, sums.weight, 0.0)
+    rms = np.full(count, np.nan)
+    mean_square = frame_mean_square(data.exposures, sums, predicted_exposure)
+    rms[: len(mean_square)] = np.sqrt(mean_square)
+    inside, used = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+    inside[data.exposures.frame[predicted_exposure]] = True
+    used[data.exposures.frame[predicted_exposure & used_exposure]] = True
+    rms[~inside] = np.nan
+    gathered = np.zeros(count, dtype=bool)
+    gathered[look.poses.exposures.frame] = True
+    entry = solution.state.parameters.cameras[camera]
+    return CornerFit(
+        frame_t_s=np.asarray((frames.t_ns - evidence.origin_ns) * 1e-9 + entry.time_shift_s, dtype=np.float64),
+        frame_corners=corners,
+        frame_rms=rms,
+        frame_used=used,
+        frame_reason=_reasons(frames, corners, gathered, inside, used),
+        frame=frames.frame,
+        point=frames.point,
+        pixels=frames.pixels,
+        residual=residual,
+        weight=weight,
+        sigma_px=float(solution.noise.pixel_sigma[camera]),
+        resolution=frames.camera.resolution,
+    )
+
+
+def _reasons(
+    frames: CameraFrames, corners: np.ndarray, gathered: np.ndarray, inside: np.ndarray, used: np.ndarray
+) -> tuple[str, ...]:
+    """Return why each frame was not used."""
+    reasons = np.full(len(frames.t_ns), "", dtype=object)
+    reasons[~used] = "fits badly as a whole"
+    reasons[~inside] = "outside of the trajectory"
+    reasons[~gathered] = "too few corners"
+    reasons[corners == 0] = "no board found"
+    return tuple(reasons.tolist())
+
+
+def _trajectory(evidence: CameraImuEvidence) -> TrajectoryTrack:
+    solution = evidence.solution
+    trajectory = solution.state.trajectory
+    data = next(d for d in solution.measurements.inertial if d.gyroscope is not None)
+    places = trajectory.grid.places(data.t_s)
+    inside = places.inside
+    places = places.some(inside)
+    motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
+    return TrajectoryTrack(
+        t_ns=evidence.origin_ns + np.rint(data.t_s[inside] * 1e9).astype(np.int64),
+        p_target_imu=motion.position,
+        q_target_imu_wxyz=quaternion_from_rotation(motion.R),
+        omega_imu=motion.omega,
+        f_imu=specific_force(motion, solution.state.parameters.gravity),
+    )
+
+
+def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:
+    solution, nominal = evidence.solution, evidence.nominal
+    levels: list[NoiseLevel] = []
+    for i, (used, found) in enumerate(zip(solution.noise.imus, solution.noise_found.imus, strict=True)):
+        for k, name in enumerate(_TRIADS):
+            root = float(np.sqrt(evidence.prepared_rates_hz[k]))
+            levels.append(
+                NoiseLevel(
+                    name=f"imu{i}.{name}",
+                    unit=f"{_UNITS[name]}/sqrt(Hz)",
+                    nominal=getattr(nominal, f"{name}_noise_density") if evidence.noise_stated else float("nan"),
+                    estimated=getattr(found, name) / root,
+                    used=getattr(used, name) / root,
+                )
+            )
+    levels += [
+        NoiseLevel(
+            name=f"{look.name}.corners",
+            unit="px",
+            nominal=evidence.options.pixel_sigma or float("nan"),
+            estimated=float(solution.noise_found.pixel_sigma[i]),
+            used=float(solution.noise.pixel_sigma[i]),
+        )
+        for i, look in enumerate(evidence.looks)
+    ]
+    return tuple(levels)
+
+
+def _gravity_sigma(evidence: CameraImuEvidence) -> Floats:
+    """Return the standard deviation of gravity's components in the target's frame, (3,) [m/s^2]."""
+    names = evidence.uncertainty.names
+    direction = evidence.solution.state.parameters.gravity_direction
+    jacobian = evidence.gravity.value * evidence.solution.state.parameters.gravity_plane
+    along = np.outer(direction, direction) * evidence.gravity.sigma**2
+    index = [names.index(f"gravity.direction[{k}]") for k in range(2) if f"gravity.direction[{k}]" in names]
+    if len(index) < 2:
+        return np.sqrt(np.diag(along))
+    covariance = _covariance(evidence)[np.ix_(index, index)]
+    return np.sqrt(np.diag(jacobian @ covariance @ jacobian.T + along))
+
+
+def _baselines(evidence: CameraImuEvidence) -> dict[str, Floats]:
+    cameras = list(evidence.published.cameras.items())
+    return {
+        f"{later}_{earlier}": b.T_cam_imu @ np.linalg.inv(a.T_cam_imu)
+        for (earlier, a), (later, b) in itertools.pairwise(cameras)
+    }

@@ -1,0 +1,350 @@
+"""Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
+
+import numpy as np
+
+from ..calibration import Assessment, CameraImuFit
+from ..diagnostics import CameraImuDiagnostics, NoiseLevel
+from ..findings import Finding
+from ..geometry.rotation_vector import rotvec_from_rotation
+from .camera_imu_tables import CameraImuEvidence
+from .imu_verdict import gravity_findings, verdict_of, worst_first
+
+_ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = np.radians(0.1), np.radians(1.0)
+_TRANSLATION_WARN_M, _TRANSLATION_FAIL_M = 5e-3, 5e-2
+_SHIFT_WARN_S, _SHIFT_FAIL_S = 5e-4, 5e-3
+_PIXELS_WARN, _PIXELS_FAIL = 1.0, 3.0
+_LEFT_OUT_WARN, _LEFT_OUT_FAIL = 0.25, 0.6
+_HELD = 0.3
+"""Share of its weak prior's sigma from which on a parameter counts as not determined by the recording."""
+
+_SCALE_WARN, _SCALE_FAIL = 0.01, 0.03
+_FOCAL_WARN, _FOCAL_FAIL = 0.01, 0.03
+_PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 5.0, 15.0
+_SIGNIFICANT = 5.0
+_GUESS_RAD = np.radians(10.0)
+_NOISE_FACTOR = 3.0
+_ONE_AXIS = 0.1
+_EXPLAINED = 0.9
+
+
+def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    noticed : what the data doctor found; what was fine is not repeated
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    """
+    fit = _fit(evidence, diagnostics)
+    held = _held_by_prior(diagnostics)
+    findings = [
+        *(finding for finding in noticed if finding.severity in ("warning", "info")),
+        *_convergence(evidence),
+        *_rotation(evidence),
+        *_observability(held),
+        *_precision(evidence, diagnostics),
+        *_residuals(evidence, diagnostics),
+        *_frames(fit, diagnostics),
+        *_board_size(evidence),
+        *_intrinsics(evidence),
+        *_stated_guess(evidence),
+        *_noise(diagnostics),
+        *_trajectory(diagnostics),
+        *gravity_findings(evidence.gravity),
+    ]
+    ordered = worst_first(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model=evidence.options.model,
+        held_by_prior=held,
+        camera_imu=fit,
+    )
+
+
+def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> CameraImuFit:
+    corners = diagnostics.corners
+    spans = evidence.solution.state.trajectory.grid
+    rms: dict[str, float] = {}
+    used: dict[str, int] = {}
+    for name, fit in corners.items():
+        taken = fit.frame_used[fit.frame] & np.isfinite(fit.residual[:, 0])
+        used[name] = int(taken.sum())
+        rms[name] = float(np.sqrt(np.mean(fit.residual[taken] ** 2))) if taken.any() else float("nan")
+    return CameraImuFit(
+        frames_found={name: int((fit.frame_corners > 0).sum()) for name, fit in corners.items()},
+        frames_used={name: int(fit.frame_used.sum()) for name, fit in corners.items()},
+        corners_used=used,
+        reprojection_rms_px=rms,
+        duration_s=float(sum(segment.spans for segment in spans.segments) * spans.spacing_s),
+        converged=evidence.solution.converged,
+    )
+
+
+def _graded(value: float, warn: float, fail: float) -> str | None:
+    """Return "problem" beyond fail, "warning" beyond warn, None else."""
+    return "problem" if not value <= fail else "warning" if value > warn else None
+
+
+def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
+    if evidence.solution.converged:
+        return []
+    return [
+        Finding(
+            severity="problem",
+            code="not-converged",
+            message=f"The batch estimation did not come to rest within {len(evidence.solution.iterations)} iterations.",
+            consequence="Its parameters are not a minimum.",
+            cure="Check the target's size, the intrinsics and the units of the IMU; move about all three axes.",
+        )
+    ]
+
+
+def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        axes, score = look.alignment.axes, look.alignment.score
+        if axes[1] < _ONE_AXIS * axes[0]:
+            findings.append(
+                Finding(
+                    severity="problem",
+                    code="rotation-one-axis",
+                    message=f"{look.name} turned about one axis only: {axes[0]:.2g} rad/s (rms) about it, "
+                    f"{axes[1]:.2g} rad/s about any other.",
+                    consequence="The translation along that axis, and much of the gyroscope, are not determined.",
+                    cure="Turn about all three axes: nod, shake and roll.",
+                )
+            )
+        if score < _EXPLAINED:
+            findings.append(
+                Finding(
+                    severity="warning",
+                    code="rotation-disagrees",
+                    message=f"The gyroscope explains {100 * max(score, 0):.0f} % of the rotation of {look.name} "
+                    "before the batch estimation.",
+                    consequence="The time shift may be wrong, or the frames are stamped irregularly.",
+                    cure="Check that both streams are of one recording, and how frames are stamped.",
+                )
+            )
+    return findings
+
+
+def _held_by_prior(diagnostics: CameraImuDiagnostics) -> tuple[str, ...]:
+    return tuple(
+        p.name
+        for p in diagnostics.parameters
+        if p.status == "estimated" and np.isfinite(p.prior_sigma) and p.sigma > _HELD * p.prior_sigma
+    )
+
+
+def _observability(held: tuple[str, ...]) -> list[Finding]:
+    if not held:
+        return []
+    vital = [name for name in held if ".T_cam_imu" in name or name.endswith("time_shift_cam_imu")]
+    return [
+        Finding(
+            severity="problem" if vital else "warning",
+            code="not-observable",
+            message=f"The recording does not determine {_listed(vital or list(held))}.",
+            consequence="Their values are those of the start, and their sigmas those of a weak prior.",
+            cure="Record again: turn about all three axes, move to and fro along all three, one to two minutes.",
+        )
+    ]
+
+
+def _listed(names: list[str], most: int = 6) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _precision(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Judge the standard deviations of the extrinsics."""
+    sigma = {p.name: p.sigma for p in diagnostics.parameters}
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        triples = (
+            ("T_cam_imu.rotation", _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD, 180 / np.pi, "deg", "rotation"),
+            ("T_cam_imu.translation", _TRANSLATION_WARN_M, _TRANSLATION_FAIL_M, 1e3, "mm", "translation"),
+        )
+        for block, warn, fail, factor, unit, word in triples:
+            largest = max(sigma[f"{look.name}.{block}[{k}]"] for k in range(3))
+            severity = _graded(largest, warn, fail)
+            if severity is not None:
+                findings.append(_imprecise(severity, look.name, word, f"{factor * largest:.2g} {unit}"))
+        shift = sigma[f"{look.name}.time_shift_cam_imu"]
+        severity = _graded(shift, _SHIFT_WARN_S, _SHIFT_FAIL_S)
+        if severity is not None:
+            findings.append(_imprecise(severity, look.name, "time shift", f"{1e3 * shift:.2g} ms"))
+    return findings
+
+
+def _imprecise(severity: str, camera: str, word: str, sigma: str) -> Finding:
+    return Finding(
+        severity="problem" if severity == "problem" else "warning",
+        code="imprecise",
+        message=f"The {word} between {camera} and the IMU is known to {sigma} only (one sigma).",
+        consequence="A filter that trusts it will drift.",
+        cure="Record longer, with brisker rotation and acceleration, nearer to the board.",
+    )
+
+
+def _residuals(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        sigma = diagnostics.corners[look.name].sigma_px
+        severity = _graded(sigma, _PIXELS_WARN, _PIXELS_FAIL)
+        if severity is not None:
+            findings.append(
+                Finding(
+                    severity="problem" if severity == "problem" else "warning",
+                    code="reprojection",
+                    message=f"Corners of {look.name} lie {sigma:.2g} px (one sigma, per axis) from where they should; "
+                    "0.05 to 0.5 px is usual.",
+                    consequence="The lens model is not that of this camera, or the board is not the stated one.",
+                    cure="Check camchain.yaml (camera, model, resolution) and target.yaml; calibrate the camera anew.",
+                )
+            )
+    return findings
+
+
+def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    findings: list[Finding] = []
+    for name, found in fit.frames_found.items():
+        left = found - fit.frames_used[name]
+        share = left / max(found, 1)
+        severity = _graded(share, _LEFT_OUT_WARN, _LEFT_OUT_FAIL)
+        if not left:
+            continue
+        reasons = diagnostics.corners[name].frame_reason
+        counts = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons) if reason}
+        counts.pop("no board found", None)
+        why = ", ".join(f"{count} {_plainly(reason)}" for reason, count in counts.items())
+        findings.append(
+            Finding(
+                severity="info" if severity is None else "problem" if severity == "problem" else "warning",
+                code="frames-left-out",
+                message=f"{name}: {left} of {found} frames with corners were left out: {why}.",
+                consequence="" if severity is None else "What is left may be too little, or a biased choice.",
+                cure="" if severity is None else "Move slower or light the board better, so that frames are sharp.",
+            )
+        )
+    return findings
+
+
+def _plainly(reason: str) -> str:
+    return {
+        "fits badly as a whole": "fit badly as a whole (blurred, late or misdetected)",
+        "outside of the trajectory": "lie outside of the trajectory",
+        "too few corners": "have too few corners",
+    }.get(reason, reason)
+
+
+def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say that the board's size contradicts gravity, which the accelerometer measures with it."""
+    held = evidence.uncertainty.held.get("target.scale")
+    if held is None:
+        return []
+    offset, sigma = float(held.wanted[0]), float(held.wanted_sigma[0])
+    severity = _graded(abs(offset), _SCALE_WARN, _SCALE_FAIL)
+    if severity is None or abs(offset) < _SIGNIFICANT * sigma:
+        return []
+    scale = evidence.solution.state.parameters.target_scale + offset
+    return [
+        Finding(
+            severity="problem" if severity == "problem" else "warning",
+            code="target-scale",
+            message=f"The accelerometer says that the board is {scale:.3g} times (+- {sigma:.2g}) as large as stated.",
+            consequence="Translations and the accelerometer's scale are wrong by about that.",
+            cure="Measure the board and correct target.yaml (tagSize, or the spacing of the corners); for AprilGrids "
+            "check tagSpacing too. If the board is right, check the unit of the accelerometer and local gravity.",
+        )
+    ]
+
+
+def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say that the stated intrinsics contradict the corners."""
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        held = evidence.uncertainty.held.get(f"{look.name}.intrinsics")
+        if held is None or len(held.wanted) < 4:
+            continue
+        focal = look.frames.camera.intrinsics[-4:-2]
+        relative = np.abs(held.wanted[-4:-2] / focal)
+        shift = np.abs(held.wanted[-2:])
+        significant = np.abs(held.wanted[-4:]) > _SIGNIFICANT * held.wanted_sigma[-4:]
+        relative, shift = relative * significant[:2], shift * significant[2:]
+        grades = {
+            _graded(float(relative.max()), _FOCAL_WARN, _FOCAL_FAIL),
+            _graded(float(shift.max()), _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX),
+        }
+        if grades == {None}:
+            continue
+        findings.append(
+            Finding(
+                severity="problem" if "problem" in grades else "warning",
+                code="intrinsics-doubtful",
+                message=f"The corners contradict the intrinsics of {look.name}: focal length off by "
+                f"{100 * relative.max():.2g} %, principal point by {shift.max():.2g} px.",
+                consequence="Extrinsics and the accelerometer's scale follow that error: 0.3 % of the focal length "
+                "are some 2 mm of translation.",
+                cure="Check that camchain.yaml is of this camera, lens and resolution; calibrate the camera anew, or "
+                f"let them be estimated: --prior {look.name}.intrinsics=5.",
+            )
+        )
+    return findings
+
+
+def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        stated = look.frames.T_cam_imu
+        if stated is None:
+            continue
+        found = evidence.published.cameras[look.name].T_cam_imu
+        angle = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3].T @ found[:3, :3])))
+        if angle > _GUESS_RAD:
+            findings.append(
+                Finding(
+                    severity="warning",
+                    code="extrinsics-contradicted",
+                    message=f"T_cam_imu as stated for {look.name} is turned by {np.degrees(angle):.0f} deg from the "
+                    "estimate.",
+                    consequence="The statement was not used.",
+                    cure="Check its convention: p_cam = T_cam_imu p_imu, camera x right, y down, z forward.",
+                )
+            )
+    return findings
+
+
+def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    return [
+        Finding(
+            severity="info",
+            code="noise-differs",
+            message=f"The noise of {level.name} is {level.estimated / level.nominal:.2g} times the stated one: "
+            f"{level.estimated:.3g} instead of {level.nominal:.3g} {level.unit}.",
+            consequence="The found level was used." if level.used == level.estimated else _use(level),
+            cure="Vibration raises it; a filter in the sensor lowers it. Put the found level into your filter.",
+        )
+        for level in diagnostics.noise
+        if np.isfinite(level.nominal) and not 1 / _NOISE_FACTOR < level.estimated / level.nominal < _NOISE_FACTOR
+    ]
+
+
+def _use(level: NoiseLevel) -> str:
+    return f"Used was {level.used:.3g} {level.unit}."
+
+
+def _trajectory(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    if diagnostics.segments == 1:
+        return []
+    return [
+        Finding(
+            severity="info",
+            code="trajectory-cut",
+            message=f"The trajectory was cut into {diagnostics.segments} pieces, at gaps of the IMU or where it turned "
+            "by more than a full turn.",
+            consequence="Nothing is lost but the little that a piece's ends tell.",
+        )
+    ]

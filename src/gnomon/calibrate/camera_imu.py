@@ -1,0 +1,213 @@
+"""Cameras and an IMU that were waved together in front of a board (document B).
+
+prepare -> find the board's poses -> align clocks and axes -> first trajectory -> batch estimation -> assess -> Result
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from .._version import __version__
+from ..assess.camera_imu_tables import CameraImuEvidence, describe
+from ..assess.camera_imu_verdict import assess
+from ..calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
+from ..diagnostics import Result
+from ..estimate.camera_imu.batch import Measurements, State
+from ..estimate.camera_imu.choices import choices
+from ..estimate.camera_imu.first_guess import Look, first_parameters, first_state, imu_stream, looks, per_corner
+from ..estimate.camera_imu.initial_trajectory import MARGIN_S
+from ..estimate.camera_imu.parameters import Parameters, layout
+from ..estimate.camera_imu.publish import published
+from ..estimate.camera_imu.solution import GATE, Solution, solved
+from ..estimate.camera_imu.uncertainty import uncertainty
+from ..estimate.camera_imu.visual_terms import VisualData
+from ..models.target import Target
+from ..options import CameraImuOptions
+from ..recording import Recording
+from .camera_imu_preparation import PreparedCameraImu, prepare_camera_imu
+from .preparation import local_gravity, stated_options
+
+Progress = Callable[[str], None]
+
+_HUBER = 2.0
+_RESTARTS = 3
+
+
+def calibrate_camera_imu(
+    recording: Recording,
+    target: Target,
+    options: CameraImuOptions | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Calibrate cameras and an IMU from a recording in which they were waved together in front of a board.
+
+    Parameters
+    ----------
+    recording : of one IMU and one or more cameras that saw the board
+    target : the board
+    options : see CameraImuOptions
+    progress : called with a sentence at each step
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be used; DetectionError where the board was seen too rarely.
+    OptionError
+        If an option does not fit the recording.
+    InitialisationError
+        If clocks or axes cannot be aligned.
+    SolveError
+        If the batch estimation finds no minimum.
+    """
+    options = options or CameraImuOptions()
+    tell = progress or (lambda _: None)
+    with threadpool_limits(1, user_api="blas"):  # many small products: more threads only get in each other's way
+        return _calibrated(recording, target, options, tell)
+
+
+def _calibrated(recording: Recording, target: Target, options: CameraImuOptions, tell: Progress) -> Result:
+    tell("checking the recording")
+    prepared = prepare_camera_imu(recording, target, options)
+    gravity = local_gravity(options)
+    tell("finding the board's poses, the time shift and the camera's axes")
+    stream = imu_stream(prepared.inertial)
+    found = looks(recording.cameras, target, prepared.origin_ns, stream)
+    tell("estimating")
+    start, solution = _estimated(prepared, found, gravity, options, tell)
+    certain = uncertainty(solution, _held(start))
+    basic = _basic(start, solution, options, tell) if options.compare and options.model != "basic" else None
+    tell("assessing the result")
+    result = published(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
+    evidence = CameraImuEvidence(
+        recording=recording,
+        target=target,
+        prepared_rates_hz=prepared.rates_hz,
+        origin_ns=prepared.origin_ns,
+        nominal=prepared.nominal,
+        noise_stated=prepared.stated,
+        options=options,
+        looks=found,
+        start=start,
+        solution=solution,
+        uncertainty=certain,
+        basic=basic,
+        gravity=gravity,
+        published=result,
+    )
+    diagnostics = describe(evidence)
+    calibration = Calibration(
+        imus=result.imus,
+        cameras=result.cameras,
+        frame="accel-x",
+        gravity=gravity,
+        uncertainty=Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance),
+        assessment=assess(prepared.findings, evidence, diagnostics),
+        provenance=Provenance(
+            gnomon_version=__version__,
+            method="camera-imu",
+            inputs=recording.sources,
+            options=stated_options(replace(options, compare=False)),  # what is drawn changes no number
+        ),
+    )
+    return Result(calibration=calibration, diagnostics=diagnostics)
+
+
+def _estimated(
+    prepared: PreparedCameraImu,
+    found: tuple[Look, ...],
+    gravity: Gravity,
+    options: CameraImuOptions,
+    tell: Progress,
+) -> tuple[Parameters, Solution]:
+    """Return the start values and the solution; begin anew where a time shift would leave the trajectory's span."""
+    stream = imu_stream(prepared.inertial)
+    parameters = _with_line_delay(first_parameters(found, gravity.value, options), options)
+    pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)
+    noise = prepared.first_noise(pixel_sigma, _HUBER if options.robust else np.inf)
+    solution: Solution | None = None
+    start = parameters
+    for _ in range(_RESTARTS):
+        state = first_state(found, parameters, stream, options.knots_per_s, options.spline_order)
+        if solution is None:
+            start = state.parameters
+        chosen = choices(state.parameters, options)
+        origin = _with_gravity(start, state.parameters)
+        solution = solved(
+            _measurements(prepared, found, parameters, options),
+            state,
+            layout(origin, chosen.status, chosen.prior_sigma),
+            layout(origin, chosen.status, chosen.prior_sigma, _held(origin)),
+            noise,
+            estimate_noise=options.noise == "estimated",
+            gate=options.robust,
+            max_iterations=options.max_iterations,
+            tell=tell,
+        )
+        moved = solution.state.parameters
+        shifts = [
+            abs(new.time_shift_s - old.time_shift_s)
+            for new, old in zip(moved.cameras, state.parameters.cameras, strict=True)
+        ]
+        if max(shifts) < MARGIN_S / 2:
+            break
+        parameters = moved
+    assert solution is not None
+    return start, solution
+
+
+def _with_gravity(start: Parameters, state: Parameters) -> Parameters:
+    """Return start values with gravity's direction as the trajectory has it."""
+    return replace(start, gravity_axes=state.gravity_axes)
+
+
+def _with_line_delay(parameters: Parameters, options: CameraImuOptions) -> Parameters:
+    if options.line_delay is None:
+        return parameters
+    cameras = tuple(
+        replace(entry, camera=replace(entry.camera, line_delay_s=options.line_delay)) for entry in parameters.cameras
+    )
+    return replace(parameters, cameras=cameras)
+
+
+def _measurements(
+    prepared: PreparedCameraImu, found: tuple[Look, ...], parameters: Parameters, options: CameraImuOptions
+) -> Measurements:
+    visual: list[VisualData] = []
+    used: list[np.ndarray] = []
+    status = choices(parameters, options).status
+    for i, look in enumerate(found):
+        exposures = look.poses.exposures
+        consistent = look.alignment.consistent & (look.poses.rms_px**2 < GATE * np.median(look.poses.rms_px) ** 2)
+        if parameters.cameras[i].camera.line_delay_s or status[f"{look.name}.line_delay"] != "fixed":
+            which = exposures.of_corner
+            exposures, consistent = per_corner(exposures), consistent[which]
+            visual.append(VisualData(camera=i, exposures=exposures, t_s=look.poses.t_s[which]))
+        else:
+            visual.append(VisualData(camera=i, exposures=exposures, t_s=look.poses.t_s))
+        used.append(consistent if options.robust else np.ones(len(exposures), dtype=bool))
+    return Measurements(inertial=prepared.inertial, visual=tuple(visual), used=tuple(used))
+
+
+def _held(start: Parameters) -> tuple[str, ...]:
+    """Return the blocks of which it is asked what they would do if they were free: gravity, board, intrinsics."""
+    return ("gravity.magnitude", "target.scale", *(f"{entry.name}.intrinsics" for entry in start.cameras))
+
+
+def _basic(start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress) -> Solution:
+    """Return the basic model's solution on the same measurements (Figs. 5.6 and 5.7 of document B)."""
+    tell("estimating the basic model for comparison")
+    chosen = choices(start, replace(options, fix=(), free=(), prior=()), model="basic")
+    ideal = replace(solution.state.parameters, imus=start.imus)
+    columns = layout(solution.layout.start, chosen.status, chosen.prior_sigma)
+    return solved(
+        solution.measurements,
+        State(trajectory=solution.state.trajectory, parameters=ideal),
+        columns,
+        columns,
+        solution.noise,
+        estimate_noise=False,
+        gate=False,
+        max_iterations=options.max_iterations,
+    )

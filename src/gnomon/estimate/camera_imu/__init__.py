@@ -1,0 +1,4 @@
+"""Camera-IMU calibration by continuous-time batch estimation (document B).
+
+board_poses -> alignment -> knots -> trajectory -> (inertial_terms, visual_terms -> normal equations) -> batch
+"""

@@ -1,0 +1,281 @@
+"""Where one camera's clock and axes lie to the IMU's, from the rotation that both of them felt.
+
+Between two frames the camera turns by a rotation vector that its poses tell; the gyroscope's integral over the same
+time is that rotation seen from the IMU. The time shift is where the two streams agree best: as a score that neither an
+unknown rotation between the axes nor a bias can change, the sum of the singular values of their cross-covariance is
+taken, at every shift of the whole overlap.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InitialisationError
+from ...geometry.rotation_vector import rotvec_from_rotation
+from ...geometry.so3 import nearest_rotation
+from ...recording import Floats
+from .board_poses import BoardPoses
+
+_GRID_S = 0.01
+_LONGEST_STEP_S = 0.35  # frames further apart tell no rate
+_SHORTEST_OVERLAP_S = 3.0
+_FINE_S = 0.02  # search about the coarse shift
+_ROBUST, _ROUNDS = 3.0, 3
+_EXPLAINED = 0.3
+_SCALE = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GyroscopeIntegral:
+    """The integral of the gyroscope's readings over time, to be read at any instant.
+
+    Attributes
+    ----------
+    t_s : (n,) [s]
+    angle : (n, 3) [rad], the integral of the readings from t_s[0]
+    """
+
+    t_s: Floats
+    angle: Floats
+
+    def __call__(self, t_s: Floats) -> Floats:
+        """Return the integral (m, 3) at instants (m,) [s], held at the ends."""
+        return np.stack([np.interp(t_s, self.t_s, self.angle[:, i]) for i in range(3)], axis=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Alignment:
+    """One camera's clock and axes relative to the IMU.
+
+    Attributes
+    ----------
+    time_shift_s : t_imu = t_cam + time_shift_s
+    R_cam_imu : (3, 3)
+    gyroscope_bias : (3,) [rad/s]
+    rate_scale : gyroscope's rate over the camera's; 1 for a gyroscope in rad/s
+    score : 0 to 1, share of the camera's rotation that the gyroscope explains, up to its scale
+    axes : (3,) rms angular rate of the camera along its principal axes, largest first [rad/s]
+    consistent : (n,) which frames of the poses agree with the gyroscope
+    """
+
+    time_shift_s: float
+    R_cam_imu: Floats
+    gyroscope_bias: Floats
+    rate_scale: float
+    score: float
+    axes: Floats
+    consistent: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Turns:
+    """Rotations of the camera between consecutive frames: from `start_s` to `stop_s`, by `rotvec` (camera frame)."""
+
+    start_s: Floats
+    stop_s: Floats
+    rotvec: Floats
+    first: np.ndarray
+
+
+def gyroscope_integral(t_s: Floats, rate: Floats) -> GyroscopeIntegral:
+    """Return the integral of angular rates (n, 3) [rad/s] by the trapezoidal rule."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)[:, None]
+    return GyroscopeIntegral(t_s=t_s, angle=np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
+
+
+def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignment:
+    """Find the time shift, the rotation between camera and IMU, and the gyroscope's bias.
+
+    Parameters
+    ----------
+    poses : of the target in the camera's frame, at the camera's stamps
+    integral : of the gyroscope, at the IMU's stamps
+    name : of the camera, for messages
+
+    Raises
+    ------
+    InitialisationError
+        If the streams are too short, do not overlap at any shift, or nothing turned.
+    """
+    turns = _turns(poses)
+    if len(turns.first) < 10:
+        raise InitialisationError(
+            f"{name}: the board was seen in {len(poses)} frames, and in fewer than ten pairs of frames less than "
+            f"{_LONGEST_STEP_S:g} s apart. Keep the board in view while you move, and record at 4 Hz or more."
+        )
+    rates = turns.rotvec / (turns.stop_s - turns.start_s)[:, None]
+    spread = np.sqrt(np.linalg.eigvalsh(np.cov(rates.T)))[::-1]
+    if spread[0] < 0.02:
+        raise InitialisationError(
+            f"{name}: the camera turned by {np.degrees(spread[0]):.2g} deg/s (rms) only; without rotation neither the "
+            "time shift nor the rotation between camera and IMU can be found. Turn it about all three axes, briskly."
+        )
+    coarse = _coarse_shift(turns, integral, name)
+    found = _refined(poses, turns, integral, coarse, spread)
+    if found.score < _EXPLAINED:
+        raise InitialisationError(
+            f"{name} and the gyroscope do not show the same rotation at any time shift: the best one, "
+            f"{found.time_shift_s:.2f} s, explains {100 * max(found.score, 0):.0f} % of it. Either hardly anything "
+            "turned, or the streams are not of one recording. Turn about all three axes, briskly, board in view."
+        )
+    if not 1 - _SCALE < found.rate_scale < 1 + _SCALE:
+        raise InitialisationError(
+            f"the gyroscope reads {found.rate_scale:.3g} times the rotation that {name} sees, at the best time shift. "
+            + _unit_hint(found.rate_scale)
+        )
+    return found
+
+
+def _unit_hint(scale: float) -> str:
+    if 40 < scale < 80:
+        return "It is in deg/s, not in rad/s: state its unit (--units)."
+    if 1 / 80 < scale < 1 / 40:
+        return "It is in rad/s, not in deg/s: state its unit (--units)."
+    return "Check the unit of the gyroscope, the target's size and the intrinsics."
+
+
+def _turns(poses: BoardPoses) -> _Turns:
+    step = np.diff(poses.t_s)
+    first = np.flatnonzero((step > 0) & (step < _LONGEST_STEP_S))
+    # R_cam_target of the later frame times the transpose of the earlier one turns camera axes; in the camera's own
+    # (body) frame the rotation from earlier to later is R_earlier R_later'.
+    between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[first + 1], 1, 2)
+    rotvec = rotvec_from_rotation(between)
+    usable = np.linalg.norm(rotvec, axis=1) < 2.0
+    first = first[usable]
+    return _Turns(start_s=poses.t_s[first], stop_s=poses.t_s[first + 1], rotvec=rotvec[usable], first=first)
+
+
+def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str) -> float:
+    """Return the shift of best agreement on a grid over the whole overlap, by fast Fourier transforms."""
+    length = float(np.median(turns.stop_s - turns.start_s))
+    step = turns.stop_s - turns.start_s
+    camera_start = float(turns.start_s[0])
+    camera_count = int(np.ceil((turns.stop_s[-1] - camera_start) / _GRID_S)) + 1
+    centre = np.rint((0.5 * (turns.start_s + turns.stop_s) - camera_start) / _GRID_S).astype(np.int64)
+    camera = np.zeros((3, camera_count))
+    mask = np.zeros(camera_count)
+    rate = turns.rotvec / step[:, None]
+    rate -= np.median(rate, axis=0)
+    camera[:, centre], mask[centre] = rate.T, 1.0
+    first, last = float(integral.t_s[0]), float(integral.t_s[-1])
+    grid = np.arange(first, last, _GRID_S)
+    gyroscope = ((integral(grid + length / 2) - integral(grid - length / 2)) / length).T
+    gyroscope -= gyroscope.mean(axis=1, keepdims=True)
+    size = 1 << int(np.ceil(np.log2(camera_count + len(grid))))
+    F_camera, F_mask = np.conj(np.fft.rfft(camera, size)), np.conj(np.fft.rfft(mask, size))
+    F_gyro, F_inside = np.fft.rfft(gyroscope, size), np.fft.rfft(np.ones(len(grid)), size)
+    cross = np.fft.irfft(F_camera[:, None] * F_gyro[None, :], size)  # (3, 3, lag), gyroscope later by the lag
+    samples = np.fft.irfft(F_mask * F_inside, size)
+    sum_camera = np.fft.irfft(F_camera * F_inside, size)
+    sum_gyro = np.fft.irfft(F_mask * F_gyro, size)
+    square_gyro = np.fft.irfft(F_mask * np.fft.rfft((gyroscope**2).sum(axis=0), size), size)
+    n = np.maximum(samples, 1.0)
+    covariance = cross - sum_camera[:, None] * sum_gyro[None, :] / n
+    gyro_energy = np.maximum(square_gyro - (sum_gyro**2).sum(axis=0) / n, 1e-12)
+    nuclear = np.linalg.svd(np.moveaxis(covariance, -1, 0), compute_uv=False).sum(axis=1)
+    lag = np.arange(size)
+    lag = np.where(lag > len(grid), lag - size, lag)
+    enough = samples >= min(0.25 * len(step), _SHORTEST_OVERLAP_S / length)
+    if not enough.any():
+        raise InitialisationError(
+            f"{name}: the streams of camera ({turns.stop_s[-1] - turns.start_s[0]:.1f} s) and IMU "
+            f"({last - first:.1f} s) are too short to overlap by {_SHORTEST_OVERLAP_S:g} s. Record both for a minute."
+        )
+    energy = (camera**2).sum()
+    score = np.where(enough, nuclear / np.sqrt(energy * gyro_energy), 0.0)
+    best = int(np.argmax(score))
+    return float(lag[best]) * _GRID_S + first - camera_start
+
+
+def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coarse: float, spread: Floats) -> Alignment:
+    shifts, best = coarse + np.linspace(-_FINE_S, _FINE_S, 17), coarse
+    found: _HandEye | None = None
+    for _ in range(3):
+        trials = [_hand_eye(turns, integral, shift) for shift in shifts]
+        costs = [np.inf if trial is None else trial.cost for trial in trials]
+        place = int(np.argmin(costs))
+        best, found = float(shifts[place]), trials[place]
+        shifts = best + np.linspace(-1, 1, 9) * (shifts[1] - shifts[0])
+    if found is None:
+        raise InitialisationError(
+            f"camera and gyroscope overlap in fewer than ten pairs of frames at the best time shift, {best:.2f} s. "
+            "Record both together, in one go."
+        )
+    consistent = np.ones(len(poses), dtype=bool)
+    bad = found.good == 0
+    # A frame is inconsistent where the rotations on both of its sides are.
+    before, after = np.zeros(len(poses), dtype=bool), np.zeros(len(poses), dtype=bool)
+    after[turns.first[bad]] = True
+    before[turns.first[bad] + 1] = True
+    consistent[before & after] = False
+    return Alignment(
+        time_shift_s=best,
+        R_cam_imu=found.fit.R.T,
+        gyroscope_bias=found.fit.bias,
+        rate_scale=found.scale,
+        score=found.explained,
+        axes=spread,
+        consistent=consistent,
+    )
+
+
+def _hand_eye(turns: _Turns, integral: GyroscopeIntegral, shift: float) -> "_HandEye | None":
+    """Return the best rotation and bias at a shift; None where the streams hardly overlap."""
+    start, stop = turns.start_s + shift, turns.stop_s + shift
+    inside = (start >= integral.t_s[0]) & (stop <= integral.t_s[-1])
+    if inside.sum() < 10:
+        return None
+    step = (stop - start)[:, None]
+    gyro, camera = (integral(stop) - integral(start)) / step, turns.rotvec / step
+    weight = inside.astype(np.float64)
+    limit = np.inf
+    for _ in range(_ROUNDS):
+        fit = _kabsch(gyro, camera, weight)
+        limit = _ROBUST * 1.4826 * float(np.median(fit.error[inside])) + 1e-6
+        weight = (inside & (fit.error < limit)).astype(np.float64)
+    fit = _kabsch(gyro, camera, weight)
+    cost = float((np.minimum(fit.error[inside], limit) ** 2).mean())
+    used = weight > 0
+    turned, read = (camera - camera[used].mean(axis=0))[used] @ fit.R.T, (gyro - gyro[used].mean(axis=0))[used]
+    energy, common = max(float((turned**2).sum()), 1e-12), float((turned * read).sum())
+    explained = max(common, 0.0) ** 2 / (energy * max(float((read**2).sum()), 1e-12))
+    good = np.where(inside & (fit.error > 2 * limit), 0.0, 1.0)
+    return _HandEye(cost=cost, fit=fit, good=good, scale=common / energy, explained=explained)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fit:
+    """Rotation R_imu_cam (3, 3) and gyroscope bias (3,) [rad/s], and the error of every turn (n,) [rad/s]."""
+
+    R: Floats
+    bias: Floats
+    error: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _HandEye:
+    """The best rotation and bias at a time shift.
+
+    Attributes
+    ----------
+    cost : mean squared error, of bad turns the limit [rad^2/s^2]
+    fit : rotation and bias
+    good : (n,) 0 for turns that fit badly, else 1
+    scale, explained : see Alignment
+    """
+
+    cost: float
+    fit: _Fit
+    good: Floats
+    scale: float
+    explained: float
+
+
+def _kabsch(gyro: Floats, camera: Floats, weight: Floats) -> _Fit:
+    """Return the rotation and bias with gyro = R camera + bias, (n, 3) each, by weighted least squares."""
+    total = weight.sum()
+    mean_gyro, mean_camera = weight @ gyro / total, weight @ camera / total
+    R = nearest_rotation((gyro - mean_gyro).T @ (weight[:, None] * (camera - mean_camera)))
+    bias = mean_gyro - R @ mean_camera
+    return _Fit(R=R, bias=bias, error=np.linalg.norm(gyro - camera @ R.T - bias, axis=1))

@@ -1,0 +1,89 @@
+"""What is estimated: by the model (B3, B9 of document B), and by name."""
+
+import difflib
+from dataclasses import dataclass
+
+from ...errors import OptionError
+from ...options import CameraImuOptions
+from .parameters import Block, Parameters, Status, blocks
+
+_MODEL_BLOCKS = {
+    "basic": (),
+    "scale-misalignment": ("S_a", "M_a", "S_g", "M_g", "q_bg"),
+    "full": ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g"),
+}
+"""Of an IMU, what each model estimates (Table 4.1)."""
+
+_BESIDES = ("direction", "T_cam_imu.rotation", "T_cam_imu.translation", "time_shift_cam_imu")
+"""Always estimated unless fixed by name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choices:
+    """Status of every scalar, and the standard deviations of stated priors."""
+
+    status: dict[str, Status]
+    prior_sigma: dict[str, float]
+
+
+def choices(start: Parameters, options: CameraImuOptions, model: str | None = None) -> Choices:
+    """Return what is estimated.
+
+    Parameters
+    ----------
+    start : start values, which tell the cameras and IMUs
+    options : model, fix, free, prior
+    model : instead of the options' one
+
+    Raises
+    ------
+    OptionError
+        If a name is unknown, stands in two lists, or a prior is not NAME=SIGMA with SIGMA > 0.
+    """
+    all_blocks = blocks(start)
+    estimated = (*_MODEL_BLOCKS[model or options.model], *_BESIDES)
+    status: dict[str, Status] = {}
+    for block in all_blocks:
+        kind: Status = "estimated" if block.name.partition(".")[2] in estimated else "fixed"
+        status |= dict.fromkeys(block.scalars(), kind)
+    stated: dict[str, str] = {}
+    sigma: dict[str, float] = {}
+    for option, names in (("free", options.free), ("fix", options.fix)):
+        for name in names:
+            for scalar in _scalars(name, option, all_blocks, stated):
+                status[scalar] = "estimated" if option == "free" else "fixed"
+    for text in options.prior:
+        name, value = _prior(text)
+        for scalar in _scalars(name, "prior", all_blocks, stated):
+            status[scalar], sigma[scalar] = "prior", value
+    return Choices(status=status, prior_sigma=sigma)
+
+
+def _scalars(name: str, option: str, all_blocks: tuple[Block, ...], stated: dict[str, str]) -> list[str]:
+    """Return the scalars that a name stands for: itself, a block, or everything below it ("cam0.T_cam_imu")."""
+    found = [
+        scalar
+        for block in all_blocks
+        for scalar in block.scalars()
+        if name in {scalar, block.name} or block.name.startswith(f"{name}.")
+    ]
+    if not found:
+        known = [block.name for block in all_blocks]
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise OptionError(f"--{option} {name}: there is no such parameter.{hint} Known: {', '.join(known)}.")
+    for scalar in found:
+        if stated.setdefault(scalar, option) != option:
+            raise OptionError(f"--{option} {name}: {scalar} is also in --{stated[scalar]}. Keep one of them.")
+    return found
+
+
+def _prior(text: str) -> tuple[str, float]:
+    name, equals, value = text.partition("=")
+    try:
+        sigma = float(value)
+    except ValueError:
+        sigma = float("nan")
+    if not equals or not 0 < sigma < float("inf"):
+        raise OptionError(f"--prior {text}: expected NAME=SIGMA with SIGMA greater than zero, as cam0.intrinsics=2.")
+    return name, sigma

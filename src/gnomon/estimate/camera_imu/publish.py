@@ -1,0 +1,106 @@
+"""From the estimated scalars to what a calibration publishes, with the covariance of all of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
+from ...geometry.so3 import skew
+from ...models.pattern import DIAGONAL, FULL, LOWER
+from ...recording import Floats
+from .parameters import CameraParameters, ImuParameters, Parameters
+from .uncertainty import Uncertainty, with_uncertain
+
+_IMU_SCALARS = 33
+_BIASES = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Published:
+    """IMUs and cameras, with the covariance of all their scalars in the order of `covariance_names`."""
+
+    imus: dict[str, ImuCalibration]
+    cameras: dict[str, CameraCalibration]
+    covariance: Floats
+
+
+def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) -> Published:
+    """Return what the estimate says, in body frame "accel-x".
+
+    Parameters
+    ----------
+    found : covariance of the free scalars and of the bias means
+    parameters : estimate
+    gravity_sigma : standard deviation of the magnitude of gravity, which was held [m/s^2]
+    """
+    column = {name: i for i, name in enumerate(found.names)}
+    inner = with_uncertain(found, "gravity.magnitude", gravity_sigma)
+    rows: list[Floats] = []
+    imus: dict[str, ImuCalibration] = {}
+    for i, imu in enumerate(parameters.imus):
+        bias = found.bias_mean[i]
+        imus[f"imu{i}"] = ImuCalibration(
+            accelerometer=AccelerometerCalibration(
+                sensitivity=imu.accelerometer_sensitivity, bias=bias[3:], unit="m/s^2"
+            ),
+            gyroscope=GyroscopeCalibration(
+                sensitivity=imu.gyroscope_sensitivity, bias=bias[:3], g_sensitivity=imu.B_g, unit="rad/s"
+            ),
+        )
+        rows.append(_imu_rows(imu, i, column, len(inner), len(found.names) + _BIASES * i))
+    calibrated: dict[str, CameraCalibration] = {}
+    for entry in parameters.cameras:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = entry.R_cam_imu, entry.p_cam_imu
+        calibrated[entry.name] = CameraCalibration(
+            T_cam_imu=T, time_shift_cam_imu=entry.time_shift_s, camera=entry.camera
+        )
+        rows.append(_camera_rows(entry, column, len(inner)))
+    jacobian = np.concatenate(rows)
+    covariance = jacobian @ inner @ jacobian.T
+    return Published(imus=imus, cameras=calibrated, covariance=0.5 * (covariance + covariance.T))
+
+
+def _imu_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int, biases: int) -> Floats:
+    """Return the derivative of the published scalars of an IMU, (33, width)."""
+    rows = np.zeros((_IMU_SCALARS, width))
+    S_a, M_a = DIAGONAL.matrix(imu.S_a), LOWER.matrix(imu.M_a)
+    S_g, M_g = DIAGONAL.matrix(imu.S_g), LOWER.matrix(imu.M_g)
+
+    def put(start: int, block: str, derivatives: list[Floats]) -> None:
+        for k, derivative in enumerate(derivatives):
+            at = column.get(f"imu{index}.{block}[{k}]")
+            if at is not None:
+                rows[start : start + 9, at] = derivative.ravel()
+
+    units = [_unit(i, j) for i, j in FULL.entries]
+    put(0, "S_a", [_unit(i, j) @ M_a for i, j in DIAGONAL.entries])
+    put(0, "M_a", [S_a @ _unit(i, j) for i, j in LOWER.entries])
+    rows[9:12, biases + 3 : biases + 6] = np.eye(3)
+    put(12, "S_g", [_unit(i, j) @ M_g @ imu.C_bg.T for i, j in DIAGONAL.entries])
+    put(12, "M_g", [S_g @ _unit(i, j) @ imu.C_bg.T for i, j in LOWER.entries])
+    put(12, "q_bg", [-S_g @ M_g @ skew(axis) @ imu.C_bg.T for axis in np.eye(3)])
+    rows[21:24, biases : biases + 3] = np.eye(3)
+    put(24, "B_g", units)
+    return rows
+
+
+def _unit(i: int, j: int) -> Floats:
+    matrix = np.zeros((3, 3))
+    matrix[i, j] = 1.0
+    return matrix
+
+
+def _camera_rows(entry: CameraParameters, column: dict[str, int], width: int) -> Floats:
+    lens = entry.camera
+    names = [f"T_cam_imu.rotation[{k}]" for k in range(3)] + [f"T_cam_imu.translation[{k}]" for k in range(3)]
+    names += ["time_shift_cam_imu", "line_delay"]
+    names += [f"intrinsics[{k}]" for k in range(len(lens.intrinsics))]
+    coeffs = len(lens.distortion_coeffs)
+    names += ["distortion_coeffs"] if coeffs == 1 else [f"distortion_coeffs[{k}]" for k in range(coeffs)]
+    rows = np.zeros((len(names), width))
+    for row, name in enumerate(names):
+        at = column.get(f"{entry.name}.{name}")
+        if at is not None:
+            rows[row, at] = 1.0
+    return rows

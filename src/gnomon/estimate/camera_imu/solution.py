@@ -1,0 +1,232 @@
+"""From a first guess to the estimate: descend, find the noise and the frames that do not belong, and come to rest."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import SolveError
+from ...recording import Floats
+from ...solve.bordered_band import Workspace
+from .batch import (
+    Iteration,
+    Linearisation,
+    Measurements,
+    Noise,
+    State,
+    Step,
+    descended,
+    estimated_noise,
+    gauss_newton_step,
+    linearised,
+    moved,
+)
+from .corner_sums import CornerSums, Exposures
+from .inertial_terms import InertialNoise
+from .parameters import Layout
+
+GATE = 4.0
+"""A frame whose mean squared residual exceeds the median frame's by this factor is left out."""
+
+_NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
+_SETTLED = 5e-3  # if no more than this share of the cost is left to gain
+_AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell
+_NOISE_AT_REST, _NOISE_NEARLY_AT_REST = 0.02, 0.05  # relative change
+_FEW = 0.005
+"""Share of the frames that may be judged otherwise without a further round: they lie at the limit."""
+
+_JUDGEMENTS = 3  # of noise and frames, after which frames stay as they are and the noise need not be as exact
+_LEAST_NOISE = 1e-2
+"""Share of the first noise level below which none is believed: simulated data without noise must not end in zero."""
+_PATIENCE = 10  # iterations after which steps must shrink
+_FEWEST_FRAMES = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """The estimate.
+
+    Attributes
+    ----------
+    state : trajectory and parameters
+    measurements : with the exposures that were used
+    noise : levels that were used
+    noise_found : levels that the residuals show
+    layout : columns of the border
+    lin, step : last linearisation and the step from it to the estimate; step.covariance is that of the free parameters
+    iterations : how it went
+    converged : whether it came to rest
+    """
+
+    state: State
+    measurements: Measurements
+    noise: Noise
+    noise_found: Noise
+    layout: Layout
+    lin: Linearisation
+    step: Step
+    iterations: tuple[Iteration, ...]
+    converged: bool
+
+
+def solved(
+    measurements: Measurements,
+    start: State,
+    layout: Layout,
+    extended: Layout,
+    noise: Noise,
+    *,
+    estimate_noise: bool,
+    gate: bool,
+    max_iterations: int,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Solution:
+    """Minimise the cost from a start.
+
+    Parameters
+    ----------
+    measurements, start, layout : the problem
+    extended : `layout` with further columns that are held; for the last linearisations
+    noise : first levels
+    estimate_noise : weigh by the levels that the residuals show
+    gate : leave out frames that fit badly as a whole
+
+    Raises
+    ------
+    SolveError
+        If the minimum cannot be found.
+    """
+    state, iterations, converged = start, list[Iteration](), False
+    first, judgements, workspace = noise, 0, Workspace()
+    lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
+    step, found, previous = _step(lin), noise, np.inf
+    while len(iterations) < max_iterations:
+        tell(f"iteration {len(iterations) + 1}: largest step {step.largest:.2g} sigma")
+        if lin.probing and step.largest < _NEAR and step.decrease < _SETTLED * lin.cost:
+            found = _at_least(estimated_noise(lin, step, noise), first)
+            judgements += 1
+            kept = _gated(measurements, lin, noise) if gate and judgements <= _JUDGEMENTS else measurements.used
+            exact = step.largest < 1.0 and judgements <= _JUDGEMENTS
+            tolerance = _NOISE_AT_REST if exact else _NOISE_NEARLY_AT_REST
+            same_noise = not estimate_noise or noise_change(found, noise) < tolerance
+            same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
+            left = step.largest * min(1.0, step.largest / previous)
+            if same_noise and same_frames and left < _AT_REST:
+                state = moved(state, lin.layout, step)
+                iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
+                converged = True
+                break
+            if not (same_noise and same_frames):  # another problem from here on: costs are not comparable
+                noise = noise if same_noise else found
+                measurements = measurements if same_frames else replace(measurements, used=kept)
+                state = moved(state, lin.layout, step)
+                iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
+                lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
+                previous, step = step.largest, _step(lin)
+                continue
+        if _stalled(iterations):
+            break
+        state, lin, tried = descended(
+            measurements,
+            lin,
+            state,
+            step,
+            noise,
+            layout=extended,
+            probing=True,
+            workspace=workspace,
+        )
+        iterations += tried
+        previous, step = step.largest, _step(lin)
+    if not lin.probing:
+        lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
+        step = _step(lin)
+        found = estimated_noise(lin, step, noise)
+    return Solution(
+        state=state,
+        measurements=measurements,
+        noise=noise,
+        noise_found=found,
+        layout=lin.layout,
+        lin=lin,
+        step=step,
+        iterations=tuple(iterations),
+        converged=converged,
+    )
+
+
+def _stalled(iterations: list[Iteration]) -> bool:
+    """Tell whether steps no longer shrink, as where a direction is determined by noise alone."""
+    steps = [i.largest_step for i in iterations if i.accepted]
+    return len(steps) > _PATIENCE and min(steps[-_PATIENCE // 2 :]) > 0.5 * min(steps[: -_PATIENCE // 2])
+
+
+def _step(lin: Linearisation) -> Step:
+    try:
+        return gauss_newton_step(lin)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(
+            f"the normal equations of the batch estimation are singular ({error}). Something in the recording "
+            "determines nothing at all: check for long gaps, or let fewer parameters be estimated."
+        ) from error
+
+
+def _at_least(found: Noise, first: Noise) -> Noise:
+    """Return noise levels that are not below a small share of the first ones."""
+    return replace(
+        found,
+        imus=tuple(
+            InertialNoise(
+                gyroscope=max(a.gyroscope, _LEAST_NOISE * b.gyroscope),
+                accelerometer=max(a.accelerometer, _LEAST_NOISE * b.accelerometer),
+            )
+            for a, b in zip(found.imus, first.imus, strict=True)
+        ),
+        pixel_sigma=tuple(max(a, _LEAST_NOISE * b) for a, b in zip(found.pixel_sigma, first.pixel_sigma, strict=True)),
+    )
+
+
+def noise_change(a: Noise, b: Noise) -> float:
+    """Return the largest relative difference of two sets of noise levels."""
+    pairs = [
+        *zip(a.pixel_sigma, b.pixel_sigma, strict=True),
+        *((x.gyroscope, y.gyroscope) for x, y in zip(a.imus, b.imus, strict=True)),
+        *((x.accelerometer, y.accelerometer) for x, y in zip(a.imus, b.imus, strict=True)),
+    ]
+    return max(abs(x / y - 1) for x, y in pairs)
+
+
+def _gated(measurements: Measurements, lin: Linearisation, noise: Noise) -> tuple[np.ndarray, ...]:
+    """Return for each camera which exposures belong to frames that fit."""
+    return tuple(
+        _fitting(data.exposures, sums, known, used, sigma_px)
+        for data, sums, known, used, sigma_px in zip(
+            measurements.visual, lin.sums, lin.known, measurements.used, noise.pixel_sigma, strict=True
+        )
+    )
+
+
+def _fitting(
+    exposures: Exposures, sums: CornerSums, known: np.ndarray, used: np.ndarray, sigma_px: float
+) -> np.ndarray:
+    mean_square = frame_mean_square(exposures, sums, known)
+    seen = np.isfinite(mean_square)
+    if seen.sum() < _FEWEST_FRAMES:
+        return used
+    limit = GATE * max(float(np.median(mean_square[seen])), sigma_px**2)
+    frames = ~(mean_square > limit)
+    return frames[exposures.frame]
+
+
+def frame_mean_square(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> Floats:
+    """Return the mean squared residual per axis of every frame, (frames,) [px^2]; nan where nothing was imaged.
+
+    Parameters
+    ----------
+    known : (e,) exposures whose sums mean something
+    """
+    count = int(exposures.frame.max()) + 1
+    corners = sums.valid * known
+    total = np.bincount(exposures.frame, np.nan_to_num(sums.mean_square) * corners, count)
+    valid = np.bincount(exposures.frame, corners, count)
+    return np.where(valid > 0, total / np.maximum(valid, 1), np.nan)

@@ -1,0 +1,206 @@
+"""The trajectory and the biases as functions of continuous time (document B, sections 4.1.1 and 4.2).
+
+The attitude is R_target_imu(t) = R_reference Exp(phi(t)), position, phi and biases are splines over one grid of knots:
+cubic and higher for pose, linear for the biases, which is a random walk sampled at the knots. Where a stream has a gap,
+or where phi would come near a full turn, the grid is cut into segments, each with a reference attitude of its own;
+the random walk of the biases runs on from one to the next.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...geometry.bspline import basis
+from ...geometry.rotation_vector import turning
+from ...recording import Floats, Integers
+
+POSE = 6
+"""Scalars of a pose control point: rotation vector, position."""
+
+BIAS = 6
+"""Bias scalars of one IMU at a knot: gyroscope, accelerometer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Segment:
+    """A piece of the trajectory.
+
+    Attributes
+    ----------
+    start_s : time of its first knot [s]
+    spans : intervals between its knots
+    first : index of its first control point; it has spans + order - 1
+    R_reference : (3, 3) attitude of the target about which its rotation vectors are counted
+    """
+
+    start_s: float
+    spans: int
+    first: int
+    R_reference: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """Knots of the splines.
+
+    Attributes
+    ----------
+    segments : in the order of time
+    spacing_s : time between knots [s]
+    order : of the pose splines
+    """
+
+    segments: tuple[Segment, ...]
+    spacing_s: float
+    order: int
+
+    @property
+    def controls(self) -> int:
+        """Number of control points."""
+        last = self.segments[-1]
+        return last.first + last.spans + self.order - 1
+
+    @property
+    def bias_offset(self) -> int:
+        """Control point, counted from the first of a span, that holds the bias at the span's first knot."""
+        return (self.order - 2) // 2
+
+    def places(self, t_s: Floats) -> "Places":
+        """Return where instants (n,) [s] lie on the grid; outside of all segments they are marked so."""
+        starts = np.array([segment.start_s for segment in self.segments])
+        which = np.clip(np.searchsorted(starts, t_s, side="right") - 1, 0, len(starts) - 1)
+        spans = np.array([segment.spans for segment in self.segments])[which]
+        position = (t_s - starts[which]) / self.spacing_s
+        inside = (position >= 0) & (position <= spans)
+        interval = np.clip(np.floor(position).astype(np.int64), 0, spans - 1)
+        first = np.array([segment.first for segment in self.segments])[which]
+        return Places(
+            first=first + interval,
+            u=np.where(inside, position - interval, 0.0),
+            segment=which,
+            inside=inside,
+        )
+
+    def references(self) -> Floats:
+        """Return the reference attitudes of all segments, (s, 3, 3)."""
+        return np.array([segment.R_reference for segment in self.segments])
+
+    def knot_times(self) -> tuple[Integers, Floats]:
+        """Return the control points that hold the bias at a knot, and the times of those knots [s]."""
+        index = [segment.first + self.bias_offset + np.arange(segment.spans + 1) for segment in self.segments]
+        times = [segment.start_s + self.spacing_s * np.arange(segment.spans + 1) for segment in self.segments]
+        return np.concatenate(index), np.asarray(np.concatenate(times), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Places:
+    """Instants on a grid.
+
+    Attributes
+    ----------
+    first : (n,) first control point of the span
+    u : (n,) place in the span, 0 to 1
+    segment : (n,) segment
+    inside : (n,) whether the instant lies in a segment
+    """
+
+    first: Integers
+    u: Floats
+    segment: Integers
+    inside: np.ndarray
+
+    def some(self, which: np.ndarray | slice) -> "Places":
+        """Return some of the places."""
+        return Places(first=self.first[which], u=self.u[which], segment=self.segment[which], inside=self.inside[which])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bases:
+    """Values of the pose splines' basis functions and of their first two derivatives by time, (n, k) each."""
+
+    value: Floats
+    rate: Floats
+    acceleration: Floats
+
+    @classmethod
+    def at(cls, places: Places, grid: Grid) -> "Bases":
+        """Return the basis functions at places on a grid."""
+        k, dt = grid.order, grid.spacing_s
+        return cls(
+            value=basis(k, places.u),
+            rate=basis(k, places.u, 1) / dt,
+            acceleration=basis(k, places.u, 2) / dt**2,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """State of motion at some instants.
+
+    Attributes
+    ----------
+    R : (n, 3, 3) R_target_imu
+    phi_jacobian : (n, 3, 3) right Jacobian: a change d of phi turns the body by phi_jacobian d, in its own frame
+    omega : (n, 3) angular rate, IMU frame [rad/s]
+    omega_by_phi : (n, 3, 3)
+    position, velocity, acceleration : (n, 3) of the IMU, target frame [m, m/s, m/s^2]
+    """
+
+    R: Floats
+    phi_jacobian: Floats
+    omega: Floats
+    omega_by_phi: Floats
+    position: Floats
+    velocity: Floats
+    acceleration: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trajectory:
+    """Control points on a grid.
+
+    Attributes
+    ----------
+    grid : knots
+    controls : (n, 6 + 6 m) rotation vector [rad], position [m], and for each IMU gyroscope bias [rad/s] and
+        accelerometer bias [m/s^2]
+    """
+
+    grid: Grid
+    controls: Floats
+
+    def plus(self, step: Floats) -> "Trajectory":
+        """Return the trajectory with a step (n, 6 + 6 m) added to its control points."""
+        return replace(self, controls=self.controls + step)
+
+    def motion(self, places: Places, bases: Bases) -> Motion:
+        """Return the motion at places on the grid."""
+        rows = places.first[:, None] + np.arange(self.grid.order)
+        pose = self.controls[:, :POSE][rows]
+        value, rate = _combined(bases.value, pose), _combined(bases.rate, pose)
+        acceleration = np.einsum("nk,nkj->nj", bases.acceleration, pose[:, :, 3:])
+        rotation, jacobian, omega, by_phi = turning(value[:, :3], rate[:, :3])
+        references = self.grid.references()
+        R = references[0] @ rotation if len(references) == 1 else references[places.segment] @ rotation
+        return Motion(
+            R=R,
+            phi_jacobian=jacobian,
+            omega=omega,
+            omega_by_phi=by_phi,
+            position=value[:, 3:],
+            velocity=rate[:, 3:],
+            acceleration=acceleration,
+        )
+
+    def bias(self, places: Places, imu: int = 0) -> tuple[Floats, Floats]:
+        """Return gyroscope bias (n, 3) [rad/s] and accelerometer bias (n, 3) [m/s^2] at places on the grid."""
+        start = POSE + BIAS * imu
+        values = self.controls[:, start : start + BIAS]
+        first = places.first + self.grid.bias_offset
+        u = places.u[:, None]
+        bias = values[first] * (1 - u) + values[first + 1] * u
+        return bias[:, :3], bias[:, 3:]
+
+
+def _combined(weights: Floats, pose: Floats) -> Floats:
+    return np.matmul(weights[:, None, :], pose)[:, 0, :]

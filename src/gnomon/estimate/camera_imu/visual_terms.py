@@ -1,0 +1,226 @@
+"""The error terms of the cameras (document B, section 4.1.2): e_c = h(T_cam_imu T_target_imu(t + d)^-1 p) - y.
+
+All corners of an exposure share one twist of the camera's frame, so their sum comes from `corner_sums`; here it is
+mapped to the unknowns. With x = p_cam_imu the origin of the IMU in the camera's frame, a turn about it by tau_r is the
+twist (tau_r, x x tau_r) about the camera's origin, and
+
+    turning the body by d (right perturbation)     tau_r = -R_cam_imu d,
+    moving the body by dp                          tau_t = -R_cam_imu R' dp,
+    turning the extrinsics by d                    tau_r = R_cam_imu d,
+    moving the extrinsics by dx                    tau_t = dx,
+    exposing later by dt                           the body turns by omega dt and moves by v dt.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.so3 import skew
+from ...recording import Floats, Integers
+from .assembly import RowShape
+from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
+from .parameters import CameraParameters, Layout, Parameters
+from .trajectory import POSE, Bases, Motion, Trajectory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VisualData:
+    """Corners of one camera.
+
+    Attributes
+    ----------
+    camera : index of the camera
+    exposures : corners, gathered by the instant of their exposure
+    t_s : (e,) stamps of the frames on the camera's clock [s]
+    """
+
+    camera: int
+    exposures: Exposures
+    t_s: Floats
+
+
+def instants(data: VisualData, entry: CameraParameters) -> Floats:
+    """Return when the exposures happened, on the IMU's clock, (e,) [s]."""
+    return data.t_s + entry.time_shift_s + data.exposures.delay_rows * entry.camera.line_delay_s
+
+
+def board_in_camera(motion: Motion, entry: CameraParameters) -> tuple[Floats, Floats]:
+    """Return the target's pose in the camera's frame, R_cam_target (e, 3, 3) and p_cam_target (e, 3) [m]."""
+    R_imu_target = np.swapaxes(motion.R, 1, 2)
+    R_cam_target = entry.R_cam_imu @ R_imu_target
+    return R_cam_target, entry.p_cam_imu - np.matmul(R_cam_target, motion.position[:, :, None])[:, :, 0]
+
+
+class VisualTerms:
+    """Error terms of the corners of one camera.
+
+    Attributes
+    ----------
+    sums : over the corners of all exposures; of those outside of the trajectory they mean nothing
+    known : (e,) exposures inside of the trajectory that have corners which can be imaged
+    inside : (e,) those of them that are used
+    """
+
+    def __init__(
+        self,
+        data: VisualData,
+        trajectory: Trajectory,
+        parameters: Parameters,
+        layout: Layout,
+        noise: CornerNoise,
+        *,
+        used: np.ndarray,
+        probe: int | None,
+    ) -> None:
+        """Sum up the corners of every exposure.
+
+        Parameters
+        ----------
+        data : corners
+        trajectory, parameters, layout : where to linearise
+        noise : weights
+        used : (e,) exposures that shall take part
+        probe : right-hand side of the probe, or None
+        """
+        grid = trajectory.grid
+        self._entry = entry = parameters.cameras[data.camera]
+        places = grid.places(instants(data, entry))
+        self._bases = Bases.at(places, grid)
+        self._motion = trajectory.motion(places, self._bases)
+        own, scale_column = _own_columns(layout, entry)
+        self.sums = corner_sums(
+            data.exposures,
+            entry.camera,
+            *board_in_camera(self._motion, entry),
+            noise,
+            own_parameters=own,
+            target_scale=parameters.target_scale,
+            scale_column=scale_column,
+        )
+        border, self._maps = _maps(layout, data, entry, self._motion, scale_column=scale_column)
+        self._shape = RowShape(order=grid.order, bias=None, border=border, probe=probe)
+        self.known = places.inside & (self.sums.valid > 0)
+        self.inside = self.known & used
+        chosen = np.flatnonzero(self.inside)
+        self._order = chosen[np.argsort(places.first[chosen], kind="stable")]
+        self._first = places.first[self._order]
+
+    @property
+    def first(self) -> Integers:
+        """First control point of the span of each exposure that takes part, ascending."""
+        return self._first
+
+    @property
+    def cost(self) -> float:
+        """Robust cost of all exposures that take part."""
+        return float(self.sums.cost[self.inside].sum())
+
+    def rows(self, part: slice) -> Iterator[tuple[str, Floats, RowShape]]:
+        """Yield the rows (e, w, w) that sum up the corners of some exposures."""
+        chosen = self._order[part]
+        rows = _square_roots(self.sums.gram[chosen])
+        yield self._entry.name, self._mapped(rows, chosen), self._shape
+
+    def _mapped(self, rows: Floats, chosen: Integers) -> Floats:
+        """Return the rows (e, r, columns of the shape) from rows (e, r, w) in the columns of `corner_sums`."""
+        entry, shape, motion = self._entry, self._shape, self._motion
+        count, height, width = rows.shape
+        R, x = entry.R_cam_imu, entry.p_cam_imu
+        turn = -np.vstack([R, skew(x) @ R])  # (6, 3)
+        by_turn = (rows[:, :, :TWIST] @ turn) @ motion.phi_jacobian[chosen]
+        by_move = -(rows[:, :, 3:TWIST] @ R) @ np.swapaxes(motion.R[chosen], 1, 2)
+        mapped = np.zeros((count, height, shape.width))
+        pose = mapped[:, :, : shape.pose].reshape(count, height, shape.order, POSE)  # a view
+        value = self._bases.value[chosen][:, None, :, None]
+        np.multiply(value, by_turn[:, :, None, :], out=pose[..., :3])
+        np.multiply(value, by_move[:, :, None, :], out=pose[..., 3:])
+        begin = shape.border_columns.start
+        for at, twist in self._maps.twists:
+            of_exposure = twist if len(twist) == 1 else twist[chosen]
+            mapped[:, :, begin + at.start : begin + at.stop] = rows[:, :, :TWIST] @ of_exposure
+        for at, index in self._maps.own:
+            mapped[:, :, begin + at] = rows[:, :, TWIST + index]
+        last = width - 1 - (shape.probe is not None)
+        mapped[:, :, shape.residual] = rows[:, :, last]
+        if shape.probe is not None:
+            mapped[:, :, shape.residual + 1] = rows[:, :, last + 1]
+        return mapped
+
+
+def _own_columns(layout: Layout, entry: CameraParameters) -> tuple[Integers, bool]:
+    """Return which of the lens' parameters have a column, and whether the target's scale has one."""
+    name, lens = entry.name, entry.camera
+    count = len(lens.intrinsics)
+    own: list[int] = []
+    if layout.get(f"{name}.intrinsics") is not None:
+        own += range(count)
+    if layout.get(f"{name}.distortion_coeffs") is not None:
+        own += range(count, len(lens.parameters))
+    return np.array(own, dtype=np.int64), layout.get("target.scale") is not None
+
+
+def _square_roots(gram: Floats) -> Floats:
+    """Return rows (e, w, w) whose products are the sums: as many rows as columns instead of two a corner."""
+    diagonal = np.einsum("nii->ni", gram)
+    w = gram.shape[1]
+    eased = gram + (1e-13 * diagonal + 1e-30)[:, :, None] * np.eye(w)
+    return np.swapaxes(np.linalg.cholesky(eased), 1, 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Maps:
+    """How border parameters act: (columns in the rows, twist (e or 1, 6, b)) and own columns (place, own index)."""
+
+    twists: list[tuple[slice, Floats]]
+    own: list[tuple[int, int]]
+
+
+def _maps(
+    layout: Layout,
+    data: VisualData,
+    entry: CameraParameters,
+    motion: Motion,
+    *,
+    scale_column: bool,
+) -> tuple[Integers, _Maps]:
+    name = entry.name
+    border: list[int] = []
+    twists: list[tuple[slice, Floats]] = []
+    places: list[tuple[int, int]] = []
+
+    def put(block: str) -> slice | None:
+        columns = layout.get(block)
+        if columns is None:
+            return None
+        begin = len(border)
+        border.extend(range(columns.start, columns.stop))
+        return slice(begin, len(border))
+
+    R, x = entry.R_cam_imu, entry.p_cam_imu
+    if (at := put(f"{name}.T_cam_imu.rotation")) is not None:
+        twists.append((at, np.vstack([R, skew(x) @ R])[None]))
+    if (at := put(f"{name}.T_cam_imu.translation")) is not None:
+        twists.append((at, np.vstack([np.zeros((3, 3)), np.eye(3)])[None]))
+    shift, delay = put(f"{name}.time_shift_cam_imu"), put(f"{name}.line_delay")
+    if shift is not None or delay is not None:
+        moving = _body_twists(entry, motion, motion.omega, motion.velocity)[:, :, None]
+        if shift is not None:
+            twists.append((shift, moving))
+        if delay is not None:
+            twists.append((delay, moving * data.exposures.delay_rows[:, None, None]))
+    taken = 0
+    for block in (f"{name}.intrinsics", f"{name}.distortion_coeffs"):
+        if (at := put(block)) is not None:
+            places += [(at.start + i, taken + i) for i in range(at.stop - at.start)]
+            taken += at.stop - at.start
+    if scale_column and (at := put("target.scale")) is not None:
+        places.append((at.start, taken))
+    return np.array(border, dtype=np.int64), _Maps(twists=twists, own=places)
+
+
+def _body_twists(entry: CameraParameters, motion: Motion, turn: Floats, move: Floats) -> Floats:
+    """Return the twists (e, 6) that follow from turning (IMU axes) and moving (target axes) the body, (e, 3) each."""
+    rotation = -turn @ entry.R_cam_imu.T
+    moved = np.matmul(move[:, None, :], motion.R)[:, 0] @ entry.R_cam_imu.T
+    return np.concatenate([rotation, np.cross(entry.p_cam_imu, rotation) - moved], axis=1)
