@@ -6,17 +6,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import commands
+from .camera_imu_actions import camera_imu, simulate_camera_imu
 from .places import RESULT_FILES, default_folder, result_folder
+from .results import (
+    UNUSABLE,
+    USABLE,
+    calibration_document,
+    exit_code,
+    result_document,
+    say_advice,
+    say_assumptions,
+    say_files,
+    say_verdict,
+    write_result,
+)
 from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
-    from ..diagnostics import Result
     from ..findings import Finding
     from ..recording import Recording
-
-USABLE, UNUSABLE = 0, 4
-"""Exit codes of work that was finished."""
 
 DEMO_RECORDING, TRUTH = "recording.npz", "truth.yaml"
 
@@ -29,67 +38,25 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
         terminal.progress("reading the recording")
         recording = _read(command.recording)
         terminal.close()
-        _say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
+        say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
         result = calibrate_imu(recording, command.options, progress=terminal.progress)
-        _write_result(result, staging, report=command.report, terminal=terminal)
+        write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     _say_result(result.calibration, folder, terminal, parameters=True)
-    terminal.document(_result_document(result.calibration, folder, recording.assumptions))
-    return _exit_code(result.calibration)
-
-
-def _write_result(result: "Result", folder: Path, *, report: bool, terminal: Terminal) -> None:
-    from ..writers import save
-    from ..writers.diagnostics_file import save_diagnostics
-
-    save(result.calibration, folder / "calibration.yaml")
-    save_diagnostics(result.diagnostics, folder / "diagnostics.npz")
-    if report:
-        terminal.progress("drawing the report")
-        from ..report import write_report
-
-        write_report(result, folder / "report.html")
+    terminal.document(result_document(result.calibration, folder, recording.assumptions))
+    return exit_code(result.calibration)
 
 
 def _say_result(calibration: "Calibration", folder: Path, terminal: Terminal, *, parameters: bool) -> None:
     from . import summary
 
-    meaning, style = summary.VERDICTS[calibration.verdict]
-    terminal.say(f"{calibration.verdict}: {meaning}", style)
+    say_verdict(calibration, terminal)
     terminal.say("\n".join(summary.facts(calibration)))
-    if lines := list(summary.advice(calibration.assessment.findings)):
-        terminal.say("\n" + "\n".join(lines))
+    say_advice(calibration, terminal)
     if parameters:
         terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
         terminal.say("\n".join(summary.parameter_lines(calibration)))
-    terminal.say("")
-    for name in RESULT_FILES:
-        if (folder / name).exists():
-            terminal.say(f"{Path(name).stem:<12} {folder / name}")
-
-
-def _result_document(calibration: "Calibration", folder: Path, assumptions: Sequence[str]) -> dict[str, Any]:
-    return {
-        "verdict": calibration.verdict,
-        "exit_code": _exit_code(calibration),
-        "assumptions": list(assumptions),
-        "files": {Path(name).stem: str(folder / name) for name in RESULT_FILES if (folder / name).exists()},
-        "calibration": _calibration_document(calibration),
-    }
-
-
-def _calibration_document(calibration: "Calibration") -> dict[str, Any]:
-    """Return what calibration.yaml holds."""
-    import yaml
-
-    from ..writers.calibration_file import calibration_text
-
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    return yaml.load(calibration_text(calibration), Loader=loader)
-
-
-def _exit_code(calibration: "Calibration") -> int:
-    return UNUSABLE if calibration.verdict == "fail" else USABLE
+    say_files(folder, terminal)
 
 
 def _read(source: commands.Input) -> "Recording":
@@ -98,20 +65,13 @@ def _read(source: commands.Input) -> "Recording":
     return read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
 
 
-def _say_assumptions(assumptions: Sequence[str], terminal: Terminal) -> None:
-    for sentence in assumptions:
-        terminal.say(f"understood: {sentence}")
-    if assumptions:
-        terminal.say("")
-
-
 def _check(command: commands.Check, terminal: Terminal) -> int:
     from ..assess.doctor import check
 
     recording = _read(command.recording)
     findings = check(recording)
     code = UNUSABLE if any(finding.severity == "problem" for finding in findings) else USABLE
-    _say_assumptions(recording.assumptions, terminal)
+    say_assumptions(recording.assumptions, terminal)
     _say_recording(recording, terminal)
     _say_findings(findings, terminal)
     terminal.document(
@@ -172,7 +132,7 @@ def _show(command: commands.Show, terminal: Terminal) -> int:
 
     if lines := list(summary.advice(calibration.assessment.findings)):
         terminal.say("\n".join(lines))
-    terminal.document(_calibration_document(calibration))
+    terminal.document(calibration_document(calibration))
     return USABLE
 
 
@@ -248,24 +208,26 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
         recording = read(staging / DEMO_RECORDING)  # as a person's own recording would be
         options = replace(ImuOptions(), gravity=command.scenario.gravity)
         result = calibrate_imu(recording, options, progress=terminal.progress)
-        _write_result(result, staging, report=command.report, terminal=terminal)
+        write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     if not command.json:
         terminal.draw(comparison_table(result.calibration, truth))
         terminal.say(comparison_sentence(result.calibration, truth))
     _say_result(result.calibration, command.output, terminal, parameters=False)
-    document = _result_document(result.calibration, command.output, recording.assumptions)
+    document = result_document(result.calibration, command.output, recording.assumptions)
     terminal.document({**document, "comparison": comparison_document(result.calibration, truth)})
-    return _exit_code(result.calibration)
+    return exit_code(result.calibration)
 
 
 _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.Imu: _imu,
+    commands.CameraImu: camera_imu,
     commands.Check: _check,
     commands.Show: _show,
     commands.Apply: _apply,
     commands.Convert: _convert,
     commands.Simulate: _simulate,
+    commands.SimulateCameraImu: simulate_camera_imu,
     commands.Demo: _demo,
 }
 

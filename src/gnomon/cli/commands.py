@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import tyro
 
-from ..options import ImuOptions
-from ..simulate import Scenario
+from ..options import CameraImuOptions, ImuOptions
+from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
 
 _Flat = tyro.conf.arg(name="")
@@ -23,6 +23,9 @@ _Calibration = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALI
 
 def _output(metavar: str, hint: str = "") -> object:
     return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
+
+
+_File = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +75,38 @@ class Imu:
     json: Annotated[bool, _Switch] = False
     """Print one JSON document instead of text."""
     options: Annotated[ImuOptions, _Flat] = field(default_factory=ImuOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraImu:
+    """Calibrate cameras and an IMU that were waved together in front of a board.
+
+    Hold the board still and the whole of it in view; turn the rig about all its axes and shake it along all of them,
+    as fast as the images stay sharp, for about a minute.
+    """
+
+    recording: tyro.conf.Positional[Path]
+    """A folder with corners and samples, cam0_corners.csv, cam1_corners.csv, ... and imu0.csv, also with .gz."""
+    cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
+    """Kalibr's file of the cameras and their intrinsics (default: camchain.yaml in the recording's folder)."""
+    imu: Annotated[Path | None, _File] = None
+    """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
+    target: Annotated[Path | None, _File] = None
+    """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
+    units: str | None = None
+    """Units of the samples: "si", or a list such as "g deg/s us"; recognised where not given."""
+    output: Annotated[Path | None, _output("DIR")] = None
+    """Folder for calibration.yaml, report.html, diagnostics.npz, trajectory.txt and Kalibr's camchain-imucam.yaml,
+    imu.yaml and results-imucam.txt (default: the recording's name with -gnomon)."""
+    report: Annotated[bool, _Switch] = True
+    """Do not make the report."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+    options: Annotated[CameraImuOptions, _Flat] = field(default_factory=CameraImuOptions)
+
+    def __post_init__(self) -> None:
+        if self.units is not None:
+            Units.parse(self.units)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,6 +171,37 @@ class Simulate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SimulateCameraImu:
+    """Make a folder with a recording of simulated cameras and an IMU in front of a board, and its truth (truth.yaml).
+
+    `gnomon camera-imu` takes the folder as it is.
+    """
+
+    output: Annotated[Path, _output("DIR", "(required)")]
+    """Folder for the recording."""
+    scenario: Annotated[Path | None, _File] = None
+    """A scenario.yaml that states the options below; those that are given here as well replace its own."""
+    seed: int = 0
+    """All random numbers follow from it."""
+    json: Annotated[bool, _Switch] = False
+    """Print one JSON document instead of text."""
+    options: Annotated[CameraImuScenario, _Flat] = field(default_factory=CameraImuScenario)
+
+    @classmethod
+    def with_scenario(cls, path: Path) -> Self:
+        """Return the command with the options of a scenario file, from which those that are given on the line differ.
+
+        Raises
+        ------
+        FormatError
+            If the file cannot be read, or states something that is no option.
+        """
+        from ..readers.options_file import read_options  # NumPy is not needed for the help
+
+        return cls(output=tyro.MISSING, scenario=path, options=read_options(path, CameraImuScenario))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Demo:
     """Calibrate a simulated recording and compare the result with the truth."""
 
@@ -154,14 +220,16 @@ class Demo:
         return _DEMO_SCENARIO
 
 
-Command = Imu | Check | Show | Apply | Convert | Simulate | Demo
+Command = Imu | CameraImu | Check | Show | Apply | Convert | Simulate | SimulateCameraImu | Demo
 
 COMMANDS: dict[str, type[Command]] = {
     "imu": Imu,
+    "camera-imu": CameraImu,
     "check": Check,
     "show": Show,
     "apply": Apply,
     "convert": Convert,
     "simulate": Simulate,
+    "simulate-camera-imu": SimulateCameraImu,
     "demo": Demo,
 }

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -9,9 +10,9 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from .._version import __version__
-from .commands import COMMANDS, Command
+from .commands import COMMANDS, Command, SimulateCameraImu
 
-DESCRIPTION = f"""Calibrate an IMU without mechanical equipment. gnomon {__version__}.
+DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
 Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."""
 
@@ -27,6 +28,8 @@ def parse(arguments: Sequence[str]) -> Command:
         After printing help (0), or what is wrong with the arguments (2).
     OptionError
         If the value of an option makes no sense.
+    FormatError
+        If a file of options cannot be read.
     """
     name = arguments[0] if arguments else "--help"
     if name == "--version":
@@ -34,7 +37,14 @@ def parse(arguments: Sequence[str]) -> Command:
         raise SystemExit(0)
     if name in COMMANDS:  # only this command's options are looked at, and suggested after a typing error
         command: Any = COMMANDS[name]
-        return tyro.cli(command, prog=f"gnomon {name}", args=arguments[1:], config=_CONFIG, registry=_registry())
+        return tyro.cli(
+            command,
+            prog=f"gnomon {name}",
+            args=arguments[1:],
+            default=_scenario_default(name, arguments[1:]),
+            config=_CONFIG,
+            registry=_registry(),
+        )
     union: Any = Union[tuple(Annotated[COMMANDS[key], tyro.conf.subcommand(key)] for key in COMMANDS)]  # noqa: UP007
     return tyro.cli(
         union,
@@ -44,6 +54,18 @@ def parse(arguments: Sequence[str]) -> Command:
         config=_CONFIG,
         registry=_registry(),
     )
+
+
+def _scenario_default(name: str, arguments: Sequence[str]) -> Any:
+    """Return the command that a scenario file describes, whose options are then the defaults; None without one."""
+    if COMMANDS[name] is not SimulateCameraImu:
+        return None
+    for i, word in enumerate(arguments):
+        option, equals, path = word.partition("=")
+        file = path if equals else next(iter(arguments[i + 1 :]), "")
+        if option == "--scenario" and file:
+            return SimulateCameraImu.with_scenario(Path(file))
+    return None
 
 
 def _registry() -> ConstructorRegistry:

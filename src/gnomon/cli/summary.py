@@ -57,10 +57,12 @@ def _paragraph(text: str, first: str, rest: str) -> list[str]:
 def parameter_lines(calibration: Calibration) -> Iterator[str]:
     """Yield every parameter with its standard deviation, a row for each sensor axis."""
     for path, value in parameters(calibration.imus):
-        if path.endswith("g_sensitivity") and calibration.assessment.model != "g-sensitivity":
+        sigma = calibration.sigma(path)
+        if path.endswith("g_sensitivity") and calibration.assessment.model not in {"g-sensitivity", "full"}:
             continue
-        title, unit = path.replace(".", " "), parameter_unit(calibration, path)
-        yield from _block(title, unit, value, calibration.sigma(path))
+        if calibration.cameras and path.endswith("sensitivity") and not sigma.any():
+            continue  # an ideal sensor, by the choice of the model
+        yield from _block(path.replace(".", " "), parameter_unit(calibration, path), value, sigma)
 
 
 def _block(title: str, unit: str, value: Floats, sigma: Floats) -> Iterator[str]:

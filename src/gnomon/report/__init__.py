@@ -1,11 +1,12 @@
 """Calibration and diagnostics -> one self-contained HTML file.
 
-page.py is the design, the same for every kind of calibration; imu.py says what an IMU calibration puts on it.
+page.py is the design, the same for every kind of calibration; imu.py says what an IMU calibration puts on it,
+camera_imu.py what a camera-IMU calibration does.
 """
 
 from pathlib import Path
 
-from ..diagnostics import Result
+from ..diagnostics import CameraImuDiagnostics, Result
 from ..output import write_whole
 
 
@@ -24,7 +25,13 @@ def write_report(result: Result, path: str | Path) -> None:
     OutputError
         If the file cannot be written.
     """
+    from .camera_imu import camera_imu_page
     from .imu import imu_page
     from .page import render
 
-    write_whole(path, render(imu_page(result)))
+    calibration, diagnostics = result.calibration, result.diagnostics
+    if isinstance(diagnostics, CameraImuDiagnostics):
+        page = camera_imu_page(calibration, diagnostics)
+    else:
+        page = imu_page(calibration, diagnostics)
+    write_whole(path, render(page))

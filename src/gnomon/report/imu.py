@@ -2,28 +2,16 @@
 
 from math import degrees
 
-from ..calibration import Calibration, Gravity
-from ..diagnostics import Result
-from ..recording import Floats
+from ..calibration import Calibration
+from ..diagnostics import ImuDiagnostics
 from ..units import STANDARD_GRAVITY_M_S2
 from . import imu_sections
 from .imu_parameters import parameter_groups
 from .numbers import number, quantity
 from .page import Code, KeyNumber, Page, Parameters, Prose, Section, typeset
 from .provenance import provenance_section
+from .wording import FRAMES, HEADLINES, gravity_text, matrix_text
 
-_HEADLINES = {
-    "pass": "This calibration is good to use.",
-    "warn": "This calibration can be used, with the reservations below.",
-    "fail": "Do not use this calibration.",
-}
-_FRAMES = {
-    "accel-x": "the x axis of the body is the sensitivity axis of the x accelerometer, and the y accelerometer lies in "
-    "the x-y plane (Kalibr's convention)",
-    "accel-z": "the z axis of the body is the sensitivity axis of the z accelerometer, and the y accelerometer lies in "
-    "the y-z plane (the convention of Tedaldi and of imu_tk)",
-    "user": "axes of your own, taken from the poses that you named",
-}
 _MODELS = {
     "basic": "constant gyroscope bias",
     "g-sensitivity": "gyroscope bias linear in specific force",
@@ -31,9 +19,8 @@ _MODELS = {
 }
 
 
-def imu_page(result: Result) -> Page:
+def imu_page(calibration: Calibration, diagnostics: ImuDiagnostics) -> Page:
     """Return the page of an IMU calibration."""
-    calibration, diagnostics = result.calibration, result.diagnostics
     names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     sections = (
         _parameters(calibration),
@@ -52,7 +39,7 @@ def imu_page(result: Result) -> Page:
         title="IMU calibration",
         subject=names,
         verdict=calibration.verdict,
-        headline=_HEADLINES[calibration.verdict],
+        headline=HEADLINES[calibration.verdict],
         key_numbers=_key_numbers(calibration),
         findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
         sections=tuple(section for section in sections if section is not None),
@@ -85,7 +72,7 @@ def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
             value=f"{assessment.rotations_used} of {assessment.rotations_found}",
             note="movements between static intervals",
         ),
-        KeyNumber(label="Gravity", value=_gravity(gravity), note=gravity.source[:1].upper() + gravity.source[1:]),
+        KeyNumber(label="Gravity", value=gravity_text(gravity), note=gravity.source[:1].upper() + gravity.source[1:]),
         KeyNumber(
             label="Body frame and model",
             value=calibration.frame,
@@ -95,11 +82,6 @@ def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
     if assessment.model == "none":
         numbers = [n for n in numbers if n.label not in ("Gyroscope on unseen data", "Rotations used")]
     return tuple(numbers)
-
-
-def _gravity(gravity: Gravity) -> str:
-    spread = f" ± {number(gravity.sigma, 2)}" if gravity.sigma > 0 else ""
-    return f"{number(gravity.value, 7)}{spread}\u00a0m/s²"
 
 
 def _parameters(calibration: Calibration) -> Section:
@@ -116,10 +98,10 @@ def _assumptions(calibration: Calibration) -> Section:
     gravity, assessment = calibration.gravity, calibration.assessment
     relative = 100 * gravity.sigma / gravity.value
     carried = f"; here its σ is {number(relative, 2)}\u00a0%" if relative > 0 else ""
-    frame = _FRAMES.get(calibration.frame, calibration.frame)
+    frame = FRAMES.get(calibration.frame, calibration.frame)
     points = [
-        f"Gravity is {_gravity(gravity)} ({gravity.source}). A relative error of gravity is the same relative error of "
-        f"every accelerometer scale{carried}.",
+        f"Gravity is {gravity_text(gravity)} ({gravity.source}). A relative error of gravity is the same relative "
+        f"error of every accelerometer scale{carried}.",
         f"The body frame is {calibration.frame}: {frame}.",
         "Which way an axis points, and that the axes are right-handed, comes from the order of the columns: gravity "
         "alone cannot tell.",
@@ -156,28 +138,17 @@ def _use(calibration: Calibration) -> Section:
                 f"calibrated = calibration.imus[{name!r}].apply(samples)  # m/s² and rad/s in the body frame",
             )
         )
-        text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + _matrix("S", imu.accelerometer.sensitivity)
-        text += "\n\n" + _matrix("b", imu.accelerometer.bias[:, None])
+        text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + matrix_text("S", imu.accelerometer.sensitivity)
+        text += "\n\n" + matrix_text("b", imu.accelerometer.bias[:, None])
         blocks.append(Code(title=f"Accelerometer: m in {imu.accelerometer.unit}, f in m/s²", text=text))
         if imu.gyroscope is not None:
-            text = "y = S ω + b + G f    ω = S⁻¹ (y − b − G f)\n\n" + _matrix("S", imu.gyroscope.sensitivity)
-            text += "\n\n" + _matrix("b", imu.gyroscope.bias[:, None])
-            text += "\n\n" + _matrix("G", imu.gyroscope.g_sensitivity)
+            text = "y = S ω + b + G f    ω = S⁻¹ (y − b − G f)\n\n" + matrix_text("S", imu.gyroscope.sensitivity)
+            text += "\n\n" + matrix_text("b", imu.gyroscope.bias[:, None])
+            text += "\n\n" + matrix_text("G", imu.gyroscope.g_sensitivity)
             blocks.append(Code(title=f"Gyroscope: y in {imu.gyroscope.unit}, ω in rad/s", text=text))
     return Section(
         anchor="use",
         title="How to use it",
         lead="The calibration maps what the sensor reads to specific force f and angular rate ω in the body frame.",
         blocks=tuple(blocks),
-    )
-
-
-def _matrix(name: str, values: Floats) -> str:
-    """Return a matrix as aligned text, rows in brackets."""
-    cells = [[f"{v:.9g}" for v in row] for row in values.tolist()]
-    width = max(len(cell) for row in cells for cell in row)
-    middle = len(cells) // 2
-    return "\n".join(
-        f"{name if i == middle else ' '} {'=' if i == middle else ' '} [ {'  '.join(c.rjust(width) for c in row)} ]"
-        for i, row in enumerate(cells)
     )

@@ -6,9 +6,10 @@ import numpy as np
 
 from ..diagnostics import AllanCurve, DetectorTrace, ImuDiagnostics, IntervalTable, RotationTable, SignalEnvelope
 from ..recording import Floats, Integers
-from .figures import WIDTH, Sheet, coarser, dots, draw, ink, limits, log_limits, thinned, zigzag
+from .figures import Sheet, coarser, dots, draw, ink, limits, log_limits, thinned, zigzag
 from .imu_parameters import readable_unit
 from .numbers import finite, largest, prefixed
+from .sphere import SPHERE_HEIGHT, hemisphere, lambert
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -111,10 +112,10 @@ def attitudes(intervals: IntervalTable) -> str:
     labelled = len(used) <= 60
 
     def paint(sheet: Sheet) -> None:
-        for side, left in ((1.0, 0.0), (-1.0, WIDTH / 2)):
-            axes = _hemisphere(sheet, left, side)
+        for side in (1.0, -1.0):
+            axes = hemisphere(sheet, side)
             here = known & ((intervals.direction[:, 2] >= 0) == (side > 0))
-            flat = _lambert(intervals.direction, side)
+            flat = lambert(intervals.direction, side)
             for chosen, color, ring in ((here & ~used, "accent", True), (here & used, "after", False)):
                 # Directions closer than a dot is wide add nothing to see.
                 spots = np.unique(np.round(flat[chosen] / 0.02) * 0.02, axis=0) if not labelled else flat[chosen]
@@ -124,7 +125,7 @@ def attitudes(intervals: IntervalTable) -> str:
                     axes.text(x + 0.06, y + 0.03, names, color=ink("muted"), fontsize=9.5, gid="fine")
 
     alt = f"Directions of gravity in the body frame in {int(used.sum())} static intervals that were used."
-    return draw("attitudes", 390, alt, paint)
+    return draw("attitudes", SPHERE_HEIGHT, alt, paint)
 
 
 def _labels(flat: Floats, indices: Integers) -> list[tuple[float, float, str]]:
@@ -142,37 +143,6 @@ def _labels(flat: Floats, indices: Integers) -> list[tuple[float, float, str]]:
         x, y = flat[max(group, key=lambda i: float(flat[i, 0]))]
         labels.append((float(x), float(y), names))
     return labels
-
-
-def _hemisphere(sheet: Sheet, left: float, side: float) -> "Axes":
-    size, margin, top = 296.0, 42.0, 62.0
-    box = ((left + margin) / WIDTH, 1 - (top + size) / sheet.height, size / WIDTH, size / sheet.height)
-    axes = sheet.figure.add_axes(box)
-    axes.set_axis_off()
-    axes.set_xlim(-1.43, 1.43)
-    axes.set_ylim(-1.43, 1.43)
-    turn = np.linspace(0, 2 * np.pi, 91)
-    for polar_deg, color in ((30, "grid"), (60, "grid"), (90, "muted")):
-        radius = 2 * np.sin(np.radians(polar_deg) / 2)
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=ink(color), linewidth=1)
-    for x, y in ((np.sqrt(2), 0), (0, np.sqrt(2))):
-        axes.plot([-x, x], [-y, y], color=ink("grid"), linewidth=1)
-    centre, y_up = left + margin + size / 2, "+y" if side > 0 else "−y"
-    y_down = "−y" if side > 0 else "+y"
-    middle = top + size / 2 + 4
-    for text, x, y in ((y_up, centre, top - 5), (y_down, centre, top + size + 20)):
-        sheet.text(text, x=x, y=y, color="muted", align="center")
-    sheet.text("−x", x=left + margin - 5, y=middle, color="muted", align="right")
-    sheet.text("+x", x=left + margin + size + 5, y=middle, color="muted")
-    sheet.text("Above (z up)" if side > 0 else "Below (z down)", x=left, y=20, color="ink", weight="bold")
-    return axes
-
-
-def _lambert(directions: Floats, side: float) -> Floats:
-    """Project unit vectors (n, 3) of one hemisphere, seen from outside, to the plane (n, 2); its rim is at √2."""
-    with np.errstate(invalid="ignore"):
-        stretch = np.sqrt(2 / (1 + np.clip(side * directions[:, 2], 0, 1)))
-    return np.stack([directions[:, 0] * stretch, side * directions[:, 1] * stretch], axis=1)
 
 
 def accelerometer_errors(intervals: IntervalTable) -> str:

@@ -97,7 +97,7 @@ def _scales(
                 note=_NOT_DETERMINED if _held(calibration, path, *(f"{i},{j}" for j in range(3))) else "",
             )
         )
-    return _drawn(rows, percents)
+    return with_bars(rows, percents)
 
 
 def _tilts(calibration: Calibration, path: str, matrix: Floats, covariance: Floats) -> tuple[Parameter, ...]:
@@ -120,7 +120,7 @@ def _tilts(calibration: Calibration, path: str, matrix: Floats, covariance: Floa
                 held=_held(calibration, path, f"{i},{j}"),
             )
         )
-    return _drawn(rows, angles)
+    return with_bars(rows, angles)
 
 
 def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str) -> ParameterGroup:
@@ -143,7 +143,7 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
             )
         )
     drawn = [(float(b), float(s)) for b, s in zip(triad.bias, sigmas, strict=True)]
-    return ParameterGroup(title=title, note="", rows=tuple(rows) if triad.unit == "count" else _drawn(rows, drawn))
+    return ParameterGroup(title=title, note="", rows=tuple(rows) if triad.unit == "count" else with_bars(rows, drawn))
 
 
 def _physical(value: float, si: str) -> str:
@@ -170,7 +170,7 @@ def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: G
             )
         )
     note = "change of the bias with specific force"
-    return ParameterGroup(title=title, note=note, rows=_drawn(rows, drawn))
+    return ParameterGroup(title=title, note=note, rows=with_bars(rows, drawn))
 
 
 def _about_zero(name: str, found: tuple[float, float], *, unit: str, reads_as: str, held: bool) -> Parameter:
@@ -199,7 +199,7 @@ def _percent(value: float, sigma: float) -> str:
     return f"{text}{f' ± {spread}' if spread else ''}\u00a0%"
 
 
-def _drawn(rows: list[Parameter], values: list[tuple[float, float]]) -> tuple[Parameter, ...]:
+def with_bars(rows: list[Parameter], values: list[tuple[float, float]]) -> tuple[Parameter, ...]:
     """Give rows of one group their bars on a common scale, symmetric about zero."""
     reaches = [abs(v) + 2 * (s if isfinite(s) else 0.0) for v, s in values if isfinite(v)]
     reach = max(reaches, default=0.0)

@@ -97,6 +97,11 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{number(value * factor, digits, trim=False)}\u00a0{prefix}{unit}"
 
 
+def positive(value: float, otherwise: float = 1.0) -> float:
+    """Return a value that is finite and above zero as it is, and another number in place of any other."""
+    return float(value) if isfinite(value) and value > 0 else otherwise
+
+
 def finite(values: Floats) -> Floats:
     """Return the finite values, flat."""
     array = np.asarray(values, dtype=np.float64).ravel()
@@ -113,3 +118,9 @@ def largest(values: Floats) -> float:
     """Return the largest magnitude of the finite values; nan without any."""
     kept = finite(values)
     return float(np.max(np.abs(kept))) if kept.size else float("nan")
+
+
+def highest(values: Floats, otherwise: float = 0.0) -> float:
+    """Return the highest of the finite values; another number without any."""
+    kept = finite(values)
+    return float(kept.max()) if kept.size else otherwise

@@ -78,14 +78,20 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """Rows of texts; the first column is the row's name. `marked` is the index of the row that was chosen."""
+    """Rows of texts; the first column is the row's name.
+
+    `marked` is the index of the row that was chosen, `faint` are those of rows that matter less. A `dense` table is set
+    small, since it has many rows or columns.
+    """
 
     title: str
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     caption: str = ""
     marked: int | None = None
+    faint: frozenset[int] = frozenset()
     prose: bool = False
+    dense: bool = False
     kind: str = "table"
 
 
@@ -109,9 +115,10 @@ class Code:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parameters:
-    """The parameter table."""
+    """The parameter table, with a title of its own where the section has several."""
 
     groups: tuple[ParameterGroup, ...]
+    title: str = ""
     caption: str = ""
     kind: str = "parameters"
 

@@ -5,12 +5,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .calibration_file import save
+    from .camera_imu_files import save_camera_imu_files
     from .conversion import convert
     from .export import Loss
 
-_HOMES = {"Loss": "export", "convert": "conversion", "save": "calibration_file"}
+_HOMES = {
+    "Loss": "export",
+    "convert": "conversion",
+    "save": "calibration_file",
+    "save_camera_imu_files": "camera_imu_files",
+}
 
-__all__ = ["Loss", "convert", "save"]
+__all__ = ["Loss", "convert", "save", "save_camera_imu_files"]
 
 
 def __getattr__(name: str) -> Any:

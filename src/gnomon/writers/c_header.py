@@ -12,7 +12,7 @@ from ..calibration import Calibration, ImuCalibration
 from ..models.forms import inverse
 from ..recording import Floats
 from .calibration_file import FRAMES
-from .export import Export, Loss, uncertainty_loss
+from .export import Export, Loss, camera_losses, uncertainty_loss
 
 _HEAD = """\
 /* Calibration of an inertial sensor as C code, made by gnomon.
@@ -66,7 +66,8 @@ def export(calibration: Calibration) -> Export:
     rounding = Loss(
         what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
     )
-    return Export(files={"gnomon_imu.h": text}, losses=(rounding, uncertainty_loss("the C header")))
+    losses = (*camera_losses(calibration, "the C header"), rounding, uncertainty_loss("the C header"))
+    return Export(files={"gnomon_imu.h": text}, losses=losses)
 
 
 def _constants(imu: str, calibration: ImuCalibration) -> str:

@@ -42,12 +42,13 @@ def into_frame(calibration: Calibration, frame: str, whose: str) -> tuple[Calibr
     """Return the calibration in the frame that a format prescribes, and what its reader has to know about it."""
     if calibration.frame == frame:
         return calibration, ()
+    another = "another" if calibration.cameras else "a"  # those of the calibration are turned with it
     turns = {name: frame_rotation(imu.accelerometer.sensitivity, frame) for name, imu in calibration.imus.items()}
     losses = tuple(
         Loss(
             what=f"body frame of {name}",
             why=f"{whose} frame is {frame}, the calibration's is {calibration.frame}. Turn whatever else is known in "
-            f"the old frame, such as the pose of a camera, by R_new_old = {matrix_text(turn)}.",
+            f"the old frame, such as the pose of {another} camera, by R_new_old = {matrix_text(turn)}.",
             size=f"turned by {degrees(rotation_angle(turn)):.3g} deg",
         )
         for name, turn in turns.items()
@@ -61,6 +62,16 @@ def uncertainty_loss(format_name: str) -> Loss:
         what="uncertainty and origin",
         why=f"{format_name} has no place for sigmas, covariance, verdict and provenance. Keep calibration.yaml.",
     )
+
+
+def camera_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
+    """Say that a format of inertial sensors has no place for cameras."""
+    if calibration.cameras:
+        yield Loss(
+            what=", ".join(calibration.cameras),
+            why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
+            "Use kalibr to write them too, or keep calibration.yaml.",
+        )
 
 
 def g_sensitivity_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.quaternion import quaternion_from_rotation
 from ..models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
@@ -119,7 +120,7 @@ def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entr
     form = KrebsGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.angles(form.M, _KREBS_ANGLES, "M_")
     yield from _GYROSCOPE.vector("S", form.S, per(unit, _RATE))
-    for name, value in zip(("w", "i", "j", "k"), _quaternion(form.C_bg).tolist(), strict=True):
+    for name, value in zip(("w", "i", "j", "k"), quaternion_from_rotation(form.C_bg).tolist(), strict=True):
         yield _GYROSCOPE.one(f"q_bg_{name}", value, "1")
     yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
     yield from _GYROSCOPE.matrix("B'", G, per(unit, _FORCE))
@@ -147,25 +148,10 @@ def kalibr_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
 
 
 def kalibr_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
-    """Kalibr: M lower triangular, C_gyro_i, A, bias."""
+    """Kalibr: M lower triangular, C_gyro_i, A, its product with C_gyro_i that acts on body axes, and bias."""
     form = KalibrGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.matrix("M", form.M, per(unit, _RATE), _LOWER)
     yield from _GYROSCOPE.matrix("C_gyro_i", form.C_gyro_i, "1")
     yield from _GYROSCOPE.matrix("A", form.A, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("AC", G, per(unit, _FORCE))
     yield from _GYROSCOPE.vector("bias", form.b, unit)
-
-
-def _quaternion(rotation: Floats) -> Floats:
-    """Return the Hamilton quaternion (w, x, y, z) of a rotation matrix, w >= 0: the best of the four equal ways."""
-    r = rotation
-    products = np.array(  # 4 q q'
-        [
-            [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
-        ]
-    )
-    row = products[int(np.argmax(np.diag(products)))]
-    q = row / np.linalg.norm(row)
-    return -q if q[0] < 0 else q

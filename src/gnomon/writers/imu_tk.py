@@ -8,7 +8,7 @@ import numpy as np
 from ..calibration import Calibration
 from ..models.forms import in_frame
 from ..models.project_forms import ImuTkTriad
-from .export import Export, Loss, g_sensitivity_losses, into_frame, numbers_text, uncertainty_loss
+from .export import Export, Loss, camera_losses, g_sensitivity_losses, into_frame, numbers_text, uncertainty_loss
 
 
 def export(calibration: Calibration) -> Export:
@@ -34,7 +34,14 @@ def export(calibration: Calibration) -> Export:
         why=f"the files do not say that they take samples in {' and '.join(sorted(units))} to m/s^2 and rad/s.",
     )
     return Export(
-        files=files, losses=(*g_sensitivity_losses(moved, "imu_tk"), *losses, unit, uncertainty_loss("imu_tk"))
+        files=files,
+        losses=(
+            *camera_losses(moved, "imu_tk"),
+            *g_sensitivity_losses(moved, "imu_tk"),
+            *losses,
+            unit,
+            uncertainty_loss("imu_tk"),
+        ),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration import Calibration, ImuCalibration
 from ..models.project_forms import ImucalAccelerometer, ImucalGyroscope
 from .calibration_file import FRAMES
-from .export import Export, Loss, uncertainty_loss
+from .export import Export, Loss, camera_losses, uncertainty_loss
 
 
 def export(calibration: Calibration) -> Export:
@@ -24,7 +24,7 @@ def export(calibration: Calibration) -> Export:
             losses.append(Loss(what=name, why="imucal needs both triads; this IMU was calibrated without a gyroscope."))
         else:
             files[f"{name}.json"] = json.dumps(_document(imu, calibration.frame), indent=4) + "\n"
-    return Export(files=files, losses=(*losses, uncertainty_loss("imucal")))
+    return Export(files=files, losses=(*camera_losses(calibration, "imucal"), *losses, uncertainty_loss("imucal")))
 
 
 def _document(imu: ImuCalibration, frame: str) -> dict[str, Any]:

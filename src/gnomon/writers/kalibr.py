@@ -1,40 +1,78 @@
-"""Kalibr: `imu.yaml` with model scale-misalignment, as Kalibr itself writes its results.
+"""Kalibr: `imu.yaml` with the model of each IMU, as Kalibr itself writes its results, and the cameras' chain.
 
 Kalibr's samples are in m/s^2 and rad/s. Samples in g or deg/s get there by their unit. Counts have none: for them a
 nominal conversion is chosen, (count - offset) / scale, with the estimated bias as offset and the mean sensitivity as
 scale; M then holds what differs from it, and the file states the conversion. Read back by `readers.kalibr_imu`.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
+from ..models.noise import ImuNoise
 from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .export import Export, Loss, into_frame, numbers_text, uncertainty_loss
-from .yaml_text import yaml_lines
+from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
+from .kalibr_text import kalibr_yaml
+
+IMU_FILE = "imu.yaml"
 
 _HEADER = """\
-# IMU intrinsics in Kalibr's layout (model scale-misalignment), made by gnomon.
+# IMU intrinsics in Kalibr's layout (model {model}), made by gnomon.
 # With specific force f [m/s^2] and angular rate w [rad/s] in the IMU's frame (x along the sensitivity axis of the x
-# accelerometer, the axis of the y accelerometer in the x-y plane), and C = C_gyro_i:
-#   accelerometer [m/s^2] = M f + bias                gyroscope [rad/s] = M C w + A C f + bias
+# accelerometer, the axis of the y accelerometer in the x-y plane){equations}
 """
+_EQUATIONS = """\
+, and C = C_gyro_i:
+#   accelerometer [m/s^2] = M f + bias                gyroscope [rad/s] = M C w + A C f + bias"""
+_IDEAL_EQUATIONS = """\
+:
+#   accelerometer [m/s^2] = f + bias                  gyroscope [rad/s] = w + bias"""
 
-_NOISE = (
-    "accelerometer_noise_density",
-    "accelerometer_random_walk",
-    "gyroscope_noise_density",
-    "gyroscope_random_walk",
-)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedImu:
+    """What Kalibr's file says of an IMU besides its model.
+
+    Attributes
+    ----------
+    noise : noise densities and random walks
+    update_rate_hz : sample rate [Hz]
+    topic : ROS topic, or ""
+    comments : lines on the noise for people
+    """
+
+    noise: ImuNoise
+    update_rate_hz: float
+    topic: str = ""
+    comments: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KalibrModel:
+    """One IMU as Kalibr describes it, for samples in m/s^2 and rad/s.
+
+    Attributes
+    ----------
+    name : "calibrated" for an ideal sensor, else "scale-misalignment"
+    M_accel : (3, 3) [1], lower triangular
+    M_gyro, A_gyro, C_gyro_i : (3, 3) [1], [rad/s per m/s^2], [1]; None without a gyroscope
+    """
+
+    name: str
+    M_accel: Floats
+    M_gyro: Floats | None = None
+    A_gyro: Floats | None = None
+    C_gyro_i: Floats | None = None
 
 
 def export(calibration: Calibration) -> Export:
-    """Return `imu.yaml`.
+    """Return `imu.yaml`, and `camchain-imucam.yaml` where there are cameras.
 
     Raises
     ------
@@ -42,19 +80,86 @@ def export(calibration: Calibration) -> Export:
         If the calibration cannot be brought into Kalibr's frame.
     """
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
-    header, document, found = _HEADER, dict[str, Any](), list(losses)
+    found = list(losses)
     for name, imu in moved.imus.items():
-        conversions = [_conversion(triad) for triad in (imu.accelerometer, imu.gyroscope) if triad is not None]
-        header += "".join(f"# {name}: {line}\n" for conversion in conversions for line in conversion.lines())
-        document[name] = _imu(name, imu, conversions)
-        found.extend(_losses(name, conversions))
-    missing = ", ".join((*_NOISE, "update_rate", "rostopic"))
-    header += f"# Kalibr also needs {missing}: add them before you use this file as its input.\n"
+        found.extend(_losses(name, _conversions(imu)))
+    missing = ", ".join((*ImuNoise.__slots__, "update_rate", "rostopic"))
     found.append(
         Loss(what="noise, rate and topic", why=f"a gnomon calibration does not hold {missing}; add them by hand.")
     )
-    text = header + "\n".join(yaml_lines(document)) + "\n"
-    return Export(files={"imu.yaml": text}, losses=(*found, uncertainty_loss("kalibr")))
+    files = {IMU_FILE: imu_text(moved)}
+    if moved.cameras:
+        files[CAMCHAIN_FILE] = camchain_text(moved)
+    return Export(files=files, losses=(*found, uncertainty_loss("kalibr")))
+
+
+def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = None) -> str:
+    """Return the text of `imu.yaml` for a calibration in Kalibr's body frame, accel-x.
+
+    Parameters
+    ----------
+    stated : "imu0", ... -> noise, rate and topic; without them the file says that they have to be added
+    """
+    stated = stated or {}
+    names: set[str] = set()
+    comments: list[str] = []
+    document: dict[str, Any] = {}
+    for name, imu in calibration.imus.items():
+        model = kalibr_model(imu)
+        names.add(model.name)
+        comments += [f"{name}: {line}" for conversion in _conversions(imu) for line in conversion.lines()]
+        document[name] = _entry(model, is_body=name == "imu0")
+        if name in stated:
+            document[name] |= _stated_entry(stated[name])
+            comments += [f"{name}: {line}" for line in stated[name].comments]
+    keys = (*ImuNoise.__slots__, "update_rate", "rostopic")
+    missing = [key for key in keys if any(key not in entry for entry in document.values())]
+    if missing:
+        comments.append(f"Kalibr also needs {', '.join(missing)}: add them before you use this file as its input.")
+    equations = _IDEAL_EQUATIONS if names == {"calibrated"} else _EQUATIONS
+    header = _HEADER.format(model=" and ".join(sorted(names)), equations=equations)
+    return header + "".join(f"# {line}\n" for line in comments) + kalibr_yaml(document)
+
+
+def kalibr_model(imu: ImuCalibration) -> KalibrModel:
+    """Return an IMU in Kalibr's terms; it must be in body frame accel-x."""
+    factors = [conversion.factor for conversion in _conversions(imu)]
+    accelerometer = KalibrAccelerometer.from_sensor(imu.accelerometer.sensitivity, imu.accelerometer.bias)
+    M_accel = accelerometer.M * factors[0]
+    ideal = _is_identity(M_accel)
+    if imu.gyroscope is None:
+        return KalibrModel(name="calibrated" if ideal else "scale-misalignment", M_accel=M_accel)
+    ideal &= _is_identity(imu.gyroscope.sensitivity * factors[1]) and not imu.gyroscope.g_sensitivity.any()
+    gyroscope = KalibrGyroscope.from_sensor(imu.gyroscope.sensitivity, imu.gyroscope.bias, imu.gyroscope.g_sensitivity)
+    return KalibrModel(
+        name="calibrated" if ideal else "scale-misalignment",
+        M_accel=M_accel,
+        M_gyro=gyroscope.M * factors[1],
+        A_gyro=gyroscope.A * factors[1],
+        C_gyro_i=gyroscope.C_gyro_i,
+    )
+
+
+def _is_identity(matrix: Floats) -> bool:
+    return bool(np.abs(matrix - np.eye(3)).max() < 1e-12)
+
+
+def _entry(model: KalibrModel, *, is_body: bool) -> dict[str, Any]:
+    entry: dict[str, Any] = {"model": model.name}
+    if is_body:
+        entry |= {"T_i_b": np.eye(4), "time_offset": 0.0}
+    if model.name == "calibrated":
+        return entry
+    entry["accelerometers"] = {"M": model.M_accel}
+    if model.M_gyro is not None:
+        entry["gyroscopes"] = {"M": model.M_gyro, "A": model.A_gyro, "C_gyro_i": model.C_gyro_i}
+    return entry
+
+
+def _stated_entry(stated: StatedImu) -> dict[str, Any]:
+    entry: dict[str, Any] = {name: float(value) for name, value in asdict(stated.noise).items()}
+    entry["update_rate"] = float(stated.update_rate_hz)
+    return entry | ({"rostopic": stated.topic} if stated.topic else {})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,6 +182,10 @@ class _Conversion:
         yield f"{self.triad} bias [{self.si}] = ({numbers_text((self.bias - self.offset) * self.factor, ', ')})"
 
 
+def _conversions(imu: ImuCalibration) -> list[_Conversion]:
+    return [_conversion(triad) for triad in (imu.accelerometer, imu.gyroscope) if triad is not None]
+
+
 def _conversion(triad: AccelerometerCalibration | GyroscopeCalibration) -> _Conversion:
     is_gyroscope = isinstance(triad, GyroscopeCalibration)
     units = GYROSCOPE_UNITS_RAD_S if is_gyroscope else ACCELEROMETER_UNITS_M_S2
@@ -90,21 +199,6 @@ def _conversion(triad: AccelerometerCalibration | GyroscopeCalibration) -> _Conv
         offset=triad.bias if factor is None else np.zeros(3),
         bias=triad.bias,
     )
-
-
-def _imu(name: str, imu: ImuCalibration, conversions: list[_Conversion]) -> dict[str, Any]:
-    entry: dict[str, Any] = {"model": "scale-misalignment"}
-    if name == "imu0":
-        entry |= {"T_i_b": np.eye(4), "time_offset": 0.0}
-    accelerometer = KalibrAccelerometer.from_sensor(imu.accelerometer.sensitivity, imu.accelerometer.bias)
-    entry["accelerometers"] = {"M": accelerometer.M * conversions[0].factor}
-    if imu.gyroscope is not None:
-        gyroscope = KalibrGyroscope.from_sensor(
-            imu.gyroscope.sensitivity, imu.gyroscope.bias, imu.gyroscope.g_sensitivity
-        )
-        factor = conversions[1].factor
-        entry["gyroscopes"] = {"M": gyroscope.M * factor, "A": gyroscope.A * factor, "C_gyro_i": gyroscope.C_gyro_i}
-    return entry
 
 
 def _losses(name: str, conversions: list[_Conversion]) -> Iterator[Loss]:

@@ -2,17 +2,17 @@
 
 from ..calibration import Calibration, element_names, parameters
 from .export import Export, Loss
-from .units_text import parameter_unit
+from .units_text import element_units
 
 
 def export(calibration: Calibration) -> Export:
-    """Return `calibration.csv`: a row for every scalar of every IMU, and for gravity and the body frame."""
+    """Return `calibration.csv`: a row for every scalar of every IMU and camera, for gravity, body frame and lenses."""
     rows = ["name,value,sigma,unit", f"body_frame,{calibration.frame},,"]
     rows.append(f"gravity,{float(calibration.gravity.value)!r},{float(calibration.gravity.sigma)!r},m/s^2")
-    for path, value in parameters(calibration.imus):
-        unit = parameter_unit(calibration, path)
-        numbers = zip(value.ravel().tolist(), calibration.sigma(path).ravel().tolist(), strict=True)
-        for name, (number, sigma) in zip(element_names(path, value.shape), numbers, strict=True):
+    rows += [f"{name}.model,{camera.camera.model},," for name, camera in calibration.cameras.items()]
+    for path, value in parameters(calibration.imus, calibration.cameras):
+        numbers = value.ravel().tolist(), calibration.sigma(path).ravel().tolist(), element_units(calibration, path)
+        for name, number, sigma, unit in zip(element_names(path, value.shape), *numbers, strict=True):
             rows.append(f'"{name}",{number!r},{sigma!r},{unit}')
     loss = Loss(
         what="correlations and origin",

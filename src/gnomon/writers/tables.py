@@ -6,10 +6,11 @@ from math import floor, isfinite, log10
 
 import numpy as np
 
-from ..calibration import Calibration, ImuCalibration, parameters
+from ..calibration import Assessment, Calibration, CameraImuFit, ImuCalibration, parameters
 from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from . import form_entries
+from .camera_entries import EQUATION, camera_entries
 from .form_entries import Entry
 
 _Entries = Callable[..., Iterator[Entry]]
@@ -30,14 +31,18 @@ _EQUATIONS = {
     ),
     "krebs": (
         "document B: measured = S M f + b, M = [1 0 0; yz 1 0; zy zx 1]",
-        "document B, ch. 3: measured = S M C_bg' w + B C_bg' f + b; in ch. 4, B' f in place of B C_bg' f; q_bg is the "
-        "Hamilton quaternion of C_bg",
+        "document B, ch. 3: measured = S M C_bg' w + B C_bg' f + b (reading B1); in ch. 4, B' f in place of B C_bg' f "
+        "(reading B2); q_bg is the Hamilton quaternion of C_bg",
     ),
     "angrisano": (
         "document C: f = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1]",
         "document C: C_gb w = T K (measured - b - B f), T = [1 az ay; 0 1 ax; 0 0 1], in the gyroscope's own frame",
     ),
-    "kalibr": ("Kalibr: measured = M f + bias", "Kalibr: measured = M C_gyro_i w + A C_gyro_i f + bias"),
+    "kalibr": (
+        "Kalibr: measured = M f + bias",
+        "Kalibr: measured = M C_gyro_i w + A C_gyro_i f + bias; AC = A C_gyro_i. Of document B's B_g, A is reading B1, "
+        "AC reading B2",
+    ),
 }
 
 
@@ -60,7 +65,7 @@ class Table:
 
 
 def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Table, ...]:
-    """Return one table for each triad, every value with its sigma.
+    """Return one table for each triad and one for each camera, every value with its sigma.
 
     Sigmas follow from the covariance by the Jacobian of the whole way from gnomon's parameters to the form's, change of
     frame included.
@@ -89,7 +94,19 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
             )
             if rows:
                 tables.append(Table(title=f"{name} {triad}, body frame {frame}", note=note, rows=rows))
-    return tuple(tables)
+    return (*tables, *_camera_tables(calibration, frame))
+
+
+def _camera_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
+    """Yield a table for each camera; its pose is that against the body frame of the form."""
+    if calibration.cameras and frame != calibration.frame:
+        calibration = calibration.in_frame(frame)
+    for name, camera in calibration.cameras.items():
+        rows = tuple(
+            Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
+            for entry, sigma in camera_entries(calibration, name)
+        )
+        yield Table(title=f"{name}, {camera.camera.model}, body frame {frame}", note=EQUATION, rows=rows)
 
 
 def entries_with_sigmas(imu: ImuCalibration, covariance: Floats, form: str) -> tuple[list[Entry], Floats]:
@@ -159,24 +176,36 @@ def value_text(value: float, sigma: float) -> str:
 
 
 def summary_table(calibration: Calibration) -> Table:
-    """Return what concerns the calibration as a whole: verdict, frame, gravity, errors on unseen data, counts."""
+    """Return what concerns the calibration as a whole: verdict, frame, gravity, and what it rests on."""
     assessment, gravity = calibration.assessment, calibration.gravity
-    holdout = assessment.holdout
+    camera_imu = assessment.camera_imu
     rows = [
         Row(name="verdict", value=calibration.verdict, unit=""),
         Row(name="body frame", value=calibration.frame, unit=""),
         Row(name=f"gravity ({gravity.source})", value=value_text(gravity.value, gravity.sigma), unit="m/s^2"),
-        Row(name="gyroscope model", value=assessment.model, unit=""),
-        Row(name="held-out |f| - g, rms", value=_known(holdout.accelerometer_rms), unit="m/s^2"),
-        Row(name="held-out rotations, rms", value=_known(holdout.rotation_rms), unit="rad"),
-        Row(
-            name="static intervals used",
-            value=f"{assessment.intervals_used} of {assessment.intervals_found}",
-            unit="",
-        ),
-        Row(name="rotations used", value=f"{assessment.rotations_used} of {assessment.rotations_found}", unit=""),
+        Row(name="gyroscope model" if camera_imu is None else "IMU model", value=assessment.model, unit=""),
+        *(_multi_position_rows(assessment) if camera_imu is None else _camera_imu_rows(camera_imu)),
     ]
     return Table(title="calibration", note=f"gnomon {calibration.provenance.gnomon_version}", rows=tuple(rows))
+
+
+def _multi_position_rows(assessment: Assessment) -> Iterator[Row]:
+    holdout = assessment.holdout
+    used, found = assessment.intervals_used, assessment.intervals_found
+    yield Row(name="held-out |f| - g, rms", value=_known(holdout.accelerometer_rms), unit="m/s^2")
+    yield Row(name="held-out rotations, rms", value=_known(holdout.rotation_rms), unit="rad")
+    yield Row(name="static intervals used", value=f"{used} of {found}", unit="")
+    yield Row(name="rotations used", value=f"{assessment.rotations_used} of {assessment.rotations_found}", unit="")
+
+
+def _camera_imu_rows(fit: CameraImuFit) -> Iterator[Row]:
+    yield Row(name="trajectory", value=f"{fit.duration_s:.1f}", unit="s")
+    if not fit.converged:
+        yield Row(name="solution", value="not converged", unit="")
+    for name, found in fit.frames_found.items():
+        yield Row(name=f"{name}, frames used", value=f"{fit.frames_used[name]} of {found}", unit="")
+        yield Row(name=f"{name}, corners used", value=str(fit.corners_used[name]), unit="")
+        yield Row(name=f"{name}, reprojection, rms per axis", value=_known(fit.reprojection_rms_px[name]), unit="px")
 
 
 def _known(value: float) -> str:

@@ -5,15 +5,38 @@ from ..calibration import Calibration
 _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 
 
+_CAMERA = {
+    "T_cam_imu.rotation": "rad",
+    "T_cam_imu.translation": "m",
+    "time_shift_cam_imu": "s",
+    "line_delay": "s",
+    "intrinsics": "px",
+    "distortion_coeffs": "1",
+}
+
+
 def parameter_unit(calibration: Calibration, path: str) -> str:
-    """Return the unit of a parameter by its path, such as "count/(m/s^2)" for "imu0.accelerometer.sensitivity"."""
-    name, triad, parameter = path.split(".")
+    """Return the unit of a parameter by its path, such as "count/(m/s^2)" for "imu0.accelerometer.sensitivity".
+
+    Of a camera's intrinsics it is that of the focal lengths and the principal point; see `element_units`.
+    """
+    name, _, rest = path.partition(".")
+    if name in calibration.cameras:
+        return _CAMERA[rest]
+    triad, parameter = rest.split(".")
     imu = calibration.imus[name]
     sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
     assert sensor is not None
     if parameter == "bias":
         return sensor.unit
     return per(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else _SI[triad])
+
+
+def element_units(calibration: Calibration, path: str) -> list[str]:
+    """Return the units of a parameter's scalars; the first intrinsics of some lenses are pure numbers."""
+    count = calibration.parameter(path).size
+    units = [parameter_unit(calibration, path)] * count
+    return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
 
 
 def per(unit: str, other: str) -> str:

@@ -9,31 +9,33 @@ import numpy as np
 
 from ..recording import Floats
 
-_PLAIN = re.compile(r"[A-Za-z][\w/.^-]*", re.ASCII)
+_PLAIN = re.compile(r"[A-Za-z/][\w/.^-]*", re.ASCII)
 _WORDS_OF_YAML = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 
 
-def yaml_lines(node: Mapping[str, Any], indent: str = "") -> Iterator[str]:
-    """Yield the lines of a mapping of mappings, lists, arrays and scalars."""
+def yaml_lines(node: Mapping[str, Any], indent: str = "", *, flush: bool = False) -> Iterator[str]:
+    """Yield the lines of a mapping of mappings, lists, arrays and scalars; `flush` sets lists right below their key."""
     for key, value in node.items():
-        yield from _entry(f"{indent}{quoted(key)}:", value, indent + "  ")
+        yield from _entry(f"{indent}{quoted(key)}:", value, indent, flush=flush)
 
 
-def _entry(head: str, value: Any, indent: str) -> Iterator[str]:
+def _entry(head: str, value: Any, indent: str, *, flush: bool) -> Iterator[str]:
+    deeper = indent + "  "
     if isinstance(value, Mapping) and value:
         yield head
-        yield from yaml_lines(value, indent)
+        yield from yaml_lines(value, deeper, flush=flush)
     elif isinstance(value, np.ndarray) and value.ndim == 1:
         yield f"{head} {_flow(value)}"
     elif isinstance(value, list | np.ndarray) and len(value):
         yield head
+        place = indent if flush else deeper
         for item in value:
             if isinstance(item, dict):
                 first, *others = yaml_lines(item)
-                yield f"{indent}- {first}"
-                yield from (f"{indent}  {line}" for line in others)
+                yield f"{place}- {first}"
+                yield from (f"{place}  {line}" for line in others)
             else:
-                yield f"{indent}- {_flow(item) if isinstance(item, np.ndarray) else scalar(item)}"
+                yield f"{place}- {_flow(item) if isinstance(item, np.ndarray) else scalar(item)}"
     else:
         yield f"{head} {scalar(value)}"
 
@@ -54,6 +56,8 @@ def scalar(value: Any) -> str:
         return quoted(value)
     if value is None:
         return "null"
+    if isinstance(value, bool):
+        return "true" if value else "false"
     return str(value)
 
 

@@ -1,0 +1,174 @@
+"""What the commands for cameras and an IMU do."""
+
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import OptionError, OutputError, RecordingError
+from . import commands
+from .places import CAMERA_IMU_FILES, default_folder, result_folder
+from .results import (
+    USABLE,
+    exit_code,
+    result_document,
+    say_advice,
+    say_assumptions,
+    say_files,
+    say_verdict,
+    write_result,
+)
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..diagnostics import Result
+
+_INPUTS = {
+    "cam": ("camchain.yaml", "the cameras and their intrinsics"),
+    "imu": ("imu.yaml", "the IMU's noise"),
+    "target": ("target.yaml", "the board"),
+}
+"""Option -> Kalibr's file that is taken from the recording's folder, and what it describes."""
+
+_SIMULATED = ("imu0.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml")
+_SECOND_CAMERA = ("cam1_corners.csv.gz", "cam1_frames.csv")
+SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
+
+
+def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
+    """Calibrate, write the folder of the result, and return the exit code."""
+    from ..calibrate import calibrate_camera_imu
+    from ..readers import read_camera_imu
+    from ..writers.camera_imu_files import save_camera_imu_files
+
+    folder = command.output or default_folder((command.recording,))
+    inputs, taken = kalibr_inputs(command)
+    refuse_overwriting(folder, command.recording, inputs)
+    with result_folder(folder, own=CAMERA_IMU_FILES) as staging:
+        terminal.progress("reading the recording")
+        recording, target = read_camera_imu(command.recording, **inputs, units=command.units)
+        recording = replace(recording, assumptions=(*taken, *recording.assumptions))
+        terminal.close()
+        say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
+        options = replace(command.options, compare=command.options.compare or command.report)
+        result = calibrate_camera_imu(recording, target, options, progress=terminal.progress)
+        terminal.progress("writing the result")
+        save_camera_imu_files(result, recording, target, staging)
+        write_result(result, staging, report=command.report, terminal=terminal)
+    terminal.close()
+    _say_result(result, folder, terminal)
+    document = result_document(result.calibration, folder, recording.assumptions, CAMERA_IMU_FILES)
+    terminal.document({**document, **_findings_of_the_solution(result)})
+    return exit_code(result.calibration)
+
+
+def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return Kalibr's files by the option that names them, and sentences on those that were not named.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such recording.
+    OptionError
+        If a file that is needed was not named, and is not in the recording's folder.
+    """
+    if not command.recording.exists():
+        raise RecordingError(f"{command.recording}: there is no such folder. Check the path.")
+    folder = command.recording if command.recording.is_dir() else command.recording.parent
+    files: dict[str, Any] = {option: getattr(command, option) for option in _INPUTS}
+    found = [option for option, file in files.items() if file is None and (folder / _INPUTS[option][0]).is_file()]
+    files |= {option: folder / _INPUTS[option][0] for option in found}
+    names = [_INPUTS[option][0] for option in found]
+    taken = [f"{_listed(names)} in the recording's folder {'is' if len(names) == 1 else 'are'} used."] if names else []
+    for option in ("cam", "target"):
+        if files[option] is None:
+            name, meaning = _INPUTS[option]
+            raise OptionError(
+                f"--{option} is missing: Kalibr's file of {meaning}. Name it, or put it into {folder} as {name}."
+            )
+    if files["imu"] is None:
+        taken.append("no imu.yaml was given: the noise of a consumer IMU is assumed until the residuals tell it.")
+    return files, tuple(taken)
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def refuse_overwriting(folder: Path, recording: Path, inputs: dict[str, Any]) -> None:
+    """Refuse a folder in which the result would take the place of an input: both know an imu.yaml.
+
+    Raises
+    ------
+    OptionError
+        If the folder is that of the recording, or a file of the result would be one of the inputs.
+    """
+    place = folder.resolve()
+    if recording.is_dir() and place == recording.resolve():
+        raise OptionError(
+            f"{folder}: this is the recording's folder, whose imu.yaml the result would replace. "
+            "Choose another folder with -o."
+        )
+    for option, file in inputs.items():
+        if file is not None and file.resolve() in {place / name for name in CAMERA_IMU_FILES}:
+            raise OptionError(
+                f"{file}: the result would replace this file of --{option}. Choose another folder with -o."
+            )
+
+
+def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
+    from .camera_imu_summary import camera_lines, facts
+    from .summary import parameter_lines
+
+    say_verdict(result.calibration, terminal)
+    terminal.say("\n".join(facts(result)))
+    say_advice(result.calibration, terminal)
+    terminal.say("\nestimate +- standard deviation\n" + "\n".join(camera_lines(result.calibration)))
+    terminal.say("\nIMU; rows: sensor axes, columns: body axes")
+    terminal.say("\n".join(parameter_lines(result.calibration)))
+    say_files(folder, terminal, CAMERA_IMU_FILES)
+
+
+def _findings_of_the_solution(result: "Result") -> dict[str, Any]:
+    from ..diagnostics import CameraImuDiagnostics
+
+    diagnostics = result.diagnostics
+    assert isinstance(diagnostics, CameraImuDiagnostics)
+    return {
+        "noise": [asdict(level) for level in diagnostics.noise],
+        "gravity_target": {"value": diagnostics.gravity_target, "sigma": diagnostics.gravity_sigma},
+        "baselines": diagnostics.baselines,
+    }
+
+
+def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal) -> int:
+    """Simulate a recording, write its folder, and return the exit code."""
+    from ..simulate import simulate_camera_imu
+    from ..writers.camera_imu_recording import save_camera_imu_recording
+
+    folder = command.output
+    if not (folder / SCENARIO).exists() and any((folder / name).exists() for name in _SIMULATED):
+        raise OutputError(
+            f"{folder}: this folder holds a recording that was not simulated. Choose another one with -o."
+        )
+    with result_folder(folder, own=_SECOND_CAMERA) as staging:
+        terminal.progress("simulating")
+        simulation = simulate_camera_imu(command.options, command.seed)
+        names = [path.name for path in save_camera_imu_recording(simulation, staging)]
+    terminal.close()
+    cameras = {name: len(frames.t_ns) for name, frames in simulation.recording.cameras.items()}
+    frames = ", ".join(f"{count} frames of {name}" for name, count in cameras.items())
+    terminal.say(f"recording    {folder}: {command.options.duration_s:g} s, {frames}; {simulation.target.describe()}")
+    terminal.say(f"truth        {folder / TRUTH}")
+    terminal.say(f"scenario     {folder / SCENARIO}")
+    terminal.document(
+        {
+            "recording": str(folder),
+            "files": [str(folder / name) for name in names],
+            "truth": str(folder / TRUTH),
+            "scenario": str(folder / SCENARIO),
+            "statistics": {
+                item.name: getattr(simulation.statistics, item.name) for item in fields(simulation.statistics)
+            },
+        }
+    )
+    return USABLE

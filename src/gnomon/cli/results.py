@@ -1,0 +1,95 @@
+"""What commands that calibrate have in common: their files, their document for programs, their exit codes."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .places import RESULT_FILES
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..calibration import Calibration
+    from ..diagnostics import Result
+
+USABLE, UNUSABLE = 0, 4
+"""Exit codes of work that was finished."""
+
+
+def exit_code(calibration: "Calibration") -> int:
+    """Return the exit code of a calibration that was finished."""
+    return UNUSABLE if calibration.verdict == "fail" else USABLE
+
+
+def write_result(result: "Result", folder: Path, *, report: bool, terminal: Terminal) -> None:
+    """Write calibration, diagnostics and, where wanted, the report into a folder."""
+    from ..writers import save
+    from ..writers.diagnostics_file import save_diagnostics
+
+    save(result.calibration, folder / "calibration.yaml")
+    save_diagnostics(result.diagnostics, folder / "diagnostics.npz")
+    if report:
+        terminal.progress("drawing the report")
+        from ..report import write_report
+
+        write_report(result, folder / "report.html")
+
+
+def say_assumptions(assumptions: Sequence[str], terminal: Terminal) -> None:
+    """Say what the reader had to assume."""
+    for sentence in assumptions:
+        terminal.say(f"understood: {sentence}")
+    if assumptions:
+        terminal.say("")
+
+
+def say_verdict(calibration: "Calibration", terminal: Terminal) -> None:
+    """Say the verdict and what it means."""
+    from . import summary
+
+    meaning, style = summary.VERDICTS[calibration.verdict]
+    terminal.say(f"{calibration.verdict}: {meaning}", style)
+
+
+def say_advice(calibration: "Calibration", terminal: Terminal) -> None:
+    """Say the findings, but for good news."""
+    from . import summary
+
+    if lines := list(summary.advice(calibration.assessment.findings)):
+        terminal.say("\n" + "\n".join(lines))
+
+
+def say_files(folder: Path, terminal: Terminal, names: Sequence[str] = RESULT_FILES) -> None:
+    """Say which files were written."""
+    terminal.say("")
+    there = result_files(folder, names)
+    width = max(map(len, there), default=0)
+    for stem, path in there.items():
+        terminal.say(f"{stem:<{max(width, 12)}} {path}")
+
+
+def result_files(folder: Path, names: Sequence[str] = RESULT_FILES) -> dict[str, str]:
+    """Return the files of a result that are there, by their names without suffix."""
+    return {Path(name).stem: str(folder / name) for name in names if (folder / name).exists()}
+
+
+def result_document(
+    calibration: "Calibration", folder: Path, assumptions: Sequence[str], names: Sequence[str] = RESULT_FILES
+) -> Mapping[str, Any]:
+    """Return what a program is told about a result."""
+    return {
+        "verdict": calibration.verdict,
+        "exit_code": exit_code(calibration),
+        "assumptions": list(assumptions),
+        "files": result_files(folder, names),
+        "calibration": calibration_document(calibration),
+    }
+
+
+def calibration_document(calibration: "Calibration") -> dict[str, Any]:
+    """Return what calibration.yaml holds."""
+    import yaml
+
+    from ..writers.calibration_file import calibration_text
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    return yaml.load(calibration_text(calibration), Loader=loader)

@@ -1,0 +1,200 @@
+"""What the report of a camera-IMU calibration says: the page of page.py, filled from a Result."""
+
+from math import degrees, isfinite
+
+import numpy as np
+
+from ..calibration import Calibration, CameraImuFit
+from ..diagnostics import CameraImuDiagnostics
+from . import camera_imu_evidence as evidence
+from . import camera_imu_sections as sections
+from .camera_imu_corners import corner_view
+from .numbers import MISSING, number, with_sigma
+from .page import Code, KeyNumber, Page, Prose, Section, typeset
+from .provenance import provenance_section
+from .wording import FRAMES, HEADLINES, gravity_text, matrix_text
+
+_MODELS = {
+    "basic": "the IMU is ideal but for its biases",
+    "scale-misalignment": "scale, misalignment, gyroscope rotation",
+    "full": "scale, misalignment, gyroscope rotation, g-sensitivity",
+}
+
+
+def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Page:
+    """Return the page of a camera-IMU calibration."""
+    names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
+    fit = calibration.assessment.camera_imu
+    views = {name: corner_view(corners) for name, corners in diagnostics.corners.items()}
+    parts = (
+        sections.cameras_section(calibration, diagnostics),
+        sections.imu_section(calibration),
+        evidence.fit_section(diagnostics),
+        evidence.residuals_section(diagnostics, views),
+        evidence.coverage_section(diagnostics, views),
+        evidence.biases_section(diagnostics),
+        sections.parameters_section(diagnostics),
+        sections.solution_section(diagnostics, converged=fit is None or fit.converged),
+        _assumptions(calibration, diagnostics),
+        _use(calibration),
+        provenance_section(calibration.provenance),
+    )
+    return Page(
+        title="Camera-IMU calibration",
+        subject=names,
+        verdict=calibration.verdict,
+        headline=HEADLINES[calibration.verdict],
+        key_numbers=_key_numbers(calibration, diagnostics),
+        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
+        sections=tuple(part for part in parts if part is not None),
+        footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
+    )
+
+
+def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> tuple[KeyNumber, ...]:
+    fit = calibration.assessment.camera_imu
+    numbers = [*_fit_numbers(fit)] if fit is not None else []
+    shifts = {name: _shift(calibration, name) for name in calibration.cameras}
+    if shifts:
+        first, *others = shifts
+        note = "t_imu = t_cam + time shift" + "".join(f"; {name} {shifts[name]}" for name in others)
+        numbers.append(KeyNumber(label=f"Time shift of {first}", value=shifts[first], note=note))
+        numbers.append(_placed(calibration))
+    model = calibration.assessment.model
+    numbers.append(KeyNumber(label="Model", value=model, note=_MODELS.get(model, "")))
+    pieces = f" in {diagnostics.segments} pieces" if diagnostics.segments > 1 else ""
+    duration = number(fit.duration_s, 4) if fit is not None else MISSING
+    numbers.append(
+        KeyNumber(
+            label="Trajectory",
+            value=f"{duration}\u00a0s{pieces}",
+            note=f"{number(diagnostics.knots_per_s, 3)} knots/s, spline of order {diagnostics.spline_order}",
+        )
+    )
+    return tuple(numbers)
+
+
+def _fit_numbers(fit: CameraImuFit) -> tuple[KeyNumber, KeyNumber]:
+    corners = sum(fit.corners_used.values())
+    squares = [fit.corners_used[name] * rms**2 for name, rms in fit.reprojection_rms_px.items() if isfinite(rms)]
+    pooled = float(np.sqrt(sum(squares) / corners)) if corners and squares else float("nan")
+    each = "; ".join(f"{name} {number(rms, 3)}" for name, rms in fit.reprojection_rms_px.items())
+    frames = "; ".join(f"{name} {used} of {fit.frames_found[name]}" for name, used in fit.frames_used.items())
+    several = len(fit.frames_used) > 1
+    return (
+        KeyNumber(
+            label="Reprojection rms",
+            value=f"{number(pooled, 3, trim=False)}\u00a0px",
+            note=f"per axis, of {corners} corners" + (f": {each}" if several else ""),
+        ),
+        KeyNumber(
+            label="Frames used",
+            value=f"{sum(fit.frames_used.values())} of {sum(fit.frames_found.values())}",
+            note=frames if several else "of those in which the board was found",
+        ),
+    )
+
+
+def _shift(calibration: Calibration, name: str) -> str:
+    value = 1e3 * calibration.cameras[name].time_shift_cam_imu
+    text, sigma = with_sigma(value, 1e3 * float(calibration.sigma(f"{name}.time_shift_cam_imu")))
+    return f"{text}{f' ± {sigma}' if sigma else ''}\u00a0ms"
+
+
+def _placed(calibration: Calibration) -> KeyNumber:
+    """Return how well the cameras' places are known: the largest sigma of an axis."""
+
+    def worst(part: str) -> float:
+        found = [float(np.max(calibration.sigma(f"{name}.T_cam_imu.{part}"))) for name in calibration.cameras]
+        return max((s for s in found if isfinite(s)), default=float("nan"))
+
+    translation, rotation = worst("translation"), worst("rotation")
+    value = f"{number(1e3 * translation, 2)}\u00a0mm, {number(degrees(rotation), 2)}°"
+    note = "largest σ of an axis of T_cam_imu" + (", of all cameras" if len(calibration.cameras) > 1 else "")
+    return KeyNumber(label="σ of position and attitude", value=value, note=note)
+
+
+def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Section:
+    gravity, assessment = calibration.gravity, calibration.assessment
+    frame = FRAMES.get(calibration.frame, calibration.frame)
+    status = {parameter.name: parameter.status for parameter in diagnostics.parameters}
+    points = [
+        f"Gravity is {gravity_text(gravity)} ({gravity.source}). Where accelerometer scales are estimated, a relative "
+        "error of gravity is the same relative error of them.",
+        f"The body frame is {calibration.frame}: {frame}. Its origin is where "
+        "accelerometer and gyroscope sit, taken as one point.",
+    ]
+    if status.get("target.scale", "fixed") == "fixed":
+        points.append(
+            "The board is flat and as large as its file says. An error of its size is the same relative error of every "
+            "length, the translations included."
+        )
+    for name, camera in calibration.cameras.items():
+        points += _camera_points(calibration, name, camera.camera.line_delay_s)
+    points += [typeset(finding).message for finding in assessment.findings if finding.code == "assumed"]
+    if assessment.held_by_prior:
+        points.append(
+            f"Not determined by this recording, and held by assumption: {', '.join(assessment.held_by_prior)}."
+        )
+    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+
+
+def _camera_points(calibration: Calibration, name: str, line_delay_s: float) -> list[str]:
+    camera = calibration.cameras[name].camera
+    points: list[str] = []
+    if not calibration.sigma(f"{name}.intrinsics").any():
+        lens = camera.projection if camera.distortion == "none" else f"{camera.projection}-{camera.distortion}"
+        points.append(f"The intrinsics of {name} ({lens}) are as given; they were not estimated.")
+    if not float(calibration.sigma(f"{name}.line_delay")):
+        points.append(
+            f"All rows of an image of {name} are exposed at once."
+            if line_delay_s == 0
+            else f"The rows of an image of {name} follow each other by {number(1e6 * line_delay_s, 4)} µs, as given."
+        )
+    return points
+
+
+_FILES = """\
+calibration.yaml      everything, with covariance, findings and origin
+camchain-imucam.yaml  cameras: T_cam_imu, timeshift_cam_imu, as Kalibr writes them
+imu.yaml              IMU: M, A, C_gyro_i, as Kalibr writes them
+results-imucam.txt    summary, as Kalibr writes it
+trajectory.txt        path of the IMU in the target's frame (TUM: t x y z qx qy qz qw)
+diagnostics.npz       the numbers behind the figures of this report"""
+
+
+def _use(calibration: Calibration) -> Section:
+    camera = next(iter(calibration.cameras), "cam0")
+    blocks = [
+        Code(title="Files beside this report", text=_FILES),
+        Code(
+            title="In Python",
+            text="import gnomon\n\n"
+            'calibration = gnomon.load("calibration.yaml")\n'
+            f"{camera} = calibration.cameras[{camera!r}]\n"
+            f"p_cam = {camera}.T_cam_imu @ p_imu                    # homogeneous, in metres\n"
+            f"t_imu = t_cam + {camera}.time_shift_cam_imu           # in seconds\n"
+            f'sigma = calibration.sigma("{camera}.T_cam_imu.translation")\n'
+            'samples = gnomon.read("imu0.csv").imus["imu0"]\n'
+            'calibrated = calibration.imus["imu0"].apply(samples)  # m/s² and rad/s in the body frame',
+        ),
+    ]
+    for name, imu in calibration.imus.items():
+        of = f" of {name}" if len(calibration.imus) > 1 else ""
+        text = "m = S f + b          f = S⁻¹ (m − b)        S = S_a M_a\n\n" + matrix_text(
+            "S", imu.accelerometer.sensitivity
+        )
+        text += "\n\n" + matrix_text("b", imu.accelerometer.bias[:, None])
+        blocks.append(Code(title=f"Accelerometer{of}: m and f in m/s²", text=text))
+        if imu.gyroscope is not None:
+            text = "y = S ω + G f + b    ω = S⁻¹ (y − b − G f)    S = S_g M_g C_bg′, G = B_g\n\n"
+            text += matrix_text("S", imu.gyroscope.sensitivity) + "\n\n" + matrix_text("G", imu.gyroscope.g_sensitivity)
+            text += "\n\n" + matrix_text("b", imu.gyroscope.bias[:, None])
+            blocks.append(Code(title=f"Gyroscope{of}: y and ω in rad/s, f in m/s²", text=text))
+    return Section(
+        anchor="use",
+        title="How to use it",
+        lead="T_cam_imu takes points from the body frame of the IMU to a camera, the time shift takes stamps from the "
+        "camera's clock to the IMU's, and the IMU's matrices turn what it reads into specific force and angular rate.",
+        blocks=tuple(blocks),
+    )

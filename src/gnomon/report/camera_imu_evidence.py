@@ -1,0 +1,283 @@
+"""The sections of a camera-IMU report that show how well the estimate explains the recording, and what that covers."""
+
+import re
+from math import isfinite
+
+import numpy as np
+
+from ..diagnostics import CameraImuDiagnostics, CornerFit, SignalFit
+from ..recording import Floats
+from . import camera_imu_images as images
+from . import camera_imu_motion, camera_imu_signals
+from .camera_imu_corners import CornerView, field_magnification
+from .camera_imu_signals import signal_name
+from .imu_parameters import readable_unit
+from .numbers import finite, fixed, largest, number, positive, quantity, rms
+from .page import Figure, Legend, Section, Table
+
+_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
+_PREDICTED = tuple(Legend(mark="line", color=axis, label=f"predicted {axis}") for axis in "xyz")
+_BASIC = Legend(mark="line", color="accent", label="basic model")
+_BAND = Legend(mark="band", color="before", label="±2σ of one sample")
+_MOST_ROWS = 60
+
+
+def fit_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+    """Return measured signals against predicted ones, over all and in the most telling section; None without any."""
+    if not diagnostics.signals:
+        return None
+    blocks: list[Figure | Table] = []
+    for name, fit in diagnostics.signals.items():
+        blocks += _signal_figures(name, fit, signal_name(name, diagnostics.signals))
+    blocks.append(_misfit(diagnostics))
+    lead = "If the model is right, the trajectory that explains the images also predicts what the IMU reads."
+    if any(fit.basic is not None for fit in diagnostics.signals.values()):
+        lead += " The basic model, shown for comparison, takes the IMU for ideal but for its biases."
+    return Section(anchor="fit", title="Measured against predicted", lead=lead, blocks=tuple(blocks))
+
+
+def _signal_figures(name: str, fit: SignalFit, shown: str) -> tuple[Figure, Figure]:
+    section = camera_imu_signals.telling_section(fit)
+    basic = () if fit.basic is None else (_BASIC,)
+    reason = "the two models differ most" if basic else "the model fits worst"
+    return (
+        Figure(
+            title=f"{shown} over the recording",
+            svg=camera_imu_signals.overview(name, fit, section),
+            legend=(*_AXES, *basic, _BAND, Legend(mark="dash", color="ink", label="section below")),
+            caption=_bands(fit),
+        ),
+        Figure(
+            title=f"{shown}, {fixed(section[0], 1)} to {fixed(section[1], 1)} s",
+            svg=camera_imu_signals.section_figure(name, fit, section),
+            legend=(Legend(mark="band", color="before", label="measured"), *_PREDICTED, *basic, _BAND),
+            caption=f"The section in which {reason}: what was measured, what the trajectory and the calibration "
+            "predict, and the difference.",
+        ),
+    )
+
+
+def _bands(fit: SignalFit) -> str:
+    used = np.asarray(fit.used, dtype=bool)
+    missing = int((~used).sum())
+    text = "Residuals are drawn as bands between the smallest and the largest of short stretches"
+    text += "." if fit.basic is None else ": in the axis's colour for the model, behind it for the basic model."
+    if missing:
+        text += f" {missing} of {len(used)} samples were not used: saturated, or outside the trajectory."
+    return text
+
+
+def _misfit(diagnostics: CameraImuDiagnostics) -> Table:
+    """Return the residuals in numbers."""
+    rows: list[tuple[str, ...]] = []
+    compared = any(fit.basic is not None for fit in diagnostics.signals.values())
+    for name, fit in diagnostics.signals.items():
+        unit = readable_unit(fit.unit)
+        model, basic = (camera_imu_signals.residual(fit, p) for p in (fit.predicted, fit.basic))
+        apart = np.full_like(model, np.nan) if fit.basic is None else fit.predicted - fit.basic
+        for i, axis in enumerate("xyz"):
+            row = [f"{signal_name(name, diagnostics.signals)} {axis}", quantity(rms(model[:, i]), unit)]
+            if compared:
+                row += [quantity(rms(basic[:, i]), unit), quantity(largest(apart[:, i]), unit)]
+            rows.append((*row, quantity(fit.sigma, unit)))
+    compare = ("rms, basic model", "models differ by up to") if compared else ()
+    return Table(title="In numbers", head=("residual", "rms", *compare, "expected (σ)"), rows=tuple(rows))
+
+
+def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
+    """Return what is left of samples and corners: distributions, over time, and over the image."""
+    blocks: list[Figure | Table] = []
+    if diagnostics.signals:
+        shares = ", ".join(
+            _beyond(fit, signal_name(name, diagnostics.signals)) for name, fit in diagnostics.signals.items()
+        )
+        blocks.append(
+            Figure(
+                title="Samples of the IMU",
+                svg=camera_imu_signals.normalised(diagnostics.signals),
+                legend=(*_AXES, Legend(mark="dash", color="ink", label="standard normal")),
+                caption="Measured minus predicted, over the σ that was used. Beyond 3σ lie 0.27 % of normal residuals; "
+                f"here, {shares}. Where knots are dense, the trajectory follows part of the noise, and what is left is "
+                "narrower.",
+            )
+        )
+    for name, view in views.items():
+        blocks += _corner_figures(name, view)
+    if views:
+        blocks.append(_field(views))
+    blocks += _frames_left_out(diagnostics.corners)
+    return Section(
+        anchor="residuals",
+        title="Residuals",
+        lead="Residuals that look like noise of the size that was assumed say that the model explains the recording. A "
+        "pattern over time or over the image says that something is not modelled.",
+        blocks=tuple(blocks),
+    )
+
+
+def _beyond(fit: SignalFit, shown: str) -> str:
+    values = finite(camera_imu_signals.residual(fit, fit.predicted)) / positive(fit.sigma)
+    share = float(np.mean(np.abs(values) > 3)) if values.size else float("nan")
+    return f"{number(100 * share, 2)} % of the {shown.lower()}'s"
+
+
+def _spans(t: Floats) -> tuple[Legend, ...]:
+    edges = images.time_spans(t)
+    decimals = 0 if edges[-1] - edges[0] > 20 else 1
+    return tuple(
+        Legend(mark="dot", color=color, label=f"{fixed(float(a), decimals)}–{fixed(float(b), decimals)} s")
+        for color, a, b in zip(images.TIMES, edges[:-1], edges[1:], strict=True)
+    )
+
+
+def _corner_figures(name: str, view: CornerView) -> tuple[Figure, Figure]:
+    fit = view.fit
+    outside = int((np.fmax(*np.abs(view.residual.T)) > view.reach).sum())
+    used, corners = np.asarray(fit.frame_used, dtype=bool), np.asarray(fit.frame_corners)
+    beyond = f", {outside} lie outside of what is drawn" if outside else ""
+    step = images.scatter_step(view)
+    share = f" The scatter shows one corner in {step}." if step > 1 else ""
+    left_out = (Legend(mark="ring", color="accent", label="left out"),) if not used.all() else ()
+    empty = int((corners == 0).sum())
+    normal = Legend(mark="dash", color="ink", label=f"normal, σ = {number(fit.sigma_px, 3)} px")
+    along = (Legend(mark="line", color="x", label="u"), Legend(mark="line", color="y", label="v"))
+    return (
+        Figure(
+            title=f"Corners of {name}",
+            svg=images.corner_residuals(name, view),
+            legend=(*along, normal, *_spans(view.t_s)),
+            caption=f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
+            f"{view.weighed_down} fit less well and were weighed down{beyond}.{share}",
+        ),
+        Figure(
+            title=f"Frames of {name}",
+            svg=images.frames(name, fit),
+            legend=(
+                Legend(mark="dot", color="after", label="used"),
+                *left_out,
+                Legend(mark="dash", color="ink", label="σ of a corner"),
+            ),
+            caption=f"{int(used.sum())} of {len(used)} frames were used."
+            + (f" {empty} show no corner." if empty else ""),
+        ),
+    )
+
+
+def _field(views: dict[str, CornerView]) -> Figure:
+    longer = field_magnification(views)
+    worst = {name: largest(np.hypot(*view.field.mean.T)) for name, view in views.items()}
+    longest = "; ".join(f"{name} {number(size, 2)} px" for name, size in worst.items() if isfinite(size))
+    return Figure(
+        title="Mean residual over the image",
+        svg=images.field(views),
+        caption=f"Arrows from the detected corners to the predicted ones, {number(longer)} times as long as they are. "
+        "A swirl, or arrows that all point outwards or inwards, speak of intrinsics or a lens model that do not fit "
+        "this camera." + (f" The longest: {longest}." if longest else ""),
+    )
+
+
+def _frames_left_out(corners: dict[str, CornerFit]) -> list[Table]:
+    """Return the reasons for leaving out frames, each with a count and the first times."""
+    rows: list[tuple[str, ...]] = []
+    for name, fit in corners.items():
+        groups: dict[str, list[tuple[float, str]]] = {}
+        for t, used, reason in zip(fit.frame_t_s.tolist(), fit.frame_used, fit.frame_reason, strict=True):
+            if not used:
+                # Reasons that differ in their numbers alone are one.
+                groups.setdefault(re.sub(r"\d+(\.\d+)?", "…", reason), []).append((t, reason))
+        for pattern, found in groups.items():
+            alike = len({reason for _, reason in found}) == 1
+            reason = (found[0][1] if alike else pattern) or "no reason given"
+            times = ", ".join(fixed(t, 2) for t, _ in found[:6]) + (" …" if len(found) > 6 else "")
+            rows.append((f"{name}: {reason}", str(len(found)), times))
+    if not rows:
+        return []
+    more = len(rows) - _MOST_ROWS
+    return [
+        Table(
+            title="Frames that were left out",
+            head=("reason", "frames", "at [s]"),
+            rows=tuple(rows[:_MOST_ROWS]),
+            caption=f"And {more} more reasons." if more > 0 else "",
+            prose=True,
+        )
+    ]
+
+
+def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
+    """Return what the recording covers: the image, rotation, acceleration, and the path."""
+    blocks: list[Figure | Table] = []
+    if views:
+        shares = {name: float(np.mean(view.density.count > 0)) for name, view in views.items()}
+        reached = "; ".join(f"{name} {fixed(100 * share, 0)}\u00a0%" for name, share in shares.items())
+        blocks.append(
+            Figure(
+                title="Corners in the image",
+                svg=images.density(views),
+                caption="The stronger the colour, the more corners. Share of the image that they reached: "
+                f"{reached}. Elsewhere nothing tests the lens.",
+            )
+        )
+    if len(diagnostics.trajectory.t_ns) > 1:
+        blocks += _motion(camera_imu_motion.motion_of(diagnostics.trajectory, diagnostics.gravity_target))
+    return Section(
+        anchor="coverage",
+        title="Coverage",
+        lead="Each parameter needs its own motion: rotation about all axes for the attitude of the cameras and for the "
+        "gyroscope, acceleration along all axes for the accelerometer, and fast turning for the translation.",
+        blocks=tuple(blocks),
+    )
+
+
+def _motion(motion: camera_imu_motion.Motion) -> list[Figure | Table]:
+    rows: list[tuple[str, ...]] = []
+    for label, values, unit in (("Angular rate", motion.rate, "°/s"), ("Acceleration", motion.acceleration, "m/s²")):
+        for measure, of in (("rms", rms), ("largest", largest)):
+            rows.append((f"{label}, {measure}", *(f"{number(of(v), 3, trim=False)}\u00a0{unit}" for v in values.T)))
+    return [
+        Figure(
+            title="Axes of rotation",
+            svg=camera_imu_motion.axes_of_rotation(motion),
+            caption="Directions of the angular rate in the body frame, wherever the rig turned at more than a third of "
+            "its rms rate. The stronger the colour, the longer it did.",
+        ),
+        Figure(
+            title="Rate and acceleration along the body axes",
+            svg=camera_imu_motion.rates(motion),
+            legend=_AXES,
+            caption="How often which value occurred; gravity is not part of the acceleration.",
+        ),
+        Table(title="In numbers", head=("body axis", *"xyz"), rows=tuple(rows)),
+        Figure(
+            title="Path of the IMU",
+            svg=camera_imu_motion.path(motion),
+            legend=_spans(motion.t_s),
+            caption="In the frame of the target: x and y in its plane, z along its normal.",
+        ),
+    ]
+
+
+def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+    """Return the biases over time; None without any."""
+    if not diagnostics.biases:
+        return None
+    walks = "; ".join(
+        f"{signal_name(name, diagnostics.biases).lower()} {number(bias.random_walk, 3)} {_per_root_second(bias.unit)}"
+        for name, bias in diagnostics.biases.items()
+    )
+    figure = Figure(
+        title="About their means",
+        svg=camera_imu_signals.bias_figure(diagnostics.biases),
+        legend=(
+            *_AXES,
+            Legend(mark="band", color="before", label="±σ, in the axis's colour"),
+            Legend(mark="dash", color="muted", label="±3σ of the random walk"),
+        ),
+        caption=f"The random walk that was assumed: {walks}. A bias that runs out of its bounds speaks of a larger "
+        "walk, of a sensor that was still warming up, or of an error that the bias has taken on.",
+    )
+    return Section(anchor="biases", title="Biases", blocks=(figure,))
+
+
+def _per_root_second(unit: str) -> str:
+    return f"{readable_unit(unit)} per √s"

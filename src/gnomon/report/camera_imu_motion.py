@@ -1,0 +1,230 @@
+"""Figures of a camera-IMU report that show the rig and how it was moved."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..diagnostics import TrajectoryTrack
+from ..geometry.quaternion import rotation_from_quaternion
+from ..geometry.rotation_vector import rotation_from_rotvec
+from ..recording import Floats, Integers
+from .camera_imu_images import TIMES, time_spans
+from .camera_imu_signals import AXES, half_panel, histograms
+from .figures import WIDTH, Sheet, cells, draw, ink
+from .numbers import finite, highest, number, rms
+from .sphere import SPHERE_HEIGHT, hemisphere, lambert
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_DEG = 180 / np.pi
+_PATCH = 2 * np.sqrt(2) / 25
+"""Side of the patches in which axes of rotation are counted, in the equal-area projection."""
+_FASTER_THAN = 0.3
+"""Share of the rms rate above which a sample says something about the axis of rotation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """How the rig moved.
+
+    Attributes
+    ----------
+    t_s : (n,) [s from the first stamp of the trajectory]
+    rate : (n, 3) angular rate, body frame [deg/s]
+    acceleration : (n, 3) linear acceleration, body frame [m/s^2]
+    position : (n, 3) of the IMU, in the frame of the target [m]
+    """
+
+    t_s: Floats
+    rate: Floats
+    acceleration: Floats
+    position: Floats
+
+
+def motion_of(track: TrajectoryTrack, gravity_target: Floats) -> Motion:
+    """Return the motion; linear acceleration is specific force plus gravity."""
+    t = (track.t_ns - track.t_ns[0]) * 1e-9 if len(track.t_ns) else np.empty(0)
+    R = rotation_from_quaternion(np.asarray(track.q_target_imu_wxyz))
+    acceleration = track.f_imu + np.einsum("nji,j->ni", R, gravity_target)
+    return Motion(t_s=t, rate=track.omega_imu * _DEG, acceleration=acceleration, position=track.p_target_imu)
+
+
+def axes_of_rotation(motion: Motion) -> str:
+    """Draw the axes about which the rig turned, in the body frame, where it turned fast enough to tell."""
+    speed = np.linalg.norm(motion.rate, axis=1)
+    fast = speed > _FASTER_THAN * rms(speed)
+    directions = motion.rate[fast] / speed[fast, None]
+    counted: dict[float, tuple[Floats, Floats]] = {}
+    for side in (1.0, -1.0):
+        flat = lambert(directions[(directions[:, 2] >= 0) == (side > 0)], side)
+        spots, count = np.unique(np.floor(flat / _PATCH + 0.5), axis=0, return_counts=True)
+        counted[side] = spots, count.astype(np.float64)
+    most = max(float(count.max(initial=0)) for _, count in counted.values()) or 1.0
+
+    def paint(sheet: Sheet) -> None:
+        from matplotlib.patches import Circle
+
+        for side, (spots, count) in counted.items():
+            axes = hemisphere(sheet, side)
+            rim = Circle((0, 0), np.sqrt(2))
+            level = np.sqrt(count / most)
+            cells(axes, (spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=level, color="after", clip=rim)
+
+    return draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.", paint)
+
+
+def rates(motion: Motion) -> str:
+    """Draw histograms of angular rate and linear acceleration per axis."""
+    parts = (("Angular rate [°/s]", motion.rate), ("Linear acceleration [m/s²]", motion.acceleration))
+
+    def paint(sheet: Sheet) -> None:
+        for k, (title, values) in enumerate(parts):
+            sizes = np.abs(finite(values))
+            reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
+            axes = half_panel(sheet, title, k, top=36, height=220, left=20)
+            histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
+            axes.set_yticks([])
+
+    return draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.", paint)
+
+
+def path(motion: Motion) -> str:
+    """Draw the path of the IMU in the target's frame, from the front and along its y axis, coloured by time."""
+    kept = _sampled(motion, 1500)
+    high = np.array([highest(axis) for axis in motion.position.T])
+    low = -np.array([highest(-axis) for axis in motion.position.T])
+    span = 0.54 * max(float((high - low).max()), 1e-3)
+    spans = time_spans(motion.t_s)
+    colour = np.clip(np.searchsorted(spans, motion.t_s[kept], side="right") - 1, 0, len(TIMES) - 1)
+    torn = np.diff(motion.t_s[kept], append=np.inf) > 5 * np.median(np.diff(motion.t_s[kept], append=0.0))
+
+    def paint(sheet: Sheet) -> None:
+        for k, (title, across, up) in enumerate((("Plane: y over x [m]", 0, 1), ("Depth: z over x [m]", 0, 2))):
+            axes = half_panel(sheet, title, k, top=36, height=314)
+            axes.grid(visible=True, axis="x", color=ink("grid"), linewidth=1)
+            for i, name in enumerate(TIMES):
+                # A piece reaches to the first point of the next one, and a gap interrupts it.
+                piece = (colour == i) | np.concatenate([[False], (colour == i)[:-1]])
+                line = motion.position[kept][:, [across, up]].copy()
+                line[torn] = np.nan
+                axes.plot(line[piece, 0], line[piece, 1], color=ink(name), linewidth=1.3)
+            middle = (low + high) / 2
+            axes.set_xlim(middle[across] - span, middle[across] + span)
+            axes.set_ylim(middle[up] - span, middle[up] + span)
+
+    return draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.", paint)
+
+
+def _sampled(motion: Motion, most: int) -> Integers:
+    return np.arange(0, len(motion.t_s), max(1, -(-len(motion.t_s) // most)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Body:
+    """Something with axes: its name, its origin (3,) and its axes as columns (3, 3), in the first camera's frame."""
+
+    name: str
+    origin: Floats
+    axes: Floats
+    image: bool = False
+
+
+def rig(calibration: Calibration) -> str:
+    """Draw the IMU and the cameras to scale, as triads, seen from behind the first camera, a little from above."""
+    first = next(iter(calibration.cameras.values())).T_cam_imu
+    imu = _Body(name="imu0", origin=first[:3, 3], axes=first[:3, :3])
+    cameras: list[_Body] = []
+    for name, camera in calibration.cameras.items():
+        T = first @ np.linalg.inv(camera.T_cam_imu)
+        cameras.append(_Body(name=name, origin=T[:3, 3], axes=T[:3, :3], image=True))
+    origins = [body.origin for body in (imu, *cameras)]
+    apart = max(float(np.linalg.norm(a - b)) for a in origins for b in origins)
+    length = 0.4 * apart if np.isfinite(apart) and apart > 1e-6 else 0.02
+    height = 380.0
+
+    def paint(sheet: Sheet) -> None:
+        axes = sheet.figure.add_axes((0, 0, 1, 1))
+        axes.set_axis_off()
+        corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
+        tips = [body.origin + length * body.axes.T for body in (imu, *cameras)]
+        _fit(axes, _flat(np.concatenate([np.array(origins), *corners, *tips])), height)
+        for body, image in zip(cameras, corners, strict=True):
+            _dashed(axes, imu, body, length)
+            edges = [np.stack([body.origin, corner]) for corner in image]
+            for line in (image[[0, 1, 2, 3, 0]], *edges):
+                axes.plot(*_flat(line).T, color=ink("before"), linewidth=1.1)
+        for body in (imu, *cameras):
+            _triad(axes, body, length)
+            _name(axes, body, [b.origin for b in (imu, *cameras) if b is not body], length)
+
+    names = ", ".join(calibration.cameras)
+    return draw("rig", height, f"The axes of imu0 and of {names} in space, drawn to scale.", paint)
+
+
+_FRUSTUM = np.array([[-0.5, -0.36, 0.8], [0.5, -0.36, 0.8], [0.5, 0.36, 0.8], [-0.5, 0.36, 0.8]])
+"""Corners of the image in front of a camera, in its own axes, for a triad of length one."""
+
+_LOOK = rotation_from_rotvec(np.array([np.radians(24), 0, 0])) @ rotation_from_rotvec(np.array([0, np.radians(-38), 0]))
+
+
+def _flat(points: Floats) -> Floats:
+    """Project points (n, 3) of the first camera's frame (x right, y down) to the page (n, 2), y up."""
+    return (points @ _LOOK.T)[:, :2] * (1, -1)
+
+
+def _dashed(axes: "Axes", imu: _Body, camera: _Body, length: float) -> None:
+    """Draw the line from the IMU to a camera, with its length where there is room for it."""
+    ends = _flat(np.stack([imu.origin, camera.origin]))
+    axes.plot(*ends.T, color=ink("muted"), linewidth=1.2, linestyle=(0, (4, 3)))
+    if np.linalg.norm(ends[1] - ends[0]) > 1.5 * length:
+        far = f"{number(1e3 * float(np.linalg.norm(camera.origin - imu.origin)), 3)} mm"
+        _write(axes, far, ends.mean(axis=0), np.array([0.0, 9.0]))
+
+
+def _write(
+    axes: "Axes", text: str, at: Floats, offset: Floats, *, color: str = "muted", weight: str = "normal"
+) -> None:
+    axes.annotate(
+        text, (float(at[0]), float(at[1])), xytext=(float(offset[0]), float(offset[1])), textcoords="offset points",
+        ha="center", va="center", fontsize=12.5, color=ink(color), fontweight=weight,
+    )  # fmt: skip
+
+
+def _triad(axes: "Axes", body: _Body, length: float) -> None:
+    """Draw three axes as arrows."""
+    base = _flat(body.origin[None])[0]
+    tips = _flat(body.origin + length * body.axes.T)
+    for tip, name in zip(tips, AXES, strict=True):
+        along = tip - base
+        aside = np.array([-along[1], along[0]])
+        head = 0.12 * length / (float(np.linalg.norm(along)) or 1.0)
+        barbs = [tip - head * along + sign * 0.55 * head * aside for sign in (1, -1)]
+        line = np.stack([base, tip, barbs[0], tip, barbs[1]])
+        axes.plot(*line.T, color=ink(name), linewidth=2.6, solid_capstyle="round", solid_joinstyle="round")
+
+
+def _name(axes: "Axes", body: _Body, others: list[Floats], length: float) -> None:
+    """Write a body's name on the side to which neither an axis nor another body lies."""
+    base = _flat(body.origin[None])[0]
+    parts = np.concatenate([np.eye(3), _FRUSTUM]) if body.image else np.eye(3)
+    ends = _flat(np.concatenate([body.origin + length * (parts @ body.axes.T), np.array(others)]))
+    bearings = [np.arctan2(*(end - base)[::-1]) for end in ends if np.linalg.norm(end - base) > 0.1 * length]
+    around = np.linspace(-np.pi, np.pi, 25)[:-1]
+    gap = [min((abs(np.angle(np.exp(1j * (a - b)))) for b in bearings), default=0.0) for a in around]
+    away = around[int(np.argmax(gap))]
+    _write(axes, body.name, base, np.array([30 * np.cos(away), 17 * np.sin(away)]), color="ink", weight="bold")
+
+
+def _fit(axes: "Axes", drawn: Floats, height: float) -> None:
+    """Give the axes limits that hold all points, to scale, with room for labels."""
+    known = drawn[np.isfinite(drawn).all(axis=1)]
+    if not len(known):
+        return
+    low, high = known.min(axis=0), known.max(axis=0)
+    middle, size = (low + high) / 2, high - low
+    scale = max(size[0] / (WIDTH - 150), size[1] / (height - 70), 1e-9)
+    axes.set_xlim(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
+    axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)

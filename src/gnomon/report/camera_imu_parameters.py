@@ -1,0 +1,377 @@
+"""The parameter tables of a camera-IMU calibration: extrinsics as a person measures them, the IMU as in document B.
+
+Every sigma is that of the calibration's covariance, carried to the quantity shown by its derivatives.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import permutations, product
+from math import degrees
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..diagnostics import CameraImuDiagnostics, EstimatedParameter
+from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ..models.forms import in_own_axes
+from ..recording import Floats
+from ..units import STANDARD_GRAVITY_M_S2
+from .imu_parameters import readable_unit, with_bars
+from .numbers import MISSING, fixed, number, with_sigma
+from .page import Parameter, ParameterGroup, Table
+
+AXES = "xyz"
+_DEG = degrees(1.0)
+_STEP = 1e-6
+NOT_ABOVE = "not above its σ"
+"""Marks an entry that the recording does not tell from an ideal sensor's (the rule of document B, section 5.2)."""
+
+
+def sigmas_of(view: Callable[[Floats], Floats], at: Floats, covariance: Floats) -> Floats:
+    """Return the sigmas (m,) of view(x) at x (n,) for the covariance (n, n) of x, by central differences."""
+    columns: list[Floats] = []
+    for i, value in enumerate(at):
+        step = np.zeros(len(at))
+        step[i] = _STEP * max(abs(float(value)), 1.0)
+        columns.append((view(at + step) - view(at - step)) / (2 * step[i]))
+    slopes = np.stack(columns, axis=1)
+    return np.sqrt(np.fmax(np.diag(slopes @ covariance @ slopes.T), 0.0))
+
+
+def mounting(R_cam_imu: Floats) -> Floats:
+    """Return the rotation (3, 3) nearest to `R_cam_imu` that maps axes to axes: how the camera was meant to sit."""
+    candidates: list[Floats] = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        matrix = np.eye(3)[list(order)] * np.array(signs)
+        if np.linalg.det(matrix) > 0:
+            candidates.append(matrix)
+    return max(candidates, key=lambda m: float(np.sum(m * np.nan_to_num(R_cam_imu))))
+
+
+def mounting_text(R_cam_imu: Floats) -> str:
+    """Return where the axes of a camera point, such as "camera x, y, z along −y, −z, +x of the IMU"."""
+    rows = mounting(R_cam_imu)
+    along = [f"{'−' if row.sum() < 0 else '+'}{AXES[int(np.argmax(np.abs(row)))]}" for row in rows]
+    return f"camera x, y, z along {', '.join(along)} of the IMU"
+
+
+def camera_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
+    """Return how one camera sits against imu0 in space and time, and its lens where that was estimated."""
+    camera = calibration.cameras[name]
+    R, t = camera.T_cam_imu[:3, :3], camera.T_cam_imu[:3, 3]
+    nominal = mounting(R)
+    covariance = calibration.covariance(f"{name}.T_cam_imu.rotation", f"{name}.T_cam_imu.translation")
+
+    def pose(x: Floats) -> Floats:
+        turned = R @ rotation_from_rotvec(x[:3])
+        tilt = rotvec_from_rotation(nominal.T @ turned) * _DEG
+        return np.concatenate([tilt, 1e3 * x[3:], -1e3 * turned.T @ x[3:]])
+
+    start = np.concatenate([np.zeros(3), t])
+    values, spreads = pose(start), sigmas_of(pose, start, covariance)
+    titles = (
+        ("Attitude", f"turned against {mounting_text(R)}", "°"),
+        ("Translation", "origin of the IMU in the frame of the camera", "mm"),
+        ("Position", "origin of the camera in the frame of the IMU", "mm"),
+    )
+    groups = [
+        _triple(title, note, unit, values[3 * i : 3 * i + 3], spreads[3 * i : 3 * i + 3])
+        for i, (title, note, unit) in enumerate(titles)
+    ]
+    groups.append(_times(calibration, name))
+    if float(np.max(calibration.sigma(f"{name}.intrinsics"), initial=0.0)) > 0:
+        groups.append(_lens(calibration, name))
+    return tuple(groups)
+
+
+def _triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
+    """Return a group of angles about the axes [°], or of lengths along them."""
+    word = "about" if unit == "°" else "along"
+    rows: list[Parameter] = []
+    for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
+        text, sigma = with_sigma(value, spread)
+        reads_as = f"{fixed(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
+        rows.append(Parameter(name=f"{word} {axis}", value=text, sigma=sigma, unit=unit, reads_as=reads_as))
+    return ParameterGroup(title=title, note=note, rows=with_bars(rows, _pairs(values, spreads)))
+
+
+def _pairs(values: Floats, spreads: Floats) -> list[tuple[float, float]]:
+    return list(zip(values.tolist(), spreads.tolist(), strict=True))
+
+
+def _times(calibration: Calibration, name: str) -> ParameterGroup:
+    camera = calibration.cameras[name]
+    shift, sigma = with_sigma(
+        1e3 * camera.time_shift_cam_imu, 1e3 * float(calibration.sigma(f"{name}.time_shift_cam_imu"))
+    )
+    rows = [
+        Parameter(name="time shift", value=shift, sigma=sigma, unit="ms", reads_as="t_imu = t_cam + time shift"),
+    ]
+    delay, spread = 1e6 * camera.camera.line_delay_s, 1e6 * float(calibration.sigma(f"{name}.line_delay"))
+    if delay or spread:
+        text, sigma = with_sigma(delay, spread)
+        total = number(1e-3 * delay * camera.camera.resolution[1], 3)
+        rows.append(
+            Parameter(name="line delay", value=text, sigma=sigma, unit="µs per row", reads_as=f"{total} ms per image")
+        )
+    return ParameterGroup(title="Time", note="", rows=tuple(rows))
+
+
+_INTRINSICS = {
+    "pinhole": ("fu", "fv", "pu", "pv"),
+    "omni": ("xi", "fu", "fv", "pu", "pv"),
+    "eucm": ("alpha", "beta", "fu", "fv", "pu", "pv"),
+    "ds": ("xi", "alpha", "fu", "fv", "pu", "pv"),
+}
+_COEFFICIENTS = {
+    "none": (),
+    "radtan": ("k1", "k2", "p1", "p2"),
+    "equidistant": ("k1", "k2", "k3", "k4"),
+    "fov": ("w",),
+}
+
+
+def _lens(calibration: Calibration, name: str) -> ParameterGroup:
+    camera = calibration.cameras[name].camera
+    names = (*_INTRINSICS[camera.projection], *_COEFFICIENTS[camera.distortion])
+    values = np.concatenate([camera.intrinsics, camera.distortion_coeffs])
+    spreads = np.concatenate([calibration.sigma(f"{name}.{part}") for part in ("intrinsics", "distortion_coeffs")])
+    rows: list[Parameter] = []
+    for label, value, spread in zip(names, values.tolist(), spreads.tolist(), strict=True):
+        text, sigma = with_sigma(value, spread)
+        rows.append(
+            Parameter(name=label, value=text, sigma=sigma, unit="px" if label[0] in "fp" and label[1] in "uv" else "")
+        )
+    return ParameterGroup(title="Lens", note=f"{camera.projection}, {camera.distortion}", rows=tuple(rows))
+
+
+def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> tuple[ParameterGroup, ...]:
+    """Return how the cameras sit to each other, "cam1_cam0" -> T_cam1_cam0 (4, 4)."""
+    groups: list[ParameterGroup] = []
+    for pair in baselines:
+        to, _, source = pair.partition("_")
+        if not {to, source} <= set(calibration.cameras):
+            continue
+        values, spreads = _baseline(calibration, to, source)
+        note = f"origin of {source} in the frame of {to}"
+        translation = _triple(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
+        text, sigma = with_sigma(float(values[3]), float(spreads[3]))
+        distance = Parameter(name="distance", value=text, sigma=sigma, unit="mm")
+        groups.append(replace(translation, rows=(*translation.rows, distance)))
+        note = f"from the axes of {source} to those of {to}"
+        groups.append(_triple("Rotation", note, "°", values[4:], spreads[4:]))
+    return tuple(groups)
+
+
+def _baseline(calibration: Calibration, to: str, source: str) -> tuple[Floats, Floats]:
+    """Return translation [mm], distance [mm] and rotation vector [deg] of T_to_source, (7,), and their sigmas."""
+    T_to, T_source = (calibration.cameras[name].T_cam_imu for name in (to, source))
+    paths = [f"{name}.T_cam_imu.{part}" for name in (to, source) for part in ("rotation", "translation")]
+
+    def view(x: Floats) -> Floats:
+        R_to = T_to[:3, :3] @ rotation_from_rotvec(x[:3])
+        R_source = T_source[:3, :3] @ rotation_from_rotvec(x[6:9])
+        R = R_to @ R_source.T
+        t = 1e3 * (x[3:6] - R @ x[9:])
+        distance = np.sqrt(np.sum(t * t, keepdims=True))
+        return np.concatenate([t, distance, rotvec_from_rotation(R) * _DEG])
+
+    at = np.concatenate([np.zeros(3), T_to[:3, 3], np.zeros(3), T_source[:3, 3]])
+    return view(at), sigmas_of(view, at, calibration.covariance(*paths))
+
+
+def imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
+    """Return an IMU in the letters of document B, chapter 4: S, M, b of both triads, q_bg and B_g.
+
+    Groups that were held at an ideal sensor's values are left out.
+    """
+    return tuple(
+        group
+        for group in _all_imu_groups(calibration, name)
+        if any(row.sigma or row.bar is not None or row.value == MISSING for row in group.rows)
+    )
+
+
+def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]:
+    imu = calibration.imus[name]
+    path = f"{name}.accelerometer"
+    triad = _lower_triad(imu.accelerometer.sensitivity)
+    spreads = sigmas_of(
+        _lower_triad, imu.accelerometer.sensitivity.ravel(), calibration.covariance(f"{path}.sensitivity")
+    )
+    groups = [*_triad("Accelerometer", "a", triad, spreads), _bias(calibration, path, "Accelerometer", "a")]
+    if imu.gyroscope is None:
+        return groups
+    path = f"{name}.gyroscope"
+    at = imu.gyroscope.sensitivity.ravel()
+    own, spreads = _gyroscope(at), sigmas_of(_gyroscope, at, calibration.covariance(f"{path}.sensitivity"))
+    groups += [*_triad("Gyroscope", "g", own[:6], spreads[:6]), _bias(calibration, path, "Gyroscope", "g")]
+    turned = _triple("Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:])
+    groups.append(_marked(turned, own[6:], spreads[6:]))
+    groups.append(_g_sensitivity(calibration, path, imu.gyroscope.g_sensitivity, imu.gyroscope.unit))
+    return groups
+
+
+def gyroscope_quaternion(sensitivity: Floats) -> str:
+    """Return a sentence on the rotation C_bg, as the quaternion of document B and its angle; none without rotation."""
+    rotvec = _gyroscope(sensitivity.ravel())[6:] / _DEG
+    angle = float(np.linalg.norm(rotvec))
+    if not angle > 0:
+        return ""
+    axis = np.sin(angle / 2) * rotvec / angle
+    numbers = ", ".join(fixed(v, 6) for v in (np.cos(angle / 2), *axis.tolist()))
+    return f"As a quaternion, C_bg is q_bg = ({numbers}), real part first: {number(degrees(angle), 3)}° in all."
+
+
+def _lower_triad(sensitivity: Floats) -> Floats:
+    """Return the diagonal of S and yz, zy, zx of M, (6,), of S M."""
+    matrix = np.reshape(sensitivity, (3, 3))
+    S = np.diag(matrix)
+    return np.concatenate([S, (matrix / S[:, None])[[1, 2, 2], [0, 0, 1]]])
+
+
+def _gyroscope(sensitivity: Floats) -> Floats:
+    """Return S_g, M_g, and the rotation vector of C_bg [deg], (9,), of S_g M_g C_bg'."""
+    lower, C_gb = in_own_axes(np.reshape(sensitivity, (3, 3)), "accel-x")
+    return np.concatenate([_lower_triad(lower), rotvec_from_rotation(C_gb.T) * _DEG])
+
+
+def _triad(title: str, letter: str, values: Floats, spreads: Floats) -> tuple[ParameterGroup, ParameterGroup]:
+    percents, percent_spreads = 100 * (values[:3] - 1), 100 * spreads[:3]
+    scales: list[Parameter] = []
+    for i, axis in enumerate(AXES):
+        text, sigma = with_sigma(float(values[i]), float(spreads[i]))
+        percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
+        reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
+        scales.append(Parameter(name=f"scale {axis}", value=text, sigma=sigma, unit="", reads_as=reads_as))
+    scale = ParameterGroup(
+        title=f"{title} scale", note=f"S_{letter}; bars: deviation from one",
+        rows=with_bars(scales, _pairs(percents, percent_spreads)),
+    )  # fmt: skip
+    tilts: list[Parameter] = []
+    for entry, value, spread in zip(("yz", "zy", "zx"), 1e3 * values[3:], 1e3 * spreads[3:], strict=True):
+        text, sigma = with_sigma(float(value), float(spread), sign=True)
+        reads_as = f"{fixed(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
+        tilts.append(Parameter(name=f"entry {entry}", value=text, sigma=sigma, unit="mrad", reads_as=reads_as))
+    tilt = ParameterGroup(
+        title=f"{title} misalignment", note=f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
+        rows=with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
+    )  # fmt: skip
+    return (
+        _marked(scale, percents, percent_spreads),
+        _marked(tilt, values[3:], spreads[3:]),
+    )
+
+
+def _marked(group: ParameterGroup, values: Floats, spreads: Floats) -> ParameterGroup:
+    """Mark the rows whose deviation from an ideal sensor is not above its sigma."""
+    rows = [
+        replace(row, note=NOT_ABOVE) if spread > 0 and abs(value) <= spread else row
+        for row, value, spread in zip(group.rows, values.tolist(), spreads.tolist(), strict=True)
+    ]
+    return replace(group, rows=tuple(rows))
+
+
+def _bias(calibration: Calibration, path: str, title: str, letter: str) -> ParameterGroup:
+    values, spreads = calibration.parameter(f"{path}.bias"), calibration.sigma(f"{path}.bias")
+    gyroscope = letter == "g"
+    rows: list[Parameter] = []
+    for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
+        text, sigma = with_sigma(value, spread, sign=True)
+        physical = f"{number(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
+        unit = "rad/s" if gyroscope else "m/s²"
+        rows.append(Parameter(name=f"bias {axis}", value=text, sigma=sigma, unit=unit, reads_as=physical))
+    note = f"b_{letter}, mean over the recording"
+    return ParameterGroup(title=f"{title} bias", note=note, rows=with_bars(rows, _pairs(values, spreads)))
+
+
+def _milli_g(value: float) -> str:
+    return number(1e3 * value / STANDARD_GRAVITY_M_S2, 3)
+
+
+def _g_sensitivity(calibration: Calibration, path: str, values: Floats, unit: str) -> ParameterGroup:
+    flat, spreads = 1e3 * values.ravel(), 1e3 * calibration.sigma(f"{path}.g_sensitivity").ravel()
+    rows: list[Parameter] = []
+    for (i, j), value, spread in zip(np.ndindex(3, 3), flat.tolist(), spreads.tolist(), strict=True):
+        text, sigma = with_sigma(value, spread, sign=True)
+        per_g = f"{number(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
+        name = f"{AXES[i]} by force {AXES[j]}"
+        rows.append(Parameter(name=name, value=text, sigma=sigma, unit=f"m{unit} per m/s²", reads_as=per_g))
+    group = ParameterGroup(
+        title="Gyroscope g-sensitivity",
+        note="B_g of chapter 4, on the force in the body frame",
+        rows=with_bars(rows, _pairs(flat, spreads)),
+    )
+    return _marked(group, flat, spreads)
+
+
+def other_reading(calibration: Calibration, name: str) -> Table | None:
+    """Return B_g as chapter 3 of document B reads it, on the force in the gyroscope's axes; None where it is zero."""
+    gyroscope = calibration.imus[name].gyroscope
+    if gyroscope is None or not gyroscope.g_sensitivity.any():
+        return None
+
+    def view(x: Floats) -> Floats:
+        _, C_gb = in_own_axes(np.reshape(x[:9], (3, 3)), "accel-x")
+        return 1e3 * (np.reshape(x[9:], (3, 3)) @ C_gb.T).ravel()
+
+    at = np.concatenate([gyroscope.sensitivity.ravel(), gyroscope.g_sensitivity.ravel()])
+    paths = (f"{name}.gyroscope.sensitivity", f"{name}.gyroscope.g_sensitivity")
+    values, spreads = view(at).reshape(3, 3), sigmas_of(view, at, calibration.covariance(*paths)).reshape(3, 3)
+    rows = tuple(
+        (f"rate about {axis}", *(plus_minus(v, s, sign=True) for v, s in _pairs(values[i], spreads[i])))
+        for i, axis in enumerate(AXES)
+    )
+    return Table(
+        title="B_g in the reading of chapter 3",
+        head=(f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
+        rows=rows,
+        caption="B_g C_bg: it acts on the force in the gyroscope's own axes, which the rotation q_bg turns. The sensor "
+        "is the same; Kalibr's A is this matrix too.",
+    )
+
+
+def plus_minus(value: float, spread: float, *, sign: bool = False) -> str:
+    """Return "1.25 ± 0.03"; a value that has no sigma alone."""
+    text, sigma = with_sigma(value, spread, sign=sign)
+    return f"{text} ± {sigma}" if sigma else text
+
+
+def every_parameter(diagnostics: CameraImuDiagnostics) -> Table:
+    """Return all scalars of the batch estimation with start, sigma, prior and status."""
+    rows: list[tuple[str, ...]] = []
+    faint: set[int] = set()
+    for i, p in enumerate(diagnostics.parameters):
+        value, sigma = with_sigma(p.value, p.sigma if p.status != "fixed" else 0.0)
+        weak = _not_above(p)
+        if weak or p.status == "fixed":
+            faint.add(i)
+        prior = number(p.prior_sigma, 2) if p.prior_sigma > 0 else MISSING
+        status = f"{p.status}, ≤ σ" if weak else p.status
+        start = p.start if abs(p.start) > 1e-9 * max(abs(p.value), p.sigma) else 0.0  # the rest of a rounding
+        rows.append((p.name, value, sigma or MISSING, number(start, 6), prior, _unit(p.unit), status))
+    return Table(
+        title="Estimate, start and sigma",
+        head=("parameter", "value", "σ", "start", "prior σ", "unit", "status"),
+        rows=tuple(rows),
+        dense=True,
+        faint=frozenset(faint),
+        caption="Of rotations and directions the value is the small angle from the start. The priors of estimated "
+        "parameters are weak: they only hold what the recording does not determine. Faint: fixed, or (≤ σ) an "
+        "entry of the IMU no farther from an ideal sensor's than its σ, which document B takes for ideal.",
+    )
+
+
+def _unit(unit: str) -> str:
+    return readable_unit(unit).replace("sqrt(Hz)", "√Hz")
+
+
+_SHAPES = (".S_a", ".S_g", ".M_a", ".M_g", ".q_bg", ".B_g")
+
+
+def _not_above(parameter: EstimatedParameter) -> bool:
+    """Return whether an entry of the IMU is estimated, and no farther from an ideal sensor's than its sigma."""
+    if parameter.status == "fixed" or not any(f"{shape}[" in parameter.name for shape in _SHAPES):
+        return False
+    ideal = 1.0 if ".S_" in parameter.name and abs(parameter.value) > 0.5 else 0.0
+    return abs(parameter.value - ideal) <= parameter.sigma

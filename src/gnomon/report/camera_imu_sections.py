@@ -1,0 +1,218 @@
+"""The sections of a camera-IMU report that show the estimate: cameras, IMU, every scalar, noise and solution."""
+
+from math import degrees, isfinite
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..diagnostics import CameraImuDiagnostics, EstimatedParameter, NoiseLevel
+from ..geometry.rotation_vector import rotvec_from_rotation
+from ..recording import Floats
+from . import camera_imu_images as images
+from . import camera_imu_motion
+from .camera_imu_parameters import (
+    baseline_groups,
+    camera_groups,
+    every_parameter,
+    gyroscope_quaternion,
+    imu_groups,
+    mounting_text,
+    other_reading,
+    plus_minus,
+)
+from .imu_parameters import readable_unit
+from .numbers import fixed, number
+from .page import Code, Figure, Legend, Parameters, Section, Table
+from .wording import matrix_text
+
+_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
+_MOST_ROWS = 60
+_MOST_PAIRS = 12
+_IMU_GROUPS = 8
+"""Groups of parameters of an IMU that is wholly estimated."""
+_STRONG = 0.5
+"""Correlation from which a pair is listed."""
+
+
+def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Section | None:
+    """Return where the cameras sit, and how their clocks run, against the IMU and each other; None without cameras."""
+    if not calibration.cameras:
+        return None
+    first = next(iter(calibration.cameras))
+    rig = Figure(
+        title="The rig",
+        svg=camera_imu_motion.rig(calibration),
+        legend=_AXES,
+        caption=f"The frames of the IMU and of the cameras, to scale, seen from behind {first}, a little from above. "
+        "A camera's z looks out of the lens, x to the right of its image, y down.",
+    )
+    blocks: list[Figure | Parameters | Code] = [rig]
+    for name, camera in calibration.cameras.items():
+        blocks += [
+            Parameters(
+                title=name,
+                groups=camera_groups(calibration, name),
+                caption=_rotation_text(camera.T_cam_imu) + _started(diagnostics.initial_time_shift_s.get(name)),
+            ),
+            Code(
+                title=f"T_cam_imu of {name}: p_cam = T_cam_imu p_imu, in metres",
+                text=matrix_text("T_cam_imu", camera.T_cam_imu),
+            ),
+        ]
+    groups = baseline_groups(calibration, diagnostics.baselines)
+    if groups:
+        blocks.append(Parameters(title="Between the cameras", groups=groups))
+    return Section(
+        anchor="cameras",
+        title="Cameras and IMU",
+        lead="Where each camera sits on the IMU, and by how much its clock differs, each with its standard deviation "
+        "σ. Bars show the estimate, whiskers ±2σ.",
+        blocks=tuple(blocks),
+    )
+
+
+def _rotation_text(T_cam_imu: Floats) -> str:
+    R = np.ascontiguousarray(T_cam_imu[:3, :3])
+    turn = rotvec_from_rotation(R)
+    angle = float(np.linalg.norm(turn))
+    axis = ", ".join(fixed(float(v), 4) for v in turn / (angle or 1.0))
+    return (
+        f"Attitude is what is left after the mounting with {mounting_text(R)}, as angles about the IMU's axes. The "
+        f"whole rotation of T_cam_imu is {number(degrees(angle), 6)}° about ({axis})."
+    )
+
+
+def _started(shift_s: float | None) -> str:
+    if shift_s is None or not isfinite(shift_s):
+        return ""
+    return f" The time shift was {number(1e3 * shift_s, 4)} ms at first, found from how fast camera and IMU turn."
+
+
+def imu_section(calibration: Calibration) -> Section:
+    """Return the IMU's parameters in the letters of document B."""
+    blocks: list[Parameters | Table] = []
+    several, shown = len(calibration.imus) > 1, 0
+    for name, imu in calibration.imus.items():
+        caption = gyroscope_quaternion(imu.gyroscope.sensitivity) if imu.gyroscope is not None else ""
+        groups = imu_groups(calibration, name)
+        shown += len(groups)
+        blocks.append(Parameters(title=name if several else "", groups=groups, caption=caption))
+        table = other_reading(calibration, name)
+        if table is not None:
+            blocks.append(table)
+    lead = (
+        "accelerometer = S_a M_a f + b_a and gyroscope = S_g M_g C_bg′ ω + B_g f + b_g, with specific force f and "
+        "angular rate ω in the body frame."
+    )
+    if calibration.assessment.model == "basic":
+        lead += " With the basic model only the biases were estimated; everything else is an ideal sensor's."
+    elif shown < _IMU_GROUPS * len(calibration.imus):
+        lead += " What was held at an ideal sensor's value is left out."
+    return Section(anchor="imu", title="IMU", lead=lead, blocks=tuple(blocks))
+
+
+def parameters_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+    """Return every scalar with its sigma, and how they are correlated; None without any."""
+    if not diagnostics.parameters:
+        return None
+    blocks: list[Figure | Table] = [every_parameter(diagnostics)]
+    free = [p for p in diagnostics.parameters if p.status != "fixed"]
+    matrix = np.asarray(diagnostics.correlation, dtype=np.float64)
+    if len(free) > 1 and matrix.shape == (len(free), len(free)):
+        legend = (
+            Legend(mark="band", color="after", label="positive"),
+            Legend(mark="band", color="heldout", label="negative"),
+        )
+        blocks += [
+            Figure(
+                title="Correlation",
+                svg=images.correlation(_groups(free), matrix),
+                legend=legend,
+                caption="The stronger the colour, the stronger the correlation; below 0.05 it is left out. What is "
+                "strongly correlated is known better together than each on its own.",
+            ),
+            _strongest(free, matrix),
+        ]
+    return Section(
+        anchor="parameters",
+        title="Every parameter",
+        lead="All scalars of the batch estimation, and how strongly they depend on each other.",
+        blocks=tuple(blocks),
+    )
+
+
+def _groups(free: list[EstimatedParameter]) -> list[tuple[str, list[str]]]:
+    """Return consecutive parameters of one block under one name, with what tells them apart."""
+    groups: list[tuple[str, list[str]]] = []
+    for parameter in free:
+        name, _, index = parameter.name.partition("[")
+        short = name.replace("T_cam_imu.", "").replace("time_shift_cam_imu", "time_shift")
+        if not groups or groups[-1][0] != short:
+            groups.append((short, []))
+        groups[-1][1].append(index.rstrip("]"))
+    return groups
+
+
+def _strongest(free: list[EstimatedParameter], matrix: Floats) -> Table:
+    first, second = np.triu_indices(len(free), 1)
+    values = np.nan_to_num(matrix[first, second])
+    order = np.argsort(-np.abs(values), kind="stable")
+    strong = [k for k in order[:_MOST_PAIRS].tolist() if abs(values[k]) >= _STRONG] or order[:1].tolist()
+    return Table(
+        title="Strongest correlations",
+        head=("parameter", "with", "correlation"),
+        rows=tuple((free[int(first[k])].name, free[int(second[k])].name, fixed(float(values[k]), 3)) for k in strong),
+    )
+
+
+def solution_section(diagnostics: CameraImuDiagnostics, *, converged: bool) -> Section:
+    """Return noise levels, gravity, and the iterations of the solver."""
+    blocks: list[Table] = []
+    if diagnostics.noise:
+        blocks.append(
+            Table(
+                title="Noise",
+                head=("of", "stated", "found in the residuals", "used", "unit"),
+                rows=tuple(_noise_row(level) for level in diagnostics.noise),
+                caption="Noise found in the residuals holds all that the model does not explain, such as vibration.",
+            )
+        )
+    blocks.append(_gravity(diagnostics))
+    if diagnostics.steps:
+        steps = tuple(
+            (str(i + 1), number(s.cost, 7), number(s.largest_step, 3), number(s.damping, 2), _ACCEPTED[s.accepted])
+            for i, s in enumerate(diagnostics.steps[:_MOST_ROWS])
+        )
+        blocks.append(
+            Table(
+                title="Iterations",
+                head=("", "cost before", "largest step [σ]", "damping", ""),
+                rows=steps,
+                caption="The solver came to rest." if converged else "The solver did not come to rest.",
+            )
+        )
+    return Section(anchor="solution", title="Noise and solution", blocks=tuple(blocks))
+
+
+_ACCEPTED = {True: "accepted", False: "rejected"}
+
+
+def _gravity(diagnostics: CameraImuDiagnostics) -> Table:
+    values, spreads = diagnostics.gravity_target, diagnostics.gravity_sigma
+    cells = [plus_minus(float(v), float(s)) for v, s in zip(values, spreads, strict=True)]
+    size = float(np.linalg.norm(values))
+    along = int(np.argmax(np.abs(np.nan_to_num(values))))
+    cosine = min(abs(float(values[along])) / size, 1.0) if size > 0 else float("nan")
+    towards = f"{'−' if values[along] < 0 else '+'}{'xyz'[along]}"
+    return Table(
+        title="Gravity in the frame of the target",
+        head=("[m/s²]", *"xyz", "size"),
+        rows=(("gravity", *cells, number(size, 6)),),
+        caption=f"It points along {towards} of the target, but for {number(degrees(np.arccos(cosine)), 3)}°.",
+    )
+
+
+def _noise_row(level: NoiseLevel) -> tuple[str, ...]:
+    sensor, _, what = level.name.partition(".")
+    unit = readable_unit(level.unit).replace("sqrt(Hz)", "√Hz")
+    return (f"{sensor} {what}", *(number(v, 3) for v in (level.nominal, level.estimated, level.used)), unit)

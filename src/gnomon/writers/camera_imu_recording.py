@@ -1,0 +1,148 @@
+"""A simulated camera-IMU recording -> a folder that `gnomon.read_camera_imu` reads, with its truth beside it.
+
+cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, numbered in Kalibr's order
+cam0_frames.csv       ts_ns, corners: every frame, also those without corners
+imu0.csv.gz           the samples
+camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise, board
+truth.yaml            what is true, as a calibration file
+groundtruth.txt       the true path in the TUM format
+scenario.yaml         what was simulated
+"""
+
+import gzip
+import io
+from collections.abc import Iterator
+from dataclasses import asdict
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..diagnostics import TrajectoryTrack
+from ..errors import OutputError
+from ..models.camera import Camera
+from ..models.target import Target
+from ..output import atomic_file, write_whole
+from ..recording import CameraFrames, ImuSamples, Recording
+from ..simulate.camera_imu import CameraImuSimulation
+from .calibration_file import calibration_text
+from .kalibr_text import kalibr_yaml
+from .options_file import options_text
+from .recording_file import save_recording
+from .trajectory import trajectory_text
+
+_COMPRESSION = 6
+_SCENARIO = """\
+# What was simulated, with seed {seed}. Units are in the names: _s seconds, _m metres, _px pixels; all others are SI.
+# The motion came to a mean rate of {rate:.3f} rad/s, a mean acceleration of {acceleration:.2f} m/s^2,
+# and {visible} of the board's points seen.
+"""
+_CHAIN = "# Lens of each camera as its owner knows it; what is true stands in truth.yaml.\n"
+_NOISE = "# Nominal noise of the IMU.\n"
+
+
+def save_camera_imu_recording(simulation: CameraImuSimulation, folder: str | PathLike[str]) -> tuple[Path, ...]:
+    """Write a simulated recording and its truth into a folder, which is made, and return the files.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{place}: this folder cannot be made ({error.strerror or error}). Choose another place."
+        ) from error
+    recording = simulation.recording
+    written = list(save_recording(Recording(imus=recording.imus), place / "imu0.csv.gz"))
+    for name, frames in recording.cameras.items():
+        written += _save_frames(frames, place, name)
+    for name, text in _texts(simulation):
+        write_whole(place / name, text)
+        written.append(place / name)
+    for stale in {place / f"cam1_{name}" for name in ("corners.csv.gz", "frames.csv")}.difference(written):
+        stale.unlink(missing_ok=True)  # of an earlier recording with two cameras
+    return tuple(written)
+
+
+def _save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Path]:
+    corners, listed = place / f"{name}_corners.csv.gz", place / f"{name}_frames.csv"
+    columns = [frames.t_ns[frames.frame], frames.point, *frames.pixels.T]
+    with (
+        atomic_file(corners) as raw,
+        gzip.GzipFile("", "wb", _COMPRESSION, raw, mtime=0) as packed,  # no time in it: always the same bytes
+        io.TextIOWrapper(packed, encoding="ascii", newline="") as text,
+    ):
+        text.write("ts_ns,corner_id,u_px,v_px\n")
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        text.writelines(f"{stamp},{point},{u!r},{v!r}\n" for stamp, point, u, v in rows)
+    counts = np.bincount(frames.frame, minlength=len(frames.t_ns))
+    rows = zip(frames.t_ns.tolist(), counts.tolist(), strict=True)
+    write_whole(listed, "ts_ns,corners\n" + "".join(f"{stamp},{count}\n" for stamp, count in rows))
+    return corners, listed
+
+
+def _texts(simulation: CameraImuSimulation) -> Iterator[tuple[str, str]]:
+    """Yield name and text of the small files."""
+    recording, found = simulation.recording, simulation.statistics
+    chain = {name: _camera_node(frames.camera) for name, frames in recording.cameras.items()}
+    yield "camchain.yaml", _CHAIN + kalibr_yaml(chain)
+    yield "imu.yaml", _NOISE + kalibr_yaml(_imu_node(recording.imus["imu0"], simulation.scenario.imu_rate_hz))
+    yield "target.yaml", kalibr_yaml(_target_node(simulation.target))
+    yield "truth.yaml", calibration_text(simulation.truth)
+    yield "groundtruth.txt", trajectory_text(_track(simulation))
+    head = _SCENARIO.format(
+        seed=simulation.seed,
+        rate=found.mean_rate_rad_s,
+        acceleration=found.mean_acceleration_m_s2,
+        visible=", ".join(f"{100 * part:.0f} % ({name})" for name, part in found.visible.items()),
+    )
+    yield "scenario.yaml", head + options_text(simulation.scenario)
+
+
+def _camera_node(camera: Camera) -> dict[str, Any]:
+    node: dict[str, Any] = {
+        "cam_overlaps": [],
+        "camera_model": camera.projection,
+        "distortion_coeffs": camera.distortion_coeffs,
+        "distortion_model": camera.distortion,
+        "intrinsics": camera.intrinsics,
+        "resolution": np.array(camera.resolution),
+        "rostopic": camera.topic,
+    }
+    return node | ({"line_delay": camera.line_delay_s} if camera.line_delay_s else {})
+
+
+def _imu_node(samples: ImuSamples, rate_hz: float) -> dict[str, Any]:
+    assert samples.noise is not None
+    return {**asdict(samples.noise), "update_rate": float(rate_hz), "rostopic": samples.topic}
+
+
+def _target_node(target: Target) -> dict[str, Any]:
+    node: dict[str, Any] = {"target_type": target.kind}
+    if target.kind == "aprilgrid":
+        return node | {
+            "tagCols": target.cols,
+            "tagRows": target.rows,
+            "tagSize": target.tag_size_m,
+            "tagSpacing": target.tag_spacing,
+        }
+    node |= {"targetCols": target.cols, "targetRows": target.rows}
+    if target.kind == "checkerboard":
+        return node | {"rowSpacingMeters": target.row_spacing_m, "colSpacingMeters": target.col_spacing_m}
+    return node | {"spacingMeters": target.spacing_m, "asymmetricGrid": target.asymmetric}
+
+
+def _track(simulation: CameraImuSimulation) -> TrajectoryTrack:
+    true = simulation.trajectory
+    return TrajectoryTrack(
+        t_ns=simulation.recording.imus["imu0"].gyroscope.t_ns,
+        p_target_imu=true.p_target_imu,
+        q_target_imu_wxyz=true.q_target_imu_wxyz,
+        omega_imu=true.omega_imu,
+        f_imu=true.f_imu,
+    )

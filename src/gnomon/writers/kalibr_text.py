@@ -1,0 +1,15 @@
+"""Kalibr's YAML layout: keys in alphabetical order, matrices as lists of rows right below their key."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from .yaml_text import yaml_lines
+
+
+def kalibr_yaml(document: Mapping[str, Any]) -> str:
+    """Return a document as Kalibr writes it."""
+    return "\n".join(yaml_lines(_sorted(document), flush=True)) + "\n"
+
+
+def _sorted(node: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _sorted(value) if isinstance(value, Mapping) else value for key, value in sorted(node.items())}
