@@ -9,6 +9,7 @@ import pytest
 from gnomon import CameraImuScenario, InitialisationError, simulate_camera_imu
 from gnomon.estimate.camera_imu.alignment import align, gyroscope_integral
 from gnomon.estimate.camera_imu.board_poses import board_poses, gathered
+from gnomon.estimate.camera_imu.corner_sums import CornerSums, frame_scatter
 from gnomon.estimate.camera_imu.first_guess import ImuStream, looks
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.target import Target
@@ -78,6 +79,29 @@ def test_scatter_about_the_poses_is_the_noise_of_the_corners(outliers):
     poses = poses_of(simulated(pixel_noise_px=0.4, outliers=outliers, outlier_px=30.0))
     assert poses.sigma_px == pytest.approx(0.4, rel=0.05 + 2 * outliers)
     assert np.isfinite(poses.p_cam_target).all()
+
+
+def test_scatter_of_a_frame_counts_no_wrong_corners():
+    simulation = simulated(pixel_noise_px=0.4, outliers=0.1, outlier_px=30.0, target_cols=6, target_rows=6)
+    exposures, frames = poses_of(simulation).exposures, simulation.recording.cameras["cam0"]
+    truth = simulation.frames["cam0"].pixels
+    chosen = np.isin(frames.frame, exposures.frame)
+    residual = (truth - frames.pixels)[chosen]
+    residual[::7] = np.nan  # not imaged
+    lengths = np.diff(exposures.start)
+    sums = CornerSums(
+        gram=np.empty((0, 0, 0)), cost=np.empty(0), mean_square=np.empty(0), valid=lengths, lengths=lengths,
+        residual=residual, weight=np.ones(len(residual)),
+    )  # fmt: skip
+    known = np.ones(len(exposures), dtype=bool)
+    known[3] = False
+    found = frame_scatter(exposures, sums, known)
+    assert len(found) == exposures.frame.max() + 1
+    assert np.isnan(found[exposures.frame[3]])
+    rest = found[np.isfinite(found)]
+    assert len(rest) == len(exposures) - 1
+    assert np.median(rest) == pytest.approx(0.4**2, rel=0.2)
+    assert rest.max() < 3 * 0.4**2
 
 
 def test_frames_that_tell_no_pose_are_left_out():

@@ -192,7 +192,7 @@ def test_gradient_is_the_slope_of_the_cost_along_the_solver_s_own_steps(length, 
     size = np.sqrt(np.diag(matrix))
     n, d = of.state.trajectory.controls.shape
     scale = np.sqrt(2 * lin.cost)
-    for k in range(len(of.layout)):
+    for k in [columns.stop - 1 for columns in of.layout.columns.values()]:  # a scalar of each block
         expected = slope(of, lambda h, k=k: border_step(of, k, h), 0.02 / size[n * d + k])
         assert abs(-lin.system.corner_rhs[k, 0] - expected) < 1e-7 * size[n * d + k] * scale, of.layout.names[k]
     rng = np.random.default_rng(1)

@@ -236,7 +236,7 @@ def test_knots_follow_the_motion_and_not_the_noise(to_hz, least, most):
     accelerometer = 0.03 * rng.normal(size=(len(t_s), 3))
     for hz in np.linspace(0.2, to_hz, 12):
         gyroscope += 0.05 * np.sin(2 * np.pi * hz * t_s + rng.uniform(0, 6, 3)[:, None]).T
-    found = knots_per_s(t_s, gyroscope, accelerometer)
+    found = knots_per_s((t_s, gyroscope), (t_s, accelerometer))
     assert least <= found <= most
     assert motion_limit_hz(t_s, gyroscope, 200.0) == pytest.approx(to_hz + 1, abs=1.0)  # no sharper than its window
     assert motion_limit_hz(t_s, accelerometer, 200.0) < 1.0
@@ -247,9 +247,18 @@ def test_knots_of_a_calm_motion_by_the_rate_of_the_imu(rate_hz, expected):
     rng = np.random.default_rng(2)
     t_s = np.arange(0, 30, 1 / rate_hz)
     values = 0.01 * rng.normal(size=(len(t_s), 3)) + np.sin(2 * np.pi * 0.5 * t_s)[:, None]
-    assert knots_per_s(t_s, values) == expected
+    assert knots_per_s((t_s, values)) == expected
     violent = rng.normal(size=(len(t_s), 3)) + 50 * np.sin(2 * np.pi * 0.4 * rate_hz * t_s)[:, None]
-    assert knots_per_s(t_s, violent) == pytest.approx(0.5 * rate_hz)
+    assert knots_per_s((t_s, violent)) == pytest.approx(0.5 * rate_hz)
+
+
+def test_the_slower_triad_limits_the_knots():
+    rng = np.random.default_rng(3)
+    fast_s, slow_s = np.arange(0, 30, 1 / 400), np.arange(0, 30, 1 / 80)
+    fast = 0.01 * rng.normal(size=(len(fast_s), 3)) + np.sin(2 * np.pi * 30.0 * fast_s)[:, None]
+    slow = 0.01 * rng.normal(size=(len(slow_s), 3))
+    assert knots_per_s((fast_s, fast)) == pytest.approx(140.0, abs=5.0)
+    assert knots_per_s((fast_s, fast), (slow_s, slow)) == pytest.approx(40.0)
 
 
 def test_stamps_of_simulated_frames_are_on_the_path_s_clock():

@@ -6,6 +6,7 @@ import importlib.util
 import io
 import re
 import shlex
+import typing
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,12 @@ from gnomon.calibration import parameters
 from gnomon.cli import main
 from gnomon.cli.commands import COMMANDS
 from gnomon.cli.parse import parse
+from gnomon.readers.calibration_cameras import SIGMAS
 from gnomon.readers.npz import __doc__ as npz_keys
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.conversion import FORMATS
 from gnomon.writers.diagnostics_file import diagnostic_arrays
+from gnomon.writers.kalibr_text import kalibr_yaml
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -29,6 +32,9 @@ SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 DOCUMENTED_CODE = re.compile(r"^- (\*\*`.*?)\(", re.MULTILINE)
 SHORT = gnomon.Scenario(intervals=20, t_init_s=20.0, g_sensitivity=3e-4)
+WAVED = gnomon.CameraImuScenario(duration_s=8.0, camera_rate_hz=10.0, cameras=2, target_cols=4, target_rows=4)
+RIG = shlex.split("--duration-s 10 --camera-rate-hz 5 --imu-rate-hz 100 --target-cols 3 --target-rows 3")
+"""Options of a small simulated rig."""
 
 
 def text(name):
@@ -55,6 +61,12 @@ def run(arguments):
 def result():
     recording, _ = gnomon.simulate(SHORT, seed=2)
     return gnomon.calibrate_imu(recording)
+
+
+@pytest.fixture(scope="module")
+def rig_result():
+    made = gnomon.simulate_camera_imu(WAVED, seed=2)
+    return gnomon.calibrate_camera_imu(made.recording, made.target, gnomon.CameraImuOptions(compare=True))
 
 
 @pytest.fixture(scope="module")
@@ -116,21 +128,55 @@ def keys_of(node, path=""):
         yield from keys_of(node[0], path)
 
 
-def test_every_key_of_the_calibration_file_is_documented(result):
+@pytest.mark.parametrize("which", ["result", "rig_result"])
+def test_every_key_of_the_calibration_file_is_documented(which, request):
     section = text("files.md").split("## calibration.yaml")[1].split("\n## ")[0]
-    document = yaml.safe_load(calibration_text(result.calibration))
+    calibration = request.getfixturevalue(which).calibration
+    document = yaml.safe_load(calibration_text(calibration))
     document["provenance"]["inputs"] = [{"name": "", "sha256": ""}]
-    last = {path.rsplit(".", 1)[-1] for path in keys_of(document)} - {"imu0", *document["provenance"]["options"]}
-    sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in parameters(result.calibration.imus)}
+    sensors = {*calibration.imus, *calibration.cameras}
+    last = {path.rsplit(".", 1)[-1] for path in keys_of(document)} - {*sensors, *document["provenance"]["options"]}
+    sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in parameters(calibration.imus)}
+    if calibration.cameras:
+        sigmas |= {key for path, key in SIGMAS.items() if not path.startswith("T_cam_imu")}
     assert sigmas < last
     assert {key for key in last - sigmas if not re.search(rf"[`.]{key}[`.]", section)} == set()
 
 
-def test_every_key_of_the_diagnostics_is_documented(result):
+def documented_keys(table):
+    """Return the words in the first column of a table."""
+    cells = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
+    return {word for cell in cells for word in re.findall(r"`([^`]+)`", cell)}
+
+
+def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
-    names = {name for name, _ in diagnostic_arrays(result.diagnostics)}
-    written = set(re.findall(r"`([a-z_]+\.[a-z_.]+)`", section.replace("numpy.load", "")))
-    assert written == names
+    alone, with_cameras = section.split("Of cameras and an IMU")
+    assert documented_keys(alone) == {name for name, _ in diagnostic_arrays(result.diagnostics)}
+    names = {name for name, _ in diagnostic_arrays(rig_result.diagnostics)}
+    twins = {name for name in names if name.split(".")[-1] == "cam1" or ".cam1." in name or "accelerometer" in name}
+    assert {name.replace("cam1", "cam0").replace("accelerometer", "gyroscope") for name in twins} < names
+    assert documented_keys(with_cameras) == names - twins
+
+
+def test_every_key_of_kalibrs_results_is_documented(rig_result, tmp_path):
+    made = gnomon.simulate_camera_imu(WAVED, seed=2)
+    section = text("files.md").split("## Kalibr's results")[1].split("\n## ")[0]
+    inputs = text("files.md").split("## Kalibr's files")[1].split("\n## ")[0]
+    for path in gnomon.save_camera_imu_files(rig_result, made.recording, made.target, tmp_path):
+        assert f"`{path.name}`" in section or f"## {path.name}" in text("files.md")
+        if path.suffix == ".yaml":
+            keys = {key.rsplit(".", 1)[-1] for key in keys_of(yaml.safe_load(path.read_text(encoding="utf-8")))}
+            keys -= {"imu0", "cam0", "cam1"}
+            assert {key for key in keys if not re.search(rf"\b{key}\b", section + inputs)} == set()
+
+
+def test_every_board_and_lens_is_documented():
+    inputs = text("files.md").split("## Kalibr's files")[1].split("\n## ")[0]
+    for field in ("projection", "distortion", "target_type"):
+        choices = typing.get_args(typing.get_type_hints(gnomon.CameraImuScenario)[field])
+        assert len(choices) > 2
+        assert {choice for choice in choices if f"`{choice}`" not in inputs} == set()
 
 
 def test_every_npz_key_and_export_format_is_documented():
@@ -162,8 +208,13 @@ def test_no_path_of_a_machine(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_can_be_parsed(page):
+def test_commands_can_be_parsed(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     for words in shell_commands(page):
+        if "--scenario" in words:  # it is read while the command is parsed
+            file = Path(words[words.index("--scenario") + 1])
+            file.parent.mkdir(exist_ok=True)
+            file.write_text("motion: shaky\n", encoding="utf-8")
         if words[0] != "demo" or words[1:]:
             assert type(parse(words)) is COMMANDS[words[0]]
 
@@ -171,10 +222,14 @@ def test_commands_can_be_parsed(page):
 def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = list(shell_commands(DOCS / "tutorial.md"))
-    assert [words[0] for words in commands] == ["simulate", "check", "imu", "show", "apply", "convert"]
+    alone = ["simulate", "check", "imu", "show", "apply", "convert"]
+    assert [words[0] for words in commands] == [*alone, "simulate-camera-imu", "camera-imu", "show", "apply"]
     for words in commands:
         run(words)
-    assert (tmp_path / "first" / "result" / "report.html").exists()
+    for part in ("first", "second"):
+        assert (tmp_path / part / "result" / "report.html").exists()
+    files = re.findall(r"^\| `([\w.-]+)` \|", text("tutorial.md"), re.MULTILINE)
+    assert {name for name in files if not (tmp_path / "second" / "result" / name).exists()} == set()
     header = text("tutorial.md").split("```text\n")[1].split("\n")[0]
     rows = np.loadtxt("first/recording.csv", delimiter=",", skiprows=1)
     rows[:, 0] //= 1000
@@ -188,10 +243,28 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, seed in (("log.csv", 1), ("flight.csv", 2)):
         run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
+    run(["simulate-camera-imu", "-o", "rig", *RIG])
     page = ROOT / "README.md"
     commands = list(shell_commands(page))
-    assert [words[0] for words in commands] == ["check", "imu", "show", "apply", "convert"]
+    with_cameras = ["camera-imu", "show", "camera-imu", "camera-imu", "simulate-camera-imu"]
+    assert [words[0] for words in commands] == ["check", "imu", "show", "apply", "convert", *with_cameras]
     for words in commands:
-        run(words)
-    exec(compile(PYTHON.search(page.read_text(encoding="utf-8"))[1], "README.md", "exec"), {})
-    assert (tmp_path / "report.html").exists()
+        run(words + ["--no-report"] * (words[0] == "camera-imu" and "-o" in words))
+    for block in PYTHON.findall(page.read_text(encoding="utf-8")):
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(compile(block, "README.md", "exec"), {})
+    for report in ("report.html", "rig-gnomon/report.html"):
+        assert (tmp_path / report).exists()
+
+
+def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
+    assert len(commands) > 5
+    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
+    chain = yaml.safe_load(Path("rig/camchain.yaml").read_text(encoding="utf-8"))
+    truth = gnomon.load("rig/truth.yaml").cameras["cam0"]
+    chain["cam0"] |= {"T_cam_imu": truth.T_cam_imu, "timeshift_cam_imu": truth.time_shift_cam_imu}
+    Path("rig/camchain.yaml").write_text(kalibr_yaml(chain), encoding="utf-8")  # what --fix and --prior hold
+    for number, words in enumerate(commands):
+        run([*words, "--no-report", "-o", f"result-{number}"])

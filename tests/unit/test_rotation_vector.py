@@ -72,7 +72,7 @@ def test_exponential_jacobian_and_turning_in_high_precision(angle):
         np.testing.assert_allclose(right_jacobian(phi), J, rtol=0, atol=2e-14)
         found = turning(phi[None], rate[None])
         for value, expected in zip(found, (R, J, omega, by_phi), strict=True):
-            np.testing.assert_allclose(value[0], expected, rtol=0, atol=1e-12)
+            np.testing.assert_allclose(value[0], expected, rtol=0, atol=2e-14)
 
 
 @pytest.mark.parametrize("angle", SWEPT[1:])

@@ -17,7 +17,9 @@ from ..diagnostics import Result
 from ..estimate.camera_imu.batch import Measurements, State
 from ..estimate.camera_imu.choices import choices
 from ..estimate.camera_imu.first_guess import Look, first_parameters, first_state, imu_stream, looks, per_corner
+from ..estimate.camera_imu.inertial_terms import triads
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
+from ..estimate.camera_imu.knots import knots_per_s
 from ..estimate.camera_imu.parameters import Parameters, layout
 from ..estimate.camera_imu.publish import published
 from ..estimate.camera_imu.solution import GATE, Solution, solved
@@ -126,10 +128,11 @@ def _estimated(
     parameters = _with_line_delay(first_parameters(found, gravity.value, options), options)
     pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)
     noise = prepared.first_noise(pixel_sigma, _HUBER if options.robust else np.inf)
+    knots = options.knots_per_s or knots_per_s(*triads(prepared.inertial))
     solution: Solution | None = None
     start = parameters
     for _ in range(_RESTARTS):
-        state = first_state(found, parameters, stream, options.knots_per_s, options.spline_order)
+        state = first_state(found, parameters, stream, knots, options.spline_order)
         if solution is None:
             start = state.parameters
         chosen = choices(state.parameters, options)
@@ -179,7 +182,9 @@ def _measurements(
     status = choices(parameters, options).status
     for i, look in enumerate(found):
         exposures = look.poses.exposures
-        consistent = look.alignment.consistent & (look.poses.rms_px**2 < GATE * np.median(look.poses.rms_px) ** 2)
+        consistent = look.alignment.consistent & (
+            look.poses.scatter_px**2 < GATE * np.median(look.poses.scatter_px) ** 2
+        )
         if parameters.cameras[i].camera.line_delay_s or status[f"{look.name}.line_delay"] != "fixed":
             which = exposures.of_corner
             exposures, consistent = per_corner(exposures), consistent[which]

@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import OptionError, SolveError
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Factor, Workspace
-from .assembly import TRIAD, groups, summed_up
+from .assembly import TRIAD, Columns, groups, summed_up
 from .corner_sums import CornerNoise, CornerSums
 from .inertial_terms import InertialData, InertialNoise, InertialTerms
 from .parameters import Layout, Parameters
@@ -143,9 +143,10 @@ def linearised(
         order=grid.order,
         groups=groups(imus),
         parameters=len(layout),
-        sides=1 + (probes + POSE * imus if probing else 0),
+        sides=1 + (probes + BIAS * imus if probing else 0),
         workspace=workspace,
     )
+    columns = Columns(order=grid.order, imus=imus, parameters=len(layout), sides=system.rhs.shape[2])
     if probing:
         weights = mean_weights(trajectory)
         for i in range(BIAS * imus):
@@ -155,8 +156,9 @@ def linearised(
             data,
             trajectory,
             state.parameters,
-            layout,
-            noise.imus[data.imu],
+            layout=layout,
+            columns=columns,
+            noise=noise.imus[data.imu],
             probe=1 + 2 * data.imu if probing else None,
             seed=number,
         )
@@ -167,8 +169,9 @@ def linearised(
             data,
             trajectory,
             state.parameters,
-            layout,
-            CornerNoise(
+            layout=layout,
+            columns=columns,
+            noise=CornerNoise(
                 sigma_px=noise.pixel_sigma[data.camera],
                 huber=noise.huber,
                 probe_sign=_signs(data) if probing else None,
@@ -178,8 +181,8 @@ def linearised(
         )
         for data, used in zip(measurements.visual, measurements.used, strict=True)
     ]
-    found = summed_up(system, grid, (*inertial, *visual))
-    chi2 = [(found.get(f"imu{i}.gyroscope", 0.0), found.get(f"imu{i}.accelerometer", 0.0)) for i in range(imus)]
+    summed_up(system, grid, columns, (*inertial, *visual))
+    chi2 = [_chi2(inertial, i) for i in range(imus)]
     cost = 0.5 * float(np.sum(chi2)) + sum(term.cost for term in visual)
     cost += _add_walks(system, trajectory, noise)
     _add_smoothness(system, trajectory)
@@ -206,6 +209,12 @@ def mean_weights(trajectory: Trajectory) -> Floats:
         weights[begin : begin + segment.spans] += 0.5
         weights[begin + 1 : begin + segment.spans + 1] += 0.5
     return np.asarray(weights / weights.sum(), dtype=np.float64)
+
+
+def _chi2(terms: list[InertialTerms], imu: int) -> tuple[float, float]:
+    """Return the sums of squared residuals of gyroscope and accelerometer of an IMU."""
+    found = [term.chi2() for term in terms if term.data.imu == imu]
+    return sum(pair[0] for pair in found), sum(pair[1] for pair in found)
 
 
 def _counts(terms: list[InertialTerms], imu: int) -> tuple[int, int]:
@@ -297,14 +306,18 @@ def gauss_newton_step(lin: Linearisation, damping: float = 0.0) -> Step:
     parameters, covariance = _border_step(factor, free)
     leaves = layout.of_imu & layout.weak & (np.abs(parameters) > layout.prior_sigma)
     sigma = np.sqrt(np.diag(covariance))
-    largest = float(np.max(np.abs(parameters[free]) / sigma, initial=0.0))
+    decrease = 0.5 * factor.quadratic(0, 0, free, covariance)
+    if len(free):
+        largest = float(np.max(np.abs(parameters[free]) / sigma))
+    else:  # nothing but the trajectory is estimated: its mean step in sigmas
+        largest = float(np.sqrt(2 * max(decrease, 0.0) / (factor.controls * factor.size)))
     if leaves[free].any():
         parameters, _ = _border_step(factor, np.flatnonzero(layout.free & ~layout.of_imu))
     return Step(
         trajectory=factor.substituted(0, parameters),
         parameters=parameters,
         largest=largest,
-        decrease=0.5 * factor.quadratic(0, 0, free, covariance),
+        decrease=decrease,
         factor=factor,
         covariance=covariance,
     )

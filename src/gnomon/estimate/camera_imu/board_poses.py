@@ -12,7 +12,7 @@ from ...geometry.rotation_vector import rotation_from_rotvec
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
-from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
+from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums, frame_scatter
 
 FEWEST_CORNERS = 6
 """A frame with fewer corners is not used: its pose is too uncertain to tell a wrong detection from a right one."""
@@ -35,7 +35,7 @@ class BoardPoses:
     t_s : (n,) stamps of the frames [s]
     R_cam_target : (n, 3, 3)
     p_cam_target : (n, 3) origin of the target in the camera's frame [m]
-    rms_px : (n,) rms residual per axis
+    scatter_px : (n,) scatter of the frame's corners about its pose, per axis, wrong corners apart
     sigma_px : robust scatter of the corners about the poses, per axis
     """
 
@@ -43,7 +43,7 @@ class BoardPoses:
     t_s: Floats
     R_cam_target: Floats
     p_cam_target: Floats
-    rms_px: Floats
+    scatter_px: Floats
     sigma_px: float
 
     def __len__(self) -> int:
@@ -56,7 +56,7 @@ class BoardPoses:
             t_s=self.t_s[kept],
             R_cam_target=self.R_cam_target[kept],
             p_cam_target=self.p_cam_target[kept],
-            rms_px=self.rms_px[kept],
+            scatter_px=self.scatter_px[kept],
         )
 
 
@@ -104,7 +104,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
             t_s=np.empty(0),
             R_cam_target=np.empty((0, 3, 3)),
             p_cam_target=np.empty((0, 3)),
-            rms_px=np.empty(0),
+            scatter_px=np.empty(0),
             sigma_px=float("nan"),
         )
     rotation, p = _homography_poses(exposures, frames.camera)
@@ -127,7 +127,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
         t_s=t_s[exposures.frame],
         R_cam_target=rotation,
         p_cam_target=p,
-        rms_px=np.sqrt(sums.mean_square),
+        scatter_px=np.maximum(np.sqrt(frame_scatter(exposures, sums, sums.valid > 0)[exposures.frame]), SMALLEST_PX),
         sigma_px=max(_scatter(sums.residual) * np.sqrt(2 * sums.valid.sum() / _freedom(sums.valid)), SMALLEST_PX),
     )
 

@@ -159,6 +159,28 @@ def corner_sums(
     )
 
 
+def frame_scatter(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> Floats:
+    """Return the variance of the corners of every frame per axis, (frames,) [px^2]; nan where nothing was imaged.
+
+    It comes from the median squared distance, 2 ln 2 sigma^2 for a normal distribution: wrong corners do not count.
+
+    Parameters
+    ----------
+    known : (e,) exposures whose sums mean something
+    """
+    corner = np.repeat(known, sums.lengths) & np.isfinite(sums.residual[:, 0])
+    frame = np.repeat(exposures.frame, sums.lengths)[corner]
+    squared = np.einsum("ij,ij->i", sums.residual[corner], sums.residual[corner])
+    ordered = squared[np.lexsort((squared, frame))]
+    size = int(exposures.frame.max()) + 1
+    counts = np.bincount(frame, minlength=size)
+    middle = np.cumsum(counts) - counts + counts // 2
+    found = np.full(size, np.nan)
+    some = counts > 0
+    found[some] = ordered[middle[some]] / (2 * np.log(2))
+    return found
+
+
 def _chunks(start: Integers) -> list[tuple[int, int]]:
     """Return (first, last + 1) of consecutive exposures that have some thousand corners together."""
     edges = [0]

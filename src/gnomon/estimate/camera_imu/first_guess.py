@@ -20,7 +20,6 @@ from .choices import choices
 from .corner_sums import Exposures
 from .inertial_terms import InertialData
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory
-from .knots import knots_per_s as knots_for
 from .parameters import CameraParameters, ImuParameters, Parameters, Status, gravity_axes
 
 _BAD_FRAME = 5.0
@@ -241,7 +240,7 @@ def first_state(
     found: tuple[Look, ...],
     parameters: Parameters,
     stream: ImuStream,
-    knots_per_s: float | None,
+    knots_per_s: float,
     order: int,
 ) -> State:
     """Return trajectory and gravity for given extrinsics and time shifts.
@@ -255,7 +254,7 @@ def first_state(
     look, entry = found[guide], parameters.cameras[guide]
     poses = look.poses
     t_s = poses.t_s + entry.time_shift_s
-    good = look.alignment.consistent & ~(poses.rms_px > _BAD_FRAME * np.median(poses.rms_px))
+    good = look.alignment.consistent & ~(poses.scatter_px > _BAD_FRAME * np.median(poses.scatter_px))
     good &= (t_s >= stream.t_s[0]) & (t_s <= stream.t_s[-1])
     if good.sum() < 2:
         raise InitialisationError(
@@ -266,13 +265,14 @@ def first_state(
     p = np.einsum("nji,nj->ni", poses.R_cam_target, entry.p_cam_imu - poses.p_cam_target)
     bias = look.alignment.gyroscope_bias
     path = imu_path(stream.t_s, stream.rate - bias, t_s[good], R[good], p[good])
-    knots = knots_per_s or knots_for(stream.t_s, stream.rate, stream.force)
     seen = np.sort(
         np.concatenate(
             [one.poses.t_s + camera.time_shift_s for one, camera in zip(found, parameters.cameras, strict=True)]
         )
     )
-    trajectory = initial_trajectory(path, seen, knots, order=order, gyroscope_bias=bias, imus=len(parameters.imus))
+    trajectory = initial_trajectory(
+        path, seen, knots_per_s, order=order, gyroscope_bias=bias, imus=len(parameters.imus)
+    )
     gravity = _gravity(path, stream, t_s[good])
     return State(trajectory=trajectory, parameters=replace(parameters, gravity_axes=gravity_axes(gravity)))
 

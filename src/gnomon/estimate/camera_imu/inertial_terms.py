@@ -14,9 +14,9 @@ import numpy as np
 from ...geometry.so3 import skew
 from ...models.pattern import DIAGONAL, FULL, LOWER
 from ...recording import Floats, Integers
-from .assembly import TRIAD, RowShape
+from .assembly import TRIAD, Columns
 from .parameters import ImuParameters, Layout, Parameters
-from .trajectory import BIAS, POSE, Bases, Grid, Motion, Places, Trajectory
+from .trajectory import POSE, Bases, Grid, Motion, Places, Trajectory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,6 +48,14 @@ class InertialData:
     t_s: Floats
     gyroscope: TriadData | None
     accelerometer: TriadData | None
+
+
+def triads(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats, Floats]]:
+    """Yield stamps (n,) [s] and readings (n, 3) of every triad."""
+    for data in inertial:
+        for triad in (data.gyroscope, data.accelerometer):
+            if triad is not None:
+                yield data.t_s, triad.values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,9 +103,10 @@ class InertialTerms:
         data: InertialData,
         trajectory: Trajectory,
         parameters: Parameters,
-        layout: Layout,
-        noise: InertialNoise,
         *,
+        layout: Layout,
+        columns: Columns,
+        noise: InertialNoise,
         probe: int | None,
         seed: int,
     ) -> None:
@@ -107,70 +116,54 @@ class InertialTerms:
         ----------
         data : readings; those outside of the trajectory are left out
         trajectory, parameters, layout : where to linearise
+        columns : of the rows
         noise : standard deviations
         probe : right-hand side of the gyroscope's probe, the accelerometer's is the next; None for no probes
         seed : of the probes' random signs
         """
         self.data, self._places = on_grid(trajectory.grid, data)
         self._trajectory, self._parameters, self._layout = trajectory, parameters, layout
-        self._noise = noise
+        self._columns, self._noise, self._probe = columns, noise, probe
         self._imu = parameters.imus[data.imu]
         self._rng = np.random.default_rng(seed)
-        order = trajectory.grid.order
-        self._gyroscope = RowShape(
-            order=order,
-            bias=BIAS * data.imu,
-            border=self._border(("S_g", "M_g", "q_bg", "B_g"), feels_force=self._gyroscope_feels_force()),
-            probe=probe,
-        )
-        self._accelerometer = RowShape(
-            order=order,
-            bias=BIAS * data.imu + TRIAD,
-            border=self._border(("S_a", "M_a"), feels_force=True),
-            probe=None if probe is None else probe + 1,
-        )
+        self._chi2 = [0.0, 0.0]
 
     @property
     def first(self) -> Integers:
         """First control point of the span of each reading, (n,)."""
         return self._places.first
 
-    def rows(self, part: slice) -> Iterator[tuple[str, Floats, RowShape]]:
-        """Yield the rows of gyroscope and accelerometer, (n, 3, w), of some readings."""
+    def rows(self, part: slice) -> Floats:
+        """Return the rows of both triads, or of the one that has these stamps, (n, 6 or 3, w), of some readings."""
         trajectory, index = self._trajectory, self.data.imu
         places, data = self._places.some(part), _some(self.data, part)
         bases = Bases.at(places, trajectory.grid)
-        at = _Readings(
-            u=places.u,
-            bases=bases,
-            motion=(motion := trajectory.motion(places, bases)),
-            force=specific_force(motion, self._parameters.gravity),
-        )
+        motion = trajectory.motion(places, bases)
+        force = specific_force(motion, self._parameters.gravity)
+        at = _Readings(u=places.u, bases=bases, motion=motion, force=force)
         biases = trajectory.bias(places, index)
-        if data.gyroscope is not None:
-            rows = self._gyroscope_rows(at, biases[0], data.gyroscope)
-            yield f"imu{index}.gyroscope", rows, self._gyroscope
-        if data.accelerometer is not None:
-            rows = self._accelerometer_rows(at, biases[1], data.accelerometer)
-            yield f"imu{index}.accelerometer", rows, self._accelerometer
+        triads = (data.gyroscope, data.accelerometer)
+        rows = np.zeros((len(places.u), TRIAD * sum(triad is not None for triad in triads), self._columns.width))
+        begin = 0
+        for kind, triad in enumerate(triads):
+            if triad is None:
+                continue
+            fill = (self._fill_gyroscope, self._fill_accelerometer)[kind]
+            fill(rows[:, begin : begin + TRIAD], at, biases[kind], triad)
+            begin += TRIAD
+        return rows
 
-    def _gyroscope_feels_force(self) -> bool:
-        return self._layout.get(f"imu{self.data.imu}.B_g") is not None or bool(self._imu.B_g.any())
+    def chi2(self) -> tuple[float, float]:
+        """Return the sum of squared whitened residuals of gyroscope and accelerometer that `rows` has met so far."""
+        return self._chi2[0], self._chi2[1]
 
-    def _border(self, own: tuple[str, ...], *, feels_force: bool) -> Integers:
-        """Return the border columns that a triad touches: its own, and gravity's if it feels the specific force."""
-        names = ["gravity.direction", "gravity.magnitude"] if feels_force else []
-        names += [f"imu{self.data.imu}.{name}" for name in own]
-        found = [np.arange(s.start, s.stop) for name in names if (s := self._layout.get(name)) is not None]
-        return np.concatenate(found) if found else np.empty(0, np.int64)
-
-    def _gyroscope_rows(self, at: "_Readings", bias: Floats, triad: TriadData) -> Floats:
+    def _fill_gyroscope(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
         imu, motion = self._imu, at.motion
         K, B = imu.gyroscope_sensitivity, imu.B_g
         weight = triad.used / self._noise.gyroscope
         by_phi, by_rate = K @ motion.omega_by_phi, K @ motion.phi_jacobian
         by_acceleration: Floats | None = None
-        if self._gyroscope_feels_force():
+        if self._layout.get(f"imu{self.data.imu}.B_g") is not None or B.any():  # the specific force acts on it
             by_phi = by_phi + B @ (skew(at.force) @ motion.phi_jacobian)
             by_acceleration = B @ np.swapaxes(motion.R, 1, 2)
         residual = motion.omega @ K.T + at.force @ B.T + bias - triad.values
@@ -182,10 +175,10 @@ class InertialTerms:
             "q_bg": lambda: (S @ M) @ skew(turned),
             "B_g": lambda: FULL.product_jacobian(at.force),
         }
-        rows = self._local_rows(at, (by_phi, by_rate, by_acceleration), residual, weight, self._gyroscope)
-        return self._with_border(rows, own, by_acceleration, weight, self._gyroscope)
+        self._fill_local(rows, at, (by_phi, by_rate, by_acceleration), residual, weight, kind=0)
+        self._fill_border(rows, own, by_acceleration, weight)
 
-    def _accelerometer_rows(self, at: "_Readings", bias: Floats, triad: TriadData) -> Floats:
+    def _fill_accelerometer(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
         imu, motion = self._imu, at.motion
         K = imu.accelerometer_sensitivity
         weight = triad.used / self._noise.accelerometer
@@ -197,25 +190,27 @@ class InertialTerms:
             "S_a": lambda: DIAGONAL.product_jacobian(at.force @ M.T),
             "M_a": lambda: S @ LOWER.product_jacobian(at.force),
         }
-        rows = self._local_rows(at, (by_phi, None, by_acceleration), residual, weight, self._accelerometer)
-        return self._with_border(rows, own, by_acceleration, weight, self._accelerometer)
+        self._fill_local(rows, at, (by_phi, None, by_acceleration), residual, weight, kind=1)
+        self._fill_border(rows, own, by_acceleration, weight)
 
-    def _local_rows(
+    def _fill_local(
         self,
+        rows: Floats,
         at: "_Readings",
         by: tuple[Floats, Floats | None, Floats | None],
         residual: Floats,
         weight: Floats,
-        shape: RowShape,
-    ) -> Floats:
-        """Return whitened rows (n, 3, w) without their border columns.
+        *,
+        kind: int,
+    ) -> None:
+        """Fill in the columns of pose, bias and right-hand sides.
 
-        `by` holds the derivatives by rotation vector, its rate, and the acceleration of the body, (n, 3, 3) each.
+        `by` holds the derivatives by rotation vector, its rate, and the acceleration of the body, (n, 3, 3) each;
+        `kind` is 0 for the gyroscope and 1 for the accelerometer.
         """
-        n = len(weight)
-        rows = np.zeros((n, 3, shape.width))
+        n, columns = len(weight), self._columns
         weighted = weight[:, None]
-        pose = rows[:, :, : shape.pose].reshape(n, 3, shape.order, POSE)  # a view
+        pose = rows[:, :, : columns.pose].reshape(n, TRIAD, columns.order, POSE)  # a view
         bases = [(basis * weighted)[:, None, :, None] for basis in (at.bases.value, at.bases.rate)]
         by_phi, by_rate, by_acceleration = by
         np.multiply(bases[0], by_phi[:, :, None, :], out=pose[..., :3])
@@ -224,24 +219,20 @@ class InertialTerms:
         if by_acceleration is not None:
             basis = (at.bases.acceleration * weighted)[:, None, :, None]
             np.multiply(basis, by_acceleration[:, :, None, :], out=pose[..., 3:])
-        start = shape.pose
-        for i in range(TRIAD):
-            rows[:, i, start + i] = (1 - at.u) * weight
-            rows[:, i, start + TRIAD + i] = at.u * weight
-        np.multiply(residual, weighted, out=rows[:, :, shape.residual])
-        if shape.probe is not None:
-            signs = self._rng.integers(0, 2, (n, 3)) * 2.0 - 1.0
-            rows[:, :, shape.residual + 1] = signs * (weighted > 0)
-        return rows
+        for knot, share in enumerate((1 - at.u, at.u)):
+            start = columns.bias(self.data.imu, knot).start + TRIAD * kind
+            for i in range(TRIAD):
+                rows[:, i, start + i] = share * weight
+        whitened = residual * weighted
+        self._chi2[kind] += float(np.vdot(whitened, whitened))
+        np.negative(whitened, out=rows[:, :, columns.side])
+        if self._probe is not None:
+            signs = self._rng.integers(0, 2, (n, TRIAD)) * 2.0 - 1.0
+            rows[:, :, columns.side + self._probe + kind] = signs * (weighted > 0)
 
-    def _with_border(
-        self,
-        rows: Floats,
-        own: dict[str, Callable[[], Floats]],
-        by_acceleration: Floats | None,
-        weight: Floats,
-        shape: RowShape,
-    ) -> Floats:
+    def _fill_border(
+        self, rows: Floats, own: dict[str, Callable[[], Floats]], by_acceleration: Floats | None, weight: Floats
+    ) -> None:
         """Fill in the border columns: those of the triad's own parameters, and gravity's."""
         parameters = self._parameters
         blocks = {f"imu{self.data.imu}.{name}": derivative for name, derivative in own.items()}
@@ -249,13 +240,11 @@ class InertialTerms:
             g, plane, direction = parameters.gravity_m_s2, parameters.gravity_plane, parameters.gravity_direction
             blocks["gravity.direction"] = lambda: by_acceleration @ (-g * plane)
             blocks["gravity.magnitude"] = lambda: by_acceleration @ -direction[:, None]
-        place = {int(column): shape.border_columns.start + i for i, column in enumerate(shape.border)}
+        start = self._columns.border
         for name, derivative in blocks.items():
-            columns = self._layout.get(name)
-            if columns is not None:
-                begin = place[columns.start]
-                rows[:, :, begin : begin + columns.stop - columns.start] = derivative() * weight[:, None, None]
-        return rows
+            at = self._layout.get(name)
+            if at is not None:
+                rows[:, :, start + at.start : start + at.stop] = derivative() * weight[:, None, None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

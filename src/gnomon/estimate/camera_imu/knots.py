@@ -21,16 +21,16 @@ _EXCESS = 0.03
 """Share of the noise that motion above the limit may add."""
 
 
-def knots_per_s(t_s: Floats, *signals: Floats) -> float:
+def knots_per_s(*signals: tuple[Floats, Floats]) -> float:
     """Return the knots per second for the motion in an IMU's signals.
 
     Parameters
     ----------
-    t_s : (n,) stamps [s]
-    signals : (n, 3) each, readings of gyroscope and accelerometer
+    signals : stamps (n,) [s] and readings (n, 3) of each triad
     """
-    rate = 1 / float(np.median(np.diff(t_s)))
-    highest = max(motion_limit_hz(t_s, signal, rate) for signal in signals)
+    rates = [1 / float(np.median(np.diff(t_s))) for t_s, _ in signals]
+    highest = max(motion_limit_hz(t_s, values, rate) for (t_s, values), rate in zip(signals, rates, strict=True))
+    rate = min(rates)  # the slower triad must not be followed into its noise
     wanted = max(KNOTS_PER_PERIOD * highest, min(DEFAULT_PER_S, _PREFERRED_SHARE * rate))
     return float(np.clip(5 * np.ceil(wanted / 5 - 1e-9), 5.0, LARGEST_SHARE * rate))
 

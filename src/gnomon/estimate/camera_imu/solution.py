@@ -21,17 +21,18 @@ from .batch import (
     linearised,
     moved,
 )
-from .corner_sums import CornerSums, Exposures
+from .corner_sums import CornerSums, Exposures, frame_scatter
 from .inertial_terms import InertialNoise
 from .parameters import Layout
 
 GATE = 4.0
-"""A frame whose mean squared residual exceeds the median frame's by this factor is left out."""
+"""A frame whose corners scatter more than those of the median frame, by this factor in variance, is left out."""
 
 _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
-_SETTLED = 5e-3  # if no more than this share of the cost is left to gain
+_SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
+_NEARLY_SETTLED = 0.1  # if no more than this is
 _AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell
-_NOISE_AT_REST, _NOISE_NEARLY_AT_REST = 0.02, 0.05  # relative change
+_NOISE_AT_REST, _NOISE_NEARLY_AT_REST, _NOISE_ROUGHLY = 0.02, 0.05, 0.2  # relative change
 _FEW = 0.005
 """Share of the frames that may be judged otherwise without a further round: they lie at the limit."""
 
@@ -102,15 +103,16 @@ def solved(
     step, found, previous = _step(lin), noise, np.inf
     while len(iterations) < max_iterations:
         tell(f"iteration {len(iterations) + 1}: largest step {step.largest:.2g} sigma")
-        if lin.probing and step.largest < _NEAR and step.decrease < _SETTLED * lin.cost:
+        if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
             found = _at_least(estimated_noise(lin, step, noise), first)
-            judgements += 1
+            settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
+            judgements += settled
             kept = _gated(measurements, lin, noise) if gate and judgements <= _JUDGEMENTS else measurements.used
-            exact = step.largest < 1.0 and judgements <= _JUDGEMENTS
-            tolerance = _NOISE_AT_REST if exact else _NOISE_NEARLY_AT_REST
+            tolerance = _NOISE_AT_REST if settled and judgements <= _JUDGEMENTS else _NOISE_NEARLY_AT_REST
+            tolerance = tolerance if settled else _NOISE_ROUGHLY
             same_noise = not estimate_noise or noise_change(found, noise) < tolerance
             same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
-            left = step.largest * min(1.0, step.largest / previous)
+            left = step.largest * min(1.0, step.largest / max(previous, 1e-12))
             if same_noise and same_frames and left < _AT_REST:
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
@@ -209,12 +211,12 @@ def _gated(measurements: Measurements, lin: Linearisation, noise: Noise) -> tupl
 def _fitting(
     exposures: Exposures, sums: CornerSums, known: np.ndarray, used: np.ndarray, sigma_px: float
 ) -> np.ndarray:
-    mean_square = frame_mean_square(exposures, sums, known)
-    seen = np.isfinite(mean_square)
+    variance = frame_scatter(exposures, sums, known)
+    seen = np.isfinite(variance)
     if seen.sum() < _FEWEST_FRAMES:
         return used
-    limit = GATE * max(float(np.median(mean_square[seen])), sigma_px**2)
-    frames = ~(mean_square > limit)
+    limit = GATE * max(float(np.median(variance[seen])), sigma_px**2)
+    frames = ~(variance > limit)
     return frames[exposures.frame]
 
 

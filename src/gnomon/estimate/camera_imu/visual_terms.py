@@ -11,14 +11,13 @@ twist (tau_r, x x tau_r) about the camera's origin, and
     exposing later by dt                           the body turns by omega dt and moves by v dt.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...geometry.so3 import skew
 from ...recording import Floats, Integers
-from .assembly import RowShape
+from .assembly import Columns
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 from .parameters import CameraParameters, Layout, Parameters
 from .trajectory import POSE, Bases, Motion, Trajectory
@@ -67,9 +66,10 @@ class VisualTerms:
         data: VisualData,
         trajectory: Trajectory,
         parameters: Parameters,
-        layout: Layout,
-        noise: CornerNoise,
         *,
+        layout: Layout,
+        columns: Columns,
+        noise: CornerNoise,
         used: np.ndarray,
         probe: int | None,
     ) -> None:
@@ -79,6 +79,7 @@ class VisualTerms:
         ----------
         data : corners
         trajectory, parameters, layout : where to linearise
+        columns : of the rows
         noise : weights
         used : (e,) exposures that shall take part
         probe : right-hand side of the probe, or None
@@ -98,8 +99,8 @@ class VisualTerms:
             target_scale=parameters.target_scale,
             scale_column=scale_column,
         )
-        border, self._maps = _maps(layout, data, entry, self._motion, scale_column=scale_column)
-        self._shape = RowShape(order=grid.order, bias=None, border=border, probe=probe)
+        self._maps = _maps(layout, data, entry, self._motion)
+        self._columns, self._probe = columns, probe
         self.known = places.inside & (self.sums.valid > 0)
         self.inside = self.known & used
         chosen = np.flatnonzero(self.inside)
@@ -116,36 +117,35 @@ class VisualTerms:
         """Robust cost of all exposures that take part."""
         return float(self.sums.cost[self.inside].sum())
 
-    def rows(self, part: slice) -> Iterator[tuple[str, Floats, RowShape]]:
-        """Yield the rows (e, w, w) that sum up the corners of some exposures."""
+    def rows(self, part: slice) -> Floats:
+        """Return the rows (e, r, w) that sum up the corners of some exposures."""
         chosen = self._order[part]
-        rows = _square_roots(self.sums.gram[chosen])
-        yield self._entry.name, self._mapped(rows, chosen), self._shape
+        return self._mapped(_square_roots(self.sums.gram[chosen]), chosen)
 
-    def _mapped(self, rows: Floats, chosen: Integers) -> Floats:
-        """Return the rows (e, r, columns of the shape) from rows (e, r, w) in the columns of `corner_sums`."""
-        entry, shape, motion = self._entry, self._shape, self._motion
-        count, height, width = rows.shape
+    def _mapped(self, roots: Floats, chosen: Integers) -> Floats:
+        """Return the rows (e, r, w) from rows (e, r, ...) in the columns of `corner_sums`."""
+        entry, columns, motion = self._entry, self._columns, self._motion
+        count, height, _ = roots.shape
         R, x = entry.R_cam_imu, entry.p_cam_imu
         turn = -np.vstack([R, skew(x) @ R])  # (6, 3)
-        by_turn = (rows[:, :, :TWIST] @ turn) @ motion.phi_jacobian[chosen]
-        by_move = -(rows[:, :, 3:TWIST] @ R) @ np.swapaxes(motion.R[chosen], 1, 2)
-        mapped = np.zeros((count, height, shape.width))
-        pose = mapped[:, :, : shape.pose].reshape(count, height, shape.order, POSE)  # a view
+        by_turn = (roots[:, :, :TWIST] @ turn) @ motion.phi_jacobian[chosen]
+        by_move = -(roots[:, :, 3:TWIST] @ R) @ np.swapaxes(motion.R[chosen], 1, 2)
+        rows = np.zeros((count, height, columns.width))
+        pose = rows[:, :, : columns.pose].reshape(count, height, columns.order, POSE)  # a view
         value = self._bases.value[chosen][:, None, :, None]
         np.multiply(value, by_turn[:, :, None, :], out=pose[..., :3])
         np.multiply(value, by_move[:, :, None, :], out=pose[..., 3:])
-        begin = shape.border_columns.start
+        start = columns.border
         for at, twist in self._maps.twists:
             of_exposure = twist if len(twist) == 1 else twist[chosen]
-            mapped[:, :, begin + at.start : begin + at.stop] = rows[:, :, :TWIST] @ of_exposure
-        for at, index in self._maps.own:
-            mapped[:, :, begin + at] = rows[:, :, TWIST + index]
-        last = width - 1 - (shape.probe is not None)
-        mapped[:, :, shape.residual] = rows[:, :, last]
-        if shape.probe is not None:
-            mapped[:, :, shape.residual + 1] = rows[:, :, last + 1]
-        return mapped
+            rows[:, :, start + at.start : start + at.stop] = roots[:, :, :TWIST] @ of_exposure
+        for column, index in self._maps.own:
+            rows[:, :, start + column] = roots[:, :, TWIST + index]
+        residual = TWIST + len(self._maps.own)
+        np.negative(roots[:, :, residual], out=rows[:, :, columns.side])
+        if self._probe is not None:
+            rows[:, :, columns.side + self._probe] = roots[:, :, residual + 1]
+        return rows
 
 
 def _own_columns(layout: Layout, entry: CameraParameters) -> tuple[Integers, bool]:
@@ -170,53 +170,31 @@ def _square_roots(gram: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Maps:
-    """How border parameters act: (columns in the rows, twist (e or 1, 6, b)) and own columns (place, own index)."""
+    """How border parameters act: (border columns, twist (e or 1, 6, b)) and (border column, own column of the sums)."""
 
     twists: list[tuple[slice, Floats]]
     own: list[tuple[int, int]]
 
 
-def _maps(
-    layout: Layout,
-    data: VisualData,
-    entry: CameraParameters,
-    motion: Motion,
-    *,
-    scale_column: bool,
-) -> tuple[Integers, _Maps]:
-    name = entry.name
-    border: list[int] = []
+def _maps(layout: Layout, data: VisualData, entry: CameraParameters, motion: Motion) -> _Maps:
+    name, R, x = entry.name, entry.R_cam_imu, entry.p_cam_imu
     twists: list[tuple[slice, Floats]] = []
-    places: list[tuple[int, int]] = []
-
-    def put(block: str) -> slice | None:
-        columns = layout.get(block)
-        if columns is None:
-            return None
-        begin = len(border)
-        border.extend(range(columns.start, columns.stop))
-        return slice(begin, len(border))
-
-    R, x = entry.R_cam_imu, entry.p_cam_imu
-    if (at := put(f"{name}.T_cam_imu.rotation")) is not None:
+    if (at := layout.get(f"{name}.T_cam_imu.rotation")) is not None:
         twists.append((at, np.vstack([R, skew(x) @ R])[None]))
-    if (at := put(f"{name}.T_cam_imu.translation")) is not None:
+    if (at := layout.get(f"{name}.T_cam_imu.translation")) is not None:
         twists.append((at, np.vstack([np.zeros((3, 3)), np.eye(3)])[None]))
-    shift, delay = put(f"{name}.time_shift_cam_imu"), put(f"{name}.line_delay")
+    shift, delay = layout.get(f"{name}.time_shift_cam_imu"), layout.get(f"{name}.line_delay")
     if shift is not None or delay is not None:
         moving = _body_twists(entry, motion, motion.omega, motion.velocity)[:, :, None]
         if shift is not None:
             twists.append((shift, moving))
         if delay is not None:
             twists.append((delay, moving * data.exposures.delay_rows[:, None, None]))
-    taken = 0
-    for block in (f"{name}.intrinsics", f"{name}.distortion_coeffs"):
-        if (at := put(block)) is not None:
-            places += [(at.start + i, taken + i) for i in range(at.stop - at.start)]
-            taken += at.stop - at.start
-    if scale_column and (at := put("target.scale")) is not None:
-        places.append((at.start, taken))
-    return np.array(border, dtype=np.int64), _Maps(twists=twists, own=places)
+    own: list[tuple[int, int]] = []
+    for block in (f"{name}.intrinsics", f"{name}.distortion_coeffs", "target.scale"):
+        if (at := layout.get(block)) is not None:
+            own += [(column, len(own) + i) for i, column in enumerate(range(at.start, at.stop))]
+    return _Maps(twists=twists, own=own)
 
 
 def _body_twists(entry: CameraParameters, motion: Motion, turn: Floats, move: Floats) -> Floats:
