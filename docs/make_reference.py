@@ -8,6 +8,7 @@ docstrings. A test fails where the pages are older than the code.
 
 import ast
 import inspect
+import re
 import textwrap
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass
@@ -20,8 +21,8 @@ import tyro.conf
 
 import gnomon
 from gnomon.cli.commands import COMMANDS
-from gnomon.options import ImuOptions
-from gnomon.simulate import Scenario
+from gnomon.options import CameraImuOptions, ImuOptions
+from gnomon.simulate import CameraImuScenario, Scenario
 
 DOCS = Path(__file__).parent
 GENERATED = "<!-- Made by docs/make_reference.py; do not edit. -->"
@@ -47,29 +48,43 @@ _PYTHON_HEAD = """\
 
 Everything public is in the package `gnomon`; nothing is imported before it is used. Values are frozen dataclasses whose
 arrays are read-only. Arrays are float64 with samples first, `(n, 3)`. The command line only wraps these names: its
-options are the fields of `ImuOptions` and `Scenario` ([cli.md](cli.md) describes each), and the names of parameters are
-the paths in [calibration.yaml](files.md#calibrationyaml).
+options are the fields of `ImuOptions`, `CameraImuOptions`, `Scenario` and `CameraImuScenario` ([cli.md](cli.md)
+describes each), and the names of parameters are the paths in [calibration.yaml](files.md#calibrationyaml).
 """
+
+_COMMAND_OF = {
+    ImuOptions: "imu",
+    CameraImuOptions: "camera-imu",
+    Scenario: "simulate",
+    CameraImuScenario: "simulate-camera-imu",
+}
+"""Options -> the command whose help describes each of them."""
 
 _SECTIONS = {
     "What one does": (
         "read",
+        "read_camera_imu",
         "check",
         "calibrate_imu",
+        "calibrate_camera_imu",
         "save",
+        "save_camera_imu_files",
         "load",
         "convert",
         "write_report",
         "simulate",
+        "simulate_camera_imu",
     ),
-    "What one chooses": ("ImuOptions", "Scenario", "Units"),
-    "What was measured": ("Recording", "ImuSamples", "TriadSamples"),
+    "What one chooses": ("ImuOptions", "CameraImuOptions", "Scenario", "CameraImuScenario", "Units"),
+    "What was measured": ("Recording", "ImuSamples", "TriadSamples", "CameraFrames"),
+    "What is known beforehand": ("Target", "Camera", "ImuNoise"),
     "What was learned": (
         "Result",
         "Calibration",
         "ImuCalibration",
         "AccelerometerCalibration",
         "GyroscopeCalibration",
+        "CameraCalibration",
         "Covariance",
         "Finding",
         "Loss",
@@ -140,9 +155,10 @@ def command_options(command: type) -> Iterator[Option]:
         if _POSITIONAL in getattr(hints[field.name], "__metadata__", ()):
             written, default = words or field.name.upper(), ""
         elif hint is bool:
-            written, default = (f"--no-{field.name}" if field.default else flag), ""
+            written, default = (flag.replace("--", "--no-", 1) if field.default else flag), ""
         else:
-            written = ", ".join(f"`{name} {words}`".replace("|", "\\|") for name in (*aliases, flag)).strip("`")
+            names = sorted((*aliases, flag), key=len)
+            written = ", ".join(f"`{name} {words}`".replace("|", "\\|") for name in names).strip("`")
             default = _default(field.default)
         yield Option(words=f"`{written}`", meaning=meanings[field.name], default=default)
 
@@ -163,14 +179,16 @@ def _metavar(hint: Any) -> str:
     if get_origin(hint) is Literal:
         return "{" + ",".join(map(str, get_args(hint))) + "}"
     if get_origin(hint) is tuple:
-        return " ".join(kind.__name__.upper() for kind in get_args(hint))
+        kinds = get_args(hint)
+        words = " ".join(_metavar(kind) for kind in kinds if kind is not Ellipsis)
+        return f"[{words} ...]" if Ellipsis in kinds else words
     return "PATH" if hint is Path else hint.__name__.upper()
 
 
 def _default(value: Any) -> str:
     if value is MISSING:
         return "required"
-    if value is None:
+    if value is None or value == ():
         return ""
     if isinstance(value, tuple):
         return f"`{' '.join(f'{item:g}' for item in value)}`"
@@ -219,18 +237,25 @@ def _described(name: str, thing: Any) -> Iterator[str]:
         yield _block(f"gnomon.{name}{_signature(thing)}", thing.__doc__)
         return
     yield _block(f"gnomon.{name}", thing.__doc__)
-    if is_dataclass(thing) and "Attributes\n" not in (thing.__doc__ or "") and thing not in (ImuOptions, Scenario):
-        yield f"Fields: {', '.join(f'`{field.name}`' for field in fields(thing))}."
-    if thing in (ImuOptions, Scenario):
-        command = "imu" if thing is ImuOptions else "simulate"
-        listed = ", ".join(f"`{field.name}`" for field in fields(thing))
-        yield f"Fields, each described under [gnomon {command}](cli.md#gnomon-{command}): {listed}."
+    if is_dataclass(thing):
+        yield from _fields_line(thing)
     for member, function in vars(thing).items():
         if member.startswith("_") or not hasattr(function, "__doc__") or not _is_own(function):
             continue
         bare = getattr(function, "fget", None) or getattr(function, "__func__", function)
         signature = "" if isinstance(function, property) else _signature(bare)
         yield _block(f"{name}.{member}{signature}", bare.__doc__)
+
+
+def _fields_line(thing: Any) -> Iterator[str]:
+    """Yield a line with the fields that the docstring does not describe."""
+    command = _COMMAND_OF.get(thing)
+    described = f", each described under [gnomon {command}](cli.md#gnomon-{command})" if command else ""
+    attributes = (thing.__doc__ or "").partition("Attributes\n")[2]
+    names = [field.name for field in fields(thing) if not re.search(rf"^ *[\w, ]*\b{field.name}\b", attributes, re.M)]
+    if names:
+        also = "Further fields" if attributes else "Fields"
+        yield f"{also}{described}: {', '.join(f'`{name}`' for name in names)}."
 
 
 def _is_own(member: Any) -> bool:

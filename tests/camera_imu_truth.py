@@ -214,3 +214,10 @@ def true_trajectory(simulation, t_s, found, parameters, options):
         for k in range(6):
             controls[segment.first + index, POSE + k] = np.interp(times, recorded_s, biases[:, k])
     return replace(fitted, controls=controls)
+
+
+def turned(T, rotvec, shift):
+    """Return a transform (4, 4) with a rotation on the right and a translation [m] added."""
+    moved = T.copy()
+    moved[:3, :3], moved[:3, 3] = T[:3, :3] @ rotation_from_rotvec(np.array(rotvec)), T[:3, 3] + shift
+    return moved

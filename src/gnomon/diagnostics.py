@@ -188,7 +188,7 @@ class BiasTrack:
     Attributes
     ----------
     t_s : (k,) [s from the start of the recording]
-    value, sigma : (k, 3) estimate and its standard deviation [unit]
+    value, sigma : (k, 3) estimate and its standard deviation [unit]; sigma is nan where no marginals were asked for
     random_walk : assumed random walk [unit/sqrt(s)]
     unit : "m/s^2" or "rad/s"
     """

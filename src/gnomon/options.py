@@ -110,6 +110,9 @@ class CameraImuOptions:
     """Estimate the basic model too, to compare what both predict (Figs. 5.6 and 5.7 of document B). The command line
     always does for a report, which shows it."""
 
+    marginals: bool = False
+    """Give the standard deviations of the trajectory and the biases over time, too."""
+
     max_iterations: int = 30
     """Most Gauss-Newton iterations of one solution."""
 

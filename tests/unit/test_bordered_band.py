@@ -89,13 +89,17 @@ def test_marginals_are_blocks_of_the_dense_covariance(shape):
     chain, p = len(dense) - len(system.corner), len(system.corner)
     factor = system.factorised()
     inverse = np.linalg.inv(dense)
-    marginals = factor.marginals(np.arange(p), np.linalg.inv(factor.schur))
+    marginals, following = factor.marginals(np.arange(p), np.linalg.inv(factor.schur))
     size = marginals.shape[1]
     assert size == max(shape["order"] - 1, 1) * sum(shape["groups"])
     for k, block in enumerate(marginals):
         of = slice(k * size, min((k + 1) * size, chain))
         count = of.stop - of.start
         np.testing.assert_allclose(block[:count, :count], inverse[of, of], rtol=1e-8, atol=1e-13)
+    for k, block in enumerate(following):
+        rows, columns = slice(k * size, (k + 1) * size), slice((k + 1) * size, min((k + 2) * size, chain))
+        expected = inverse[rows, columns]
+        np.testing.assert_allclose(block[:, : expected.shape[1]], expected, rtol=1e-8, atol=1e-13)
 
 
 def test_held_parameters_of_the_border():
@@ -113,7 +117,7 @@ def test_held_parameters_of_the_border():
     np.testing.assert_allclose(parameters[free], expected[chain:, 1], rtol=1e-9)
     np.testing.assert_allclose(factor.substituted(1, parameters).ravel(), expected[:chain, 1], rtol=0, atol=1e-12)
     assert factor.quadratic(2, 0, free, covariance) == pytest.approx(right[kept, 2] @ expected[:, 0], rel=1e-10)
-    marginals = factor.marginals(free, covariance)
+    marginals, _ = factor.marginals(free, covariance)
     size = marginals.shape[1]
     np.testing.assert_allclose(marginals[1], inverse[size : 2 * size, size : 2 * size], rtol=1e-8, atol=1e-14)
 

@@ -16,13 +16,14 @@ from ..diagnostics import (
     SolverStep,
     TrajectoryTrack,
 )
+from ..estimate.camera_imu.assembly import TRIAD
 from ..estimate.camera_imu.choices import choices
 from ..estimate.camera_imu.first_guess import Look
 from ..estimate.camera_imu.inertial_terms import InertialData, predicted, specific_force
 from ..estimate.camera_imu.parameters import Parameters, blocks, coordinates
 from ..estimate.camera_imu.publish import Published
 from ..estimate.camera_imu.solution import Solution, frame_mean_square
-from ..estimate.camera_imu.trajectory import POSE, Bases
+from ..estimate.camera_imu.trajectory import BIAS, POSE, Bases, Grid, Places
 from ..estimate.camera_imu.uncertainty import Uncertainty, with_uncertain
 from ..estimate.camera_imu.visual_terms import instants
 from ..geometry.quaternion import quaternion_from_rotation
@@ -74,13 +75,14 @@ def describe(evidence: CameraImuEvidence) -> CameraImuDiagnostics:
     solution = evidence.solution
     parameters, grid = solution.state.parameters, solution.state.trajectory.grid
     estimated = _parameters(evidence)
+    marginals = _marginals(evidence)
     covariance = _covariance(evidence)
     scale = np.sqrt(np.diag(covariance))
     return CameraImuDiagnostics(
         signals=_signals(evidence),
-        biases=_biases(evidence),
+        biases=_biases(evidence, marginals),
         corners={look.name: _corners(evidence, i, look) for i, look in enumerate(evidence.looks)},
-        trajectory=_trajectory(evidence),
+        trajectory=_trajectory(evidence, marginals),
         parameters=estimated,
         correlation=covariance / np.outer(scale, scale),
         noise=_noise(evidence),
@@ -167,25 +169,33 @@ def _predictions(solution: Solution, data: InertialData) -> tuple[Floats, Floats
     return whole[0], whole[1]
 
 
-def _biases(evidence: CameraImuEvidence) -> dict[str, BiasTrack]:
-    """Return the biases at the knots, with their standard deviations."""
+def _marginals(evidence: CameraImuEvidence) -> tuple[Floats, Floats] | None:
+    """Return the covariances of the control points' super-blocks where the report or the options ask for them."""
     solution = evidence.solution
-    trajectory, step = solution.state.trajectory, solution.step
+    if not (evidence.options.compare or evidence.options.marginals):
+        return None
+    return solution.step.factor.marginals(solution.layout.free_index, solution.step.covariance)
+
+
+def _biases(evidence: CameraImuEvidence, marginals: tuple[Floats, Floats] | None) -> dict[str, BiasTrack]:
+    """Return the biases at the knots, with their standard deviations; nan without marginals."""
+    solution = evidence.solution
+    trajectory, size = solution.state.trajectory, solution.step.factor.size
     index, t_s = trajectory.grid.knot_times()
     thin = slice(None, None, max(1, len(index) // 2000))
     index, t_s = index[thin], t_s[thin]
-    marginals = step.factor.marginals(solution.layout.free_index, step.covariance)
-    size = step.factor.size
-    per_block = marginals.shape[1] // size
-    variances = np.einsum("bii->bi", marginals).reshape(len(marginals) * per_block, size)[index]
+    sigma = np.full((len(index), size), np.nan)
+    if marginals is not None:
+        sigma = np.sqrt(np.einsum("bii->bi", marginals[0]).reshape(-1, size)[index])
     found: dict[str, BiasTrack] = {}
     for imu, walks in enumerate(solution.noise.walks):
         for k, name in enumerate(_TRIADS):
-            columns = slice(POSE + 6 * imu + 3 * k, POSE + 6 * imu + 3 * k + 3)
+            start = POSE + BIAS * imu + TRIAD * k
+            columns = slice(start, start + TRIAD)
             found[f"imu{imu}.{name}"] = BiasTrack(
                 t_s=t_s,
                 value=trajectory.controls[index, columns],
-                sigma=np.sqrt(variances[:, columns]),
+                sigma=sigma[:, columns],
                 random_walk=walks[k],
                 unit=_UNITS[name],
             )
@@ -245,7 +255,7 @@ def _reasons(
     return tuple(reasons.tolist())
 
 
-def _trajectory(evidence: CameraImuEvidence) -> TrajectoryTrack:
+def _trajectory(evidence: CameraImuEvidence, marginals: tuple[Floats, Floats] | None) -> TrajectoryTrack:
     solution = evidence.solution
     trajectory = solution.state.trajectory
     data = next(d for d in solution.measurements.inertial if d.gyroscope is not None)
@@ -253,13 +263,45 @@ def _trajectory(evidence: CameraImuEvidence) -> TrajectoryTrack:
     inside = places.inside
     places = places.some(inside)
     motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
+    sigma: Floats | None = None
+    if marginals is not None and evidence.options.marginals:
+        sigma = _pose_sigma(trajectory.grid, places, motion.phi_jacobian, marginals, solution.step.factor.size)
     return TrajectoryTrack(
         t_ns=evidence.origin_ns + np.rint(data.t_s[inside] * 1e9).astype(np.int64),
         p_target_imu=motion.position,
         q_target_imu_wxyz=quaternion_from_rotation(motion.R),
         omega_imu=motion.omega,
         f_imu=specific_force(motion, solution.state.parameters.gravity),
+        attitude_sigma=None if sigma is None else sigma[:, :3],
+        position_sigma=None if sigma is None else sigma[:, 3:],
     )
+
+
+def _pose_sigma(
+    grid: Grid, places: Places, phi_jacobian: Floats, marginals: tuple[Floats, Floats], size: int
+) -> Floats:
+    """Return standard deviations (n, 6) of attitude (right, body axes) [rad] and position [m] at places.
+
+    The control points of a span lie in one super-block and the next one.
+    """
+    own, following = marginals
+    k, value = grid.order, Bases.at(places, grid).value
+    per_block = k - 1
+    block, offset = np.divmod(places.first, per_block)
+    scalars = (np.arange(k)[:, None] * size + np.arange(POSE)).ravel()  # of the pose, from the first control point
+    sigma = np.empty((len(block), POSE))
+    for first in np.unique(places.first):
+        at = np.flatnonzero(places.first == first)
+        b, start = int(block[at[0]]), int(offset[at[0]]) * size
+        joint = own[b]
+        if b + 1 < len(own):
+            joint = np.block([[own[b], following[b]], [following[b].T, own[b + 1]]])
+        controls = joint[np.ix_(start + scalars, start + scalars)].reshape(k, POSE, k, POSE)
+        pose = np.einsum("ni,iajb,nj->nab", value[at], controls, value[at], optimize=True)
+        turn = phi_jacobian[at] @ pose[:, :3, :3] @ np.swapaxes(phi_jacobian[at], 1, 2)
+        sigma[at, :3] = np.sqrt(np.einsum("nii->ni", turn))
+        sigma[at, 3:] = np.sqrt(np.einsum("nii->ni", pose[:, 3:, 3:]))
+    return sigma
 
 
 def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:

@@ -20,6 +20,7 @@ _HELD = 0.3
 _SCALE_WARN, _SCALE_FAIL = 0.01, 0.03
 _FOCAL_WARN, _FOCAL_FAIL = 0.01, 0.03
 _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 5.0, 15.0
+_FOCAL_NOTED, _PRINCIPAL_NOTED_PX = 0.002, 1.0
 _SIGNIFICANT = 5.0
 _GUESS_RAD = np.radians(10.0)
 _NOISE_FACTOR = 3.0
@@ -278,11 +279,11 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
             _graded(float(relative.max()), _FOCAL_WARN, _FOCAL_FAIL),
             _graded(float(shift.max()), _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX),
         }
-        if grades == {None}:
+        if grades == {None} and relative.max() < _FOCAL_NOTED and shift.max() < _PRINCIPAL_NOTED_PX:
             continue
         findings.append(
             Finding(
-                severity="problem" if "problem" in grades else "warning",
+                severity="problem" if "problem" in grades else "warning" if "warning" in grades else "info",
                 code="intrinsics-doubtful",
                 message=f"The corners contradict the intrinsics of {look.name}: focal length off by "
                 f"{100 * relative.max():.2g} %, principal point by {shift.max():.2g} px.",

@@ -10,7 +10,7 @@ from ..recording import CameraFrames, Floats, Integers
 
 Booleans = NDArray[np.bool_]
 
-FEWEST_CORNERS = 4  # of which a pose can be computed
+FEWEST_CORNERS = 6  # fewer tell no wrong detection from a right one; as the estimation asks
 _ON_A_LINE = 1e-6  # smaller over larger variance of the points
 
 

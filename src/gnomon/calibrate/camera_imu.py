@@ -33,7 +33,7 @@ from .preparation import local_gravity, stated_options
 
 Progress = Callable[[str], None]
 
-_HUBER = 2.0
+_HUBER = 2.5
 _RESTARTS = 3
 
 
@@ -153,7 +153,7 @@ def _estimated(
             abs(new.time_shift_s - old.time_shift_s)
             for new, old in zip(moved.cameras, state.parameters.cameras, strict=True)
         ]
-        if max(shifts) < MARGIN_S / 2:
+        if max(shifts) < MARGIN_S / 2 or not solution.converged:
             break
         parameters = moved
     assert solution is not None

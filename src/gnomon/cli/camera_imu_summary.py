@@ -59,7 +59,8 @@ def _scalars(calibration: Calibration, name: str) -> Iterator[str]:
     for entry, sigma in camera_entries(calibration, name):
         value = value_text(entry.value, sigma).replace("±", "+-")
         if entry.name == "time_shift_cam_imu":
-            yield f"    time shift       {value} ms (t_imu = t_cam + shift)"
+            plain = _numbers(np.array([entry.value]), np.array([sigma]))  # also of unrelated clocks, days apart
+            yield f"    time shift       {plain} ms (t_imu = t_cam + shift)"
         elif entry.name.startswith(("R_", "t_", "p_")):
             continue
         elif sigma or (entry.name == "line_delay" and entry.value):

@@ -167,20 +167,29 @@ class Factor:
             solution[k] = following
         return solution.reshape(-1, self.size)[: self.controls]
 
-    def marginals(self, free: NDArray[np.intp], schur_inverse: Floats) -> Floats:
-        """Return the covariance of every super-block of control points, (b, s, s), border parameters included."""
+    def marginals(self, free: NDArray[np.intp], schur_inverse: Floats) -> tuple[Floats, Floats]:
+        """Return the covariances of super-blocks, with the border parameters' uncertainty in them.
+
+        Returns
+        -------
+        own : (b, s, s) of every super-block
+        following : (b - 1, s, s) between every super-block (rows) and the next one (columns)
+        """
         blocks, s = self.lower.shape[:2]
         border = s + free
-        result = np.empty((blocks, s, s))
+        result, following = np.empty((blocks, s, s)), np.empty((max(blocks - 1, 0), s, s))
         own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
         for k in range(blocks - 1, -1, -1):
             inverse = dtrtri(self.lower[k].T, lower=1)[0]
             gain = inverse.T @ self.eliminated[k, :s].T
             z = inverse.T @ self.eliminated[k][border].T - gain @ z_next
+            spread = z @ schur_inverse
+            if k + 1 < blocks:
+                following[k] = spread @ z_next.T - gain @ own
             own = inverse.T @ inverse + gain @ own @ gain.T
-            result[k] = own + z @ schur_inverse @ z.T
+            result[k] = own + spread @ z.T
             z_next = z
-        return result
+        return result, following
 
 
 def _factorise(system: BorderedBand) -> Factor:

@@ -17,6 +17,7 @@ from ...recording import Floats
 from .board_poses import BoardPoses
 
 _GRID_S = 0.01
+_STEP_S = 0.1
 _LONGEST_STEP_S = 0.35  # frames further apart tell no rate
 _SHORTEST_OVERLAP_S = 3.0
 _FINE_S = 0.02  # search about the coarse shift
@@ -69,12 +70,13 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Turns:
-    """Rotations of the camera between consecutive frames: from `start_s` to `stop_s`, by `rotvec` (camera frame)."""
+    """Rotations of the camera from frame `first` to frame `second`: from `start_s` to `stop_s`, by `rotvec`."""
 
     start_s: Floats
     stop_s: Floats
     rotvec: Floats
     first: np.ndarray
+    second: np.ndarray
 
 
 def gyroscope_integral(t_s: Floats, rate: Floats) -> GyroscopeIntegral:
@@ -135,15 +137,19 @@ def _unit_hint(scale: float) -> str:
 
 
 def _turns(poses: BoardPoses) -> _Turns:
-    step = np.diff(poses.t_s)
+    """Return rotations over a tenth of a second where frames are nearer: the noise of poses counts less then."""
+    steps = np.diff(poses.t_s)
+    stride = max(1, round(_STEP_S / max(float(np.median(steps)), 1e-6))) if len(steps) else 1
+    step = poses.t_s[stride:] - poses.t_s[:-stride]
     first = np.flatnonzero((step > 0) & (step < _LONGEST_STEP_S))
+    second = first + stride
     # R_cam_target of the later frame times the transpose of the earlier one turns camera axes; in the camera's own
     # (body) frame the rotation from earlier to later is R_earlier R_later'.
-    between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[first + 1], 1, 2)
+    between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[second], 1, 2)
     rotvec = rotvec_from_rotation(between)
     usable = np.linalg.norm(rotvec, axis=1) < 2.0
-    first = first[usable]
-    return _Turns(start_s=poses.t_s[first], stop_s=poses.t_s[first + 1], rotvec=rotvec[usable], first=first)
+    first, second = first[usable], second[usable]
+    return _Turns(start_s=poses.t_s[first], stop_s=poses.t_s[second], rotvec=rotvec[usable], first=first, second=second)
 
 
 def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str) -> float:
@@ -207,7 +213,7 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
     # A frame is inconsistent where the rotations on both of its sides are.
     before, after = np.zeros(len(poses), dtype=bool), np.zeros(len(poses), dtype=bool)
     after[turns.first[bad]] = True
-    before[turns.first[bad] + 1] = True
+    before[turns.second[bad]] = True
     consistent[before & after] = False
     return Alignment(
         time_shift_s=best,

@@ -17,6 +17,8 @@ from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums, frame_scatt
 FEWEST_CORNERS = 6
 """A frame with fewer corners is not used: its pose is too uncertain to tell a wrong detection from a right one."""
 
+ENOUGH_CORNERS = 48
+
 _REFINEMENTS = 6
 _AT_REST = 1e-4  # rad and m
 _HUBER = 2.0
@@ -75,6 +77,22 @@ def gathered(frames: CameraFrames, target: Target, fewest: int = FEWEST_CORNERS)
     )
 
 
+def thinned(exposures: Exposures) -> Exposures:
+    """Return the exposures with some fifty of their corners each: enough for a first pose."""
+    lengths = np.diff(exposures.start)
+    stride = np.maximum(lengths // ENOUGH_CORNERS, 1)
+    rank = np.arange(len(exposures.points)) - np.repeat(exposures.start[:-1], lengths)
+    kept = rank % np.repeat(stride, lengths) == 0
+    counts = -(-lengths // stride)
+    return Exposures(
+        frame=exposures.frame,
+        start=np.concatenate([[0], np.cumsum(counts)]),
+        points=exposures.points[kept],
+        pixels=exposures.pixels[kept],
+        delay_rows=exposures.delay_rows,
+    )
+
+
 def _spread_out(points: Floats, frame: Integers, counts: Integers) -> np.ndarray:
     """Tell which frames have corners that span the plane, (f,)."""
     size = len(counts)
@@ -97,10 +115,10 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
     target : the board, planar
     t_s : (n,) stamps of all frames [s]
     """
-    exposures = gathered(frames, target)
+    exposures = thinned(every := gathered(frames, target))
     if not len(exposures):
         return BoardPoses(
-            exposures=exposures,
+            exposures=every,
             t_s=np.empty(0),
             R_cam_target=np.empty((0, 3, 3)),
             p_cam_target=np.empty((0, 3)),
@@ -123,7 +141,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
             break
     sums = corner_sums(exposures, frames.camera, rotation, p, noise)
     return BoardPoses(
-        exposures=exposures,
+        exposures=every,
         t_s=t_s[exposures.frame],
         R_cam_target=rotation,
         p_cam_target=p,

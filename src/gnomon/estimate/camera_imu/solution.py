@@ -32,8 +32,8 @@ _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames 
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
 _AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell
-_NOISE_AT_REST, _NOISE_NEARLY_AT_REST, _NOISE_ROUGHLY = 0.02, 0.05, 0.2  # relative change
-_FEW = 0.005
+_NOISE_AT_REST, _NOISE_NEARLY_AT_REST, _NOISE_ROUGHLY = 0.04, 0.06, 0.2  # relative change
+_FEW = 0.01
 """Share of the frames that may be judged otherwise without a further round: they lie at the limit."""
 
 _JUDGEMENTS = 3  # of noise and frames, after which frames stay as they are and the noise need not be as exact
