@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import gnomon
 from camera_imu_truth import cramer_rao_sigma, errors, turned
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
+from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 
 SCENARIO = CameraImuScenario(
@@ -402,3 +403,21 @@ def test_streams_of_different_recordings_never_pass():
     with suppress(gnomon.GnomonError):
         verdict = calibrated(a, replace(a.recording, imus=b.recording.imus))[0].calibration.verdict
     assert verdict == "fail"
+
+
+def test_the_trajectory_has_sigmas_on_request():
+    simulation, plain, _ = usual()
+    assert plain.diagnostics.trajectory.position_sigma is None
+    result, _ = calibrated(simulation, marginals=True)
+    track, motion = tracked(result, simulation)
+    R = rotation_from_quaternion(track.q_target_imu_wxyz)
+    turn = rotvec_from_rotation(np.swapaxes(motion.R_target_body, 1, 2) @ R)
+    for error, sigma in (
+        (track.p_target_imu - motion.p_target_body, track.position_sigma),
+        (turn, track.attitude_sigma),
+    ):
+        assert sigma.shape == error.shape
+        assert np.sqrt(np.mean((error / sigma) ** 2)) == pytest.approx(1.0, abs=0.25)
+    bias = result.diagnostics.biases["imu0.gyroscope"]
+    truth = np.stack([np.interp(bias.t_s, simulation.trajectory.t_s, column) for column in simulation.b_g.T], axis=1)
+    assert np.abs((bias.value - truth) / bias.sigma).max() < WIDEST

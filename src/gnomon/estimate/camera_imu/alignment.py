@@ -182,7 +182,8 @@ def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str) -> floa
     nuclear = np.linalg.svd(np.moveaxis(covariance, -1, 0), compute_uv=False).sum(axis=1)
     lag = np.arange(size)
     lag = np.where(lag > len(grid), lag - size, lag)
-    enough = samples >= min(0.25 * len(step), _SHORTEST_OVERLAP_S / length)
+    between = float(np.median(np.diff(turns.start_s)))
+    enough = samples >= min(0.25 * len(step), _SHORTEST_OVERLAP_S / between)
     if not enough.any():
         raise InitialisationError(
             f"{name}: the streams of camera ({turns.stop_s[-1] - turns.start_s[0]:.1f} s) and IMU "

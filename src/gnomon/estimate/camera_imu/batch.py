@@ -18,11 +18,10 @@ from .assembly import TRIAD, Columns, groups, summed_up
 from .corner_sums import CornerNoise, CornerSums
 from .inertial_terms import InertialData, InertialNoise, InertialTerms
 from .parameters import Layout, Parameters
+from .prior_terms import add_priors, add_smoothness, add_walks
 from .trajectory import BIAS, POSE, Trajectory
 from .visual_terms import VisualData, VisualTerms
 
-_FIRST_BIAS_SIGMA = (1.0, 10.0)  # rad/s, m/s^2: hardly a prior
-_SMOOTHNESS = 1e3  # rad/s^2 and m/s^2: what the trajectory does where nothing is measured
 _FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-8, 100.0, 1e4
 
 
@@ -184,9 +183,9 @@ def linearised(
     summed_up(system, grid, columns, (*inertial, *visual))
     chi2 = [_chi2(inertial, i) for i in range(imus)]
     cost = 0.5 * float(np.sum(chi2)) + sum(term.cost for term in visual)
-    cost += _add_walks(system, trajectory, noise)
-    _add_smoothness(system, trajectory)
-    cost += _add_priors(system, state.parameters, layout)
+    cost += add_walks(system, trajectory, noise.walks)
+    add_smoothness(system, trajectory)
+    cost += add_priors(system, state.parameters, layout)
     return Linearisation(
         system=system,
         cost=cost,
@@ -227,64 +226,6 @@ def _counts(terms: list[InertialTerms], imu: int) -> tuple[int, int]:
 def _signs(data: VisualData) -> Floats:
     rng = np.random.default_rng(1000 + data.camera)
     return 2.0 * rng.integers(0, 2, data.exposures.pixels.shape).astype(np.float64) - 1.0
-
-
-def _add_walks(system: BorderedBand, trajectory: Trajectory, noise: Noise) -> float:
-    """Add the random walk of the biases from knot to knot, and across the cuts between segments."""
-    grid, order = trajectory.grid, trajectory.grid.order
-    cost = 0.0
-    for imu, walks in enumerate(noise.walks):
-        band = system.band[1 + imu][1 + imu]
-        scalars = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
-        bias, rhs = trajectory.controls[:, scalars], system.rhs[:, scalars, 0]
-        variance = np.repeat(np.square(walks), TRIAD)
-        for number, segment in enumerate(grid.segments):
-            links = [(segment.first + np.arange(segment.spans + order - 2), 1, grid.spacing_s)]
-            if number + 1 < len(grid.segments):
-                gap = grid.segments[number + 1].start_s - segment.start_s - segment.spans * grid.spacing_s
-                last = np.array([segment.first + grid.bias_offset + segment.spans])
-                links.append((last, order - 1, max(gap, grid.spacing_s)))
-            for a, distance, time_s in links:
-                information = 1 / (variance * time_s)
-                difference = bias[a + distance] - bias[a]
-                for i in range(BIAS):
-                    band[a, i, 0, i] += information[i]
-                    band[a + distance, i, 0, i] += information[i]
-                    band[a, i, distance, i] -= information[i]
-                rhs[a] += information * difference
-                rhs[a + distance] -= information * difference
-                cost += 0.5 * float((information * difference**2).sum())
-        information = np.repeat(_FIRST_BIAS_SIGMA, TRIAD) ** -2.0
-        band[0, np.arange(BIAS), 0, np.arange(BIAS)] += information
-        rhs[0] -= information * bias[0]
-        cost += 0.5 * float((information * bias[0] ** 2).sum())
-    return cost
-
-
-def _add_smoothness(system: BorderedBand, trajectory: Trajectory) -> None:
-    """Hold second differences of the pose's control points small, by so little that only gaps notice."""
-    grid = trajectory.grid
-    weight = np.array([1.0, -2.0, 1.0]) / (grid.spacing_s**2 * _SMOOTHNESS)
-    for segment in grid.segments:
-        count = segment.spans + grid.order - 3
-        at = segment.first + np.arange(count)
-        second = sum(weight[i] * trajectory.controls[at + i, :POSE] for i in range(3))
-        for i in range(3):
-            for j in range(i, 3):
-                for scalar in range(POSE):
-                    system.band[0][0][at + i, scalar, j - i, scalar] += weight[i] * weight[j]
-            system.rhs[at + i, :POSE, 0] -= weight[i] * second
-
-
-def _add_priors(system: BorderedBand, parameters: Parameters, layout: Layout) -> float:
-    if not len(layout):
-        return 0.0
-    information = np.where(np.isfinite(layout.prior_sigma), layout.prior_sigma, np.inf) ** -2.0
-    difference = layout.values(parameters) - layout.prior_mean
-    jacobian = layout.values_jacobian(parameters)
-    system.corner += jacobian.T @ (information[:, None] * jacobian)
-    system.corner_rhs[:, 0] -= jacobian.T @ (information * difference)
-    return 0.5 * float((information * difference**2)[layout.free].sum())
 
 
 def gauss_newton_step(lin: Linearisation, damping: float = 0.0) -> Step:
