@@ -583,7 +583,7 @@ def test_no_camera_in_both(folder) -> None:
 def test_nothing_to_read(folder, tmp_path_factory) -> None:
     files = {key: folder / f"{name}.yaml" for key, name in (("cam", "camchain"), ("imu", "imu"), ("target", "target"))}
     empty = tmp_path_factory.mktemp("empty")
-    with pytest.raises(RecordingError, match=r"no corners of a camera in this folder; Expected cam0_corners\.csv"):
+    with pytest.raises(RecordingError, match=r"no corners of a camera in this folder\. Expected cam0_corners\.csv"):
         gnomon.read_camera_imu(empty, **files)
     (empty / "cam0").mkdir()
     (empty / "cam0" / "1600000005093000000.png").write_bytes(b"image")

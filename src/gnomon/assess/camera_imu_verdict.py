@@ -17,11 +17,10 @@ _LEFT_OUT_WARN, _LEFT_OUT_FAIL = 0.25, 0.6
 _HELD = 0.3
 """Share of its weak prior's sigma from which on a parameter counts as not determined by the recording."""
 
-_SCALE_WARN, _SCALE_FAIL = 0.01, 0.03
-_FOCAL_WARN, _FOCAL_FAIL = 0.01, 0.03
-_PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 5.0, 15.0
-_FOCAL_NOTED, _PRINCIPAL_NOTED_PX = 0.002, 1.0
-_SIGNIFICANT = 5.0
+_SCALE_WARN, _SCALE_FAIL = 0.003, 0.03
+_FOCAL_WARN, _FOCAL_FAIL = 0.003, 0.03
+_PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 1.0, 15.0  # 1 px is some 0.1 deg of rotation
+_SIGNIFICANT, _MODEL_SIGNIFICANT = 5.0, 8.0  # sigmas; errors of a real detector feign four in the IMU's model
 _GUESS_RAD = np.radians(10.0)
 _NOISE_FACTOR = 3.0
 _ONE_AXIS = 0.1
@@ -49,6 +48,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *_frames(fit, diagnostics),
         *_board_size(evidence),
         *_intrinsics(evidence),
+        *_model(evidence),
         *_stated_guess(evidence),
         *_noise(diagnostics),
         *_trajectory(diagnostics),
@@ -279,11 +279,11 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
             _graded(float(relative.max()), _FOCAL_WARN, _FOCAL_FAIL),
             _graded(float(shift.max()), _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX),
         }
-        if grades == {None} and relative.max() < _FOCAL_NOTED and shift.max() < _PRINCIPAL_NOTED_PX:
+        if grades == {None}:
             continue
         findings.append(
             Finding(
-                severity="problem" if "problem" in grades else "warning" if "warning" in grades else "info",
+                severity="problem" if "problem" in grades else "warning",
                 code="intrinsics-doubtful",
                 message=f"The corners contradict the intrinsics of {look.name}: focal length off by "
                 f"{100 * relative.max():.2g} %, principal point by {shift.max():.2g} px.",
@@ -294,6 +294,26 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
             )
         )
     return findings
+
+
+def _model(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say that the IMU has errors which the chosen model does not have."""
+    wanting: list[str] = []
+    for name, held in evidence.uncertainty.held.items():
+        if name.startswith("imu") and np.any(np.abs(held.wanted) > _MODEL_SIGNIFICANT * held.wanted_sigma):
+            wanting.append(name)
+    if not wanting:
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="model-too-simple",
+            message=f"The residuals ask for {_listed(wanting)}, which the model {evidence.options.model} holds at the "
+            "values of an ideal IMU.",
+            consequence="Extrinsics, time shift and biases take up what the model leaves out, by many of their sigmas.",
+            cure="Estimate the full model: --model full, or name what to estimate with --free.",
+        )
+    ]
 
 
 def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
@@ -321,7 +341,7 @@ def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
 def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
     return [
         Finding(
-            severity="info",
+            severity="warning" if level.estimated > _NOISE_FACTOR * level.used else "info",
             code="noise-differs",
             message=f"The noise of {level.name} is {level.estimated / level.nominal:.2g} times the stated one: "
             f"{level.estimated:.3g} instead of {level.nominal:.3g} {level.unit}.",

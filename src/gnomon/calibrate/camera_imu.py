@@ -15,7 +15,7 @@ from ..assess.camera_imu_verdict import assess
 from ..calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
 from ..diagnostics import Result
 from ..estimate.camera_imu.batch import Measurements, State
-from ..estimate.camera_imu.choices import choices
+from ..estimate.camera_imu.choices import choices, imu_blocks
 from ..estimate.camera_imu.first_guess import Look, first_parameters, first_state, imu_stream, looks, per_corner
 from ..estimate.camera_imu.inertial_terms import triads
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
@@ -196,8 +196,12 @@ def _measurements(
 
 
 def _held(start: Parameters) -> tuple[str, ...]:
-    """Return the blocks of which it is asked what they would do if they were free: gravity, board, intrinsics."""
-    return ("gravity.magnitude", "target.scale", *(f"{entry.name}.intrinsics" for entry in start.cameras))
+    """Return the blocks of which it is asked what they would do if they were free.
+
+    These are gravity, the size of the board, the intrinsics, and what the chosen model of the IMU leaves out.
+    """
+    intrinsics = [f"{entry.name}.intrinsics" for entry in start.cameras]
+    return ("gravity.magnitude", "target.scale", *intrinsics, *imu_blocks(start))
 
 
 def _basic(start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress) -> Solution:

@@ -39,8 +39,8 @@ def corner_streams(folder: Path) -> dict[str, CornerStream]:
     corners, frames = _matching(folder, _CORNERS), _matching(folder, _FRAMES)
     if corners:
         return {name: CornerStream(corners=path, frames=frames.get(name)) for name, path in corners.items()}
-    found = "this version reads corners, not images. " if _matching(folder, _IMAGE) else ""
-    raise RecordingError(f"{folder}: no corners of a camera in this folder; {found}Expected {_EXPECTED}.")
+    found = "; this version reads corners, not images" if _matching(folder, _IMAGE) else ""
+    raise RecordingError(f"{folder}: no corners of a camera in this folder{found}. Expected {_EXPECTED}.")
 
 
 def imu_files(folder: Path) -> dict[str, Path]:

@@ -91,7 +91,12 @@ def read_corner_table(path: Path, time_unit: str | None = None) -> CornerTable:
         If the file cannot be read, is no such table, or a row of it is damaged.
     """
     file = read_text(path)
-    layout = sniff(file, _ROWS)
+    try:
+        layout = sniff(file, _ROWS)
+    except RecordingError as error:
+        raise RecordingError(
+            f"{error} If {path.name.partition('_')[0]} never saw the board, leave its file out."
+        ) from error
     columns = corner_columns(layout, file.name)
     numbers = [i for i in (columns.tag, columns.corner) if i is not None]
     data, cut = _parse(file, layout, [i for i, _ in columns.time], numbers, [columns.u, columns.v])

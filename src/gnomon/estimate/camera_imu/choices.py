@@ -59,6 +59,11 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
     return Choices(status=status, prior_sigma=sigma)
 
 
+def imu_blocks(start: Parameters) -> tuple[str, ...]:
+    """Return the blocks of the full model of every IMU."""
+    return tuple(f"imu{i}.{name}" for i in range(len(start.imus)) for name in _MODEL_BLOCKS["full"])
+
+
 def _scalars(name: str, option: str, all_blocks: tuple[Block, ...], stated: dict[str, str]) -> list[str]:
     """Return the scalars that a name stands for: itself, a block, or everything below it ("cam0.T_cam_imu")."""
     found = [

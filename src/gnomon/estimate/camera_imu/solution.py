@@ -169,7 +169,8 @@ def _step(lin: Linearisation) -> Step:
     except np.linalg.LinAlgError as error:
         raise SolveError(
             f"the normal equations of the batch estimation are singular ({error}). Something in the recording "
-            "determines nothing at all: check for long gaps, or let fewer parameters be estimated."
+            "determines nothing at all, or contradicts the rest: check for long gaps and for corners with wrong ids, "
+            "or let fewer parameters be estimated."
         ) from error
 
 
