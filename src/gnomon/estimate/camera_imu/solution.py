@@ -32,11 +32,11 @@ _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames 
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
 _AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell
-_NOISE_AT_REST, _NOISE_NEARLY_AT_REST, _NOISE_ROUGHLY = 0.04, 0.06, 0.2  # relative change
+_NOISE_AT_REST, _NOISE_ROUGHLY = 0.06, 0.2  # relative change of a level
 _FEW = 0.01
 """Share of the frames that may be judged otherwise without a further round: they lie at the limit."""
 
-_JUDGEMENTS = 3  # of noise and frames, after which frames stay as they are and the noise need not be as exact
+_JUDGEMENTS = 3  # of frames, after which they stay as they are
 _LEAST_NOISE = 1e-2
 """Share of the first noise level below which none is believed: simulated data without noise must not end in zero."""
 _PATIENCE = 10  # iterations after which steps must shrink
@@ -108,8 +108,7 @@ def solved(
             settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
             judgements += settled
             kept = _gated(measurements, lin, noise) if gate and judgements <= _JUDGEMENTS else measurements.used
-            tolerance = _NOISE_AT_REST if settled and judgements <= _JUDGEMENTS else _NOISE_NEARLY_AT_REST
-            tolerance = tolerance if settled else _NOISE_ROUGHLY
+            tolerance = _NOISE_AT_REST if settled else _NOISE_ROUGHLY
             same_noise = not estimate_noise or noise_change(found, noise) < tolerance
             same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
             left = step.largest * min(1.0, step.largest / max(previous, 1e-12))
