@@ -199,5 +199,5 @@ def test_halves_of_euroc(euroc_recording, options):
         print(f"  {block:28} z {z[block]:5.1f}   {cells[0]}   +- {cells[1]}")
     total = np.sqrt(np.mean(np.square(list(z.values()))))
     print(f"  rms of the blocks' z {total:.1f}")
-    assert total < 12
-    assert max(z.values()) < 20
+    assert total < 15
+    assert max(z.values()) < 30
