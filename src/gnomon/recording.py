@@ -112,6 +112,28 @@ class ImuSamples:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameQuality:
+    """What the images themselves were like, one entry a frame of `CameraFrames.t_ns`.
+
+    Attributes
+    ----------
+    blur_px : (n,) width of the edges at the corners, standard deviation of the blur [px]; nan where none was found
+    black, white : (n,) grey levels of the board, 0 to 255; nan where it was not found
+    dropped : reason -> number of corners that were found and left out, over all frames
+    """
+
+    blur_px: Floats
+    black: Floats
+    white: Floats
+    dropped: Mapping[str, int] = field(default_factory=dict[str, int])
+
+    def __post_init__(self) -> None:
+        for name in ("blur_px", "black", "white"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        object.__setattr__(self, "dropped", MappingProxyType(dict(self.dropped)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraFrames:
     """What one camera saw of the board: the corners that were detected, frame by frame.
 
@@ -131,6 +153,13 @@ class CameraFrames:
         Initial guess of the extrinsics, where one was stated; it is not needed.
     time_shift_cam_imu_s : float or None
         Initial guess of t_imu - t_cam [s], where one was stated; it is not needed.
+    sigma_px : (m,) or None
+        Standard deviation of each corner, per axis, as its detector knows it [px]; None where all are alike.
+    quality : FrameQuality or None
+        What the images were like, where there were images.
+    lens_covariance : (k, k) or None
+        Covariance of intrinsics and distortion coefficients, in the order of `Camera.parameters`, where it is known;
+        they are estimated along then, with it as their prior.
 
     Raises
     ------
@@ -145,13 +174,18 @@ class CameraFrames:
     camera: Camera
     T_cam_imu: Floats | None = None
     time_shift_cam_imu_s: float | None = None
+    sigma_px: Floats | None = None
+    quality: FrameQuality | None = None
+    lens_covariance: Floats | None = None
 
     def __post_init__(self) -> None:
         for name in ("t_ns", "frame", "point"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), np.int64))
         object.__setattr__(self, "pixels", frozen_array(self.pixels))
-        if self.T_cam_imu is not None:
-            object.__setattr__(self, "T_cam_imu", frozen_array(self.T_cam_imu))
+        for name in ("T_cam_imu", "sigma_px", "lens_covariance"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        self._check_optional()
         corners = len(self.frame)
         if self.pixels.shape != (corners, 2) or self.point.shape != (corners,) or self.t_ns.ndim != 1:
             raise RecordingError(
@@ -162,6 +196,19 @@ class CameraFrames:
             raise RecordingError("every corner must belong to a frame, and corners must be in the order of frames.")
         if not np.isfinite(self.pixels).all():
             raise RecordingError(f"corner {int(np.argmin(np.isfinite(self.pixels).all(axis=1)))} is not a number.")
+
+    def _check_optional(self) -> None:
+        sigma, covariance = self.sigma_px, self.lens_covariance
+        if sigma is not None and (sigma.shape != self.frame.shape or not (np.isfinite(sigma) & (sigma > 0)).all()):
+            raise RecordingError("sigma_px must be a number greater than zero for each corner.")
+        size = len(self.camera.parameters)
+        if covariance is not None and covariance.shape != (size, size):
+            raise RecordingError(
+                f"lens_covariance must be ({size}, {size}), as the camera has {size} intrinsics and distortion "
+                f"coefficients; found {covariance.shape}."
+            )
+        if self.quality is not None and self.quality.blur_px.shape != self.t_ns.shape:
+            raise RecordingError(f"quality must hold one entry a frame, {len(self.t_ns)}.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
