@@ -23,7 +23,7 @@ from .simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
 
 if TYPE_CHECKING:
     from .assess.doctor import check
-    from .calibrate import calibrate_camera_imu, calibrate_imu
+    from .calibrate import calibrate_camera_imu, calibrate_imu, read_camera_imu
     from .calibration import (
         AccelerometerCalibration,
         Calibration,
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from .models.noise import ImuNoise
     from .models.target import Target
     from .options import CameraImuOptions, ImuOptions
-    from .readers import load, read, read_camera_imu
+    from .readers import load, read
+    from .readers.foreign import ForeignCalibration
+    from .readers.foreign_files import load_foreign
     from .recording import CameraFrames, ImuSamples, Recording, TriadSamples
     from .report import write_report
     from .units import Units
@@ -55,6 +57,7 @@ _HOMES = {
     "Camera": "models.camera",
     "CameraFrames": "recording",
     "CameraImuOptions": "options",
+    "ForeignCalibration": "readers.foreign",
     "ImuNoise": "models.noise",
     "ImuOptions": "options",
     "ImuSamples": "recording",
@@ -69,8 +72,9 @@ _HOMES = {
     "check": "assess.doctor",
     "convert": "writers",
     "load": "readers",
+    "load_foreign": "readers.foreign_files",
     "read": "readers",
-    "read_camera_imu": "readers",
+    "read_camera_imu": "calibrate",
     "save": "writers",
     "save_camera_imu_files": "writers",
     "write_report": "report",
@@ -87,6 +91,7 @@ __all__ = [
     "Covariance",
     "DetectionError",
     "Finding",
+    "ForeignCalibration",
     "FormatError",
     "GnomonError",
     "GyroscopeCalibration",
@@ -112,6 +117,7 @@ __all__ = [
     "check",
     "convert",
     "load",
+    "load_foreign",
     "read",
     "read_camera_imu",
     "save",

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gnomon.models.estimator_forms import BasaltTriad, OpenVinsAccelerometer, OpenVinsGyroscope
 from gnomon.models.forms import (
     AngrisanoAccelerometer,
     AngrisanoGyroscope,
@@ -29,6 +30,7 @@ ACCELEROMETERS = [
     KalibrAccelerometer,
     ImucalAccelerometer,
     ImuTkTriad,
+    OpenVinsAccelerometer,
 ]
 GYROSCOPES = {
     "tedaldi": TedaldiGyroscope.from_sensor,
@@ -37,6 +39,7 @@ GYROSCOPES = {
     "angrisano": AngrisanoGyroscope.from_sensor,
     "kalibr": KalibrGyroscope.from_sensor,
     "imucal": ImucalGyroscope.from_sensor,
+    "openvins": OpenVinsGyroscope.from_sensor,
 }
 
 entry = st.floats(-0.2, 0.2)
@@ -96,8 +99,38 @@ def test_through_both_frames(skewed, turned, response):
         (KrebsAccelerometer, KrebsGyroscope),
         (AngrisanoAccelerometer, AngrisanoGyroscope),
         (KalibrAccelerometer, KalibrGyroscope),
+        (OpenVinsAccelerometer, OpenVinsGyroscope),
     ):
         Q = frame_rotation(S_a, accelerometer.frame)
         zero = np.zeros(3)
         close(accelerometer.from_sensor(S_a @ Q.T, zero).predict(force @ Q.T), expected[0])
         close(gyroscope.from_sensor(S_g @ Q.T, zero, G @ Q.T).predict(rate @ Q.T, force @ Q.T), expected[1])
+
+
+@settings(max_examples=50, deadline=None)
+@given(skewed=matrices, offset=offsets, seed=st.integers(0, 99))
+def test_basalt(skewed, offset, seed):
+    """Basalt corrects: its bias is behind the scale, and is no small number where the scale is none."""
+    truth = samples(seed)[1]
+    made = BasaltTriad.from_sensor(skewed, offset)
+    back_S, back_b = made.to_sensor()
+    close(back_S, skewed)
+    assert np.abs(back_b - offset).max() <= 1e-12 * max(np.abs(made.b).max(), 1)
+    measured = truth @ skewed.T + offset
+    assert np.abs(made.predict(truth) - measured).max() <= 1e-11 * max(np.abs(measured).max(), np.abs(made.b).max())
+    corrected = measured @ (np.eye(3) + made.S).T - made.b
+    assert np.abs(corrected - truth).max() <= 1e-11 * max(np.abs(measured).max(), np.abs(made.b).max(), 1)
+    lower = skewed @ frame_rotation(skewed, "accel-x").T
+    form = BasaltTriad.of_accelerometer(lower, offset)
+    assert not np.triu(form.S, 1).any()
+    close(form.to_sensor()[0], lower)
+
+
+@settings(max_examples=50, deadline=None)
+@given(skewed=matrices, response=matrices, offset=offsets)
+def test_openvins_tg_is_a_c_of_kalibr(skewed, response, offset):
+    kalibr = KalibrGyroscope.from_sensor(skewed, offset, response)
+    openvins = OpenVinsGyroscope.from_sensor(skewed, offset, response)
+    assert np.array_equal(openvins.T, kalibr.M)
+    assert np.array_equal(openvins.R, kalibr.C_gyro_i)
+    close(openvins.Tg, kalibr.A @ kalibr.C_gyro_i)

@@ -216,7 +216,7 @@ def test_files_may_be_named(simulated, tmp_path, solver, flag):
 def test_a_recording_that_is_not_there(tmp_path, solver):
     code, out, err = run("camera-imu", tmp_path / "none", "-o", tmp_path / "out", "--json")
     assert code == 3
-    assert "there is no such folder" in json.loads(out)["error"]["message"]
+    assert "there is no such file or folder" in json.loads(out)["error"]["message"]
     assert "Traceback" not in err
     assert names(tmp_path) == []
 
@@ -319,6 +319,36 @@ def test_show_shows_both_readings_of_b_g(tmp_path, camera_calibration, form, fir
         scale = float(text.split(")")[1] and f"1{text.split(')')[1]}") if text.startswith("(") else 1.0
         value = float(text.lstrip("(").split(" ±")[0]) * scale
         assert value == pytest.approx(matrix[0, 1], rel=0.2)
+
+
+@pytest.mark.parametrize("to", ["kalibr", "openvins", "basalt", "imucal"])
+def test_show_shows_files_of_other_projects(tmp_path, camera_calibration, to):
+    calibration = camera_calibration(3, cameras=1)
+    gnomon.save(calibration, tmp_path / "c.yaml")
+    code, out, err = run("convert", tmp_path / "c.yaml", "--to", to, "-o", tmp_path / to)
+    assert code == 0, err
+    assert "lost:    uncertainty and origin" in out
+    shown = ""
+    for file in sorted((tmp_path / to).iterdir()):
+        code, out, err = run("show", file, "--form", "kalibr")
+        assert code == 0, err
+        shown += out
+        code, document, err = run("show", file, "--json")
+        assert code == 0, err
+        assert "format" in json.loads(document)
+    assert re.search(rf"M_zy +{calibration.imus['imu0'].accelerometer.sensitivity[2, 1]:.6g} ", shown)
+    if to != "imucal":
+        assert re.search(rf"t_x +{calibration.cameras['cam0'].T_cam_imu[0, 3]:.6g}  m\n", shown)
+        assert "460  px" in shown
+    assert "±" not in shown
+    assert "fixed" not in shown
+
+
+def test_show_refuses_other_files(tmp_path):
+    (tmp_path / "notes.txt").write_text("hello\n")
+    code, _, err = run("show", tmp_path / "notes.txt")
+    assert code == 3
+    assert "no calibration file that gnomon knows. Readable are Kalibr's camchain.yaml" in err
 
 
 def test_camera_entries_by_hand(camera_calibration):

@@ -236,7 +236,7 @@ def test_unknown_format_and_unwritable_folder(random_calibration, tmp_path):
         (read_imu_tk, "1 2 3", "found 3 numbers, expected 21"),
         (read_imu_tk, "1 2 x", "Expected 21 numbers"),
         (read_imu_tk, " ".join(["1"] * 21), "must be diagonal"),
-        (read_kalibr, "cam0: {}", "no imu0 in it"),
+        (read_kalibr, "cam0: {}", "the key imu0 is missing"),
         (read_kalibr, "imu0: {model: scale-misalignment}", "accelerometers is missing"),
         (read_kalibr, "imu0: {model: other}", r"imu0\.model"),
         (read_imucal, '{"cal_type": "Ferraris"}', "the key K_a is missing"),

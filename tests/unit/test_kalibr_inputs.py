@@ -439,10 +439,28 @@ def test_checkerboard_and_circles(board) -> None:
 
 def test_odd_but_possible_targets_are_noted(board) -> None:
     notes: list[str] = []
-    board(notes=notes, tagSpacing=0.0264, codeOffset=12, colour="black")
-    assert len(notes) == 2
-    assert "tagSpacing 0.0264 is unusual" in notes[0]
-    assert notes[1] == "target.yaml: codeOffset, colour were passed over."
+    board(notes=notes, tagSpacing=0.0264, colour="black", tagFamily="tag25h9")
+    assert len(notes) == 3
+    assert "tagFamily is tag25h9; in images, only tags of 36h11 are found" in notes[0]
+    assert "tagSpacing 0.0264 is unusual" in notes[1]
+    assert notes[2] == "target.yaml: colour was passed over."
+
+
+@pytest.mark.parametrize("key", ["codeOffset", "firstTag"])
+def test_plain_tags_and_the_first_id(board, key) -> None:
+    notes: list[str] = []
+    target = board(notes=notes, tagBorderBits=1, tagFamily="tag36h11", **{key: 12})
+    assert (target.border_bits, target.first_tag) == (1, 12)
+    assert notes == []
+    assert (board().border_bits, board().first_tag) == (2, 0)
+    assert board(codeOffset=0, tagBorderBits=2.0).border_bits == 2
+    for changes, message in (
+        ({"tagBorderBits": 3}, "tagBorderBits: found 3, expected 1"),
+        ({"codeOffset": -1}, "codeOffset: found -1, expected one id from 0"),
+        ({"codeOffset": 3, "firstTag": 4}, "firstTag: found 4, expected one id"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            board(**changes)
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.parameters import covariance_names
+from gnomon.readers.foreign import Residuals, Statistics
 from gnomon.readers.kalibr_camchain import read_camchain
 from gnomon.readers.kalibr_imu import read_kalibr
 from gnomon.readers.kalibr_imu_input import read_imu_input
@@ -23,7 +24,7 @@ from gnomon.writers.camera_imu_files import camera_imu_texts, residuals, save_ca
 from gnomon.writers.conversion import exported
 from gnomon.writers.kalibr import StatedImu, imu_text
 from gnomon.writers.kalibr_camchain import camchain_text
-from gnomon.writers.kalibr_results import KalibrResults, Residuals, Statistics
+from gnomon.writers.kalibr_results import KalibrResults
 
 SAMPLES = [
     "a-aprilgrid-full/kalibr/calibrated",

@@ -583,18 +583,18 @@ def test_no_camera_in_both(folder) -> None:
 def test_nothing_to_read(folder, tmp_path_factory) -> None:
     files = {key: folder / f"{name}.yaml" for key, name in (("cam", "camchain"), ("imu", "imu"), ("target", "target"))}
     empty = tmp_path_factory.mktemp("empty")
-    with pytest.raises(RecordingError, match=r"no corners of a camera in this folder\. Expected cam0_corners\.csv"):
+    with pytest.raises(RecordingError, match=r"no images of a camera in this folder; found nothing at all\. Expected"):
         gnomon.read_camera_imu(empty, **files)
     (empty / "cam0").mkdir()
     (empty / "cam0" / "1600000005093000000.png").write_bytes(b"image")
-    with pytest.raises(RecordingError, match="this version reads corners, not images"):
+    with pytest.raises(RecordingError, match=r"there are images, but no samples of an IMU in this folder"):
         gnomon.read_camera_imu(empty, **files)
     (folder / "imu0.csv").unlink()
     with pytest.raises(RecordingError, match=r"no samples of an IMU in this folder\. Expected .*imu0\.csv"):
         read(folder)
-    with pytest.raises(RecordingError, match="no such folder"):
+    with pytest.raises(RecordingError, match="there is no such file or folder"):
         gnomon.read_camera_imu(folder / "nowhere", **files)
-    with pytest.raises(RecordingError, match="this is a file, and the recording of a camera and an IMU is a folder"):
+    with pytest.raises(RecordingError, match=r"this is a text file, which holds no images\. Expected a ROS bag"):
         gnomon.read_camera_imu(folder / "cam0_corners.csv", **files)
 
 

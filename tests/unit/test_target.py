@@ -98,12 +98,27 @@ def test_boards_describe_themselves():
         (aprilgrid, {"tag_spacing": 0}, "tag_spacing 0 of the aprilgrid must be"),
         (checkerboard, {"cols": 1}, "cols 1 of the checkerboard must be a whole number of at least 2"),
         (checkerboard, {"col_spacing_m": float("inf")}, "col_spacing_m inf of the checkerboard must be a finite"),
+        (aprilgrid, {"border_bits": 3}, "border_bits 3 of the aprilgrid must be 1 or 2"),
+        (aprilgrid, {"first_tag": -1}, "first_tag -1 of the aprilgrid must be a whole number from 0"),
+        (aprilgrid, {"first_tag": 0.5}, r"first_tag 0\.5 of the aprilgrid must be a whole number from 0"),
         (circlegrid, {"spacing_m": float("nan")}, "spacing_m nan of the circlegrid must be a finite number"),
     ],
 )
 def test_boards_that_make_no_sense_are_refused(make, changed, message):
     with pytest.raises(OptionError, match=message):
         make(**changed)
+
+
+def test_plain_tags_with_other_ids():
+    board = aprilgrid(border_bits=1, first_tag=12)
+    assert board.describe() == (
+        "AprilGrid 6 x 6, tags of 88 mm, gap 26.4 mm, plain tags with a border of 1 bit, ids from 12"
+    )
+    # Points and tags are numbered from 0 whatever is printed on them.
+    assert np.array_equal(board.points, aprilgrid().points)
+    assert board.point_of_tag_corner(0, 0) == 0
+    with pytest.raises(RecordingError, match="it has tags 0 to 35"):
+        board.point_of_tag_corner(36, 0)
 
 
 def test_unknown_boards_are_refused():

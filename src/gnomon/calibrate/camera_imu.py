@@ -28,6 +28,7 @@ from ..estimate.camera_imu.visual_terms import VisualData
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
+from .board_order import numbered_alike
 from .camera_imu_preparation import PreparedCameraImu, prepare_camera_imu
 from .preparation import local_gravity, stated_options
 
@@ -75,6 +76,9 @@ def _calibrated(recording: Recording, target: Target, options: CameraImuOptions,
     gravity = local_gravity(options)
     tell("finding the board's poses, the time shift and the camera's axes")
     stream = imu_stream(prepared.inertial)
+    cameras, ends = numbered_alike(recording.cameras, target, prepared.origin_ns, stream)
+    recording = replace(recording, cameras=cameras)
+    prepared = replace(prepared, findings=(*prepared.findings, *ends))
     found = looks(recording.cameras, target, prepared.origin_ns, stream)
     tell("estimating")
     start, solution = _estimated(prepared, found, gravity, options, tell)

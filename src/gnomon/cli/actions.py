@@ -1,15 +1,16 @@
 """What the commands do: read, call the library, print. Each returns its exit code."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import commands
 from .camera_imu_actions import camera_imu, simulate_camera_imu
+from .check_actions import check
+from .convert_actions import convert
 from .places import RESULT_FILES, default_folder, result_folder
 from .results import (
-    UNUSABLE,
     USABLE,
     calibration_document,
     exit_code,
@@ -24,8 +25,8 @@ from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
-    from ..findings import Finding
     from ..recording import Recording
+    from ..writers.tables import Table
 
 DEMO_RECORDING, TRUTH = "recording.npz", "truth.yaml"
 
@@ -65,62 +66,36 @@ def _read(source: commands.Input) -> "Recording":
     return read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
 
 
-def _check(command: commands.Check, terminal: Terminal) -> int:
-    from ..assess.doctor import check
-
-    recording = _read(command.recording)
-    findings = check(recording)
-    code = UNUSABLE if any(finding.severity == "problem" for finding in findings) else USABLE
-    say_assumptions(recording.assumptions, terminal)
-    _say_recording(recording, terminal)
-    _say_findings(findings, terminal)
-    terminal.document(
-        {
-            "exit_code": code,
-            "assumptions": list(recording.assumptions),
-            "imus": {
-                name: {
-                    triad: {
-                        "samples": len(samples),
-                        "rate_hz": samples.rate_hz,
-                        "duration_s": samples.duration_s,
-                        "unit": samples.unit,
-                    }
-                    for triad, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
-                }
-                for name, imu in recording.imus.items()
-            },
-            "findings": [asdict(finding) for finding in findings],
-        }
-    )
-    return code
-
-
-def _say_recording(recording: "Recording", terminal: Terminal) -> None:
-    for name, imu in recording.imus.items():
-        for triad, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope)):
-            terminal.say(
-                f"{name} {triad:<13} {len(samples)} samples, {samples.duration_s:.1f} s at {samples.rate_hz:.6g} Hz, "
-                f"in {samples.unit}"
-            )
-
-
-def _say_findings(findings: Sequence["Finding"], terminal: Terminal) -> None:
-    from . import summary
-
-    styles = {"problem": "red", "warning": "yellow", "info": "", "good": "green"}
-    for severity, style in styles.items():
-        chosen = [finding for finding in findings if finding.severity == severity]
-        if chosen:
-            terminal.say("\n" + "\n".join(summary.advice(chosen, good=True)), style)
-
-
 def _show(command: commands.Show, terminal: Terminal) -> int:
     from ..readers import load
+    from ..readers.foreign_files import is_own
     from ..writers.tables import form_tables, summary_table
 
+    if not is_own(command.calibration):
+        return _show_foreign(command, terminal)
     calibration = load(command.calibration)
-    for table in (summary_table(calibration), *form_tables(calibration, command.form)):
+    _say_tables((summary_table(calibration), *form_tables(calibration, command.form)), terminal)
+    from . import summary
+
+    if lines := list(summary.advice(calibration.assessment.findings)):
+        terminal.say("\n".join(lines))
+    terminal.document(calibration_document(calibration))
+    return USABLE
+
+
+def _show_foreign(command: commands.Show, terminal: Terminal) -> int:
+    from ..readers.foreign_files import load_foreign
+    from ..writers.foreign_tables import foreign_document, foreign_tables
+
+    foreign = load_foreign(command.calibration)
+    say_assumptions(foreign.notes, terminal)
+    _say_tables(foreign_tables(foreign, command.form), terminal)
+    terminal.document(foreign_document(foreign))
+    return USABLE
+
+
+def _say_tables(tables: "Sequence[Table]", terminal: Terminal) -> None:
+    for table in tables:
         names = max(len(row.name) for row in table.rows)
         values = max(len(row.value) for row in table.rows)
         terminal.say(table.title, "bold")
@@ -128,12 +103,6 @@ def _show(command: commands.Show, terminal: Terminal) -> int:
         for row in table.rows:
             terminal.say(f"  {row.name:<{names}}  {row.value:>{values}}  {row.unit}".rstrip())
         terminal.say("")
-    from . import summary
-
-    if lines := list(summary.advice(calibration.assessment.findings)):
-        terminal.say("\n".join(lines))
-    terminal.document(calibration_document(calibration))
-    return USABLE
 
 
 def _apply(command: commands.Apply, terminal: Terminal) -> int:
@@ -154,23 +123,6 @@ def _apply(command: commands.Apply, terminal: Terminal) -> int:
     )
     terminal.say(f"{rows} rows in {command.output}")
     terminal.document({"rows": rows, "file": str(command.output)})
-    return USABLE
-
-
-def _convert(command: commands.Convert, terminal: Terminal) -> int:
-    from ..readers import load
-    from ..writers import convert
-    from ..writers.conversion import exported
-
-    calibration = load(command.calibration)
-    folder = command.output or command.calibration.parent / command.to
-    losses = convert(calibration, command.to, folder)
-    files = [str(folder / name) for name in exported(calibration, command.to).files]
-    for name in files:
-        terminal.say(f"written: {name}")
-    for loss in losses:
-        terminal.say(f"lost:    {loss}")
-    terminal.document({"files": files, "losses": [asdict(loss) for loss in losses]})
     return USABLE
 
 
@@ -222,10 +174,10 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
 _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.Imu: _imu,
     commands.CameraImu: camera_imu,
-    commands.Check: _check,
+    commands.Check: check,
     commands.Show: _show,
     commands.Apply: _apply,
-    commands.Convert: _convert,
+    commands.Convert: convert,
     commands.Simulate: _simulate,
     commands.SimulateCameraImu: simulate_camera_imu,
     commands.Demo: _demo,

@@ -18,6 +18,7 @@ from .results import (
     write_result,
 )
 from .terminal import Terminal
+from .topics import topics_of
 
 if TYPE_CHECKING:
     from ..diagnostics import Result
@@ -36,8 +37,7 @@ SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
 
 def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
     """Calibrate, write the folder of the result, and return the exit code."""
-    from ..calibrate import calibrate_camera_imu
-    from ..readers import read_camera_imu
+    from ..calibrate import calibrate_camera_imu, read_camera_imu
     from ..writers.camera_imu_files import save_camera_imu_files
 
     folder = command.output or default_folder((command.recording,))
@@ -45,7 +45,16 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
     refuse_overwriting(folder, command.recording, inputs)
     with result_folder(folder, own=CAMERA_IMU_FILES) as staging:
         terminal.progress("reading the recording")
-        recording, target = read_camera_imu(command.recording, **inputs, units=command.units)
+        recording, target = read_camera_imu(
+            command.recording,
+            **inputs,
+            units=command.units,
+            topics=topics_of(command.topics),
+            imu_table=command.imu_table,
+            workers=command.workers,
+            cache=folder if command.cache else None,
+            progress=terminal.progress,
+        )
         recording = replace(recording, assumptions=(*taken, *recording.assumptions))
         terminal.close()
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
@@ -72,19 +81,18 @@ def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[st
         If a file that is needed was not named, and is not in the recording's folder.
     """
     if not command.recording.exists():
-        raise RecordingError(f"{command.recording}: there is no such folder. Check the path.")
+        raise RecordingError(f"{command.recording}: there is no such file or folder. Check the path.")
     folder = command.recording if command.recording.is_dir() else command.recording.parent
     files: dict[str, Any] = {option: getattr(command, option) for option in _INPUTS}
     found = [option for option, file in files.items() if file is None and (folder / _INPUTS[option][0]).is_file()]
     files |= {option: folder / _INPUTS[option][0] for option in found}
     names = [_INPUTS[option][0] for option in found]
     taken = [f"{_listed(names)} in the recording's folder {'is' if len(names) == 1 else 'are'} used."] if names else []
-    for option in ("cam", "target"):
-        if files[option] is None:
-            name, meaning = _INPUTS[option]
-            raise OptionError(
-                f"--{option} is missing: Kalibr's file of {meaning}. Name it, or put it into {folder} as {name}."
-            )
+    if files["target"] is None:
+        name, meaning = _INPUTS["target"]
+        raise OptionError(
+            f"--target is missing: Kalibr's file of {meaning}. Name it, or put it into {folder} as {name}."
+        )
     if files["imu"] is None:
         taken.append("no imu.yaml was given: the noise of a consumer IMU is assumed until the residuals tell it.")
     return files, tuple(taken)

@@ -6,9 +6,11 @@ from typing import Annotated, Literal, Self
 
 import tyro
 
+from ..errors import OptionError
 from ..options import CameraImuOptions, ImuOptions
 from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
+from .topics import topics_of
 
 _Flat = tyro.conf.arg(name="")
 """Options of a nested class appear without a prefix."""
@@ -26,6 +28,12 @@ def _output(metavar: str, hint: str = "") -> object:
 
 
 _File = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
+
+CalibrationForm = Literal["imu_tk", "kalibr", "openvins", "basalt", "imucal", "c-header", "csv"]
+RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
+
+Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
+"""Options of a bag; `topics.topics_of` reads them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,15 +94,26 @@ class CameraImu:
     """
 
     recording: tyro.conf.Positional[Path]
-    """A folder with corners and samples, cam0_corners.csv, cam1_corners.csv, ... and imu0.csv, also with .gz."""
+    """A ROS 1 bag, a ROS 2 bag (sqlite or MCAP), a folder in the layout of EuRoC, TUM-VI or Kalibr, a folder of images
+    or videos with a table of samples, or a video; or a folder with corners and samples, cam0_corners.csv,
+    cam1_corners.csv, ... and imu0.csv, also with .gz."""
     cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
-    """Kalibr's file of the cameras and their intrinsics (default: camchain.yaml in the recording's folder)."""
+    """Kalibr's file of the cameras and their intrinsics, or gnomon's calibration.yaml (default: camchain.yaml in the
+    recording's folder; else what the recording itself says, as EuRoC's does)."""
     imu: Annotated[Path | None, _File] = None
     """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
     target: Annotated[Path | None, _File] = None
     """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
+    topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC ...", help_behavior_hint="")] = ()
+    """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
+    imu_table: Annotated[Path | None, _File] = None
+    """Table of the IMU's samples, where the recording has none, as a video."""
     units: str | None = None
-    """Units of the samples: "si", or a list such as "g deg/s us"; recognised where not given."""
+    """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
+    workers: int | None = None
+    """Threads that look for the board in the images; as many as there are cores where not given."""
+    cache: Annotated[bool, _Switch] = True
+    """Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept there."""
     output: Annotated[Path | None, _output("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz, trajectory.txt and Kalibr's camchain-imucam.yaml,
     imu.yaml and results-imucam.txt (default: the recording's name with -gnomon)."""
@@ -105,25 +124,47 @@ class CameraImu:
     options: Annotated[CameraImuOptions, _Flat] = field(default_factory=CameraImuOptions)
 
     def __post_init__(self) -> None:
+        topics_of(self.topics)
         if self.units is not None:
             Units.parse(self.units)
+        if self.workers is not None and self.workers < 1:
+            raise OptionError(f"workers {self.workers} must be at least 1.")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """Say what a recording holds, what is wrong with it, and how to cure that."""
+    """Say what a recording holds, what is wrong with it, and how to cure that.
+
+    A recording of an IMU alone is judged as one with rests; one with cameras (a bag, a folder of images or corners, a
+    video) as one that was waved in front of a board; neither lens nor board need be known.
+    """
 
     recording: Annotated[Input, _Flat]
+    cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
+    """Kalibr's file of the cameras (default: camchain.yaml in the recording's folder, where there is one)."""
+    imu: Annotated[Path | None, _File] = None
+    """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
+    target: Annotated[Path | None, _File] = None
+    """Kalibr's file of the board, which is then sought in some of the images (default: target.yaml in the recording's
+    folder, where there is one)."""
+    topics: Topics = ()
+    """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
+    imu_table: Annotated[Path | None, _File] = None
+    """Table of the IMU's samples, where it is not in the recording of the cameras."""
     json: Annotated[bool, _Switch] = False
     """Print one JSON document instead of text."""
+
+    def __post_init__(self) -> None:
+        topics_of(self.topics)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Show:
-    """Show a calibration as tables with standard deviations."""
+    """Show a calibration as tables with standard deviations; files of other projects without."""
 
     calibration: _Calibration
-    """A calibration.yaml."""
+    """A calibration.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and results-imucam.txt,
+    OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
     form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
     """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
     json: Annotated[bool, _Switch] = False
@@ -145,16 +186,32 @@ class Apply:
 
 @dataclass(frozen=True, kw_only=True)
 class Convert:
-    """Write a calibration in the format of another project, and say what that format cannot hold."""
+    """Write a calibration in the format of another project, and say what that format cannot hold.
 
-    calibration: _Calibration
-    """A calibration.yaml."""
-    to: Literal["imu_tk", "kalibr", "imucal", "c-header", "csv"]
-    """The format."""
-    output: Annotated[Path | None, _output("DIR")] = None
-    """Folder for the files (default: a folder with the format's name beside the calibration)."""
+    Or write a recording of cameras and an IMU, whatever it comes in, as a bag or as a folder in EuRoC's layout.
+    """
+
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
+    """A calibration.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a video."""
+    to: CalibrationForm | RecordingForm
+    """The format: imu_tk, kalibr, openvins, basalt, imucal, c-header or csv of a calibration; euroc, ros1, ros2
+    (SQLite) or mcap of a recording."""
+    output: Annotated[Path | None, _output("PATH")] = None
+    """Folder for the files, file of a bag (default: beside the calibration or the recording, named after it and the
+    format)."""
+    topics: Topics = ()
+    """Which topics of a bag are read, such as cam0=/camera/image_raw imu0=/imu/data; found where not given."""
+    imu_table: Annotated[Path | None, _File] = None
+    """Table of the IMU's samples, where it is not in the recording."""
+    units: str | None = None
+    """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
     json: Annotated[bool, _Switch] = False
     """Print one JSON document instead of text."""
+
+    def __post_init__(self) -> None:
+        topics_of(self.topics)
+        if self.units is not None:
+            Units.parse(self.units)
 
 
 @dataclass(frozen=True, kw_only=True)

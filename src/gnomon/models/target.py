@@ -3,7 +3,8 @@
 The board's frame is the world of a camera calibration; z = 0 on the board.
 
     aprilgrid     tags of 4 corners, ids row by row from the lower left; x right, y up, z to the viewer. The points are
-                  numbered along rows of 2 cols corners, from the lowest row up, from left to right.
+                  numbered along rows of 2 cols corners, from the lowest row up, from left to right. A tag's number on
+                  the board counts from 0; the id that is printed is that number plus first_tag.
     checkerboard  inner corners; point r cols + c is at (r row_spacing, c col_spacing, 0).
     circlegrid    centres; point r cols + c is at (r spacing, c spacing, 0), and on the asymmetric grid at
                   ((2 c + r mod 2) spacing, r spacing, 0).
@@ -40,6 +41,9 @@ class Target:
     cols, rows : number of tags, of inner corners or of circles
     tag_size_m : side of a tag (aprilgrid) [m]
     tag_spacing : gap between two tags over the side of a tag (aprilgrid)
+    border_bits : width of the black border of a tag in units of its code's cells (aprilgrid); Kalibr prints 2, with
+        black squares between the corners of the tags, other tools 1, without
+    first_tag : id printed on the tag at the lower left (aprilgrid)
     row_spacing_m, col_spacing_m : distance between rows and between columns (checkerboard) [m]
     spacing_m : distance between circles (circlegrid) [m]; on the asymmetric grid that between rows, and half of that
         between neighbours in a row
@@ -49,7 +53,7 @@ class Target:
     Raises
     ------
     OptionError
-        If a number of rows or columns is too small, or a length is not greater than zero.
+        If a number of rows or columns is too small, a length is not greater than zero, or there are no such tags.
 
     Examples
     --------
@@ -67,6 +71,8 @@ class Target:
     rows: int
     tag_size_m: float = 0.0
     tag_spacing: float = 0.0
+    border_bits: Literal[1, 2] = 2
+    first_tag: int = 0
     row_spacing_m: float = 0.0
     col_spacing_m: float = 0.0
     spacing_m: float = 0.0
@@ -87,12 +93,39 @@ class Target:
             value = getattr(self, name)
             if not (isfinite(value) and value > 0):
                 raise OptionError(f"{name} {value:g} of the {self.kind} must be a finite number greater than zero.")
+        if self.border_bits not in (1, 2):
+            raise OptionError(f"border_bits {self.border_bits!r} of the {self.kind} must be 1 or 2.")
+        if not (float(self.first_tag).is_integer() and self.first_tag >= 0):
+            raise OptionError(f"first_tag {self.first_tag!r} of the {self.kind} must be a whole number from 0.")
+        for name in ("border_bits", "first_tag"):
+            object.__setattr__(self, name, int(getattr(self, name)))
         object.__setattr__(self, "points", self._points())
 
     @classmethod
-    def aprilgrid(cls, *, tag_cols: int, tag_rows: int, tag_size_m: float, tag_spacing: float) -> Self:
-        """Return a grid of AprilTags; `tag_spacing` is the gap between two tags over the side of a tag."""
-        return cls(kind="aprilgrid", cols=tag_cols, rows=tag_rows, tag_size_m=tag_size_m, tag_spacing=tag_spacing)
+    def aprilgrid(
+        cls,
+        *,
+        tag_cols: int,
+        tag_rows: int,
+        tag_size_m: float,
+        tag_spacing: float,
+        border_bits: Literal[1, 2] = 2,
+        first_tag: int = 0,
+    ) -> Self:
+        """Return a grid of AprilTags; `tag_spacing` is the gap between two tags over the side of a tag.
+
+        A board as Kalibr prints it has `border_bits` 2; a grid of plain AprilTags has 1. The id that is printed on the
+        tag at the lower left is `first_tag`.
+        """
+        return cls(
+            kind="aprilgrid",
+            cols=tag_cols,
+            rows=tag_rows,
+            tag_size_m=tag_size_m,
+            tag_spacing=tag_spacing,
+            border_bits=border_bits,
+            first_tag=first_tag,
+        )
 
     @classmethod
     def checkerboard(cls, *, cols: int, rows: int, row_spacing_m: float, col_spacing_m: float) -> Self:
@@ -123,7 +156,9 @@ class Target:
         grid = f"{self.cols} x {self.rows}"
         if self.kind == "aprilgrid":
             gap = self.tag_spacing * self.tag_size_m
-            return f"AprilGrid {grid}, tags of {_millimetres(self.tag_size_m)}, gap {_millimetres(gap)}"
+            plain = ", plain tags with a border of 1 bit" if self.border_bits == 1 else ""
+            first = f", ids from {self.first_tag}" if self.first_tag else ""
+            return f"AprilGrid {grid}, tags of {_millimetres(self.tag_size_m)}, gap {_millimetres(gap)}{plain}{first}"
         if self.kind == "checkerboard":
             row, col = _millimetres(self.row_spacing_m), _millimetres(self.col_spacing_m)
             squares = f"squares of {row}" if row == col else f"rows {row}, columns {col} apart"
@@ -136,7 +171,7 @@ class Target:
 
         Parameters
         ----------
-        tag_id : (m,) tag, from 0
+        tag_id : (m,) tag, from 0, also where other ids are printed (`first_tag`)
         corner_idx : (m,) its corner 0..3, counter-clockwise from the lower left
 
         Raises

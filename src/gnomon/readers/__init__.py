@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .calibration_file import load
-    from .camera_imu import read_camera_imu
     from .recordings import read
 
-_HOMES = {"load": "calibration_file", "read": "recordings", "read_camera_imu": "camera_imu"}
+_HOMES = {"load": "calibration_file", "read": "recordings"}
 
-__all__ = ["load", "read", "read_camera_imu"]
+__all__ = ["load", "read"]
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,6 @@ _TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
 _CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
 _FRAMES = re.compile(rf"(cam\d+)[-_/]frames{_TABLE}", re.IGNORECASE)
 _IMU = re.compile(rf"(imu\d*)(/data)?({_TABLE}|\.npz)", re.IGNORECASE)
-_IMAGE = re.compile(r"(cam\d+)/(data/)?[^/]+\.(png|jpe?g|bmp|tiff?|pgm)", re.IGNORECASE)
 _EXPECTED = "cam0_corners.csv (ts_ns,tag_id,corner_idx,u_px,v_px), cam1_corners.csv, ... and imu0.csv, also gzipped"
 
 
@@ -36,11 +35,15 @@ def corner_streams(folder: Path) -> dict[str, CornerStream]:
     RecordingError
         If there are none.
     """
-    corners, frames = _matching(folder, _CORNERS), _matching(folder, _FRAMES)
+    corners, frames = _matching(folder, _CORNERS, r"cam\d+"), _matching(folder, _FRAMES, r"cam\d+")
     if corners:
         return {name: CornerStream(corners=path, frames=frames.get(name)) for name, path in corners.items()}
-    found = "; this version reads corners, not images" if _matching(folder, _IMAGE) else ""
-    raise RecordingError(f"{folder}: no corners of a camera in this folder{found}. Expected {_EXPECTED}.")
+    raise RecordingError(f"{folder}: no corners of a camera in this folder. Expected {_EXPECTED}.")
+
+
+def holds_corners(folder: Path) -> bool:
+    """Tell whether a folder holds tables of corners that were detected beforehand."""
+    return bool(_matching(folder, _CORNERS, r"cam\d+"))
 
 
 def imu_files(folder: Path) -> dict[str, Path]:
@@ -51,7 +54,7 @@ def imu_files(folder: Path) -> dict[str, Path]:
     RecordingError
         If there are none.
     """
-    found = {("imu0" if name == "imu" else name): path for name, path in _matching(folder, _IMU).items()}
+    found = {("imu0" if name == "imu" else name): path for name, path in _matching(folder, _IMU, r"imu\d*").items()}
     if not found:
         raise RecordingError(f"{folder}: no samples of an IMU in this folder. Expected {_EXPECTED}.")
     return found
@@ -73,11 +76,17 @@ def recording_folder(path: Path) -> Path:
     raise RecordingError(f"{path}: {problem}. Expected a folder with {_EXPECTED}.")
 
 
-def _matching(folder: Path, pattern: re.Pattern[str]) -> dict[str, Path]:
-    """Return name -> file, in the order of their numbers; of the same stream twice the shorter name, unpacked."""
+def _matching(folder: Path, pattern: re.Pattern[str], inside: str = "") -> dict[str, Path]:
+    """Return name -> file, in the order of their numbers; of the same stream twice the shorter name, unpacked.
+
+    Folders whose names match `inside` are looked into; those of images may hold very many files.
+    """
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
-        inner = sorted(path.glob("*")) + sorted(path.glob("data/*")) if path.is_dir() else [path]
+        inner = [path]
+        if path.is_dir():
+            looked_into = re.fullmatch(inside, path.name, re.IGNORECASE) is not None
+            inner = sorted(path.glob("*")) + sorted(path.glob("data/*")) if looked_into else []
         for file in inner:
             match = pattern.fullmatch(file.relative_to(folder).as_posix())
             if match and file.is_file():

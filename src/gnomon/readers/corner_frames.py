@@ -57,6 +57,7 @@ def camera_frames(
         camera=known.camera,
         T_cam_imu=known.T_cam_imu,
         time_shift_cam_imu_s=known.time_shift_cam_imu_s,
+        lens_covariance=known.lens_covariance,
     )
 
 

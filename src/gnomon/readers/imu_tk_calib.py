@@ -49,6 +49,7 @@ def read_imu_tk(
         imus=imus,
         frame=recognised_frame(imus),
         notes=(f"imu_tk's files do not state the unit of the samples; taken: {units}.",),
+        format="imu_tk",
     )
 
 

@@ -46,7 +46,7 @@ def read_imucal(path: str | PathLike[str]) -> ForeignCalibration:
             unit=_raw_unit(keys, "from_gyr_unit", GYROSCOPE_UNITS_RAD_S),
         ),
     )
-    return ForeignCalibration(imus={"imu0": imu}, frame=recognised_frame({"imu0": imu}))
+    return ForeignCalibration(imus={"imu0": imu}, frame=recognised_frame({"imu0": imu}), format="imucal")
 
 
 def _unit(keys: dict[str, Node], name: str, known: dict[str, float | None], default: str) -> float:

@@ -8,8 +8,9 @@ import numpy as np
 from ..errors import OptionError
 from ..models.camera import Camera, DistortionName, ProjectionName
 from ..recording import Floats, frozen_array
+from .foreign_yaml import read_foreign_yaml, rigid, unwrapped
 from .kalibr_yaml import file_name, passed_over, required, sensors, whole_number
-from .structured import Node, read_yaml
+from .structured import Node
 
 _EXPECTED = "Kalibr's camchain.yaml, with the cameras under cam0, cam1, ..."
 _INTRINSICS: dict[ProjectionName, str] = {
@@ -42,9 +43,9 @@ _DISTORTION_ALIASES: dict[str, DistortionName] = {
 }
 _REQUIRED = ("camera_model", "intrinsics", "resolution")
 _OPTIONAL = ("distortion_model", "distortion_coeffs", "T_cam_imu", "T_imu_cam", "T_cn_cnm1", "timeshift_cam_imu")
+_SIGMAS = ("intrinsics_sigma", "distortion_coeffs_sigma")  # no keys of Kalibr's
+_OTHER_KEYS = {"distortion_coefficients": "distortion_coeffs", "projection_model": "camera_model"}  # of EuRoC
 _IGNORED = ("cam_overlaps", "rostopic", "line_delay")
-_NO_ROTATION = 0.02  # numbers typed by hand have few digits
-_FARTHEST_M = 100.0
 _LONGEST_SHIFT_S = 9e9  # clocks may have unrelated origins, but stamps fit into 64 bits of nanoseconds
 _CONTRADICTION = 0.02  # [rad] and [m]
 
@@ -58,19 +59,23 @@ class CameraInput:
     camera : lens and intrinsics
     T_cam_imu : (4, 4) initial guess, p_cam = T_cam_imu @ p_imu [m], or None
     time_shift_cam_imu_s : initial guess of t_imu - t_cam [s], or None
+    lens_covariance : (k, k) covariance of intrinsics and distortion coefficients, in the order of `Camera.parameters`,
+        or None where it is not known
     """
 
     camera: Camera
     T_cam_imu: Floats | None = None
     time_shift_cam_imu_s: float | None = None
+    lens_covariance: Floats | None = None
 
 
 def read_camchain(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, CameraInput]:
     """Read cameras from Kalibr's camchain.yaml.
 
     Beyond what Kalibr takes, the names of the models may be written in any case and by their usual other names,
-    T_imu_cam (the inverse, as OpenVINS has it) may stand for T_cam_imu, and line_delay [s] states the time from one
-    image row to the next of a rolling shutter. Where only the first cameras have T_cam_imu, T_cn_cnm1 carries it on.
+    T_imu_cam (the inverse, as OpenVINS has it) may stand for T_cam_imu, line_delay [s] states the time from one image
+    row to the next of a rolling shutter, and intrinsics_sigma with distortion_coeffs_sigma the standard deviations of
+    both lists. Where only the first cameras have T_cam_imu, T_cn_cnm1 carries it on.
 
     Parameters
     ----------
@@ -86,35 +91,81 @@ def read_camchain(path: str | PathLike[str], notes: list[str] | None = None) -> 
     FormatError
         If the file cannot be read, a key is missing, or a value makes no camera or no rigid transformation.
     """
-    root = read_yaml(path)
     said: list[str] = [] if notes is None else notes
+    return cameras_of(read_foreign_yaml(path, said), said)
+
+
+def cameras_of(root: Node, notes: list[str]) -> dict[str, CameraInput]:
+    """Return the cameras of a file that was parsed; see `read_camchain`.
+
+    Raises
+    ------
+    FormatError
+        If a key is missing, or a value makes no camera or no rigid transformation.
+    """
     nodes = sensors(root, "cam", "camera_model", _EXPECTED)
     if root not in nodes.values():
-        passed_over((node for node in root.entries() if node.key not in nodes), said)
+        passed_over((node for node in root.entries() if node.key not in nodes), notes)
     cameras: dict[str, CameraInput] = {}
     for name, node in nodes.items():
         before = cameras.get(f"cam{int(name.removeprefix('cam')) - 1}")
-        cameras[name] = _chained(_camera_input(node, said), node, before, said)
+        cameras[name] = _chained(_camera_input(node, notes), node, before, notes)
     return cameras
 
 
 def _camera_input(node: Node, notes: list[str]) -> CameraInput:
-    keys = {child.key: child for child in node.entries()}
-    passed_over((child for key, child in keys.items() if key not in (*_REQUIRED, *_OPTIONAL, *_IGNORED)), notes)
+    keys = {_OTHER_KEYS.get(child.key, child.key): child for child in node.entries()}
+    known = (*_REQUIRED, *_OPTIONAL, *_SIGMAS, *_IGNORED)
+    passed_over((child for key, child in keys.items() if key not in known), notes)
     shift = keys["timeshift_cam_imu"].number() if "timeshift_cam_imu" in keys else None
     if shift is not None and abs(shift) > _LONGEST_SHIFT_S:
         raise keys["timeshift_cam_imu"].fail(f"found {shift:g} s, expected t_imu - t_cam in seconds.")
-    return CameraInput(camera=_camera(node, keys, notes), T_cam_imu=_extrinsics(keys), time_shift_cam_imu_s=shift)
+    camera = camera_of(node, keys, notes)
+    return CameraInput(
+        camera=camera,
+        T_cam_imu=_extrinsics(keys),
+        time_shift_cam_imu_s=shift,
+        lens_covariance=_lens_covariance(node, keys, camera),
+    )
 
 
-def _camera(node: Node, keys: dict[str, Node], notes: list[str]) -> Camera:
+def _lens_covariance(node: Node, keys: dict[str, Node], camera: Camera) -> Floats | None:
+    """Return the covariance that follows from standard deviations, where they are stated."""
+    if not any(name in keys for name in _SIGMAS):
+        return None
+    sigmas: list[float] = []
+    for name, values in zip(_SIGMAS, (camera.intrinsics, camera.distortion_coeffs), strict=True):
+        if name not in keys and not len(values):
+            continue
+        stated = required(keys, name, node, f"{len(values)} standard deviations, as there are beside it")
+        found = [item.number() for item in unwrapped(stated).items()]
+        if len(found) != len(values) or any(value <= 0 for value in found):
+            raise stated.fail(f"found {found}, expected {len(values)} standard deviations greater than zero.")
+        sigmas += found
+    return frozen_array(np.diag(np.square(sigmas)))
+
+
+def camera_of(node: Node, keys: dict[str, Node], notes: list[str]) -> Camera:
+    """Return lens and intrinsics of one camera.
+
+    Parameters
+    ----------
+    node : the camera's entry, for messages
+    keys : its values by Kalibr's names
+    notes : where sentences on what was passed over are appended
+
+    Raises
+    ------
+    FormatError
+        If a key is missing, or the values make no camera.
+    """
     projection, also = _projection(required(keys, "camera_model", node, f"one of {', '.join(_INTRINSICS)}"))
     expected = _INTRINSICS[projection]
-    intrinsics = required(keys, "intrinsics", node, f"{expected} of {projection}")
+    intrinsics = unwrapped(required(keys, "intrinsics", node, f"{expected} of {projection}"))
     values = _numbers(intrinsics, expected, projection)
     if (values[-4:-2] <= 0).any():
         raise intrinsics.fail(f"found focal lengths {values[-4]:g} and {values[-3]:g}, expected numbers above zero.")
-    size = list(required(keys, "resolution", node, "[width, height]").items())
+    size = list(unwrapped(required(keys, "resolution", node, "[width, height]")).items())
     if len(size) != 2 or min(whole_number(item) for item in size) < 1:
         raise keys["resolution"].fail(f"found {keys['resolution'].value}, expected [width, height] in pixels.")
     width, height = (whole_number(item) for item in size)
@@ -177,13 +228,15 @@ def _distortion(
     if name == "none":
         _refuse_coeffs(keys)
         return name, np.empty(0)
-    coeffs = required(keys, "distortion_coeffs", node, f"{_COEFFS[name]} of {name}")
+    coeffs = unwrapped(required(keys, "distortion_coeffs", node, f"{_COEFFS[name]} of {name}"))
     return name, _numbers(_without_zero_tail(coeffs, name, notes), _COEFFS[name], name)
 
 
 def _refuse_coeffs(keys: dict[str, Node]) -> None:
     coeffs = keys.get("distortion_coeffs")
-    if coeffs is not None and coeffs.value is not None and any(item.number() != 0 for item in coeffs.items()):
+    if coeffs is None or coeffs.value is None:
+        return
+    if any(item.number() != 0 for item in unwrapped(coeffs).items()):
         raise coeffs.fail("found coefficients, but distortion_model is none. Which of the two is meant?")
 
 
@@ -224,38 +277,12 @@ def _line_delay(keys: dict[str, Node], height: int) -> float:
 
 def _extrinsics(keys: dict[str, Node]) -> Floats | None:
     """Return T_cam_imu, from T_imu_cam where only that is stated."""
-    found = [_rigid(keys["T_cam_imu"])] if "T_cam_imu" in keys else []
+    found = [rigid(keys["T_cam_imu"])] if "T_cam_imu" in keys else []
     if "T_imu_cam" in keys:
-        found.append(frozen_array(np.linalg.inv(_rigid(keys["T_imu_cam"]))))
+        found.append(frozen_array(np.linalg.inv(rigid(keys["T_imu_cam"]))))
     if len(found) == 2 and _apart(found[0], found[1]) > _CONTRADICTION:
         raise keys["T_imu_cam"].fail("this is not the inverse of T_cam_imu beside it. Keep the one that is right.")
     return found[0] if found else None
-
-
-def _rigid(node: Node) -> Floats:
-    """Return a rigid transformation (4, 4); its rotation is made exact, since numbers in files are rounded."""
-    flat = isinstance(node.value, list) and len(node.value) == 16
-    T = node.floats(16).reshape(4, 4) if flat else node.floats(4, 4)
-    if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-6:
-        turned = " It seems to be transposed." if np.abs(T[:, 3] - [0, 0, 0, 1]).max() <= 1e-6 else ""
-        raise node.fail(f"the last row of the matrix is {T[3].tolist()}, expected [0, 0, 0, 1].{turned}")
-    R = T[:3, :3]
-    error = float(np.abs(R @ R.T - np.eye(3)).max()) if np.abs(R).max() < 2 else float(np.abs(R).max())
-    if error > _NO_ROTATION:
-        raise node.fail(
-            f"its left upper 3x3 part is no rotation matrix: its rows should be of length 1 and at right angles, and "
-            f"miss that by {error:.2g}."
-        )
-    if np.linalg.det(R) < 0:
-        raise node.fail(
-            "its left upper 3x3 part is mirrored (determinant -1), which no rotation is. Is the sign of an axis wrong?"
-        )
-    if np.abs(T[:3, 3]).max() > _FARTHEST_M:
-        raise node.fail(f"found the translation {T[:3, 3].tolist()} m. The unit is the metre; was it in millimetres?")
-    u, _, v = np.linalg.svd(R)
-    exact = T.copy()
-    exact[:3, :3] = u @ v
-    return frozen_array(exact)
 
 
 def _apart(first: Floats, second: Floats) -> float:
@@ -268,7 +295,7 @@ def _chained(camera: CameraInput, node: Node, before: CameraInput | None, notes:
     """Carry the extrinsics of the camera before over T_cn_cnm1, where this camera has none of its own."""
     if "T_cn_cnm1" not in node.value:
         return camera
-    link = _rigid(node.child("T_cn_cnm1"))
+    link = rigid(node.child("T_cn_cnm1"))
     if before is None:
         passed_over([node.child("T_cn_cnm1")], notes)
         return camera

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from os import PathLike
 
 from ..models.noise import ImuNoise
+from .foreign_yaml import read_foreign_yaml
 from .kalibr_yaml import file_name, passed_over, required, sensors
-from .structured import Node, read_yaml
+from .structured import Node
 
 _EXPECTED = "Kalibr's imu.yaml, with the noise densities and random walks at the top or under imu0"
 _UNITS = {
@@ -52,8 +53,8 @@ def read_imu_input(path: str | PathLike[str], notes: list[str] | None = None) ->
     FormatError
         If the file cannot be read, or a noise is missing or not above zero.
     """
-    root = read_yaml(path)
     said: list[str] = [] if notes is None else notes
+    root = read_foreign_yaml(path, said)
     imus = sensors(root, "imu", "accelerometer_noise_density", _EXPECTED)
     if root not in imus.values():
         passed_over((node for node in root.entries() if node.key not in imus), said)

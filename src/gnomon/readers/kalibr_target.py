@@ -6,15 +6,22 @@ from typing import Any
 
 from ..errors import OptionError
 from ..models.target import Target
+from .foreign_yaml import read_foreign_yaml
 from .kalibr_yaml import file_hint, file_name, passed_over, required, whole_number
-from .structured import Node, read_yaml
+from .structured import Node
 
 _LONGEST_M, _LARGEST_RATIO, _MOST = 10.0, 10.0, 1000
+_FIRST_TAG = ("codeOffset", "firstTag")  # of forks of Kalibr, and ours
+_BORDER = "tagBorderBits"  # ours: Kalibr prints 2
+_FAMILY = ("tagFamily", "tag_family")
 _USUAL_RATIO = (0.1, 1.0)  # gap between tags over their size; boards that people print have 0.2 to 0.5
 
 
 def read_target(path: str | PathLike[str], notes: list[str] | None = None) -> Target:
     """Read a calibration board from Kalibr's target.yaml.
+
+    Beyond what Kalibr takes, tagBorderBits: 1 states a grid of plain AprilTags (Kalibr prints a border of 2), and
+    codeOffset, or firstTag, the id of the tag at the lower left.
 
     Parameters
     ----------
@@ -26,23 +33,39 @@ def read_target(path: str | PathLike[str], notes: list[str] | None = None) -> Ta
     FormatError
         If the file cannot be read, a key is missing, or a value makes no board.
     """
-    root = read_yaml(path)
+    said: list[str] = [] if notes is None else notes
+    return target_of(read_foreign_yaml(path, said), said)
+
+
+def target_of(root: Node, notes: list[str]) -> Target:
+    """Return the board of a file that was parsed; see `read_target`.
+
+    Raises
+    ------
+    FormatError
+        If a key is missing, or a value makes no board.
+    """
     keys = {node.key: node for node in root.entries()}
     if "target_type" not in keys:
         raise root.fail(f"the key target_type is missing. Expected one of {', '.join(_BOARDS)}.{file_hint(root)}")
     kind = _kind(keys["target_type"])
     make, values = _BOARDS[kind]
     arguments = {name: read(required(keys, key, root, _EXPECTED[read])) for key, (name, read) in values.items()}
-    if kind == "circlegrid" and "asymmetricGrid" in keys:
-        arguments["asymmetric"] = _flag(keys["asymmetricGrid"])
+    optional: tuple[str, ...] = ()
+    if kind == "circlegrid":
+        optional = ("asymmetricGrid",)
+        if "asymmetricGrid" in keys:
+            arguments["asymmetric"] = _flag(keys["asymmetricGrid"])
+    if kind == "aprilgrid":
+        optional = (*_FIRST_TAG, _BORDER, *_FAMILY)
+        arguments |= _tags(keys, notes)
     try:
         target = make(**arguments)
     except OptionError as error:
         raise root.fail(str(error)) from None
-    if notes is not None:
-        known = {"target_type", *values, *(["asymmetricGrid"] if kind == "circlegrid" else [])}
-        notes += _oddities(keys, kind)
-        passed_over((node for key, node in keys.items() if key not in known and not _is_zero_offset(node)), notes)
+    notes += _oddities(keys, kind)
+    known = {"target_type", *values, *optional}
+    passed_over((node for key, node in keys.items() if key not in known), notes)
     return target
 
 
@@ -120,8 +143,24 @@ _BOARDS: dict[str, tuple[Callable[..., Target], dict[str, tuple[str, Callable[[N
 }
 
 
-def _is_zero_offset(node: Node) -> bool:
-    return node.key == "codeOffset" and node.value == 0
+def _tags(keys: dict[str, Node], notes: list[str]) -> dict[str, int]:
+    """Return what is stated of the tags themselves."""
+    found: dict[str, int] = {}
+    stated = [keys[name] for name in _FIRST_TAG if name in keys]
+    if stated:
+        found["first_tag"] = whole_number(stated[0])
+        if any(whole_number(node) != found["first_tag"] for node in stated) or found["first_tag"] < 0:
+            raise stated[-1].fail(f"found {stated[-1].value}, expected one id from 0, of the tag at the lower left.")
+    if _BORDER in keys:
+        found["border_bits"] = whole_number(keys[_BORDER])
+        if found["border_bits"] not in (1, 2):
+            raise keys[_BORDER].fail(f"found {found['border_bits']}, expected 1 (plain tags) or 2 (Kalibr's).")
+    notes += [
+        f"{file_name(node)}: {node.path} is {node.value}; in images, only tags of 36h11 are found."
+        for node in (keys[name] for name in _FAMILY if name in keys)
+        if "36h11" not in str(node.value)
+    ]
+    return found
 
 
 def _oddities(keys: dict[str, Node], kind: str) -> list[str]:

@@ -48,7 +48,9 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
         name, (number, _) = next(iter(table.items()))
         raise FormatError(f"{path}, line {number}: {name} is no parameter of a calibration.")
     notes = tuple(f"{name} was passed over." for name in cameras)
-    return ForeignCalibration(imus=imus, frame=recognised_frame(imus), sigmas=reader.sigmas, notes=notes)
+    return ForeignCalibration(
+        imus=imus, frame=recognised_frame(imus), sigmas=reader.sigmas, notes=notes, format="gnomon's csv"
+    )
 
 
 class _Table:

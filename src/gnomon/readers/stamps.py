@@ -16,6 +16,7 @@ _DECIMALS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 _EPOCH_S = (6e8, 4.1e9)  # 1989 to 2099
 _POSSIBLE_HZ = (0.5, 1e5)
 _TYPICAL_RATE_HZ = 130.0
+TYPICAL_FRAMES_HZ = 20.0
 
 
 def stamp_kind(tokens: list[str]) -> str:
@@ -31,7 +32,7 @@ def stamp_kind(tokens: list[str]) -> str:
     return "S40" if plain and longest > 15 else "f8"
 
 
-def guess_time_unit(stamps: NDArray[Any]) -> tuple[str, str]:
+def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) -> tuple[str, str]:
     """Return the unit of stamps and why it must be that one.
 
     Stamps that lie between 1989 and 2099 in some unit since 1970, at a possible sample rate, are in that unit.
@@ -47,7 +48,7 @@ def guess_time_unit(stamps: NDArray[Any]) -> tuple[str, str]:
     for unit, factor in TIME_UNITS_NS.items():
         if _EPOCH_S[0] < last * factor * 1e-9 < _EPOCH_S[1] and _POSSIBLE_HZ[0] < rates[unit] < _POSSIBLE_HZ[1]:
             return unit, f"they count from 1970 and the rate is then {rates[unit]:.4g} Hz"
-    unit = min(rates, key=lambda name: abs(np.log(rates[name] / _TYPICAL_RATE_HZ)))
+    unit = min(rates, key=lambda name: abs(np.log(rates[name] / typical_hz)))
     return unit, f"the rate is then {rates[unit]:.4g} Hz"
 
 

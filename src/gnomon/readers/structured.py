@@ -159,25 +159,56 @@ def read_yaml(path: str | PathLike[str]) -> Node:
     FormatError
         If the file cannot be read, is no YAML, or holds a key twice.
     """
+    text = read_text(path)
+    return Node(file=str(path), path="", value=parse_yaml("#" + text if text.startswith("%YAML:") else text, path))
+
+
+def parse_yaml(text: str, path: str | PathLike[str], *, any_tag: bool = False) -> Any:
+    """Return what a YAML text holds.
+
+    Parameters
+    ----------
+    path : of the file, for messages
+    any_tag : whether values with tags of other programs, such as !!opencv-matrix, are read as if they had none
+
+    Raises
+    ------
+    FormatError
+        If it is no YAML, or holds a key twice.
+    """
     import yaml
 
-    text = read_text(path)
-    if text.startswith("%YAML:"):
-        text = "#" + text
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)(text)
+    safe = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    loader = (_without_tags(safe) if any_tag else safe)(text)
     try:
         root = loader.get_single_node()
         _refuse_duplicates(path, root)
-        value = None if root is None else loader.construct_document(root)
+        return None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         line = f", line {mark.line + 1}" if mark is not None else ""
         raise FormatError(f"{path}{line}: this is not YAML ({error.problem}).") from error
-    except (yaml.YAMLError, ValueError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise FormatError(f"{path}: this is not YAML ({error}).") from error
     finally:
         loader.dispose()
-    return Node(file=str(path), path="", value=value)
+
+
+def _without_tags(safe: Any) -> Any:
+    """Return a loader that reads a value with an unknown tag as if the tag were not there."""
+
+    class Loader(safe):
+        pass
+
+    def plain(loader: Any, node: Any) -> Any:
+        if node.id == "scalar":
+            tag = loader.resolve(type(node), node.value, (True, False))
+            return loader.construct_object(type(node)(tag, node.value, node.start_mark, node.end_mark))
+        construct = loader.construct_mapping if node.id == "mapping" else loader.construct_sequence
+        return construct(node, deep=True)
+
+    Loader.add_constructor(None, plain)
+    return Loader
 
 
 def read_json(path: str | PathLike[str]) -> Node:
@@ -214,8 +245,12 @@ def read_text(path: str | PathLike[str]) -> str:
 def _refuse_duplicates(path: str | PathLike[str], root: Any) -> None:
     """Raise if a key stands twice in one mapping: the parser would silently keep the last one."""
     todo = [root] if root is not None else []
+    done: set[int] = set()  # an alias may lead back to where it stands
     while todo:
         node = todo.pop()
+        if id(node) in done:
+            continue
+        done.add(id(node))
         if node.id == "sequence":
             todo.extend(child for child in node.value if child.id != "scalar")
         elif node.id == "mapping":

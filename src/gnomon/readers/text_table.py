@@ -206,7 +206,7 @@ def _without_cut_line(file: TextFile, layout: Layout) -> tuple[bytes, str | None
     return data[:begin], f"{file.name}: the last line is cut off and was left out."
 
 
-def _rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]]:
+def numbered_rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]]:
     """Yield (line number, tokens) of every row of data."""
     stream = io.BytesIO(data)
     stream.seek(layout.offset)
@@ -219,12 +219,12 @@ def _rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]]:
 
 def line_number(file: TextFile, layout: Layout, row: int) -> int:
     """Return the number of the line, from 1, that holds a row of data, from 0; slow, for messages."""
-    return next(number for i, (number, _) in enumerate(_rows(layout, file.data)) if i == row)
+    return next(number for i, (number, _) in enumerate(numbered_rows(layout, file.data)) if i == row)
 
 
 def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes, may_be_lost: bool) -> RecordingError | None:
     """Say where a table is not as it should be; slow, and only called once it is known to be wrong."""
-    for number, row in _rows(layout, data):
+    for number, row in numbered_rows(layout, data):
         where = f"{file.name}, line {number}"
         if len(row) != layout.columns:
             return RecordingError(

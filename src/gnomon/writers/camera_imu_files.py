@@ -12,10 +12,11 @@ from ..diagnostics import CameraImuDiagnostics, NoiseLevel, Result
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..output import write_whole
+from ..readers.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
 from .kalibr import IMU_FILE, StatedImu, imu_text
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
-from .kalibr_results import RESULTS_FILE, KalibrResults, Residuals, Statistics
+from .kalibr_results import RESULTS_FILE, KalibrResults
 from .trajectory import TRAJECTORY_FILE, trajectory_text
 from .units_text import parameter_unit
 

@@ -125,12 +125,14 @@ def _imu_node(samples: ImuSamples, rate_hz: float) -> dict[str, Any]:
 def _target_node(target: Target) -> dict[str, Any]:
     node: dict[str, Any] = {"target_type": target.kind}
     if target.kind == "aprilgrid":
-        return node | {
+        node |= {
             "tagCols": target.cols,
             "tagRows": target.rows,
             "tagSize": target.tag_size_m,
             "tagSpacing": target.tag_spacing,
         }
+        plain = {"tagBorderBits": target.border_bits} if target.border_bits != 2 else {}
+        return node | plain | ({"codeOffset": target.first_tag} if target.first_tag else {})
     node |= {"targetCols": target.cols, "targetRows": target.rows}
     if target.kind == "checkerboard":
         return node | {"rowSpacingMeters": target.row_spacing_m, "colSpacingMeters": target.col_spacing_m}

@@ -12,6 +12,8 @@ from .export import Export, Loss
 FORMATS = {
     "imu_tk": "imu_tk",
     "kalibr": "kalibr",
+    "openvins": "openvins",
+    "basalt": "basalt",
     "imucal": "imucal",
     "c-header": "c_header",
     "csv": "parameter_csv",
@@ -24,7 +26,7 @@ def convert(calibration: Calibration, to: str, directory: str | PathLike[str]) -
 
     Parameters
     ----------
-    to : "imu_tk", "kalibr", "imucal", "c-header" or "csv"
+    to : "imu_tk", "kalibr", "openvins", "basalt", "imucal", "c-header" or "csv"
     directory : made if it is not there; only the files of the format are written, each of them whole or not at all
 
     Raises

@@ -6,7 +6,7 @@ A list of candidates is one array for each field, such as "trials.rotation_rms".
 
 import io
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from os import PathLike
 from typing import Any
@@ -44,7 +44,7 @@ def diagnostic_arrays(node: Any, path: str = "") -> Iterator[tuple[str, NDArray[
     if is_dataclass(node):
         for entry in fields(node):
             yield from diagnostic_arrays(getattr(node, entry.name), _joined(path, entry.name))
-    elif isinstance(node, dict):
+    elif isinstance(node, Mapping):
         for key, value in node.items():  # pyright: ignore[reportUnknownVariableType]
             yield from diagnostic_arrays(value, _joined(path, str(key)))
     elif isinstance(node, tuple) and node and is_dataclass(node[0]):

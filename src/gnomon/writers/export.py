@@ -70,7 +70,7 @@ def camera_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
         yield Loss(
             what=", ".join(calibration.cameras),
             why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
-            "Use kalibr to write them too, or keep calibration.yaml.",
+            "Use kalibr, openvins or basalt to write them too, or keep calibration.yaml.",
         )
 
 
@@ -81,8 +81,9 @@ def g_sensitivity_losses(calibration: Calibration, format_name: str) -> Iterator
         if size:
             yield Loss(
                 what=f"g-sensitivity of {name}",
-                why=f"{format_name} knows no gyroscope bias that depends on the specific force. Use kalibr, imucal, "
-                "c-header or csv to keep it, or calibrate with --model basic so that the bias absorbs what it can.",
+                why=f"{format_name} knows no gyroscope bias that depends on the specific force. Use kalibr, "
+                "openvins, imucal, c-header or csv to keep it, or calibrate with --model basic so that the bias "
+                "absorbs what it can.",
                 size=f"up to {size:.2g} rad/s = {degrees(size):.2g} deg/s at 1 g",
             )
 

@@ -1,8 +1,6 @@
 """Kalibr: `imu.yaml` with the model of each IMU, as Kalibr itself writes its results, and the cameras' chain.
 
-Kalibr's samples are in m/s^2 and rad/s. Samples in g or deg/s get there by their unit. Counts have none: for them a
-nominal conversion is chosen, (count - offset) / scale, with the estimated bias as offset and the mean sensitivity as
-scale; M then holds what differs from it, and the file states the conversion. Read back by `readers.kalibr_imu`.
+Kalibr's samples are in m/s^2 and rad/s; see `writers.si_units`. Read back by `readers.kalibr_imu`.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
+from ..calibration import Calibration, ImuCalibration
 from ..models.noise import ImuNoise
 from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ..recording import Floats
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .export import Export, Loss, into_frame, numbers_text, uncertainty_loss
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
 from .kalibr_text import kalibr_yaml
+from .si_units import conversions, count_losses
 
 IMU_FILE = "imu.yaml"
 
@@ -82,7 +80,7 @@ def export(calibration: Calibration) -> Export:
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
     found = list(losses)
     for name, imu in moved.imus.items():
-        found.extend(_losses(name, _conversions(imu)))
+        found.extend(_losses(name, imu))
     missing = ", ".join((*ImuNoise.__slots__, "update_rate", "rostopic"))
     found.append(
         Loss(what="noise, rate and topic", why=f"a gnomon calibration does not hold {missing}; add them by hand.")
@@ -107,10 +105,10 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
     for name, imu in calibration.imus.items():
         model = kalibr_model(imu)
         names.add(model.name)
-        comments += [f"{name}: {line}" for conversion in _conversions(imu) for line in conversion.lines()]
+        comments += [f"{name}: {line}" for conversion in conversions(imu) for line in conversion.lines()]
         document[name] = _entry(model, is_body=name == "imu0")
         if name in stated:
-            document[name] |= _stated_entry(stated[name])
+            document[name] |= stated_entry(stated[name])
             comments += [f"{name}: {line}" for line in stated[name].comments]
     keys = (*ImuNoise.__slots__, "update_rate", "rostopic")
     missing = [key for key in keys if any(key not in entry for entry in document.values())]
@@ -123,7 +121,7 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
 
 def kalibr_model(imu: ImuCalibration) -> KalibrModel:
     """Return an IMU in Kalibr's terms; it must be in body frame accel-x."""
-    factors = [conversion.factor for conversion in _conversions(imu)]
+    factors = [conversion.factor for conversion in conversions(imu)]
     accelerometer = KalibrAccelerometer.from_sensor(imu.accelerometer.sensitivity, imu.accelerometer.bias)
     M_accel = accelerometer.M * factors[0]
     ideal = _is_identity(M_accel)
@@ -156,61 +154,18 @@ def _entry(model: KalibrModel, *, is_body: bool) -> dict[str, Any]:
     return entry
 
 
-def _stated_entry(stated: StatedImu) -> dict[str, Any]:
+def stated_entry(stated: StatedImu) -> dict[str, Any]:
+    """Return noise, rate and topic by Kalibr's keys."""
     entry: dict[str, Any] = {name: float(value) for name, value in asdict(stated.noise).items()}
     entry["update_rate"] = float(stated.update_rate_hz)
     return entry | ({"rostopic": stated.topic} if stated.topic else {})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Conversion:
-    """SI = (sample - offset) * factor."""
-
-    triad: str
-    unit: str
-    si: str
-    factor: float
-    offset: Floats
-    bias: Floats
-
-    def lines(self) -> Iterator[str]:
-        """Say it in words, with numbers that read back bit by bit."""
-        if self.unit == "count":
-            yield f"{self.triad} [{self.si}] = (count - ({numbers_text(self.offset, ', ')})) * {self.factor!r}"
-        elif self.unit != self.si:
-            yield f"{self.triad} [{self.si}] = {self.unit} * {self.factor!r}"
-        yield f"{self.triad} bias [{self.si}] = ({numbers_text((self.bias - self.offset) * self.factor, ', ')})"
-
-
-def _conversions(imu: ImuCalibration) -> list[_Conversion]:
-    return [_conversion(triad) for triad in (imu.accelerometer, imu.gyroscope) if triad is not None]
-
-
-def _conversion(triad: AccelerometerCalibration | GyroscopeCalibration) -> _Conversion:
-    is_gyroscope = isinstance(triad, GyroscopeCalibration)
-    units = GYROSCOPE_UNITS_RAD_S if is_gyroscope else ACCELEROMETER_UNITS_M_S2
-    factor = units[triad.unit]
-    nominal = float(f"{abs(np.linalg.det(triad.sensitivity)) ** (1 / 3):.6g}")
-    return _Conversion(
-        triad="gyroscope" if is_gyroscope else "accelerometer",
-        unit=triad.unit,
-        si="rad/s" if is_gyroscope else "m/s^2",
-        factor=1 / nominal if factor is None else factor,
-        offset=triad.bias if factor is None else np.zeros(3),
-        bias=triad.bias,
-    )
-
-
-def _losses(name: str, conversions: list[_Conversion]) -> Iterator[Loss]:
-    for conversion in conversions:
-        lines = list(conversion.lines())
-        size = numbers_text(np.round((conversion.bias - conversion.offset) * conversion.factor, 6), ", ")
-        if conversion.unit == "count":
-            yield Loss(
-                what=f"{conversion.triad} counts of {name}",
-                why=f"Kalibr takes {conversion.si}. The file holds for {lines[0]}; convert so first.",
-            )
-        else:
+def _losses(name: str, imu: ImuCalibration) -> Iterator[Loss]:
+    yield from count_losses(name, imu, "Kalibr")
+    for conversion in conversions(imu):
+        if conversion.unit != "count":
+            size = numbers_text(np.round(conversion.bias_si, 6), ", ")
             yield Loss(
                 what=f"{conversion.triad} bias of {name}",
                 why="Kalibr estimates the bias over time and has no key for it; it is in the file's comments.",

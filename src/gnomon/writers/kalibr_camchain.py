@@ -1,5 +1,6 @@
 """Kalibr: `camchain-imucam.yaml`, the cameras with their poses and time shifts against the IMU."""
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -19,10 +20,15 @@ _HEADER = """\
 
 def camchain_text(calibration: Calibration) -> str:
     """Return the text of `camchain-imucam.yaml` for a calibration with cameras, in Kalibr's body frame accel-x."""
-    document = {name: _camera(camera) for name, camera in calibration.cameras.items()}
-    for (_, before), (name, camera) in pairwise(calibration.cameras.items()):
+    return _HEADER + kalibr_yaml(camera_chain(calibration.cameras))
+
+
+def camera_chain(cameras: Mapping[str, CameraCalibration]) -> dict[str, Any]:
+    """Return cameras by Kalibr's keys."""
+    document = {name: _camera(camera) for name, camera in cameras.items()}
+    for (_, before), (name, camera) in pairwise(cameras.items()):
         document[name]["T_cn_cnm1"] = baseline(before, camera)
-    return _HEADER + kalibr_yaml(document)
+    return document
 
 
 def baseline(before: CameraCalibration, camera: CameraCalibration) -> Floats:

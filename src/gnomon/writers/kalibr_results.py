@@ -7,13 +7,13 @@ have no place in it, and get one below, in lines that no parser of Kalibr's take
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Self
 
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration
 from ..models.camera import Camera
 from ..models.target import Target
+from ..readers.foreign import Residuals
 from ..recording import Floats
 from .kalibr import KalibrModel, StatedImu, kalibr_model
 from .kalibr_camchain import baseline
@@ -22,31 +22,6 @@ RESULTS_FILE = "results-imucam.txt"
 
 _LENS_NAMES = {"pinhole": (), "omni": ("Omni xi",), "eucm": ("EUCM alpha", "EUCM beta"), "ds": ("DS xi", "DS alpha")}
 _UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Statistics:
-    """Mean, median and standard deviation of the lengths of residual vectors."""
-
-    mean: float
-    median: float
-    std: float
-
-    @classmethod
-    def of(cls, lengths: Floats) -> Self:
-        """Return the statistics of lengths (n,), at least one."""
-        return cls(mean=float(np.mean(lengths)), median=float(np.median(lengths)), std=float(np.std(lengths)))
-
-    def __str__(self) -> str:
-        return f"mean {self.mean}, median {self.median}, std: {self.std}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Residuals:
-    """Residuals of one camera or triad in units of its noise, and in px, rad/s or m/s^2."""
-
-    normalised: Statistics
-    plain: Statistics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,9 +6,9 @@ from typing import Any
 from .yaml_text import yaml_lines
 
 
-def kalibr_yaml(document: Mapping[str, Any]) -> str:
-    """Return a document as Kalibr writes it."""
-    return "\n".join(yaml_lines(_sorted(document), flush=True)) + "\n"
+def kalibr_yaml(document: Mapping[str, Any], *, flush: bool = True) -> str:
+    """Return a document as Kalibr writes it; without `flush` its lists are indented, as OpenCV demands it."""
+    return "\n".join(yaml_lines(_sorted(document), flush=flush)) + "\n"
 
 
 def _sorted(node: Mapping[str, Any]) -> dict[str, Any]:

@@ -315,7 +315,7 @@ def estimated_noise(lin: Linearisation, step: Step, noise: Noise) -> Noise:
 def _pixel_factor(sums: CornerSums, inside: np.ndarray, sigma: float, huber: float, absorbed: float) -> float:
     """Return the scatter of the corners over the assumed one, by Huber's proposal 2 in two dimensions."""
     corners = np.repeat(inside, sums.lengths)
-    residual = sums.residual[corners]
+    residual = sums.comparable[corners]
     distance = np.sqrt(np.einsum("ij,ij->i", residual, residual)) / sigma
     distance = distance[np.isfinite(distance)]
     freedom = max(2 * len(distance) - absorbed, 0.05 * len(distance), 1.0)

@@ -140,14 +140,28 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
         if step >= 1 and np.quantile(np.abs(twist), 0.99) < _AT_REST:
             break
     sums = corner_sums(exposures, frames.camera, rotation, p, noise)
+    sigma_px = max(_scatter(sums.residual) * np.sqrt(2 * sums.valid.sum() / _freedom(sums.valid)), SMALLEST_PX)
     return BoardPoses(
-        exposures=every,
+        exposures=replace(every, spread=_spread(frames, every, sigma_px)),
         t_s=t_s[exposures.frame],
         R_cam_target=rotation,
         p_cam_target=p,
         scatter_px=np.maximum(np.sqrt(frame_scatter(exposures, sums, sums.valid > 0)[exposures.frame]), SMALLEST_PX),
-        sigma_px=max(_scatter(sums.residual) * np.sqrt(2 * sums.valid.sum() / _freedom(sums.valid)), SMALLEST_PX),
+        sigma_px=sigma_px,
     )
+
+
+def _spread(frames: CameraFrames, every: Exposures, sigma_px: float) -> Floats | None:
+    """Return the standard deviation of each corner over that of a usual one.
+
+    What the detector knows of each corner adds up with what is common to all, such as the errors of the board and of
+    the lens, of which it knows nothing.
+    """
+    if frames.sigma_px is None:
+        return None
+    own = np.square(frames.sigma_px[np.isin(frames.frame, every.frame)])
+    variance = own + max(sigma_px**2 - float(np.median(own)), 0.0)
+    return np.sqrt(variance / np.median(variance))
 
 
 def _freedom(valid: Integers) -> float:

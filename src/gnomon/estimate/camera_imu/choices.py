@@ -48,10 +48,14 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
         status |= dict.fromkeys(block.scalars(), kind)
     stated: dict[str, str] = {}
     sigma: dict[str, float] = {}
+    for camera in start.cameras:  # what is known with an uncertainty is estimated along
+        sigma |= camera.lens_scalars()
+    status |= dict.fromkeys(sigma, "prior")
     for option, names in (("free", options.free), ("fix", options.fix)):
         for name in names:
             for scalar in _scalars(name, option, all_blocks, stated):
                 status[scalar] = "estimated" if option == "free" else "fixed"
+                sigma.pop(scalar, None)
     for text in options.prior:
         name, value = _prior(text)
         for scalar in _scalars(name, "prior", all_blocks, stated):

@@ -37,6 +37,7 @@ class Exposures:
     points : (m, 3) corners on the target [m]
     pixels : (m, 2) detected [px]
     delay_rows : (e,) image row that is exposed at this instant; zero for a global shutter
+    spread : (m,) standard deviation of each corner over that of a usual one, or None where all are alike
     """
 
     frame: Integers
@@ -44,6 +45,7 @@ class Exposures:
     points: Floats
     pixels: Floats
     delay_rows: Floats
+    spread: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -83,6 +85,7 @@ class CornerSums:
     lengths : (e,) corners of each exposure
     residual : (m, 2) predicted minus detected [px]; nan where not valid
     weight : (m,) robust weight
+    spread : (m,) or 1.0, standard deviation of each corner over that of a usual one
     """
 
     gram: Floats
@@ -92,6 +95,12 @@ class CornerSums:
     lengths: Integers
     residual: Floats
     weight: Floats
+    spread: Floats | float = 1.0
+
+    @property
+    def comparable(self) -> Floats:
+        """Residuals (m, 2), those of uncertain corners made as small as the others' [px]."""
+        return self.residual / np.reshape(self.spread, (-1, 1))
 
 
 def corner_sums(
@@ -133,12 +142,13 @@ def corner_sums(
         image = camera.project(point.T, parameters_jacobian=len(own) > 0)
         apart = image.pixels - exposures.pixels[corners]
         off = np.where(image.valid[:, None], apart, 0.0)  # what cannot be imaged must not spoil the sums
-        root, rho, robust = _weights(off, image.valid, noise)
+        spread = 1.0 if exposures.spread is None else exposures.spread[corners]
+        root, rho, robust = _weights(off, image.valid, noise, spread)
         by_scale = turned / target_scale if scale_column else None
         columns = _columns(image.by_point, point, image.by_parameters, own, by_scale)
         columns.append((off[:, 0], off[:, 1]))
         if noise.probe_sign is not None:  # signs take the place of the whitened residual
-            sign = noise.probe_sign[corners] * noise.sigma_px
+            sign = noise.probe_sign[corners] * np.reshape(noise.sigma_px * spread, (-1, 1))
             columns.append((sign[:, 0], sign[:, 1]))
         gram[first:last] = _grams(columns, np.where(image.valid, root, 0.0), lengths)
         cost[first:last] = np.bincount(which, rho, last - first)
@@ -155,6 +165,7 @@ def corner_sums(
         valid=valid,
         lengths=np.diff(exposures.start),
         residual=residual,
+        spread=1.0 if exposures.spread is None else exposures.spread,
         weight=weight,
     )
 
@@ -170,7 +181,8 @@ def frame_scatter(exposures: Exposures, sums: CornerSums, known: np.ndarray) -> 
     """
     corner = np.repeat(known, sums.lengths) & np.isfinite(sums.residual[:, 0])
     frame = np.repeat(exposures.frame, sums.lengths)[corner]
-    squared = np.einsum("ij,ij->i", sums.residual[corner], sums.residual[corner])
+    comparable = sums.comparable[corner]
+    squared = np.einsum("ij,ij->i", comparable, comparable)
     ordered = squared[np.lexsort((squared, frame))]
     size = int(exposures.frame.max()) + 1
     counts = np.bincount(frame, minlength=size)
@@ -224,15 +236,16 @@ def _turned(R_cam_target: Floats, which: Integers, points: Floats, scale: float)
     return turned
 
 
-def _weights(off: Floats, valid: Booleans, noise: CornerNoise) -> tuple[Floats, Floats, Floats]:
+def _weights(off: Floats, valid: Booleans, noise: CornerNoise, spread: Floats | float) -> tuple[Floats, Floats, Floats]:
     """Return by which to multiply the rows, the robust cost, and the robust weight of each corner."""
-    distance = np.sqrt(np.einsum("ij,ij->i", off, off)) / noise.sigma_px
+    sigma_px = noise.sigma_px * spread
+    distance = np.sqrt(np.einsum("ij,ij->i", off, off)) / sigma_px
     distance = np.where(valid, distance, 0.0)
     with np.errstate(divide="ignore"):
         robust = np.minimum(1.0, noise.huber / distance)
     rho = np.where(robust < 1, noise.huber * (distance - 0.5 * noise.huber), 0.5 * distance**2)
     robust = np.where(valid, robust, 0.0)
-    return np.sqrt(robust) / noise.sigma_px, np.where(valid, rho, 0.0), robust
+    return np.sqrt(robust) / sigma_px, np.where(valid, rho, 0.0), robust
 
 
 def _columns(

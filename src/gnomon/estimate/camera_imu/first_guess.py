@@ -176,6 +176,7 @@ def per_corner(exposures: Exposures) -> Exposures:
         points=exposures.points,
         pixels=exposures.pixels,
         delay_rows=exposures.pixels[:, 1].copy(),
+        spread=exposures.spread,
     )
 
 
@@ -203,6 +204,7 @@ def first_parameters(
                 p_cam_imu=np.zeros(3),
                 time_shift_s=look.alignment.time_shift_s,
                 camera=look.frames.camera,
+                lens_covariance=look.frames.lens_covariance,
             )
             for look in found
         ),

@@ -67,6 +67,7 @@ class CameraParameters:
     R_cam_imu : (3, 3), p_cam_imu : (3,) [m] of T_cam_imu
     time_shift_s : t_imu = t_cam + time_shift_s
     camera : lens, intrinsics and line delay
+    lens_covariance : (k, k) of `camera.parameters` as it was known beforehand, or None
     """
 
     name: str
@@ -74,6 +75,21 @@ class CameraParameters:
     p_cam_imu: Floats
     time_shift_s: float
     camera: Camera
+    lens_covariance: Floats | None = None
+
+    def lens_scalars(self) -> dict[str, float]:
+        """Return the scalars of the lens that are known with an uncertainty, and their standard deviations."""
+        if self.lens_covariance is None:
+            return {}
+        sigma = np.sqrt(np.diag(self.lens_covariance)).tolist()
+        return {name: value for name, value in zip(self.lens_names(), sigma, strict=True) if value > 0}
+
+    def lens_names(self) -> list[str]:
+        """Return the names of `camera.parameters`."""
+        first, second = len(self.camera.intrinsics), len(self.camera.distortion_coeffs)
+        return [f"{self.name}.intrinsics[{i}]" for i in range(first)] + [
+            f"{self.name}.distortion_coeffs[{i}]" for i in range(second)
+        ]
 
 
 def gravity_axes(direction: Floats) -> Floats:
@@ -199,6 +215,7 @@ class Layout:
     names, units : (p,) of the scalars
     free : (p,) bool, whether the scalar is estimated; the others' columns only tell what they would do
     prior_mean, prior_sigma : (p,) prior of the scalars, in the coordinates of `values`; infinite where there is none
+    prior_information : (p, p) inverse of the priors' covariance
     weak : (p,) bool, whether the prior is only the weak one
     start : where the coordinates of rotations and directions are counted from, and the priors' means
     """
@@ -209,6 +226,7 @@ class Layout:
     free: np.ndarray
     prior_mean: Floats
     prior_sigma: Floats
+    prior_information: Floats
     weak: np.ndarray
     start: Parameters
 
@@ -291,10 +309,28 @@ def layout(
         free=np.array([status[name] != "fixed" for name in names], dtype=bool),
         prior_mean=np.zeros(len(names)),
         prior_sigma=np.array(sigma),
+        prior_information=_information(start, names, np.array(sigma)),
         weak=np.array(weak, dtype=bool),
         start=start,
     )
     return replace(draft, prior_mean=draft.values(start))
+
+
+def _information(start: Parameters, names: list[str], sigma: Floats) -> Floats:
+    """Return the inverse of the priors' covariance (p, p): what is known of a lens comes with its correlations."""
+    information = np.diag(np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0)
+    column = {name: i for i, name in enumerate(names)}
+    for entry in start.cameras:
+        known, order = entry.lens_scalars(), entry.lens_names()
+        rows = [order.index(name) for name in known]
+        if not rows:
+            continue
+        assert entry.lens_covariance is not None
+        whole = np.linalg.inv(entry.lens_covariance[np.ix_(rows, rows)])
+        kept = [i for i, (name, value) in enumerate(known.items()) if name in column and sigma[column[name]] == value]
+        at = [column[order[rows[i]]] for i in kept]
+        information[np.ix_(at, at)] = whole[np.ix_(kept, kept)]
+    return information
 
 
 def coordinates(name: str, parameters: Parameters, start: Parameters) -> Floats | float:

@@ -67,9 +67,10 @@ def add_priors(system: BorderedBand, parameters: Parameters, layout: Layout) -> 
     """Add the priors of the border parameters; return the cost of those that are estimated."""
     if not len(layout):
         return 0.0
-    information = np.where(np.isfinite(layout.prior_sigma), layout.prior_sigma, np.inf) ** -2.0
+    information = layout.prior_information
     difference = layout.values(parameters) - layout.prior_mean
     jacobian = layout.values_jacobian(parameters)
-    system.corner += jacobian.T @ (information[:, None] * jacobian)
-    system.corner_rhs[:, 0] -= jacobian.T @ (information * difference)
-    return 0.5 * float((information * difference**2)[layout.free].sum())
+    system.corner += jacobian.T @ information @ jacobian
+    system.corner_rhs[:, 0] -= jacobian.T @ information @ difference
+    free = np.where(layout.free, difference, 0.0)
+    return 0.5 * float(free @ information @ free)

@@ -1,0 +1,262 @@
+"""Images of a board -> its corners.
+
+for every camera: read frames -> decode and detect, several at a time -> number flipped boards alike -> CameraFrames
+
+Frames are handed out in short runs of consecutive ones, so that a detector may track the board from frame to frame; the
+runs do not depend on the number of workers, and neither does the result.
+"""
+
+import os
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+
+import cv2
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ..detect.aprilgrid import detect_aprilgrid
+from ..detect.board import BoardView, nothing_seen
+from ..errors import DetectionError, OptionError, RecordingError
+from ..images import Frame, Grey, ImageStream
+from ..models.target import Target
+from ..readers.kalibr_camchain import CameraInput
+from ..recording import CameraFrames, FrameQuality
+
+Progress = Callable[[str], None]
+Detector = Callable[[Grey], BoardView]
+
+_RUN = 8  # consecutive frames that one worker takes; bounds the memory
+_WAITING = 2  # runs for each worker that are read ahead
+_SAMPLES = 12  # images that are looked at to say which board they show
+_TOLD = 10  # times that progress is told
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraImages:
+    """The images of one camera, and what is known of it.
+
+    Attributes
+    ----------
+    name : "cam0", "cam1", ...
+    stream : its images
+    known : lens, intrinsics, and guesses of the extrinsics
+    """
+
+    name: str
+    stream: ImageStream
+    known: CameraInput
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Seen:
+    """What became of one frame."""
+
+    t_ns: int
+    view: BoardView
+    size: tuple[int, int] | None
+    damage: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardCorners:
+    """The corners of one camera, and what there is to say about its images."""
+
+    frames: CameraFrames
+    notes: tuple[str, ...]
+
+
+def detect_corners(
+    images: CameraImages, target: Target, *, workers: int | None = None, progress: Progress | None = None
+) -> BoardCorners:
+    """Find a board in all images of a camera.
+
+    Parameters
+    ----------
+    images : of the camera
+    target : the board
+    workers : threads; as many as there are cores where not given
+    progress : called with a sentence from time to time
+
+    Raises
+    ------
+    RecordingError
+        If there are no images, none of them can be read, or they are not of the size for which the lens is stated.
+    DetectionError
+        If the board is in none of them.
+    OptionError
+        If boards of this kind cannot be found in images.
+    """
+    notes: list[str] = []
+    tell = progress or (lambda _: None)
+    seen: list[_Seen] = []
+    step = max(images.stream.count // _TOLD, 1)
+    for item in _all_frames(images.stream.frames(notes), target, workers or os.cpu_count() or 1):
+        if len(seen) % step == 0:
+            of = f" of {images.stream.count}" if images.stream.count else ""
+            tell(f"finding the board in the images of {images.name}: {len(seen)}{of}")
+        seen.append(item)
+    _check(images, seen, target, notes)
+    seen = _in_order(images.name, seen, notes)
+    views = _numbered_alike(seen, target, images.known)
+    return BoardCorners(frames=_camera_frames(seen, views, images.known), notes=tuple(notes))
+
+
+def detector(target: Target) -> Detector:
+    """Return what finds a board in one image after the other; it may remember the one before.
+
+    Raises
+    ------
+    OptionError
+        If boards of this kind cannot be found in images.
+    """
+    if target.kind == "aprilgrid":
+        return lambda image: detect_aprilgrid(image, target)
+    if target.kind == "checkerboard":
+        from ..detect.checkerboard import CheckerboardTracker
+
+        return CheckerboardTracker(target).detect
+    raise OptionError(
+        f"{target.describe()}: such boards are not found in images yet. Detect the corners with another program and "
+        "give them as cam0_corners.csv, or use an AprilGrid or a checkerboard."
+    )
+
+
+def _all_frames(source: Iterator[Frame], target: Target, workers: int) -> Iterator[_Seen]:
+    """Yield what every frame shows, in the order of the recording."""
+    detector(target)  # says at once whether there is one
+    waiting: deque[Future[list[_Seen]]] = deque()
+    with _one_thread_each(), ThreadPoolExecutor(workers, thread_name_prefix="gnomon-board") as pool:
+        try:
+            while True:
+                while len(waiting) < _WAITING * workers and (run := list(islice(source, _RUN))):
+                    waiting.append(pool.submit(_run, run, target))
+                if not waiting:
+                    return
+                yield from waiting.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Generator[None]:
+    """Let the libraries below use one thread: the images already share the cores."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1, user_api="blas"):
+            yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+def _run(frames: list[Frame], target: Target) -> list[_Seen]:
+    find = detector(target)
+    return [_seen(frame, find) for frame in frames]
+
+
+def _seen(frame: Frame, find: Detector) -> _Seen:
+    try:
+        image = frame.decode()
+    except RecordingError as error:
+        return _Seen(t_ns=frame.t_ns, view=nothing_seen(), size=None, damage=str(error))
+    height, width = image.shape
+    return _Seen(t_ns=frame.t_ns, view=find(image), size=(width, height))
+
+
+def _check(images: CameraImages, seen: list[_Seen], target: Target, notes: list[str]) -> None:
+    """Refuse images that are of no use, and note those that were left out."""
+    name = images.name
+    if not seen:
+        raise RecordingError(f"{name}: there are no images. {' '.join(notes)}".rstrip())
+    damaged = [item.damage for item in seen if item.size is None]
+    if len(damaged) == len(seen):
+        raise RecordingError(f"{name}: none of the {len(seen)} images can be read. The first: {damaged[0]}")
+    if damaged:
+        notes.append(
+            f"{name}: {len(damaged)} of {len(seen)} images cannot be read and were left out. The first: {damaged[0]}"
+        )
+    sizes = Counter(item.size for item in seen if item.size is not None)
+    wanted = images.known.camera.resolution
+    if set(sizes) != {wanted}:
+        found = " and ".join(f"{width} x {height}" for width, height in sizes)
+        raise RecordingError(
+            f"{name}: the images are of {found} px, but its intrinsics are for {wanted[0]} x {wanted[1]} px. "
+            "Give the intrinsics of this camera at this image size."
+        )
+    if not any(len(item.view) for item in seen):
+        raise DetectionError(
+            f"{name}: the board of the target file, {target.describe()}, is in none of {len(seen)} images. "
+            f"{_what_they_show(images.stream, len(seen), target)}"
+        )
+
+
+def _what_they_show(stream: ImageStream, count: int, target: Target) -> str:
+    from ..detect.board_guess import guess_board
+
+    step = max(count // _SAMPLES, 1)
+    images: list[Grey] = []
+    for frame in islice(stream.frames([]), step // 2, None, step):
+        try:
+            images.append(frame.decode())
+        except RecordingError:
+            continue
+    return guess_board(images, target)
+
+
+def _in_order(name: str, seen: list[_Seen], notes: list[str]) -> list[_Seen]:
+    """Return the frames in the order of time; of those with one stamp the first."""
+    stamps = np.array([item.t_ns for item in seen], dtype=np.int64)
+    if (np.diff(stamps) > 0).all():
+        return seen
+    if len(seen) > 1 and (stamps == stamps[0]).all():
+        raise RecordingError(
+            f"{name}: all {len(seen)} images have the same stamp, {stamps[0]} ns. Record them with the time at which "
+            "they were taken."
+        )
+    backward = int(np.count_nonzero(np.diff(stamps) < 0))
+    if backward:
+        notes.append(f"{name}: the stamps go back at {backward} of {len(seen)} images, which were sorted.")
+    order = np.argsort(stamps, kind="stable")
+    once = np.concatenate([[True], np.diff(stamps[order]) > 0])
+    if not once.all():
+        notes.append(f"{name}: left out {int((~once).sum())} of {len(seen)} images, whose stamps were there before.")
+    return [seen[i] for i in order[once]]
+
+
+def _numbered_alike(seen: list[_Seen], target: Target, known: CameraInput) -> tuple[BoardView, ...]:
+    """Return the views with their corners numbered from one end of the board, as far as the images tell it."""
+    views = tuple(item.view for item in seen)
+    if target.kind != "checkerboard":
+        return views
+    from ..detect.checkerboard_order import consistent_order
+
+    t_ns = np.array([item.t_ns for item in seen], dtype=np.int64)
+    return consistent_order(views, t_ns, target, camera=known.camera).views
+
+
+def _camera_frames(seen: list[_Seen], views: tuple[BoardView, ...], known: CameraInput) -> CameraFrames:
+    corners = [len(view) for view in views]
+    dropped: Counter[str] = Counter()
+    for view in views:
+        dropped.update(view.dropped)
+    return CameraFrames(
+        t_ns=np.array([item.t_ns for item in seen], dtype=np.int64),
+        frame=np.repeat(np.arange(len(views)), corners),
+        point=np.concatenate([view.point for view in views]),
+        pixels=np.concatenate([view.pixels for view in views]),
+        sigma_px=np.concatenate([view.sigma_px for view in views]),
+        camera=known.camera,
+        T_cam_imu=known.T_cam_imu,
+        time_shift_cam_imu_s=known.time_shift_cam_imu_s,
+        lens_covariance=known.lens_covariance,
+        quality=FrameQuality(
+            blur_px=np.array([view.blur_px for view in views]),
+            black=np.array([view.black for view in views]),
+            white=np.array([view.white for view in views]),
+            dropped=dropped,
+        ),
+    )

@@ -1,0 +1,191 @@
+"""A recording of cameras and an IMU in front of a board -> samples and corners, whatever it was recorded as.
+
+read target, lenses and noise -> open the recording -> find the board in the images -> Recording
+
+A folder that holds corners already, which another program detected, is read as it is.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+
+from ..errors import OptionError, RecordingError
+from ..images import ImageRecording, ImageStream
+from ..models.target import Target
+from ..readers.camera_folder import holds_corners, recording_folder
+from ..readers.camera_imu import read_corner_recording
+from ..readers.files import file_source
+from ..readers.image_recording import open_images
+from ..readers.kalibr_camchain import CameraInput
+from ..readers.kalibr_imu_input import ImuInput
+from ..readers.kalibr_target import read_target
+from ..readers.sensor_inputs import read_cameras, read_imus
+from ..recording import CameraFrames, ImuSamples, Recording
+from ..units import Units
+from .board_corners import BoardCorners, CameraImages, detect_corners
+from .corner_cache import cache_file, keep_corners, kept_corners
+
+Progress = Callable[[str], None]
+_RATE_TOLERANCE = 0.05
+_NO_TOPICS: Mapping[str, str] = MappingProxyType({})
+
+
+def read_camera_imu(
+    path: str | PathLike[str],
+    *,
+    target: str | PathLike[str],
+    cam: str | PathLike[str] | None = None,
+    imu: str | PathLike[str] | None = None,
+    units: str | Units | None = None,
+    topics: Mapping[str, str] = _NO_TOPICS,
+    imu_table: str | PathLike[str] | None = None,
+    workers: int | None = None,
+    cache: str | PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> tuple[Recording, Target]:
+    """Read a recording of cameras and IMUs in front of a calibration board, and find the board in its images.
+
+    Parameters
+    ----------
+    path : a ROS 1 bag, a ROS 2 bag (sqlite or MCAP), a folder in the layout of EuRoC, TUM-VI or Kalibr, a folder of
+        images or videos with a table of samples, a video; or a folder with the corners of each camera,
+        cam0_corners.csv, cam1_corners.csv, ..., and the samples of each IMU, imu0.csv, ...
+    target : Kalibr's target.yaml
+    cam : Kalibr's camchain.yaml, a calibration.yaml of gnomon, or another project's file of the cameras; not needed
+        where the recording states the lenses itself, as EuRoC's does
+    imu : Kalibr's imu.yaml, or None where the noise of the IMU is not known
+    units : of the IMU's samples, as for `gnomon.read`; bags are in SI units
+    topics : "cam0", "imu0", ... -> topic of a bag; guessed where it is clear
+    imu_table : table of the IMU's samples, where it is not in the recording
+    workers : threads that look for the board; as many as there are cores where not given
+    cache : folder in which the corners are kept, so that the same images need not be looked at again
+    progress : called with a sentence from time to time
+
+    Returns
+    -------
+    recording : samples in m/s^2 and rad/s, frames with their corners
+    target : the board
+
+    Raises
+    ------
+    FormatError
+        If one of the files that describe the rig cannot be read, or is not as it should be.
+    RecordingError
+        If the recording cannot be read, or does not fit those files; the message says where, and what to do.
+    DetectionError
+        If the board is in none of the images of a camera.
+    OptionError
+        If an option does not fit.
+    """
+    if Path(path).is_dir() and holds_corners(recording_folder(Path(path))):
+        if cam is None:
+            raise OptionError(
+                "--cam is missing: Kalibr's file of the cameras and their intrinsics. Name it, or put it into "
+                f"{path} as camchain.yaml."
+            )
+        return read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
+    notes: list[str] = []
+    board = read_target(target, notes)
+    stated = {} if cam is None else read_cameras(cam, notes)
+    noise = {} if imu is None else read_imus(imu, notes)
+    suggested = {name: entry.camera.topic for name, entry in stated.items() if entry.camera.topic}
+    suggested |= {name: entry.topic for name, entry in noise.items() if entry.topic}
+    images = open_images(path, topics=topics, suggested=suggested, units=units, imu_table=imu_table)
+    known = _known_cameras(images, stated, Path(path), cam, notes)
+    tell = progress or (lambda _: None)
+    cameras: dict[str, CameraFrames] = {}
+    for name, entry in known.items():
+        found = _corners(images, name, entry, board, workers=workers, cache=cache, progress=tell)
+        cameras[name] = found.frames
+        notes.extend(found.notes)
+    files = [Path(file) for file in (cam, imu, target) if file is not None]
+    recording = Recording(
+        imus={name: _with_noise(name, samples, noise.get(name), notes) for name, samples in images.imus.items()},
+        cameras=cameras,
+        sources=(*(file_source(file) for file in files), *images.sources),
+        assumptions=(*images.assumptions, *notes),
+    )
+    return recording, board
+
+
+def _known_cameras(
+    images: ImageRecording,
+    stated: Mapping[str, CameraInput],
+    path: Path,
+    cam: str | PathLike[str] | None,
+    notes: list[str],
+) -> dict[str, CameraInput]:
+    """Return the cameras that have images and a lens: as it is stated, else as the recording says."""
+    if not stated:
+        known = {name: _as_recorded(stream) for name, stream in images.streams.items()}
+        unknown = [name for name, entry in known.items() if entry is None]
+        if unknown:
+            raise OptionError(
+                f"{path}: the recording does not tell the lens of {', '.join(unknown)}. Give Kalibr's camchain.yaml "
+                "with --cam."
+            )
+        notes.append("the lenses are those that the recording states.")
+        return {name: entry for name, entry in known.items() if entry is not None}
+    assert cam is not None
+    both = [name for name in stated if name in images.streams]
+    if not both:
+        raise RecordingError(
+            f"{path}: there are images of {', '.join(images.streams)}, but {Path(cam).name} describes "
+            f"{', '.join(stated)}. Rename one of them."
+        )
+    notes.extend(
+        f"{name} of {Path(cam).name} has no images here and was left out." for name in stated if name not in both
+    )
+    notes.extend(
+        f"the images of {name} were left out: {Path(cam).name} does not describe it."
+        for name in images.streams
+        if name not in both
+    )
+    return {name: stated[name] for name in both}
+
+
+def _as_recorded(stream: ImageStream) -> CameraInput | None:
+    if stream.camera is None:
+        return None
+    return CameraInput(
+        camera=stream.camera, T_cam_imu=stream.T_cam_imu, time_shift_cam_imu_s=stream.time_shift_cam_imu_s
+    )
+
+
+def _corners(
+    images: ImageRecording,
+    name: str,
+    known: CameraInput,
+    target: Target,
+    *,
+    workers: int | None,
+    cache: str | PathLike[str] | None,
+    progress: Progress,
+) -> BoardCorners:
+    """Return the corners of one camera: as they are kept, else as they are found, and keep them then."""
+    stream = images.streams[name]
+    file = None if cache is None else cache_file(Path(cache), images.sources, name, stream.topic, target)
+    kept = None if file is None else kept_corners(file, known)
+    if kept is not None and file is not None:
+        said = f"{name}: the corners are those that an earlier run found in the same images ({file.name})."
+        return BoardCorners(frames=kept.frames, notes=(*kept.notes, said))
+    found = detect_corners(
+        CameraImages(name=name, stream=stream, known=known), target, workers=workers, progress=progress
+    )
+    if file is not None:
+        keep_corners(file, found)
+    return found
+
+
+def _with_noise(name: str, samples: ImuSamples, stated: ImuInput | None, notes: list[str]) -> ImuSamples:
+    if stated is None:
+        return samples
+    rate = samples.gyroscope.rate_hz
+    if stated.update_rate_hz is not None and abs(rate / stated.update_rate_hz - 1) > _RATE_TOLERANCE:
+        notes.append(
+            f"{name}: its samples come at {rate:.4g} Hz, not at the stated update_rate of {stated.update_rate_hz:g} "
+            "Hz; the noise densities do not depend on it."
+        )
+    return replace(samples, noise=stated.noise, topic=stated.topic or samples.topic)

@@ -1,0 +1,129 @@
+"""What `gnomon convert` does: with a calibration, and with a recording of cameras as images."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, cast, get_args
+
+from ..errors import OptionError, OutputError
+from . import commands
+from .results import USABLE, say_assumptions
+from .terminal import Terminal
+from .topics import topics_of
+
+if TYPE_CHECKING:
+    from ..images import ImageRecording
+
+_HEAD = 4096
+
+
+def convert(command: commands.Convert, terminal: Terminal) -> int:
+    """Write the calibration or the recording in another format, and return the exit code."""
+    if command.to in get_args(commands.RecordingForm):
+        return _convert_recording(command, terminal)
+    return _convert_calibration(command, terminal)
+
+
+def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
+    from ..readers import load
+    from ..writers import convert as write
+    from ..writers.conversion import exported
+
+    _refuse_recording(command)
+    calibration = load(command.path)
+    folder = command.output or command.path.parent / command.to
+    losses = write(calibration, command.to, folder)
+    files = [str(folder / name) for name in exported(calibration, command.to).files]
+    for name in files:
+        terminal.say(f"written: {name}")
+    for loss in losses:
+        terminal.say(f"lost:    {loss}")
+    terminal.document({"files": files, "losses": [asdict(loss) for loss in losses]})
+    return USABLE
+
+
+def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
+    from ..readers.image_recording import open_images
+
+    _refuse_calibration(command)
+    output = command.output or _default_output(command)
+    if output.is_file() or (output.is_dir() and any(output.iterdir())):
+        raise OutputError(f"{output}: there is something of this name already. Choose another place with -o.")
+    terminal.progress("opening the recording")
+    recording = open_images(
+        command.path,
+        topics=topics_of(command.topics),
+        units=command.units,
+        imu_table=command.imu_table,
+        need_imu=False,
+    )
+    terminal.close()
+    say_assumptions(recording.assumptions, terminal)
+    notes = _write(recording, output, command.to, terminal)
+    terminal.close()
+    terminal.say(f"written: {output} ({_facts(recording)})")
+    for note in notes:
+        terminal.say(f"note:    {note}")
+    terminal.document({"files": [str(output)], "assumptions": list(recording.assumptions), "notes": notes})
+    return USABLE
+
+
+def _write(recording: "ImageRecording", output: Path, form: str, terminal: Terminal) -> list[str]:
+    """Write the recording, and return sentences on what was left out."""
+    notes: list[str] = []
+    if form == "euroc":
+        from ..writers.euroc_folder import save_euroc
+
+        save_euroc(recording, output, terminal.progress, notes)
+    else:
+        from ..writers.bag_recording import Form, save_bag
+
+        save_bag(recording, output, cast("Form", form), terminal.progress, notes)
+    return notes
+
+
+def _facts(recording: "ImageRecording") -> str:
+    images = [f"{name} {stream.count or 'some'} images" for name, stream in recording.streams.items()]
+    samples = [f"{name} {len(imu.gyroscope)} samples" for name, imu in recording.imus.items()]
+    return ", ".join(images + samples)
+
+
+def _default_output(command: commands.Convert) -> Path:
+    """Return a place beside the recording, named after it and the format."""
+    path = command.path.resolve()
+    suffix = {"ros1": ".bag", "mcap": ".mcap"}.get(command.to, "")
+    return path.with_name(f"{path.name if path.is_dir() else path.stem}-{command.to}{suffix}")
+
+
+def _refuse_recording(command: commands.Convert) -> None:
+    """Refuse to write a recording in a format of calibrations."""
+    from ..readers.image_recording import holds_images
+
+    if command.path.is_dir() or (not _is_calibration(command.path) and holds_images(command.path)):
+        raise OptionError(
+            f"{command.path}: this is {'a folder' if command.path.is_dir() else 'a recording'}, and {command.to} is a "
+            f"format of calibrations. Recordings are written --to {_listed(get_args(commands.RecordingForm))}; of a "
+            "result, give its calibration.yaml."
+        )
+    if command.topics or command.units or command.imu_table:
+        raise OptionError(f"topics, units and imu-table are of recordings; {command.to} is a format of calibrations.")
+
+
+def _refuse_calibration(command: commands.Convert) -> None:
+    """Refuse to write a calibration in a format of recordings."""
+    if _is_calibration(command.path):
+        raise OptionError(
+            f"{command.path}: this is a calibration, and {command.to} is a format of recordings. Calibrations are "
+            f"written --to {_listed(get_args(commands.CalibrationForm))}."
+        )
+
+
+def _is_calibration(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    return b"schema:" in head and b"gnomon/" in head
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return f"{', '.join(names[:-1])} or {names[-1]}"
