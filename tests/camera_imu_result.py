@@ -35,7 +35,7 @@ from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.parameters import covariance_names
-from gnomon.recording import Source
+from gnomon.recording import FrameQuality, Source
 
 FINDINGS = (
     Finding(
@@ -92,6 +92,7 @@ class Case:
     frames_hz: float = 20.0
     gap_s: tuple[float, float] | None = None
     fixed: tuple[str, ...] = ("cam0.line_delay",)
+    images: bool = False
     names: tuple[str, ...] = ("cam0_corners.csv.gz", "imu0.csv.gz", "camchain.yaml")
     findings: tuple[Finding, ...] = FINDINGS
 
@@ -276,7 +277,24 @@ def _corners(case, motion, which, rng) -> CornerFit:
         weight=np.clip(2 * PIXEL_SIGMA / np.fmax(np.linalg.norm(np.nan_to_num(residual), axis=1), 1e-9), 0, 1),
         sigma_px=1.05 * PIXEL_SIGMA,
         resolution=(640, 480),
+        **(_images(times, frame, count, rng) if case.images else {}),
     )
+
+
+def _images(times, frame, count, rng) -> dict:
+    """Return what the images were like: the faster, the more blurred."""
+    blur = 0.6 + 0.9 * np.abs(np.sin(1.7 * times)) ** 6 + rng.normal(0, 0.03, len(times))
+    white = 190 + 30 * np.sin(0.4 * times) + rng.normal(0, 2, len(times))
+    blur[count == 0] = white[count == 0] = np.nan
+    return {
+        "corner_sigma_px": 0.05 * blur[frame] * rng.lognormal(0, 0.3, len(frame)),
+        "quality": FrameQuality(
+            blur_px=blur,
+            black=white * 0.2,
+            white=white,
+            dropped={"near the border": 812, "blurred": 2310, "doubtful": 40, "of another board": 0},
+        ),
+    }
 
 
 def _blocks(case) -> list[tuple[str, str, np.ndarray, np.ndarray, float]]:

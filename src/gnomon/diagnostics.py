@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .calibration import Calibration
-from .recording import Floats
+from .recording import Floats, FrameQuality
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,6 +218,9 @@ class CornerFit:
     weight : (m,) robust weight, 0 to 1
     sigma_px : standard deviation of a corner per axis that was used [px]
     resolution : (width, height) [px]
+    corner_sigma_px : (m,) standard deviation of each corner per axis as its detector knows it [px]; None where all are
+        alike
+    quality : what the images were like, one entry a frame; None where there were no images
     """
 
     frame_t_s: Floats
@@ -232,6 +235,8 @@ class CornerFit:
     weight: Floats
     sigma_px: float
     resolution: tuple[int, int]
+    corner_sigma_px: Floats | None = None
+    quality: FrameQuality | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

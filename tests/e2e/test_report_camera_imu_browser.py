@@ -19,12 +19,12 @@ def browser(tmp_path_factory):
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(make_camera_imu_result(cameras=2, duration_s=20.0), path)
+    write_report(make_camera_imu_result(cameras=2, duration_s=20.0, images=True), path)
     return path
 
 
-FIGURES = 17
-"""Rig, four of signals, histograms, two for each camera, field, density, three of motion, biases, correlation."""
+FIGURES = 21
+"""Rig, four of signals, histograms, four for each camera, field, density, three of motion, biases, correlation."""
 
 CUT_OFF = """(() => [...document.querySelectorAll("svg.plot")].flatMap((plot) => {
   const box = plot.getBoundingClientRect();

@@ -4,12 +4,16 @@ What only an estimate shows (a wrong size of the board, intrinsics of another ca
 after it.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..findings import Finding
 from ..models.target import Target
 from ..recording import CameraFrames, ImuSamples, Integers, Recording
 from .camera_views import FEWEST_CORNERS, Views, image_coverage, views
+from .clock_checks import check_epochs
+from .image_checks import check_images
 from .motion_checks import check_moving_imu
 
 FEWEST_FRAMES = 10
@@ -31,14 +35,15 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
 
     Every warning and every problem states its consequence and its cure. Codes of the cameras: cameras-missing,
     frames-backward, corners-unknown, corners-outside, frames, frames-few, corners-few, frame-rate, frame-jitter,
-    frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart; of the IMUs those of
-    `check_moving_imu`.
+    frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart, of their stamps stamps-zero and
+    stamps-unit, and of their images those of `check_images`; of the IMUs those of `check_moving_imu`.
 
     Returns
     -------
     Findings IMU by IMU, camera by camera; severity "problem" means that it cannot be calibrated.
     """
     findings = [finding for name, imu in recording.imus.items() for finding in check_moving_imu(name, imu)]
+    findings += [finding for finding in check_epochs(all_stamps(recording)) if finding.severity == "problem"]
     if not recording.cameras:
         findings.append(
             Finding(
@@ -52,8 +57,19 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
     for name, frames in recording.cameras.items():
         findings += _check_camera(name, frames, target)
         for imu_name, imu in recording.imus.items():
-            findings += _common_time(name, frames, imu_name, imu)
+            findings += check_common_time(name, frames.t_ns, imu_name, imu, frames.time_shift_cam_imu_s or 0.0)
     return tuple(findings)
+
+
+def all_stamps(recording: Recording) -> dict[str, Integers]:
+    """Return the stamps of all streams, "cam0", ..., "imu0", ..., (n,) each [ns]."""
+    return {name: frames.t_ns for name, frames in recording.cameras.items()} | imu_stamps(recording.imus)
+
+
+def imu_stamps(imus: Mapping[str, ImuSamples]) -> dict[str, Integers]:
+    """Return the stamps of IMUs: of the gyroscope, where it has any, else of the accelerometer."""
+    triads = {name: imu.gyroscope if len(imu.gyroscope) else imu.accelerometer for name, imu in imus.items()}
+    return {name: samples.t_ns for name, samples in triads.items()}
 
 
 def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Finding]:
@@ -63,12 +79,13 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     seen = views(frames, target)
     findings = [_count(name, frames, seen, target)]
     if findings[0].severity == "problem":
-        return findings
+        return findings + check_images(name, frames, seen.frame[seen.usable])  # they may tell why
     usable = frames.t_ns[seen.frame[seen.usable]]
     findings += _useless(name, seen)
-    findings += _rhythm(name, frames)
+    findings += check_rhythm(name, frames.t_ns)
     findings += _unseen(name, usable)
     findings += _duration(name, usable)
+    findings += check_images(name, frames, seen.frame[seen.usable])
     return findings + _image(name, frames, seen)
 
 
@@ -150,9 +167,9 @@ def _useless(name: str, seen: Views) -> list[Finding]:
     ]
 
 
-def _rhythm(name: str, frames: CameraFrames) -> list[Finding]:
-    """Return findings on the frame rate, lost frames and irregular stamps."""
-    steps = np.diff(frames.t_ns)
+def check_rhythm(name: str, t_ns: Integers) -> list[Finding]:
+    """Return findings on the frame rate, lost frames and irregular stamps; `t_ns` (n,) ascending, two or more."""
+    steps = np.diff(t_ns)
     period = float(np.median(steps))
     findings: list[Finding] = []
     if 1e9 / period < _SLOW_HZ:
@@ -181,13 +198,13 @@ def _rhythm(name: str, frames: CameraFrames) -> list[Finding]:
     if len(gaps):
         lost = int(np.rint(steps[gaps] / period - 1).sum())
         longest = int(gaps[np.argmax(steps[gaps])])
-        severe = lost > _LOST_SHARE * len(frames.t_ns)
+        severe = lost > _LOST_SHARE * len(t_ns)
         findings.append(
             Finding(
                 severity="warning" if severe else "info",
                 code="frame-gaps",
                 message=f"{name}: {len(gaps)} gap{'s' * (len(gaps) > 1)}, about {lost} frames missing; the longest "
-                f"lasts {steps[longest] * 1e-9:.3g} s, {_seconds(frames.t_ns, longest):.2f} s after the start.",
+                f"lasts {steps[longest] * 1e-9:.3g} s, {_seconds(t_ns, longest):.2f} s after the start.",
                 consequence="The IMU bridges short gaps; long ones leave the trajectory loose.",
                 cure="Record to a faster disk, or at a lower frame rate." if severe else "",
             )
@@ -264,13 +281,21 @@ def _image(name: str, frames: CameraFrames, seen: Views) -> list[Finding]:
     return findings
 
 
-def _common_time(camera: str, frames: CameraFrames, imu_name: str, imu: ImuSamples) -> list[Finding]:
-    """Say where the streams have little time in common; their clocks need not be one, so that it is no fault."""
+def check_common_time(
+    camera: str, t_ns: Integers, imu_name: str, imu: ImuSamples, time_shift_s: float = 0.0
+) -> list[Finding]:
+    """Say where the streams have little time in common; their clocks need not be one, so that it is no fault.
+
+    Parameters
+    ----------
+    t_ns : (n,) stamps of the camera, ascending
+    time_shift_s : t_imu - t_cam as it was stated
+    """
     samples = imu.gyroscope
-    if len(frames.t_ns) < 2 or len(samples) < 2:
+    if len(t_ns) < 2 or len(samples) < 2:
         return []
-    shift = round((frames.time_shift_cam_imu_s or 0.0) * 1e9)
-    first, last = int(frames.t_ns[0]) + shift, int(frames.t_ns[-1]) + shift
+    shift = round(time_shift_s * 1e9)
+    first, last = int(t_ns[0]) + shift, int(t_ns[-1]) + shift
     common = (min(last, int(samples.t_ns[-1])) - max(first, int(samples.t_ns[0]))) * 1e-9
     shorter = min((last - first) * 1e-9, samples.duration_s)
     if common > _COMMON * shorter:

@@ -240,6 +240,8 @@ def _corners(evidence: CameraImuEvidence, camera: int, look: Look) -> CornerFit:
         weight=weight,
         sigma_px=float(solution.noise.pixel_sigma[camera]),
         resolution=frames.camera.resolution,
+        corner_sigma_px=frames.sigma_px,
+        quality=frames.quality,
     )
 
 

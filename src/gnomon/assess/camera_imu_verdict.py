@@ -4,9 +4,11 @@ import numpy as np
 
 from ..calibration import Assessment, CameraImuFit
 from ..diagnostics import CameraImuDiagnostics, NoiseLevel
+from ..estimate.camera_imu.first_guess import imu_stream
 from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import CameraImuEvidence
+from .clock_drift import check_drift
 from .imu_verdict import gravity_findings, verdict_of, worst_first
 
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = np.radians(0.1), np.radians(1.0)
@@ -51,6 +53,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *_model(evidence),
         *_stated_guess(evidence),
         *_noise(diagnostics),
+        *_clocks(evidence),
         *_trajectory(diagnostics),
         *gravity_findings(evidence.gravity),
     ]
@@ -355,6 +358,18 @@ def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
 
 def _use(level: NoiseLevel) -> str:
     return f"Used was {level.used:.3g} {level.unit}."
+
+
+def _clocks(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say where the time shift changes over the recording."""
+    stream = imu_stream(evidence.solution.measurements.inertial)
+    imu = next(iter(evidence.recording.imus))
+    entries = evidence.solution.state.parameters.cameras
+    return [
+        finding
+        for look, entry in zip(evidence.looks, entries, strict=True)
+        for finding in check_drift(look.name, look.poses, stream, entry.time_shift_s, imu)
+    ]
 
 
 def _trajectory(diagnostics: CameraImuDiagnostics) -> list[Finding]:

@@ -164,19 +164,19 @@ class _Known:
 
     def cameras(self) -> "dict[str, CameraInput]":
         """Return what camchain.yaml says, or nothing."""
-        from ..readers.kalibr_camchain import read_camchain
+        from ..readers.sensor_inputs import read_cameras
 
         if self._cameras is None:
             cam = self.files["cam"]
-            self._cameras = {} if cam is None else read_camchain(cam, self.notes)
+            self._cameras = {} if cam is None else read_cameras(cam, self.notes)
         return self._cameras
 
     def imus(self) -> "dict[str, ImuInput]":
         """Return what imu.yaml says, or nothing."""
-        from ..readers.kalibr_imu_input import read_imu_input
+        from ..readers.sensor_inputs import read_imus
 
         imu = self.files["imu"]
-        return {} if imu is None else read_imu_input(imu, self.notes)
+        return {} if imu is None else read_imus(imu, self.notes)
 
     def target(self) -> "Target | None":
         """Return the board, where one is described."""

@@ -9,6 +9,7 @@ from ..diagnostics import CameraImuDiagnostics
 from . import camera_imu_evidence as evidence
 from . import camera_imu_sections as sections
 from .camera_imu_corners import corner_view
+from .camera_imu_quality import images_section
 from .numbers import MISSING, number, with_sigma
 from .page import Code, KeyNumber, Page, Prose, Section, typeset
 from .provenance import provenance_section
@@ -31,6 +32,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         sections.imu_section(calibration),
         evidence.fit_section(diagnostics),
         evidence.residuals_section(diagnostics, views),
+        images_section(diagnostics),
         evidence.coverage_section(diagnostics, views),
         evidence.biases_section(diagnostics),
         sections.parameters_section(diagnostics),

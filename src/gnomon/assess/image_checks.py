@@ -1,0 +1,303 @@
+"""The data doctor's look at images in which a board was sought: sharp, well exposed, the board in sight.
+
+Bounds, and why they are there:
+
+    blur 1.5 px      an edge is then four pixels wide (10 to 90 %), as wide as a module of a tag of 40 px: codes fade,
+                     and corners are known half as well as in a sharp image, whose blur is 0.5 to 0.8 px
+    white 250        an 8-bit sensor that reads 255 has lost the edge's upper part, and 250 is the mean of pixels of
+                     which noise drives many to 255
+    contrast 40      noise of two to three levels is then a fifteenth of the edge, and a corner is uncertain by 0.04 px
+                     or more, as much as all else in a good image together
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..findings import Finding
+from ..recording import CameraFrames, Floats, FrameQuality, Integers
+
+Booleans = NDArray[np.bool_]
+
+BLURRED_PX = 1.5
+BRIGHT, DARK, FLAT = 250.0, 60.0, 40.0
+"""Grey levels: of white that is clipped, of white that is too dark, and of too little contrast."""
+
+_SHARPEST = 0.1  # quantile of the blur that only the lens makes
+_BLURRED_SHARE, _SOME_BLURRED = 0.2, 0.03
+_BADLY_LIT_SHARE = 0.2
+_RARE, _SOMETIMES = 0.6, 0.9
+_DROPPED_SHARE, _SOME_DROPPED = 0.3, 0.02
+_UNCERTAIN_PX = 0.3  # three to ten times what sharp images give
+_AT_EDGE = 0.1  # of the image's smaller side
+_SIDES = ("left", "top", "right", "bottom")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sight:
+    """In which frames a board was seen, and how it went out of sight.
+
+    Attributes
+    ----------
+    t_ns : (n,) stamps of the frames that were looked at, ascending
+    seen : (n,) whether the board was found
+    box_px : (n, 4) left, top, right and bottom of the corners that were found; nan where none were
+    blur_px : (n,) blur at the corners; nan where it is not known
+    resolution : (width, height)
+    consecutive : whether no frame is left out between them, so that the last one with the board tells where it left
+    """
+
+    t_ns: Integers
+    seen: Booleans
+    box_px: Floats
+    blur_px: Floats
+    resolution: tuple[int, int]
+    consecutive: bool = True
+
+
+def check_images(name: str, frames: CameraFrames, usable: Integers) -> list[Finding]:
+    """Return findings on the images of a camera, where it is known what they were like.
+
+    Codes: images, motion-blur, out-of-focus, images-bright, images-dark, images-flat, corners-dropped,
+    corners-uncertain, board-rare.
+
+    Parameters
+    ----------
+    usable : frames that tell a pose, as indices into the stamps
+    """
+    quality = frames.quality
+    if quality is None:
+        return []
+    seen = np.zeros(len(frames.t_ns), dtype=bool)
+    seen[usable] = True
+    sight = Sight(
+        t_ns=frames.t_ns,
+        seen=seen,
+        box_px=boxes(frames.frame, frames.pixels, len(frames.t_ns)),
+        blur_px=quality.blur_px,
+        resolution=frames.camera.resolution,
+    )
+    findings = check_quality(name, quality, len(frames.frame), frames.sigma_px)
+    return findings + check_sight(name, sight)
+
+
+def boxes(frame: Integers, pixels: Floats, count: int) -> Floats:
+    """Return the rectangles around the corners of each of `count` frames, (count, 4); nan where there are none."""
+    box = np.full((count, 4), np.nan)
+    if len(frame):
+        first = np.flatnonzero(np.concatenate([[True], np.diff(frame) > 0]))
+        low, high = np.minimum.reduceat(pixels, first), np.maximum.reduceat(pixels, first)
+        box[frame[first]] = np.concatenate([low, high], axis=1)
+    return box
+
+
+def check_quality(name: str, quality: FrameQuality, corners: int, sigma_px: Floats | None) -> list[Finding]:
+    """Return findings on blur, exposure and dropped corners.
+
+    Parameters
+    ----------
+    corners : number of corners that were kept
+    sigma_px : (corners,) their standard deviations, where they are known
+    """
+    found = [
+        *blur_findings(name, quality.blur_px),
+        *_exposure(name, quality),
+        *_dropped(name, quality.dropped, corners),
+        *_uncertain(name, sigma_px),
+    ]
+    if any(finding.severity == "warning" for finding in found) or not np.isfinite(quality.blur_px).any():
+        return found
+    return [_good(name, quality, sigma_px), *found]
+
+
+def _good(name: str, quality: FrameQuality, sigma_px: Floats | None) -> Finding:
+    corners = "" if sigma_px is None or not len(sigma_px) else f"; corners known to {np.median(sigma_px):.2g} px"
+    return Finding(
+        severity="good",
+        code="images",
+        message=f"{name}: the images are sharp (blur {_median(quality.blur_px):.2f} px) and well exposed (the board's "
+        f"black is {_median(quality.black):.0f}, its white {_median(quality.white):.0f} of 255){corners}.",
+    )
+
+
+def _median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def blur_findings(name: str, blur_px: Floats, limit_px: float = BLURRED_PX, where: str = "the board") -> list[Finding]:
+    """Return what to say about blur, (n,) [px]; nan where it is not known."""
+    known = blur_px[np.isfinite(blur_px)]
+    if not len(known):
+        return []
+    sharpest, share = float(np.quantile(known, _SHARPEST)), float(np.mean(known > limit_px))
+    if sharpest > limit_px:
+        return [
+            Finding(
+                severity="warning",
+                code="out-of-focus",
+                message=f"{name}: even the sharpest images are blurred by {sharpest:.1f} px at {where} (standard "
+                f"deviation), usually by {np.median(known):.1f} px; a focused lens has 0.5 to 0.8 px.",
+                consequence="Corners come out uncertain, and the tags' codes cannot be read from far away.",
+                cure="Focus the lens on the board, switch autofocus off, and calibrate the intrinsics at that focus.",
+            )
+        ]
+    if share <= _SOME_BLURRED:
+        return []
+    many = share > _BLURRED_SHARE
+    return [
+        Finding(
+            severity="warning" if many else "info",
+            code="motion-blur",
+            message=f"{name}: {100 * share:.0f} % of the images are blurred at {where} by more than {limit_px:g} px "
+            f"(standard deviation), the worst by {known.max():.1f} px; the sharpest by {sharpest:.1f} px.",
+            consequence="Their corners are uncertain or lost, and just the fast motion that tells most goes missing."
+            if many
+            else "Their corners count less.",
+            cure="More light and a shorter exposure (1 to 5 ms) first; then move more slowly." if many else "",
+        )
+    ]
+
+
+def _exposure(name: str, quality: FrameQuality) -> list[Finding]:
+    known = np.isfinite(quality.black) & np.isfinite(quality.white)
+    if not known.any():
+        return []
+    black, white = quality.black[known], quality.white[known]
+    clipped, dark, flat = white >= BRIGHT, white < DARK, white - black < FLAT
+    findings: list[Finding] = []
+    if np.mean(clipped) > _BADLY_LIT_SHARE:
+        findings.append(
+            Finding(
+                severity="warning",
+                code="images-bright",
+                message=f"{name}: the board's white is clipped in {100 * np.mean(clipped):.0f} % of the images (it "
+                f"reads {np.median(white[clipped]):.0f} of 255).",
+                consequence="Clipped white eats into black: corners of tags are drawn towards it by a part of the "
+                "blur, always to the same side.",
+                cure="A shorter exposure, or less gain, until the board's white reads 150 to 220.",
+            )
+        )
+    if np.mean(dark) > _BADLY_LIT_SHARE:
+        findings.append(
+            Finding(
+                severity="warning",
+                code="images-dark",
+                message=f"{name}: the board is dark in {100 * np.mean(dark):.0f} % of the images: its white reads "
+                f"{np.median(white[dark]):.0f} of 255, its black {np.median(black[dark]):.0f}.",
+                consequence="Noise and grey steps are a large part of the edges: corners come out uncertain or are "
+                "not found.",
+                cure="More light on the board, or more gain; a longer exposure blurs.",
+            )
+        )
+    elif np.mean(flat) > _BADLY_LIT_SHARE:
+        findings.append(
+            Finding(
+                severity="warning",
+                code="images-flat",
+                message=f"{name}: the board has little contrast in {100 * np.mean(flat):.0f} % of the images: black "
+                f"reads {np.median(black[flat]):.0f}, white {np.median(white[flat]):.0f} of 255.",
+                consequence="Noise is a large part of the edges: corners come out uncertain or are not found.",
+                cure="Keep lamps and windows out of the image and off the board (matt paper), clean the lens, and "
+                "switch compression and gamma off.",
+            )
+        )
+    return findings
+
+
+def _dropped(name: str, dropped: Mapping[str, int], corners: int) -> list[Finding]:
+    count = sum(dropped.values())
+    share = count / max(count + corners, 1)
+    if share <= _SOME_DROPPED:
+        return []
+    many = share > _DROPPED_SHARE
+    ordered = sorted(dropped.items(), key=lambda item: -item[1])
+    why = ", ".join(f"{number} {reason}" for reason, number in ordered if number)
+    return [
+        Finding(
+            severity="warning" if many else "info",
+            code="corners-dropped",
+            message=f"{name}: {count} of {count + corners} corners that were found were left out: {why}.",
+            consequence="What is left may be too little, or only the easy views." if many else "",
+            cure="Keep the board away from the image's border, in focus and evenly lit, and move more slowly."
+            if many
+            else "",
+        )
+    ]
+
+
+def _uncertain(name: str, sigma_px: Floats | None) -> list[Finding]:
+    if sigma_px is None or not len(sigma_px) or float(np.median(sigma_px)) <= _UNCERTAIN_PX:
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="corners-uncertain",
+            message=f"{name}: corners are known to {np.median(sigma_px):.2g} px only (median sigma per axis); 0.02 to "
+            "0.1 px is usual.",
+            consequence="Extrinsics and time shift come out as much less certain.",
+            cure="Sharper images with more contrast and less gain; come closer, so that the board fills half of the "
+            "image.",
+        )
+    ]
+
+
+# ---- where the board is ----
+
+
+def check_sight(name: str, sight: Sight) -> list[Finding]:
+    """Return what to say where the board is often out of sight: how often, and where it leaves the image."""
+    share = float(np.mean(sight.seen)) if len(sight.seen) else 0.0
+    if share >= _SOMETIMES or not sight.seen.any():  # a board that is never seen has a finding of its own
+        return []
+    lost = np.flatnonzero(sight.seen[:-1] & ~sight.seen[1:] & sight.consecutive)
+    sides, away = _lost_where(sight, lost)
+    rare = share < _RARE
+    where = ", ".join(f"{count} at the {side} edge" for side, count in sides.items())
+    where = ", ".join(part for part in (where, f"{len(away)} away from the edges" if len(away) else "") if part)
+    times = f"It was lost {len(lost)} time{'s' * (len(lost) > 1)}: {where}{_blur_before(sight, away)}." if where else ""
+    return [
+        Finding(
+            severity="warning" if rare else "info",
+            code="board-rare",
+            message=f"{name}: the board is in {100 * share:.0f} % of the images. {times}".rstrip(),
+            consequence="The other images tell nothing; the IMU alone carries the trajectory over them."
+            if rare
+            else "",
+            cure=_keep_in_sight(sides, len(away)) if rare else "",
+        )
+    ]
+
+
+def _lost_where(sight: Sight, lost: Integers) -> tuple[dict[str, int], Integers]:
+    """Return how often the board left at which edge, most often first, and the frames before it vanished elsewhere."""
+    width, height = sight.resolution
+    box = sight.box_px[lost]
+    margin = np.stack([box[:, 0], box[:, 1], width - 1 - box[:, 2], height - 1 - box[:, 3]], axis=1)
+    margin = np.where(np.isfinite(margin), margin, np.inf)
+    at_edge = margin.min(axis=1) < _AT_EDGE * min(width, height)
+    nearest = np.argmin(margin, axis=1)[at_edge]
+    counts = {side: int(np.count_nonzero(nearest == i)) for i, side in enumerate(_SIDES)}
+    ordered = sorted(((side, count) for side, count in counts.items() if count), key=lambda item: -item[1])
+    return dict(ordered), lost[~at_edge]
+
+
+def _blur_before(sight: Sight, away: Integers) -> str:
+    """Return what the blur was before the board vanished in the middle of the image, where that explains it."""
+    blur = sight.blur_px[away]
+    blur = blur[np.isfinite(blur)]
+    if not len(blur) or np.median(blur) < BLURRED_PX:
+        return ""
+    return f", where the images were blurred by {np.median(blur):.1f} px before"
+
+
+def _keep_in_sight(sides: Mapping[str, int], away: int) -> str:
+    edges = sum(sides.values())
+    if not edges and not away:
+        return "Keep the board in the image, lit and sharp; a step back gives room."
+    if edges >= away and sides:
+        side = next(iter(sides))
+        return f"Keep the board in the image; mostly it leaves at the {side}. A step back gives room."
+    return "Light the board better and expose shorter, and do not tilt it by more than about 60 degrees."

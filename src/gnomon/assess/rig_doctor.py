@@ -1,0 +1,365 @@
+"""The data doctor's look at cameras beside IMUs, before anything is estimated: as images, as corners, or their stamps.
+
+Of images all stamps are looked at, and the pictures of some frames, evenly spread.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..detect.board import BoardView
+from ..errors import RecordingError
+from ..findings import Finding
+from ..images import Frame, Grey, ImageRecording, ImageStream
+from ..models.camera import Camera
+from ..models.target import Target
+from ..recording import FrameQuality, ImuSamples, Integers, Recording
+from .camera_checks import all_stamps, check_cameras, check_common_time, check_rhythm, imu_stamps
+from .clock_checks import check_clocks, check_epochs
+from .clock_drift import check_recording_drift
+from .image_checks import Sight, boxes, check_quality, check_sight
+from .image_samples import ImageLook, check_looks, check_sizes, look_at
+from .motion_checks import check_moving_imu
+
+SAMPLE = 60
+"""Frames of each camera whose pictures are looked at."""
+
+_FEWEST_FRAMES = 10
+_FEWEST_CORNERS = 6
+_DAMAGED_SHARE = 0.1
+_KEPT = 8  # pictures that are kept to say which board they show
+
+Detector = Callable[[Grey], BoardView]
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StreamLook:
+    """What was found in the images of one camera.
+
+    Attributes
+    ----------
+    topic : of a bag, else ""
+    t_ns : (n,) stamps of all frames, in the order of the recording [ns]
+    looked_ns : (k,) stamps of the frames whose pictures were looked at [ns]
+    looks : (k,) what they are like
+    views : (k,) what they show of the board; empty where no board was stated
+    damaged : sentences on pictures that cannot be decoded
+    notes : sentences of the reader, such as where the recording ends early
+    other_board : what the images show in place of the stated board, where that was never found; else ""
+    """
+
+    topic: str
+    t_ns: Integers
+    looked_ns: Integers
+    looks: tuple[ImageLook, ...]
+    views: tuple[BoardView, ...]
+    damaged: tuple[str, ...]
+    notes: tuple[str, ...]
+    other_board: str = ""
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """Width and height of the images, where one could be decoded."""
+        return self.looks[0].size if self.looks else None
+
+    @property
+    def seen(self) -> int:
+        """Number of looks in which the board was found."""
+        return sum(len(view) >= _FEWEST_CORNERS for view in self.views)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigLook:
+    """A recording of images as the doctor saw it: stream by stream, and the findings."""
+
+    streams: Mapping[str, StreamLook]
+    findings: tuple[Finding, ...]
+
+
+def check_rig(
+    recording: ImageRecording,
+    target: Target | None = None,
+    cameras: Mapping[str, Camera] | None = None,
+    *,
+    sample: int = SAMPLE,
+    progress: Progress | None = None,
+) -> RigLook:
+    """Look at a recording of images and IMUs and say what is good or bad about it.
+
+    Codes: imu-missing, images-missing, images-incomplete, images-damaged, image-size, images-same, images,
+    motion-blur, out-of-focus, images-bright, images-dark, images-flat, corners-dropped, corners-uncertain,
+    board-missing, board-rare, frames-backward, those of the rhythm of frames, of `check_clocks` and `check_epochs`, and
+    of `check_moving_imu`.
+
+    Parameters
+    ----------
+    recording : images and samples
+    target : the board, where it is known; it is sought in the sample then
+    cameras : what is known of the cameras beforehand, by name
+    sample : number of frames of each camera whose pictures are looked at
+    progress : called with a sentence at each step
+    """
+    tell = progress or (lambda _: None)
+    streams: dict[str, StreamLook] = {}
+    for name, stream in recording.streams.items():
+        tell(f"looking at the images of {name}")
+        streams[name] = _looked_at(stream, target, sample)
+    findings = check_imus(recording.imus)
+    for name, look in streams.items():
+        camera = (cameras or {}).get(name) or recording.streams[name].camera
+        findings += _check_stream(name, look, camera, target)
+    stamps = {name: look.t_ns for name, look in streams.items()}
+    shifts = {name: stream.time_shift_cam_imu_s or 0.0 for name, stream in recording.streams.items()}
+    findings += check_stamps_together(stamps, recording.imus, shifts)
+    known = {name: stream.arrivals for name, stream in recording.streams.items() if stream.arrivals is not None}
+    findings += check_clocks({**known, **recording.imu_arrivals})
+    return RigLook(streams=streams, findings=_each_once(findings))
+
+
+def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
+    """Look at a recording of IMUs and of cameras whose corners were detected, before anything is estimated from it.
+
+    Codes: those of `check_cameras` and `check_epochs`, clock-drift, and clock where there is no drift.
+    """
+    findings = [*check_cameras(recording, target), *check_epochs(all_stamps(recording))]
+    if not any(finding.severity == "problem" for finding in findings):
+        findings += check_recording_drift(recording, target)
+    return _each_once(findings)
+
+
+def check_imus(imus: Mapping[str, ImuSamples]) -> list[Finding]:
+    """Return findings on IMUs that moved with cameras; having none is a problem (code imu-missing)."""
+    if not imus:
+        return [
+            Finding(
+                severity="problem",
+                code="imu-missing",
+                message="There is no IMU in this recording.",
+                consequence="Cameras cannot be calibrated against an IMU without its samples.",
+                cure="Record the IMU's topic too, or put its table beside the images as imu0.csv.",
+            )
+        ]
+    return [finding for name, imu in imus.items() for finding in check_moving_imu(name, imu)]
+
+
+def check_stamps_together(
+    stamps: Mapping[str, Integers], imus: Mapping[str, ImuSamples], shifts: Mapping[str, float]
+) -> list[Finding]:
+    """Return findings on the stamps of cameras, each for itself and all against the IMUs'.
+
+    Parameters
+    ----------
+    stamps : "cam0", ... -> (n,) [ns], in the order of the recording
+    shifts : t_imu - t_cam, where it was stated [s]
+    """
+    epochs = check_epochs({**stamps, **imu_stamps(imus)})
+    findings = list(epochs)
+    if any(finding.severity == "problem" for finding in epochs):
+        return findings  # all that follows would be about wrong stamps
+    for name, t_ns in stamps.items():
+        ordered = np.unique(t_ns)
+        findings += _order(name, t_ns)
+        if len(ordered) >= 3:
+            findings += check_rhythm(name, ordered)
+        for imu_name, imu in imus.items():
+            findings += check_common_time(name, ordered, imu_name, imu, shifts.get(name, 0.0))
+    return findings
+
+
+def _each_once(findings: list[Finding]) -> tuple[Finding, ...]:
+    """Return findings without those that another look at the same stamps found as well."""
+    return tuple({(finding.code, finding.message): finding for finding in findings}.values())
+
+
+def _order(name: str, t_ns: Integers) -> list[Finding]:
+    back = np.flatnonzero(np.diff(t_ns) <= 0)
+    if not len(back):
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="frames-backward",
+            message=f"{name}: the stamp of frame {int(back[0]) + 1} is not later than that of the frame before, as in "
+            f"{len(back)} of {len(t_ns)} frames.",
+            consequence="Either frames came in the wrong order, or the clock was set anew.",
+            cure="Sort the frames by their stamps, give each stamp once, and cut where the clock was set.",
+        )
+    ]
+
+
+# ---- pictures ----
+
+
+class _Sample:
+    """What was gathered from the pictures of some frames; the pictures themselves are let go, but for a few."""
+
+    def __init__(self, detector: Detector | None) -> None:
+        self.detector = detector
+        self.t_ns: list[int] = []
+        self.looks: list[ImageLook] = []
+        self.views: list[BoardView] = []
+        self.damaged: list[str] = []
+        self.unseen: list[Grey] = []
+
+    def look(self, frame: Frame, *, keep: bool) -> None:
+        """Look at a frame; keep its picture where that was asked for, until the board is seen."""
+        try:
+            image = frame.decode()
+        except RecordingError as error:
+            self.damaged.append(str(error))
+            return
+        self.t_ns.append(frame.t_ns)
+        self.looks.append(look_at(image))
+        if self.detector is None:
+            return
+        self.views.append(self.detector(image))
+        if keep:
+            self.unseen.append(image)
+        if any(len(view) >= _FEWEST_CORNERS for view in self.views):
+            self.unseen.clear()
+
+
+def _looked_at(stream: ImageStream, target: Target | None, sample: int) -> StreamLook:
+    notes: list[str] = []
+    stamps: list[int] = []
+    count = stream.count or sum(1 for _ in stream.frames([]))
+    chosen = np.unique(np.linspace(0, max(count - 1, 0), max(sample, 2)).astype(np.int64)).tolist()
+    kept = set(chosen[:: max(1, len(chosen) // _KEPT)])
+    gathered, wanted = _Sample(None if target is None else _detector(target)), set(chosen)
+    for number, frame in enumerate(stream.frames(notes)):
+        stamps.append(frame.t_ns)
+        if number in wanted:
+            gathered.look(frame, keep=number in kept)
+    return StreamLook(
+        topic=stream.topic,
+        t_ns=np.array(stamps, dtype=np.int64),
+        looked_ns=np.array(gathered.t_ns, dtype=np.int64),
+        looks=tuple(gathered.looks),
+        views=tuple(gathered.views),
+        damaged=tuple(gathered.damaged),
+        notes=tuple(notes),
+        other_board=_other_board(gathered.unseen, target),
+    )
+
+
+def _other_board(images: list[Grey], target: Target | None) -> str:
+    """Return a sentence on the board that images show in place of the stated one; "" where there are none."""
+    if target is None or not images:
+        return ""
+    from ..detect.board_guess import guess_board
+
+    return guess_board(images, target)
+
+
+def _detector(target: Target) -> Detector | None:
+    """Return what finds a board in an image; None where there is nothing for this kind of board."""
+    if target.kind == "aprilgrid":
+        from ..detect.aprilgrid import detect_aprilgrid  # OpenCV takes half of a second to load
+
+        return lambda image: detect_aprilgrid(image, target)
+    if target.kind == "checkerboard":
+        from ..detect.checkerboard import detect_checkerboard
+
+        return lambda image: detect_checkerboard(image, target)
+    return None
+
+
+def _check_stream(name: str, look: StreamLook, camera: Camera | None, target: Target | None) -> list[Finding]:
+    findings = [_incomplete(name, note) for note in look.notes]
+    if len(look.t_ns) < _FEWEST_FRAMES:
+        findings.append(_missing(name, len(look.t_ns)))
+    findings += _damaged(name, look)
+    if not look.looks:
+        return findings
+    findings += check_sizes(name, look.looks, camera)
+    if not look.seen:
+        findings += _board_missing(name, look, target)
+        return findings + check_looks(name, look.looks)
+    return findings + _board(name, look)
+
+
+def _incomplete(name: str, note: str) -> Finding:
+    return Finding(
+        severity="warning",
+        code="images-incomplete",
+        message=note if name in note else f"{name}: {note}",
+        consequence="What could not be read is missing in a calibration, too.",
+        cure="Copy the recording again, or let its own tool mend it (rosbag reindex, mcap recover).",
+    )
+
+
+def _missing(name: str, count: int) -> Finding:
+    return Finding(
+        severity="problem",
+        code="images-missing",
+        message=f"{name}: {count} images.",
+        consequence="They do not tell how the camera moved.",
+        cure="Record for a minute at 20 Hz, with the board in sight and sharp.",
+    )
+
+
+def _damaged(name: str, look: StreamLook) -> list[Finding]:
+    if not look.damaged:
+        return []
+    tried = len(look.damaged) + len(look.looks)
+    share = len(look.damaged) / tried
+    return [
+        Finding(
+            severity="problem" if not look.looks else "warning",
+            code="images-damaged",
+            message=f"{name}: {len(look.damaged)} of {tried} images that were tried cannot be decoded. The first: "
+            f"{look.damaged[0]}",
+            consequence="No image of this camera can be used."
+            if not look.looks
+            else "Such images are left out."
+            if share < _DAMAGED_SHARE
+            else "Such images are left out, and there are many of them.",
+            cure="Copy the recording again; check the disk, and how the camera encodes its images.",
+        )
+    ]
+
+
+def _board_missing(name: str, look: StreamLook, target: Target | None) -> list[Finding]:
+    if target is None or not look.views:
+        return []
+    return [
+        Finding(
+            severity="problem",
+            code="board-missing",
+            message=f"{name}: the board ({target.describe()}) was found in none of {len(look.views)} images from all "
+            f"over the recording. {look.other_board}".rstrip(),
+            consequence="Without the board there is nothing to calibrate from.",
+            cure="Check target.yaml (kind, number of tags or corners), that the board is in sight, lit and sharp, and "
+            "that the images are not mirrored.",
+        )
+    ]
+
+
+def _board(name: str, look: StreamLook) -> list[Finding]:
+    """Return findings on the images by what they show of the board."""
+    views = look.views
+    size = [len(view) for view in views]
+    dropped: Counter[str] = Counter()
+    for view in views:
+        dropped.update(dict(view.dropped))
+    quality = FrameQuality(
+        blur_px=np.array([view.blur_px for view in views]),
+        black=np.array([view.black for view in views]),
+        white=np.array([view.white for view in views]),
+        dropped=dropped,
+    )
+    frame = np.repeat(np.arange(len(views)), size)
+    sigma = np.concatenate([view.sigma_px for view in views])
+    pixels = np.concatenate([view.pixels for view in views])
+    sight = Sight(
+        t_ns=look.looked_ns,
+        seen=np.array(size) >= _FEWEST_CORNERS,
+        box_px=boxes(frame, pixels, len(views)),
+        blur_px=quality.blur_px,
+        resolution=look.looks[0].size,
+        consecutive=False,
+    )
+    return [*check_quality(name, quality, len(sigma), sigma), *check_sight(name, sight)]

@@ -1,0 +1,213 @@
+"""The section of a camera-IMU report on the images themselves: blur, exposure, and how certain the corners are."""
+
+from math import isfinite
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..diagnostics import CameraImuDiagnostics, CornerFit
+from ..recording import Floats, FrameQuality
+from .camera_imu_signals import half_panel
+from .figures import WIDTH, Sheet, coarser, dots, draw, ink, limits, thinned, zigzag
+from .numbers import finite, fixed, highest, number, positive
+from .page import Figure, Legend, Section, Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BLURRED_PX, _BRIGHT = 1.5, 250.0  # as assess.image_checks has them, and says why
+_GROUPS = 8
+_FEWEST = 400
+"""Corners that a comparison with their residuals needs."""
+
+
+def images_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+    """Return what the images were like; None where the corners were not found in images here."""
+    known = {name: fit for name, fit in diagnostics.corners.items() if fit.quality is not None}
+    if not known:
+        return None
+    blocks: list[Figure | Table] = []
+    for name, fit in known.items():
+        assert fit.quality is not None
+        blocks.append(_over_time(name, fit, fit.quality))
+        certain = _certainty(name, fit)
+        blocks += [] if certain is None else [certain]
+    blocks.append(_numbers(known))
+    blocks += _dropped(known)
+    return Section(
+        anchor="images",
+        title="Images",
+        lead="Sharp, evenly lit images give certain corners. Blur is the standard deviation by which the edges at "
+        "the corners are spread; a focused lens and a still camera have 0.5 to 0.8 px.",
+        blocks=tuple(blocks),
+    )
+
+
+def _over_time(name: str, fit: CornerFit, quality: FrameQuality) -> Figure:
+    seen = int(np.isfinite(quality.blur_px).sum())
+    return Figure(
+        title=f"Images of {name}",
+        svg=over_time(name, fit, quality),
+        legend=(
+            Legend(mark="dot", color="after", label="blur of a frame"),
+            Legend(mark="line", color="accent", label="the board's white"),
+            Legend(mark="line", color="before", label="its black"),
+            Legend(mark="dash", color="muted", label=f"{_BLURRED_PX:g} px; {_BRIGHT:.0f}, where white is clipped"),
+        ),
+        caption=f"The board was found in {seen} of {len(quality.blur_px)} frames. Beyond {_BLURRED_PX:g} px of blur an "
+        "edge is four pixels wide, and corners get lost.",
+    )
+
+
+def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
+    """Draw blur, exposure and number of corners of every frame over time."""
+    order = np.argsort(fit.frame_t_s, kind="stable")
+    t = fit.frame_t_s[order]
+    blur, black, white = (getattr(quality, key)[order] for key in ("blur_px", "black", "white"))
+    count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
+
+    def paint(sheet: Sheet) -> None:
+        panels = [
+            sheet.panel("Blur [px]", top=36, height=150),
+            sheet.panel("Grey levels", top=240, height=110),
+            sheet.panel("Corners in the frame", top=404, height=90, x_label="time [s]"),
+        ]
+        _level(panels[0], _BLURRED_PX)
+        dots(panels[0], *thinned(t, blur), "after", size=4.0)
+        limits(panels[0], blur, np.array([0.0, _BLURRED_PX]))
+        _level(panels[1], _BRIGHT)
+        zigzag(panels[1], *coarser(t, black, black, bins=400), "before")
+        zigzag(panels[1], *coarser(t, white, white, bins=400), "accent")
+        panels[1].set_ylim(0, 260)
+        panels[1].set_yticks([0, 100, 200])
+        zigzag(panels[2], *coarser(t, count, count, bins=400), "after")
+        limits(panels[2], count, np.zeros(1))
+        panels[2].locator_params(axis="y", nbins=3)
+        for panel in panels:
+            panel.set_xlim(0, positive(highest(t)))
+            panel.tick_params(labelbottom=panel is panels[-1])
+
+    alt = (
+        f"Blur, exposure and number of corners of {len(t)} frames of {name}; the median blur is {_median(blur, 2)} px."
+    )
+    return draw(f"images-{name}", 560, alt, paint)
+
+
+def _level(axes: "Axes", value: float) -> None:
+    axes.axhline(value, color=ink("muted"), linewidth=1.2, linestyle=(0, (4, 3)))
+
+
+def _median(values: Floats, digits: int) -> str:
+    known = finite(values)
+    return number(float(np.median(known)) if known.size else float("nan"), digits)
+
+
+# ---- how certain the corners are ----
+
+
+def _certainty(name: str, fit: CornerFit) -> Figure | None:
+    if fit.corner_sigma_px is None or len(finite(fit.corner_sigma_px)) < _FEWEST:
+        return None
+    groups = _by_sigma(fit)
+    ratio = float(np.median(groups[1] / groups[0])) if len(groups[0]) else float("nan")
+    compared = (
+        f" Residuals are {number(ratio, 2)} times as large (median of the groups); what is more than 1 comes from "
+        "errors of the lens, the board and the stamps as well."
+        if isfinite(ratio)
+        else ""
+    )
+    return Figure(
+        title=f"How certain the corners of {name} are",
+        svg=certainty(name, fit, groups),
+        legend=(
+            Legend(mark="line", color="after", label="share of corners"),
+            Legend(mark="dot", color="after", label="robust rms of a group of corners"),
+            Legend(mark="dash", color="ink", label="as the detector says"),
+        ),
+        caption="Left, the standard deviations that the detector gave each corner; right, the residuals of corners "
+        f"with like standard deviations.{compared}",
+    )
+
+
+def _by_sigma(fit: CornerFit) -> tuple[Floats, Floats]:
+    """Return the median sigma of groups of corners, and the robust scatter of their residuals, (g,) each [px]."""
+    assert fit.corner_sigma_px is not None
+    used = np.asarray(fit.frame_used, dtype=bool)[fit.frame] & np.isfinite(fit.residual).all(axis=1)
+    sigma, residual = fit.corner_sigma_px[used], fit.residual[used]
+    if len(sigma) < _FEWEST:
+        return np.empty(0), np.empty(0)
+    parts = np.array_split(np.argsort(sigma, kind="stable"), _GROUPS)
+    median = np.array([float(np.median(sigma[part])) for part in parts])
+    scatter = np.array([1.4826 * float(np.median(np.abs(residual[part]))) for part in parts])
+    return median, scatter
+
+
+def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
+    """Draw the distribution of the corners' standard deviations, and their residuals against them."""
+    assert fit.corner_sigma_px is not None
+    known = finite(fit.corner_sigma_px)
+    reach = positive(float(np.quantile(known, 0.99)))
+    sigma, scatter = groups
+
+    def paint(sheet: Sheet) -> None:
+        axes = half_panel(sheet, "Density", 0, top=36, height=200)
+        edges = np.linspace(0, reach, 61)
+        density = np.histogram(known, edges)[0] / (len(known) * (edges[1] - edges[0]))
+        axes.stairs(density, edges, color=ink("after"), linewidth=1.5, baseline=None)
+        axes.set_xlim(0, reach)
+        axes.set_ylim(0, 1.05 * positive(float(density.max())))
+        sheet.text("σ of a corner [px]", x=WIDTH / 2 - 14, y=286, color="muted", align="right")
+        other = half_panel(sheet, "Scatter of the residuals [px]", 1, top=36, height=200)
+        most = 1.1 * positive(max(highest(scatter), highest(sigma)), reach)
+        widest = 1.1 * positive(highest(sigma), reach)
+        other.plot([0, widest], [0, widest], color=ink("ink"), linewidth=1.4, linestyle=(0, (4, 3)))
+        dots(other, sigma, scatter, "after")
+        other.set_xlim(0, widest)
+        other.set_ylim(0, most)
+        sheet.text("σ of a corner [px]", x=WIDTH - 14, y=286, color="muted", align="right")
+
+    alt = f"Standard deviations of {len(known)} corners of {name}, and the scatter of their residuals against them."
+    return draw(f"certainty-{name}", 300, alt, paint)
+
+
+# ---- in numbers ----
+
+
+def _numbers(known: dict[str, CornerFit]) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for name, fit in known.items():
+        quality = fit.quality
+        assert quality is not None
+        blur = finite(quality.blur_px)
+        worst = f"{number(float(np.quantile(blur, 0.9)), 2)} px" if blur.size else number(float("nan"))
+        blurred = f"{fixed(100 * float(np.mean(blur > _BLURRED_PX)), 0)} %" if blur.size else number(float("nan"))
+        sigma = number(float("nan")) if fit.corner_sigma_px is None else f"{_median(fit.corner_sigma_px, 2)} px"
+        seen = f"{fixed(100 * float(np.mean(np.asarray(fit.frame_corners) > 0)), 0)} %"
+        rows.append((name, seen, f"{_median(quality.blur_px, 2)} px", worst, blurred,
+                     _median(quality.black, 3), _median(quality.white, 3), sigma))  # fmt: skip
+    return Table(
+        title="In numbers",
+        head=("camera", "board in", "blur", "blur, 90 %", f"> {_BLURRED_PX:g} px", "black", "white", "σ of a corner"),
+        rows=tuple(rows),
+        caption="Medians over the frames in which the board was found, but for the blur that 90 % of them stay below.",
+    )
+
+
+def _dropped(known: dict[str, CornerFit]) -> list[Table]:
+    rows: list[tuple[str, ...]] = []
+    for name, fit in known.items():
+        assert fit.quality is not None
+        total = sum(fit.quality.dropped.values()) + len(fit.frame)
+        for reason, count in sorted(fit.quality.dropped.items(), key=lambda item: -item[1]):
+            if count:
+                rows.append((f"{name}: {reason}", str(count), f"{number(100 * count / total, 2)} %"))
+    if not rows:
+        return []
+    return [
+        Table(
+            title="Corners that were found and left out",
+            head=("reason", "corners", "share"),
+            rows=tuple(rows),
+            caption="Shares are of all corners of the camera that were found.",
+        )
+    ]
