@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import RecordingError
+from .findings import Finding
 from .models.camera import Camera
 from .models.noise import ImuNoise
 from .units import Units
@@ -227,6 +228,7 @@ class Recording:
     ----------
     imus : mapping from "imu0", "imu1", ... to ImuSamples
     cameras : mapping from "cam0", "cam1", ... to CameraFrames; empty for an IMU alone
+    findings : what was noticed while it was read, such as clocks that drift
     sources : the files that were read
     assumptions : sentences on what the reader had to assume, such as units or the rate
     """
@@ -235,6 +237,7 @@ class Recording:
     sources: tuple[Source, ...] = ()
     assumptions: tuple[str, ...] = ()
     cameras: Mapping[str, CameraFrames] = field(default_factory=dict[str, "CameraFrames"])
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))

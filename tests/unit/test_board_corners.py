@@ -218,3 +218,28 @@ def test_corners_of_other_images_are_not_kept_for_ever(views, tmp_path):
     for file in (other, *files):
         keep_corners(file, found)
     assert sorted(tmp_path.iterdir()) == sorted([other, files[1], foreign])
+
+
+def test_a_camera_clock_that_drifts_is_found_when_a_bag_is_read(views, monkeypatch, tmp_path):
+    """Where the recorder's clock is known: the camera's clock is 500 ppm slow, the IMU's is right."""
+    from gnomon.calibrate import camera_imu_reading
+    from gnomon.images import Arrivals, ImageRecording
+    from gnomon.recording import ImuSamples, TriadSamples
+
+    t_ns = np.arange(0, 60_000_000_000, 50_000_000)
+    late = np.random.default_rng(0).exponential(1e6, len(t_ns)).astype(np.int64)
+    slow = Arrivals(t_ns=t_ns, received_ns=np.rint(t_ns * 1.0005).astype(np.int64) + late)
+    right = Arrivals(t_ns=t_ns, received_ns=t_ns + late)
+    samples = TriadSamples(t_ns=t_ns, values=np.zeros((len(t_ns), 3)), unit="m/s^2")
+    recording = ImageRecording(
+        imus={"imu0": ImuSamples(accelerometer=samples, gyroscope=replace(samples, unit="rad/s"))},
+        streams={"cam0": replace(camera(frames(views)).stream, arrivals=slow, camera=CAMERA)},
+        imu_arrivals={"imu0": right},
+    )
+    monkeypatch.setattr(camera_imu_reading, "open_images", lambda *_, **__: recording)
+    board = tmp_path / "target.yaml"
+    board.write_text("target_type: aprilgrid\ntagCols: 3\ntagRows: 3\ntagSize: 0.08\ntagSpacing: 0.3\n")
+    read, _ = camera_imu_reading.read_camera_imu(tmp_path, target=board)
+    (finding,) = read.findings
+    assert finding.code == "clock-drift"
+    assert "+499 +- 0.86 ppm" in finding.message  # +500 by truth

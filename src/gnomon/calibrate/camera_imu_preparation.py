@@ -74,7 +74,7 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     if len(recording.imus) > 1:
         first = next(iter(recording.imus))
         assumptions += (f"the recording holds {len(recording.imus)} IMUs; {first} is the one that is calibrated.",)
-    found = check_cameras(recording, target)
+    found = (*recording.findings, *check_cameras(recording, target))
     for finding in found:
         if finding.severity == "problem":
             raise (DetectionError if finding.code in _FEW_CODES else RecordingError)(str(finding))

@@ -11,7 +11,9 @@ from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 
+from ..assess.clock_checks import check_clocks
 from ..errors import OptionError, RecordingError
+from ..findings import Finding
 from ..images import ImageRecording, ImageStream
 from ..models.target import Target
 from ..readers.camera_folder import holds_corners, recording_folder
@@ -106,8 +108,16 @@ def read_camera_imu(
         cameras=cameras,
         sources=(*(file_source(file) for file in files), *images.sources),
         assumptions=(*images.assumptions, *notes),
+        findings=_clocks(images, tuple(cameras)),
     )
     return recording, board
+
+
+def _clocks(images: ImageRecording, cameras: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Return what is wrong with the clocks of cameras and IMUs, where the recorder's clock is known."""
+    arrivals = {name: images.streams[name].arrivals for name in cameras} | dict(images.imu_arrivals)
+    known = {name: stream for name, stream in arrivals.items() if stream is not None}
+    return tuple(finding for finding in check_clocks(known) if finding.severity in {"warning", "problem"})
 
 
 def _known_cameras(
