@@ -100,3 +100,18 @@ def test_boards_with_two_ends_are_passed_through(simulation):
     cameras = {"cam0": simulation.recording.cameras["cam0"]}
     stream = imu_stream(prepare_camera_imu(simulation.recording, simulation.target, CameraImuOptions()).inertial)
     assert numbered_alike(cameras, target, 0, stream) == (cameras, ())
+
+
+def test_two_cameras_count_from_the_same_end():
+    scenario = replace(SCENARIO, cameras=2, camera_gaps_s=(), duration_s=20.0)
+    simulation = gnomon.simulate_camera_imu(scenario, 3)
+    recording, target = simulation.recording, simulation.target
+    second = recording.cameras["cam1"]
+    turned = with_views(second, tuple(renumbered(view, target, 2) for view in views_of(second)))
+    stream = imu_stream(prepare_camera_imu(recording, target, CameraImuOptions()).inertial)
+    for given in (second, turned):
+        cameras = {"cam0": recording.cameras["cam0"], "cam1": given}
+        origin = prepare_camera_imu(recording, target, CameraImuOptions()).origin_ns
+        found, _ = numbered_alike(cameras, target, origin, stream)
+        assert same(found["cam0"], recording.cameras["cam0"])
+        assert same(found["cam1"], second)

@@ -33,6 +33,7 @@ _RUN = 8  # consecutive frames that one worker takes; bounds the memory
 _WAITING = 2  # runs for each worker that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show
 _TOLD = 10  # times that progress is told
+_MISPLACED, _MANY = "not where its neighbours say", 0.15  # corners that were dropped for this, of all that were found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -174,7 +175,10 @@ def _check(images: CameraImages, seen: list[_Seen], target: Target, notes: list[
         raise RecordingError(f"{name}: there are no images. {' '.join(notes)}".rstrip())
     damaged = [item.damage for item in seen if item.size is None]
     if len(damaged) == len(seen):
-        raise RecordingError(f"{name}: none of the {len(seen)} images can be read. The first: {damaged[0]}")
+        raise RecordingError(
+            f"{name}: none of the {len(seen)} images can be read. The first: {damaged[0]} "
+            "Copy the recording again."
+        )
     if damaged:
         notes.append(
             f"{name}: {len(damaged)} of {len(seen)} images cannot be read and were left out. The first: {damaged[0]}"
@@ -191,6 +195,23 @@ def _check(images: CameraImages, seen: list[_Seen], target: Target, notes: list[
         raise DetectionError(
             f"{name}: the board of the target file, {target.describe()}, is in none of {len(seen)} images. "
             f"{_what_they_show(images.stream, len(seen), target)}"
+        )
+    _check_board(images, seen, target)
+
+
+def _check_board(images: CameraImages, seen: list[_Seen], target: Target) -> None:
+    """Refuse an AprilGrid with another number of columns or another first tag than the images show."""
+    from ..detect.board_guess import DIFFERS
+
+    found = sum(len(item.view) for item in seen)
+    misplaced = sum(item.view.dropped.get(_MISPLACED, 0) for item in seen)
+    if misplaced <= _MANY * (found + misplaced):
+        return
+    shown = _what_they_show(images.stream, len(seen), target)
+    if DIFFERS in shown:
+        raise DetectionError(
+            f"{images.name}: {misplaced} of {found + misplaced} corners are not where the board of the target file, "
+            f"{target.describe()}, has them in these images. {shown} Correct the target file."
         )
 
 

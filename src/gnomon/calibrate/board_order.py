@@ -10,14 +10,24 @@ from dataclasses import replace
 import numpy as np
 
 from ..detect.board import BoardView
-from ..detect.checkerboard_order import OrderedViews, Turned, ambiguous_turns, consistent_order
+from ..detect.checkerboard_order import (
+    OrderedViews,
+    Turned,
+    about_normal,
+    ambiguous_turns,
+    angle_between,
+    consistent_order,
+    renumbered,
+)
 from ..errors import InitialisationError
 from ..estimate.camera_imu.alignment import Alignment
-from ..estimate.camera_imu.first_guess import ImuStream, looks
+from ..estimate.camera_imu.first_guess import ImuStream, Look, looks
 from ..findings import Finding
 from ..geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ..models.target import Target
-from ..recording import CameraFrames, Integers
+from ..recording import CameraFrames, Floats, Integers
+
+_PAIRS = 100  # frames of two cameras that are compared
 
 
 def numbered_alike(
@@ -47,7 +57,7 @@ def numbered_alike(
             ordered, lost = _longest_piece(ordered)
             findings.append(_uncertain(name, lost, len(frames.t_ns)))
         found[name] = with_views(frames, ordered.views)
-    return found, tuple(findings)
+    return _from_one_end(found, target, origin_ns, stream), tuple(findings)
 
 
 def views_of(frames: CameraFrames) -> list[BoardView]:
@@ -83,11 +93,60 @@ def _with_gyroscope(
     return consistent_order(views_of(frames), frames.t_ns, target, camera=frames.camera, turned=turned)
 
 
-def _foreseen(alignment: Alignment, origin_ns: int, stream: ImuStream) -> Turned:
+def _from_one_end(
+    cameras: dict[str, CameraFrames], target: Target, origin_ns: int, stream: ImuStream
+) -> dict[str, CameraFrames]:
+    """Return the cameras with the board numbered from the same end in all of them.
+
+    Each camera alone may count from another end. Its frames tell the attitude of the IMU before the board; the attitude
+    that the first camera tells, carried to the same instant by the gyroscope, differs from it by the turns in question.
+    """
+    if len(cameras) == 1:
+        return cameras
+    try:
+        first, *others = looks(cameras, target, origin_ns, stream)
+    except InitialisationError:
+        return cameras  # the calibration says what is wrong
+    R_start_imu = _integrated(first.alignment, stream)
+    found = dict(cameras)
+    for look in others:
+        apart = _apart(first, look, R_start_imu, stream)
+        ways = ambiguous_turns(target)
+        angles = [np.median([angle_between(about_normal(way), R) for R in apart]) for way in ways]
+        turns = ways[int(np.argmin(angles))]
+        views = tuple(renumbered(view, target, turns) for view in views_of(look.frames))
+        found[look.name] = with_views(look.frames, views)
+    return found
+
+
+def _apart(first: Look, second: Look, R_start_imu: Floats, stream: ImuStream) -> Floats:
+    """Return R_target_imu by the second camera relative to that by the first, (n, 3, 3), where frames are close."""
+    t_first, t_second = (look.poses.t_s + look.alignment.time_shift_s for look in (first, second))
+    near = np.clip(np.searchsorted(t_first, t_second), 1, len(t_first) - 1)
+    near -= np.abs(t_first[near - 1] - t_second) < np.abs(t_first[near] - t_second)
+    chosen = np.argsort(np.abs(t_first[near] - t_second), kind="stable")[:_PAIRS]
+    R_target_imu = [
+        np.swapaxes(look.poses.R_cam_target[index], 1, 2) @ look.alignment.R_cam_imu
+        for look, index in ((first, near[chosen]), (second, chosen))
+    ]
+    before, after = (
+        np.clip(np.searchsorted(stream.t_s, t, side="right") - 1, 0, len(stream.t_s) - 1)
+        for t in (t_first[near[chosen]], t_second[chosen])
+    )
+    carried = R_target_imu[0] @ np.swapaxes(R_start_imu[before], 1, 2) @ R_start_imu[after]
+    return R_target_imu[1] @ np.swapaxes(carried, 1, 2)
+
+
+def _integrated(alignment: Alignment, stream: ImuStream) -> Floats:
+    """Return the attitude of the IMU at its stamps relative to that at the first, (n, 3, 3)."""
     rate = (stream.rate - alignment.gyroscope_bias) / alignment.rate_scale
     steps = rk4n_steps(rate[:-1], rate[1:], np.diff(stream.t_s))
     products = running_products(steps, np.array([len(steps)]))
-    R_start_imu = rotation_from_quaternion(np.concatenate([[[1.0, 0, 0, 0]], products]))
+    return rotation_from_quaternion(np.concatenate([[[1.0, 0, 0, 0]], products]))
+
+
+def _foreseen(alignment: Alignment, origin_ns: int, stream: ImuStream) -> Turned:
+    R_start_imu = _integrated(alignment, stream)
 
     def sample(t_ns: int) -> int | None:
         t_s = (t_ns - origin_ns) * 1e-9 + alignment.time_shift_s

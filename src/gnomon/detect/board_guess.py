@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..images import Grey
 from ..models.target import Target
@@ -17,6 +18,8 @@ from .quads import black_quads
 from .saddles import find_saddles
 from .tags import Tags, read_tags, square_to_quads
 
+Booleans = NDArray[np.bool_]
+
 _MOST_IMAGES = 16
 _FEWEST_TAGS = 4
 _FEWEST_CORNERS = 12
@@ -25,6 +28,9 @@ _FLAT = 6.0  # grey levels from the darkest to the brightest part of an image th
 _FEWEST_GAPS, _SPACING = 6, 0.03  # to tell the gap between tags, and by how much it may be off at least, over the tag
 _STRAIGHT, _FARTHEST = 0.3, 2.6  # how far from a line, and from each other, the middles of neighbours may be, in tags
 _BORDERS = (2, 1)
+
+DIFFERS = "The stated board differs"
+"""Where this is said, the images show an AprilGrid that is not the stated one."""
 
 
 def guess_board(images: Sequence[Grey], stated: Target) -> str:
@@ -42,7 +48,7 @@ def guess_board(images: Sequence[Grey], stated: Target) -> str:
         return "The images show nothing at all: they are of one grey level. Check exposure, lens cap and encoding."
     tags = _tag_board(looked)
     checkerboard, part = _checkerboard(looked)
-    if tags is not None and tags.count >= _FEWEST_TAGS:
+    if tags is not None and tags.count >= _FEWEST_TAGS and tags.numbers:
         return _about_tags(tags, stated)
     if checkerboard is not None:
         return _about_checkerboard(checkerboard, stated)
@@ -76,8 +82,9 @@ class _TagBoard:
 
     @property
     def numbers(self) -> list[int]:
-        """Numbers of the tags, those that were read only once left out if others were read more often."""
-        often = Counter(int(number) for view in self.views for number in view.number)
+        """Numbers of the tags, those left out that were read only once, while others were read more often."""
+        cols = self.cols
+        often = Counter(int(number) for view in self.views for number in view.number[_in_order(view, cols)])
         most = max(often.values(), default=0)
         return sorted(number for number, times in often.items() if times > 1 or most < 4)
 
@@ -149,6 +156,17 @@ def _growths(view: Tags) -> Integers:
     return (view.number[nearest] - view.number)[above.any(axis=1)]
 
 
+def _in_order(view: Tags, cols: int) -> Booleans:
+    """Tell which tags have a neighbour whose number is one more or less, or so many columns: foreign ones have not."""
+    if not len(view):
+        return np.empty(0, bool)
+    place = _places_in_tags(view)
+    onward = view.number[None, :] - view.number[:, None]
+    beside = (onward == np.sign(place[..., 0])) & (np.abs(place[..., 1]) < _STRAIGHT)
+    above = (onward == cols * np.sign(place[..., 1])) & (np.abs(place[..., 0]) < _STRAIGHT)
+    return ((beside | above) & (np.abs(place).max(axis=2) < _FARTHEST) & (onward != 0)).any(axis=1)
+
+
 def _about_tags(board: _TagBoard, stated: Target) -> str:
     numbers, cols, gaps = board.numbers, board.cols, board.gaps
     first, last = numbers[0], numbers[-1]
@@ -163,7 +181,7 @@ def _about_tags(board: _TagBoard, stated: Target) -> str:
         text += " Its tags can only be read in the mirror: turn the mirroring of the camera's images off."
     if stated.kind != "aprilgrid":
         return f"{text} State that board instead of a {stated.kind}."
-    return f"{text} {_difference(board, stated)}".rstrip()
+    return f"{text} {_difference(board, stated)}"
 
 
 def _difference(board: _TagBoard, stated: Target) -> str:
@@ -180,7 +198,9 @@ def _difference(board: _TagBoard, stated: Target) -> str:
         wrong.append(f"it has {stated.cols} columns" + (" (are tagCols and tagRows exchanged?)" if exchanged else ""))
     if len(gaps) >= _FEWEST_GAPS and abs(np.median(gaps) - stated.tag_spacing) > _doubt(gaps):
         wrong.append(f"its tagSpacing is {stated.tag_spacing:.2g} (the gap over the side of a tag)")
-    return f"The stated board differs: {', '.join(wrong)}." if wrong else ""
+    if wrong:
+        return f"{DIFFERS}: {', '.join(wrong)}."
+    return "That is the stated one, but in most images too little of it can be read."
 
 
 def _doubt(gaps: Floats) -> float:

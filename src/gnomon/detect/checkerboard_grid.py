@@ -68,9 +68,9 @@ def boards_in(lattice: Lattice, rows: int, cols: int) -> list[Floats]:
     trials: list[tuple[int, int, Floats]] = []
     ways = [found] if rows == cols else [found, found.swapaxes(0, 1)]
     for way in ways:
-        padded = np.pad(way, ((_SLACK, _SLACK), (_SLACK, _SLACK), (0, 0)), constant_values=np.nan)
-        missing_rows, missing_cols = max(rows - padded.shape[0], 0), max(cols - padded.shape[1], 0)
-        if missing_rows or missing_cols:
+        padded = np.full((way.shape[0] + 2 * _SLACK, way.shape[1] + 2 * _SLACK, 2), np.nan)
+        padded[_SLACK:-_SLACK, _SLACK:-_SLACK] = way
+        if padded.shape[0] < rows or padded.shape[1] < cols:
             continue
         taken = np.zeros((padded.shape[0] + 1, padded.shape[1] + 1), np.int64)
         taken[1:, 1:] = np.isfinite(padded[:, :, 0]).cumsum(axis=0).cumsum(axis=1)

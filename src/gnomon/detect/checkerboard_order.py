@@ -129,7 +129,7 @@ def _followed(
         if likely < _CERTAIN:
             piece[k] = len(probability)
             probability.append(likely)
-        R[k] = R[k] @ _about_normal(int(turns[k]))
+        R[k] = R[k] @ about_normal(int(turns[k]))
     return turns, piece, probability
 
 
@@ -158,19 +158,22 @@ def renumbered(view: BoardView, target: Target, turns: int) -> BoardView:
     return replace(view, point=point[order], pixels=view.pixels[order], sigma_px=view.sigma_px[order])
 
 
-def _about_normal(turns: int) -> Floats:
+def about_normal(turns: int) -> Floats:
+    """Return the rotation (3, 3) by so many quarters about a board's normal."""
     cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[turns % 4]
     return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], dtype=np.float64)
 
 
 def _most_likely(start: Floats, R: Floats, ways: tuple[int, ...], sigma: float) -> tuple[int, float]:
     """Return by how many quarters a rotation must be turned to be near another one, and with what probability."""
-    likelihood = [float(np.exp(-0.5 * (_angle(start, R @ _about_normal(way)) / sigma) ** 2)) + _STRAY for way in ways]
+    likelihood = [
+        float(np.exp(-0.5 * (angle_between(start, R @ about_normal(way)) / sigma) ** 2)) + _STRAY for way in ways
+    ]
     best = int(np.argmax(likelihood))
     return ways[best], likelihood[best] / sum(likelihood)
 
 
-def _angle(first: Floats, second: Floats) -> float:
+def angle_between(first: Floats, second: Floats) -> float:
     """Return the angle between two rotations [rad]."""
     return float(np.arccos(np.clip(0.5 * (np.sum(first * second) - 1), -1, 1)))
 
@@ -181,7 +184,7 @@ def _rate(R: Floats, t_s: Floats, ways: tuple[int, ...]) -> float:
     if not len(steps):
         return _SLOWEST
     near = np.flatnonzero((steps > 0) & (steps < 1.5 * np.median(steps)))
-    rates = [min(_angle(R[k], R[k + 1] @ _about_normal(way)) for way in ways) / steps[k] for k in near]
+    rates = [min(angle_between(R[k], R[k + 1] @ about_normal(way)) for way in ways) / steps[k] for k in near]
     return max(float(np.quantile(rates, _FAST)), _SLOWEST) if rates else np.pi
 
 

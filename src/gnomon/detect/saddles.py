@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..images import Grey
-from ..recording import Floats
+from ..recording import Floats, Integers
 
 Singles = NDArray[np.float32]
 
 _SMOOTHING_PX = 1.0
 _APART = 5  # one candidate in a square of so many pixels
+_STRIP_PIXELS, _STRIP_ROWS = 40_000, 32
+_HALO = 3  # rows beyond a strip on which its saddles depend: the derivatives' and those nearby
 _LEAST_STRENGTH = 100.0  # of a saddle, in the units of Sobel's second derivatives squared
 _MOST_MAXIMA, _MOST = 700, 360
 _RADIUS_PX = 3.0
@@ -68,28 +70,43 @@ def find_saddles(image: Grey) -> Saddles:
 
 
 def _maxima(smooth: Grey) -> Singles:
-    """Return where the image is most like a saddle, (n, 2), the strongest first."""
-    xx = cv2.Sobel(smooth, cv2.CV_16S, 2, 0, ksize=3)
-    yy = cv2.Sobel(smooth, cv2.CV_16S, 0, 2, ksize=3)
-    xy = cv2.Sobel(smooth, cv2.CV_16S, 1, 1, ksize=3)
+    """Return where the image is most like a saddle, (n, 2), the strongest first.
+
+    It is gone through in strips whose arrays stay in the processor's cache.
+    """
+    height, width = smooth.shape
+    step = max(_STRIP_PIXELS // width, _STRIP_ROWS)
+    strips = [_peaks(smooth, start, min(start + step, height)) for start in range(0, height, step)]
+    rows, columns, strength = (np.concatenate(items) for items in zip(*strips, strict=True))
+    border = int(np.ceil(_RADIUS_PX)) + 1
+    inner = np.minimum(rows, columns) >= border
+    inner &= (rows < height - border) & (columns < width - border)
+    rows, columns, strength = rows[inner], columns[inner], strength[inner]
+    if len(strength) > _MOST_MAXIMA:
+        kept = np.argpartition(-strength, _MOST_MAXIMA)[:_MOST_MAXIMA]
+        rows, columns, strength = rows[kept], columns[kept], strength[kept]
+    order = np.lexsort((columns, rows, -strength))
+    return np.stack([columns, rows], axis=1)[order].astype(np.float32)
+
+
+def _peaks(smooth: Grey, start: int, stop: int) -> tuple[Integers, Integers, Singles]:
+    """Return rows, columns and strengths of the saddles in some rows of an image that are the strongest nearby."""
+    first = max(start - _HALO, 0)
+    strip = smooth[first : stop + _HALO]
+    xx = cv2.Sobel(strip, cv2.CV_16S, 2, 0, ksize=3)
+    yy = cv2.Sobel(strip, cv2.CV_16S, 0, 2, ksize=3)
+    xy = cv2.Sobel(strip, cv2.CV_16S, 1, 1, ksize=3)
     # Sobel's kernels sum to 4 for second derivatives along an axis and to 4 for the mixed one.
     strength = cv2.multiply(xy, xy, dtype=cv2.CV_32F)
     other = cv2.multiply(xx, yy, dtype=cv2.CV_32F)
     cv2.subtract(strength, other, dst=strength)
     highest = cv2.dilate(strength, np.ones((_APART, _APART), np.uint8), dst=other)
     peaks = np.flatnonzero(strength >= highest)
-    peaks = peaks[strength.ravel()[peaks] > _LEAST_STRENGTH]
-    rows, columns = np.divmod(peaks, smooth.shape[1])
-    border = int(np.ceil(_RADIUS_PX)) + 1
-    inner = np.minimum(rows, columns) >= border
-    inner &= (rows < smooth.shape[0] - border) & (columns < smooth.shape[1] - border)
-    rows, columns = rows[inner], columns[inner]
-    height = strength[rows, columns]
-    if len(height) > _MOST_MAXIMA:
-        kept = np.argpartition(-height, _MOST_MAXIMA)[:_MOST_MAXIMA]
-        rows, columns, height = rows[kept], columns[kept], height[kept]
-    order = np.lexsort((columns, rows, -height))
-    return np.stack([columns, rows], axis=1)[order].astype(np.float32)
+    values = np.asarray(strength, np.float32).ravel()[peaks]
+    rows, columns = np.divmod(peaks, strip.shape[1])
+    rows += first
+    kept = (values > _LEAST_STRENGTH) & (rows >= start) & (rows < stop)
+    return rows[kept], columns[kept], values[kept]
 
 
 def _circles(smooth: Singles, pixels: Singles) -> Singles:
