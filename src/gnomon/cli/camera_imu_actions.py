@@ -30,8 +30,7 @@ _INPUTS = {
 }
 """Option -> Kalibr's file that is taken from the recording's folder, and what it describes."""
 
-_SIMULATED = ("imu0.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml")
-_SECOND_CAMERA = ("cam1_corners.csv.gz", "cam1_frames.csv")
+_SIMULATED = ("imu0.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0")
 SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
 
 
@@ -151,17 +150,18 @@ def _findings_of_the_solution(result: "Result") -> dict[str, Any]:
 def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal) -> int:
     """Simulate a recording, write its folder, and return the exit code."""
     from ..simulate import simulate_camera_imu
-    from ..writers.camera_imu_recording import save_camera_imu_recording
+    from ..writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
 
     folder = command.output
     if not (folder / SCENARIO).exists() and any((folder / name).exists() for name in _SIMULATED):
         raise OutputError(
             f"{folder}: this folder holds a recording that was not simulated. Choose another one with -o."
         )
-    with result_folder(folder, own=_SECOND_CAMERA) as staging:
+    with result_folder(folder, own=CAMERA_FILES) as staging:
         terminal.progress("simulating")
         simulation = simulate_camera_imu(command.options, command.seed)
-        names = [path.name for path in save_camera_imu_recording(simulation, staging)]
+        files = save_camera_imu_recording(simulation, staging, terminal.progress)
+        names = [path.relative_to(staging) for path in files]
     terminal.close()
     cameras = {name: len(frames.t_ns) for name, frames in simulation.recording.cameras.items()}
     frames = ", ".join(f"{count} frames of {name}" for name, count in cameras.items())

@@ -48,9 +48,9 @@ def _common_start(names: list[str]) -> str:
 def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> Generator[Path]:
     """Give an empty folder to write into, and at the end move what is in it to `folder`.
 
-    `folder` is made at once, so that a place that cannot be written is known before any work is done. Files of an
-    earlier result that are named in `own` are replaced, or removed where the new result has none; other files stay as
-    they are. If anything goes wrong nothing changes.
+    `folder` is made at once, so that a place that cannot be written is known before any work is done. What an earlier
+    result left, files and folders that are named in `own`, is replaced, or removed where the new result has none; other
+    files stay as they are. If anything goes wrong nothing changes.
 
     Raises
     ------
@@ -70,9 +70,11 @@ def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> Generato
         yield staging
         complete = sorted(staging.iterdir())
         for path in complete:
+            if path.is_dir():
+                _remove(folder / path.name)  # a folder cannot be replaced while there is something in it
             path.replace(folder / path.name)
         for name in set(own) - {path.name for path in complete}:
-            (folder / name).unlink(missing_ok=True)
+            _remove(folder / name)
     except BaseException as error:
         shutil.rmtree(staging, ignore_errors=True)
         _remove_empty(made)
@@ -82,6 +84,13 @@ def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> Generato
             ) from error
         raise
     staging.rmdir()
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _missing(folder: Path) -> list[Path]:

@@ -87,6 +87,22 @@ class CameraImuScenario:
     pixel_noise_px: float = 0.3
     """Standard deviation of a detected corner, per axis."""
 
+    images: bool = False
+    """Render images, PNG files in cam0/data with stamps in cam0/data.csv, in place of detected corners, whose errors
+    (pixel_noise_px, outliers, shifted_frames) then do not apply."""
+
+    exposure_s: float = 0.004
+    """Exposure time of the images in seconds; stamps are of its middle."""
+
+    blur_px: float = 0.6
+    """Standard deviation of the blur of lens and focus in the images, in px."""
+
+    image_noise: float = 2.0
+    """Standard deviation of the noise in the images, in grey levels."""
+
+    image_clutter: bool = False
+    """Whether the images have a wall full of edges and foreign AprilTags behind the board, or even grey."""
+
     line_delay_s: float = 0.0
     """Time from one image row to the next in seconds (rolling shutter)."""
 
@@ -256,6 +272,7 @@ _POSITIVE = (
 )
 _NOT_NEGATIVE = (
     *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s"),
+    *("exposure_s", "blur_px", "image_noise"),
     *("accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density", "gyroscope_random_walk"),
     *("noise_factor", "scale_range", "misalignment_range", "gyroscope_rotation_range", "g_sensitivity_range"),
     *("accelerometer_bias_range", "gyroscope_bias_range", "outlier_px", "shift_px", "imu_jitter_s", "camera_jitter_s"),

@@ -2,6 +2,7 @@
 
 cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, numbered in Kalibr's order
 cam0_frames.csv       ts_ns, corners: every frame, also those without corners
+cam0/data.csv, cam0/data/<stamp>.png    in their place, where the scenario wants images
 imu0.csv.gz           the samples
 camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise, board
 truth.yaml            what is true, as a calibration file
@@ -11,7 +12,8 @@ scenario.yaml         what was simulated
 
 import gzip
 import io
-from collections.abc import Iterator
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -26,11 +28,18 @@ from ..models.target import Target
 from ..output import atomic_file, write_whole
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..simulate.camera_imu import CameraImuSimulation
+from ..simulate.camera_imu_images import simulated_images
 from .calibration_file import calibration_text
+from .camera_imu_images import save_simulated_images
 from .kalibr_text import kalibr_yaml
 from .options_file import options_text
 from .recording_file import save_recording
 from .trajectory import trajectory_text
+
+CAMERA_FILES = tuple(
+    f"{name}{ending}" for name in ("cam0", "cam1") for ending in ("", "_corners.csv.gz", "_frames.csv")
+)
+"""Files and folders of the cameras in the folder of a simulated recording; it has some of them."""
 
 _COMPRESSION = 6
 _SCENARIO = """\
@@ -42,8 +51,18 @@ _CHAIN = "# Lens of each camera as its owner knows it; what is true stands in tr
 _NOISE = "# Nominal noise of the IMU.\n"
 
 
-def save_camera_imu_recording(simulation: CameraImuSimulation, folder: str | PathLike[str]) -> tuple[Path, ...]:
+def save_camera_imu_recording(
+    simulation: CameraImuSimulation, folder: str | PathLike[str], progress: Callable[[str], None] | None = None
+) -> tuple[Path, ...]:
     """Write a simulated recording and its truth into a folder, which is made, and return the files.
+
+    Of images, which are rendered now, the tables are returned.
+
+    Parameters
+    ----------
+    simulation : what was simulated
+    folder : an earlier recording in it is replaced
+    progress : called with a sentence now and then
 
     Raises
     ------
@@ -58,15 +77,29 @@ def save_camera_imu_recording(simulation: CameraImuSimulation, folder: str | Pat
             f"{place}: this folder cannot be made ({error.strerror or error}). Choose another place."
         ) from error
     recording = simulation.recording
+    _clear(place)
     written = list(save_recording(Recording(imus=recording.imus), place / "imu0.csv.gz"))
-    for name, frames in recording.cameras.items():
-        written += _save_frames(frames, place, name)
+    if simulation.scenario.images:
+        for name, stream in simulated_images(simulation).streams.items():
+            written.append(save_simulated_images(stream, place / name, progress))
+    else:
+        for name, frames in recording.cameras.items():
+            written += _save_frames(frames, place, name)
     for name, text in _texts(simulation):
         write_whole(place / name, text)
         written.append(place / name)
-    for stale in {place / f"cam1_{name}" for name in ("corners.csv.gz", "frames.csv")}.difference(written):
-        stale.unlink(missing_ok=True)  # of an earlier recording with two cameras
     return tuple(written)
+
+
+def _clear(place: Path) -> None:
+    """Remove the cameras of an earlier simulated recording, which may have had more of them, or another kind."""
+    if not (place / "scenario.yaml").exists():
+        return
+    for name in CAMERA_FILES:
+        if (place / name).is_dir() and not (place / name).is_symlink():
+            shutil.rmtree(place / name, ignore_errors=True)
+        else:
+            (place / name).unlink(missing_ok=True)
 
 
 def _save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Path]:

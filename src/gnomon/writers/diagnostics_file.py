@@ -6,6 +6,7 @@ A list of candidates is one array for each field, such as "trials.rotation_rms".
 
 import io
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from os import PathLike
@@ -17,7 +18,9 @@ from numpy.typing import NDArray
 from ..diagnostics import CameraImuDiagnostics, ImuDiagnostics
 from ..output import atomic_file
 
-_LEVEL = 1  # corners with noise hardly shrink: higher levels take twice the time for a twentieth of the size
+_LEVEL = 1  # higher levels take twice the time for a twentieth of the size
+_SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,
+_WORTH = 0.75  # to this share at least: readings with noise hardly do, and would take most of the time
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 
 
@@ -34,7 +37,14 @@ def save_diagnostics(diagnostics: ImuDiagnostics | CameraImuDiagnostics, path: s
             content = io.BytesIO()
             np.lib.format.write_array(content, array, allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
-            archive.writestr(entry, content.getbuffer(), zipfile.ZIP_DEFLATED, _LEVEL)
+            packing = zipfile.ZIP_DEFLATED if _shrinks(content.getbuffer()) else zipfile.ZIP_STORED
+            archive.writestr(entry, content.getbuffer(), packing, _LEVEL)
+
+
+def _shrinks(content: memoryview) -> bool:
+    start = max(0, (len(content) - _SAMPLE) // 2)
+    sample = content[start : start + _SAMPLE]
+    return len(zlib.compress(sample, _LEVEL)) < _WORTH * len(sample)
 
 
 def diagnostic_arrays(node: Any, path: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
