@@ -70,6 +70,7 @@ _SECTIONS = {
         "save",
         "save_camera_imu_files",
         "load",
+        "load_foreign",
         "convert",
         "write_report",
         "simulate",
@@ -85,6 +86,7 @@ _SECTIONS = {
         "AccelerometerCalibration",
         "GyroscopeCalibration",
         "CameraCalibration",
+        "ForeignCalibration",
         "Covariance",
         "Finding",
         "Loss",
@@ -271,7 +273,7 @@ def _signature(function: Any) -> str:
     """Return the signature as its source has it; text from the interpreter differs between versions of Python."""
     node = _definition(function)
     arguments = ast.unparse(node.args).removeprefix("self, ").removeprefix("cls, ")
-    arguments = "" if arguments in ("self", "cls") else arguments.replace("'", '"')
+    arguments = "" if arguments in ("self", "cls") else arguments.replace("'", '"').replace("=_NO_TOPICS", "={}")
     returns = f" -> {ast.unparse(node.returns)}".replace("'", "").replace('"', "") if node.returns else ""
     one_line = f"({arguments}){returns}"
     return one_line if len(one_line) < 90 else "(\n    " + ",\n    ".join(_split(arguments)) + f",\n){returns}"

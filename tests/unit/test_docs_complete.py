@@ -6,7 +6,9 @@ import importlib.util
 import io
 import re
 import shlex
+import shutil
 import typing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +16,17 @@ import pytest
 import yaml
 
 import gnomon
+from gnomon.calibrate import corner_cache
 from gnomon.calibration import parameters
 from gnomon.cli import main
-from gnomon.cli.commands import COMMANDS
+from gnomon.cli.commands import COMMANDS, RecordingForm
 from gnomon.cli.parse import parse
+from gnomon.readers import kalibr_camchain, kalibr_target
 from gnomon.readers.calibration_cameras import SIGMAS
+from gnomon.readers.image_file import IMAGE_SUFFIXES
+from gnomon.readers.image_pixels import ENCODINGS
 from gnomon.readers.npz import __doc__ as npz_keys
+from gnomon.recording import FrameQuality
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.conversion import FORMATS
 from gnomon.writers.diagnostics_file import diagnostic_arrays
@@ -66,7 +73,16 @@ def result():
 @pytest.fixture(scope="module")
 def rig_result():
     made = gnomon.simulate_camera_imu(WAVED, seed=2)
-    return gnomon.calibrate_camera_imu(made.recording, made.target, gnomon.CameraImuOptions(compare=True))
+    cameras = {name: as_if_from_images(frames) for name, frames in made.recording.cameras.items()}
+    recording = replace(made.recording, cameras=cameras)
+    return gnomon.calibrate_camera_imu(recording, made.target, gnomon.CameraImuOptions(compare=True))
+
+
+def as_if_from_images(frames):
+    """Return frames of which it is known what the images were like."""
+    each = np.full(len(frames.t_ns), 0.7)
+    quality = FrameQuality(blur_px=each, black=30 * each, white=250 * each, dropped={"near the border": 3})
+    return replace(frames, quality=quality, sigma_px=np.full(len(frames.frame), 0.3))
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +169,8 @@ def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
     alone, with_cameras = section.split("Of cameras and an IMU")
     assert documented_keys(alone) == {name for name, _ in diagnostic_arrays(result.diagnostics)}
-    names = {name for name, _ in diagnostic_arrays(rig_result.diagnostics)}
+    names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name, _ in diagnostic_arrays(rig_result.diagnostics)}
+    assert "corners.cam0.quality.dropped.REASON" in names
     twins = {name for name in names if name.split(".")[-1] == "cam1" or ".cam1." in name or "accelerometer" in name}
     assert {name.replace("cam1", "cam0").replace("accelerometer", "gyroscope") for name in twins} < names
     assert documented_keys(with_cameras) == names - twins
@@ -177,6 +194,30 @@ def test_every_board_and_lens_is_documented():
         choices = typing.get_args(typing.get_type_hints(gnomon.CameraImuScenario)[field])
         assert len(choices) > 2
         assert {choice for choice in choices if f"`{choice}`" not in inputs} == set()
+
+
+def test_every_kind_of_image_and_of_recording_is_documented():
+    section = text("files.md").split("## Camera-IMU recordings")[1].split("\n## ")[0]
+    encodings = section.split("### Encodings")[1].split("\n### ")[0]
+    listed = set(re.findall(r"`(\w+)`", encodings))
+    listed |= {f"{name.removesuffix('8')}16" for name in listed if name.startswith("bayer_")}  # "the same four with 16"
+    assert set(ENCODINGS) == listed - {"16"}
+    kinds = {".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF"}
+    assert {kinds.get(suffix, suffix[1:].upper()) for suffix in IMAGE_SUFFIXES} <= set(
+        re.findall(r"[A-Z]{3,4}", section)
+    )
+    written = text("files.md").split("**Recordings.**")[1].split("\n## ")[0]
+    assert {name for name in typing.get_args(RecordingForm) if f"| `{name}` |" not in written} == set()
+    kept = section.split("### The corner cache")[1]
+    assert documented_keys(kept) == {*corner_cache._ARRAYS, "told"}
+
+
+def test_every_key_of_a_board_is_documented():
+    inputs = text("files.md").split("## Kalibr's files")[1].split("\n## ")[0]
+    keys = {key for _, values in kalibr_target._BOARDS.values() for key in values}
+    assert len(keys) > 8
+    keys |= {*kalibr_target._FIRST_TAG, kalibr_target._BORDER, *kalibr_camchain._SIGMAS}
+    assert {key for key in keys if f"`{key}`" not in inputs} == set()
 
 
 def test_every_npz_key_and_export_format_is_documented():
@@ -223,7 +264,8 @@ def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = list(shell_commands(DOCS / "tutorial.md"))
     alone = ["simulate", "check", "imu", "show", "apply", "convert"]
-    assert [words[0] for words in commands] == [*alone, "simulate-camera-imu", "camera-imu", "show", "apply"]
+    with_cameras = ["simulate-camera-imu", "check", "camera-imu", "show", "convert", "apply", "convert"]
+    assert [words[0] for words in commands] == alone + with_cameras
     for words in commands:
         run(words)
     for part in ("first", "second"):
@@ -243,13 +285,18 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, seed in (("log.csv", 1), ("flight.csv", 2)):
         run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
-    run(["simulate-camera-imu", "-o", "rig", *RIG])
+    run(["simulate-camera-imu", "-o", "rig", "--images", *RIG])
+    run(["convert", "rig", "--to", "ros1", "-o", "rig.bag"])
+    for name in ("camchain.yaml", "imu.yaml", "target.yaml"):
+        shutil.copy(f"rig/{name}", name)
     page = ROOT / "README.md"
     commands = list(shell_commands(page))
-    with_cameras = ["camera-imu", "show", "camera-imu", "camera-imu", "simulate-camera-imu"]
-    assert [words[0] for words in commands] == ["check", "imu", "show", "apply", "convert", *with_cameras]
+    alone, calibrated = ["check", "imu", "show", "apply", "convert"], ["camera-imu", "show", "camera-imu", "camera-imu"]
+    with_cameras = ["camera-imu", "check", *calibrated, "convert", "convert", "simulate-camera-imu"]
+    assert [words[0] for words in commands] == alone + with_cameras
     for words in commands:
-        run(words + ["--no-report"] * (words[0] == "camera-imu" and "-o" in words))
+        once = words[:2] == ["camera-imu", "rig"] and "-o" not in words
+        run(words + ["--no-report"] * (words[0] == "camera-imu" and not once))
     for block in PYTHON.findall(page.read_text(encoding="utf-8")):
         with contextlib.redirect_stdout(io.StringIO()):
             exec(compile(block, "README.md", "exec"), {})
