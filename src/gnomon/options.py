@@ -118,9 +118,29 @@ class CameraImuOptions:
 
     def __post_init__(self) -> None:
         _check_place(self.gravity, self.latitude)
+        for text in self.prior:
+            stated_prior(text)
         _check_positive(
             self, ("pixel_sigma", "knots_per_s", "accelerometer_range", "gyroscope_range", "max_iterations")
         )
+
+
+def stated_prior(text: str) -> tuple[str, float]:
+    """Return name and standard deviation of a prior, from NAME=SIGMA.
+
+    Raises
+    ------
+    OptionError
+        If it is not of this form, or the standard deviation is not greater than zero.
+    """
+    name, equals, value = text.partition("=")
+    try:
+        sigma = float(value)
+    except ValueError:
+        sigma = float("nan")
+    if not equals or not 0 < sigma < float("inf"):
+        raise OptionError(f"--prior {text}: expected NAME=SIGMA with SIGMA greater than zero, as cam0.intrinsics=2.")
+    return name, sigma
 
 
 def _check_place(gravity_m_s2: float | None, latitude_deg: float | None) -> None:

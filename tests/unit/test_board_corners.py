@@ -243,3 +243,32 @@ def test_a_camera_clock_that_drifts_is_found_when_a_bag_is_read(views, monkeypat
     (finding,) = read.findings
     assert finding.code == "clock-drift"
     assert "+499 +- 0.86 ppm" in finding.message  # +500 by truth
+
+
+@pytest.mark.parametrize(("stated", "said"), [(0.5, "0.5"), (0.25, "0.25")])
+def test_another_gap_between_the_tags_is_named(views, stated, said):
+    board = Target.aprilgrid(tag_cols=3, tag_rows=3, tag_size_m=0.08, tag_spacing=stated)
+    message = (
+        rf"cam0: in the images the gap between the tags is 0\.30 of the side of a tag, but .* tagSpacing: {said}\."
+    )
+    with pytest.raises(DetectionError, match=message):
+        detect_corners(camera(frames(views)), board)
+
+
+def test_another_number_of_columns_is_named(views):
+    board = Target.aprilgrid(tag_cols=4, tag_rows=3, tag_size_m=0.08, tag_spacing=0.3)
+    with pytest.raises(DetectionError, match=r"The stated board differs: .*columns"):
+        detect_corners(camera(frames(views)), board)
+
+
+def test_the_gap_is_measured_whatever_the_perspective():
+    from gnomon.detect.aprilgrid import detect_aprilgrid
+    from gnomon.detect.tag_spacing import tag_spacing
+    from rendered import rendered_views
+
+    board = Target.aprilgrid(tag_cols=6, tag_rows=5, tag_size_m=0.08, tag_spacing=0.37)
+    seen = [detect_aprilgrid(view.image, board) for view in rendered_views(board, 6, 3)]
+    found = tag_spacing(seen, board)
+    assert found is not None
+    assert abs(found - 0.37) < 0.005
+    assert tag_spacing(seen[:0], board) is None

@@ -30,7 +30,7 @@ _BLURRED_SHARE, _SOME_BLURRED = 0.2, 0.03
 _BADLY_LIT_SHARE = 0.2
 _RARE, _SOMETIMES = 0.6, 0.9
 _DROPPED_SHARE, _SOME_DROPPED = 0.3, 0.02
-_UNCERTAIN_PX = 0.3  # three to ten times what sharp images give
+_UNCERTAIN_PX = 0.12  # three to ten times what sharp images give
 _AT_EDGE = 0.1  # of the image's smaller side
 _SIDES = ("left", "top", "right", "bottom")
 

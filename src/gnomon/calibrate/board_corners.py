@@ -14,12 +14,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 
-import cv2
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..detect.aprilgrid import detect_aprilgrid
-from ..detect.board import BoardView, nothing_seen
+from ..detect.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
+from ..detect.tag_spacing import tag_spacing
 from ..errors import DetectionError, OptionError, RecordingError
 from ..images import Frame, Grey, ImageStream
 from ..models.target import Target
@@ -33,7 +32,8 @@ _RUN = 8  # consecutive frames that one worker takes; bounds the memory
 _WAITING = 2  # runs for each worker that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show
 _TOLD = 10  # times that progress is told
-_MISPLACED, _MANY = "not where its neighbours say", 0.15  # corners that were dropped for this, of all that were found
+_MANY = 0.15  # share of the corners that are not where their neighbours say, from which on the board is doubted
+_OTHER_GAP = 0.03  # of the side of a tag
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,6 +96,7 @@ def detect_corners(
     seen: list[_Seen] = []
     step = max(images.stream.count // _TOLD, 1)
     for item in _all_frames(images.stream.frames(notes), target, workers or os.cpu_count() or 1):
+        _check_size(images, item, seen)
         if len(seen) % step == 0:
             of = f" of {images.stream.count}" if images.stream.count else ""
             tell(f"finding the board in the images of {images.name}: {len(seen)}{of}")
@@ -114,7 +115,9 @@ def detector(target: Target) -> Detector:
     OptionError
         If boards of this kind cannot be found in images.
     """
-    if target.kind == "aprilgrid":
+    if target.kind == "aprilgrid":  # the detectors load OpenCV, which corners from the cache do not need
+        from ..detect.aprilgrid import detect_aprilgrid
+
         return lambda image: detect_aprilgrid(image, target)
     if target.kind == "checkerboard":
         from ..detect.checkerboard import CheckerboardTracker
@@ -145,6 +148,8 @@ def _all_frames(source: Iterator[Frame], target: Target, workers: int) -> Iterat
 @contextmanager
 def _one_thread_each() -> Generator[None]:
     """Let the libraries below use one thread: the images already share the cores."""
+    import cv2
+
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -168,6 +173,18 @@ def _seen(frame: Frame, find: Detector) -> _Seen:
     return _Seen(t_ns=frame.t_ns, view=find(image), size=(width, height))
 
 
+def _check_size(images: CameraImages, item: _Seen, before: list[_Seen]) -> None:
+    wanted = images.known.camera.resolution
+    if item.size is None or item.size == wanted:
+        return
+    sizes = dict.fromkeys(size for size in (*(other.size for other in before), item.size) if size is not None)
+    found = " and ".join(f"{width} x {height}" for width, height in sizes)
+    raise RecordingError(
+        f"{images.name}: the images are of {found} px, but its intrinsics are for {wanted[0]} x {wanted[1]} px. "
+        "Give the intrinsics of this camera at this image size."
+    )
+
+
 def _check(images: CameraImages, seen: list[_Seen], target: Target, notes: list[str]) -> None:
     """Refuse images that are of no use, and note those that were left out."""
     name = images.name
@@ -176,42 +193,38 @@ def _check(images: CameraImages, seen: list[_Seen], target: Target, notes: list[
     damaged = [item.damage for item in seen if item.size is None]
     if len(damaged) == len(seen):
         raise RecordingError(
-            f"{name}: none of the {len(seen)} images can be read. The first: {damaged[0]} "
-            "Copy the recording again."
+            f"{name}: none of the {len(seen)} images can be read. The first: {damaged[0]} Copy the recording again."
         )
     if damaged:
         notes.append(
             f"{name}: {len(damaged)} of {len(seen)} images cannot be read and were left out. The first: {damaged[0]}"
-        )
-    sizes = Counter(item.size for item in seen if item.size is not None)
-    wanted = images.known.camera.resolution
-    if set(sizes) != {wanted}:
-        found = " and ".join(f"{width} x {height}" for width, height in sizes)
-        raise RecordingError(
-            f"{name}: the images are of {found} px, but its intrinsics are for {wanted[0]} x {wanted[1]} px. "
-            "Give the intrinsics of this camera at this image size."
         )
     if not any(len(item.view) for item in seen):
         raise DetectionError(
             f"{name}: the board of the target file, {target.describe()}, is in none of {len(seen)} images. "
             f"{_what_they_show(images.stream, len(seen), target)}"
         )
-    _check_board(images, seen, target)
+    _check_board(images, [item.view for item in seen], target)
 
 
-def _check_board(images: CameraImages, seen: list[_Seen], target: Target) -> None:
-    """Refuse an AprilGrid with another number of columns or another first tag than the images show."""
-    from ..detect.board_guess import DIFFERS
-
-    found = sum(len(item.view) for item in seen)
-    misplaced = sum(item.view.dropped.get(_MISPLACED, 0) for item in seen)
-    if misplaced <= _MANY * (found + misplaced):
+def _check_board(images: CameraImages, views: list[BoardView], target: Target) -> None:
+    """Refuse an AprilGrid that the images contradict: other columns, another first tag, or another gap."""
+    if target.kind != "aprilgrid":
         return
-    shown = _what_they_show(images.stream, len(seen), target)
-    if DIFFERS in shown:
+    found = sum(len(view) for view in views)
+    misplaced = sum(view.dropped.get(NOT_WITH_NEIGHBOURS, 0) for view in views)
+    if misplaced > _MANY * (found + misplaced):
+        shown = _what_they_show(images.stream, len(views), target)
+        if DIFFERS in shown:
+            raise DetectionError(
+                f"{images.name}: {misplaced} of {found + misplaced} corners are not where the board of the target "
+                f"file, {target.describe()}, has them in these images. {shown} Correct the target file."
+            )
+    gap = tag_spacing(views, target)
+    if gap is not None and abs(gap - target.tag_spacing) > _OTHER_GAP:
         raise DetectionError(
-            f"{images.name}: {misplaced} of {found + misplaced} corners are not where the board of the target file, "
-            f"{target.describe()}, has them in these images. {shown} Correct the target file."
+            f"{images.name}: in the images the gap between the tags is {gap:.2f} of the side of a tag, but the target "
+            f"file says tagSpacing: {target.tag_spacing:g}. Measure the board, and correct the file."
         )
 
 

@@ -22,6 +22,7 @@ from .topics import topics_of
 
 if TYPE_CHECKING:
     from ..diagnostics import Result
+    from ..recording import Recording
 
 _INPUTS = {
     "cam": ("camchain.yaml", "the cameras and their intrinsics"),
@@ -54,7 +55,7 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
             cache=folder if command.cache else None,
             progress=terminal.progress,
         )
-        recording = replace(recording, assumptions=(*taken, *recording.assumptions))
+        recording = replace(recording, assumptions=(*taken, *_noise_note(recording), *recording.assumptions))
         terminal.close()
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
         options = replace(command.options, compare=command.options.compare or command.report)
@@ -88,13 +89,18 @@ def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[st
     names = [_INPUTS[option][0] for option in found]
     taken = [f"{_listed(names)} in the recording's folder {'is' if len(names) == 1 else 'are'} used."] if names else []
     if files["target"] is None:
-        name, meaning = _INPUTS["target"]
         raise OptionError(
-            f"--target is missing: Kalibr's file of {meaning}. Name it, or put it into {folder} as {name}."
+            f"--target is missing: the file that describes the board. Name it, or put it into {folder} as target.yaml; "
+            "of an AprilGrid it holds five lines, such as target_type: aprilgrid, tagCols: 6, tagRows: 6, "
+            "tagSize: 0.088 (metres), tagSpacing: 0.3 (gap over tagSize)."
         )
-    if files["imu"] is None:
-        taken.append("no imu.yaml was given: the noise of a consumer IMU is assumed until the residuals tell it.")
     return files, tuple(taken)
+
+
+def _noise_note(recording: "Recording") -> tuple[str, ...]:
+    if all(samples.noise is not None for samples in recording.imus.values()):
+        return ()
+    return ("no imu.yaml was given: the noise of a consumer IMU is assumed until the residuals tell it.",)
 
 
 def _listed(names: list[str]) -> str:

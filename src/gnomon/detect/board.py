@@ -9,6 +9,12 @@ import numpy as np
 
 from ..recording import Floats, Integers, frozen_array
 
+NOT_WITH_NEIGHBOURS = "not where its neighbours say"
+"""Reason for which corners of tags are left out."""
+
+DIFFERS = "The stated board differs"
+"""Where this is said of images, they show an AprilGrid that is not the stated one."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardView:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..images import Grey
 from ..models.target import Target
 from ..recording import Floats, Integers
+from .board import DIFFERS
 from .checkerboard import board_near, reduced, search_scale
 from .checkerboard_grid import completed
 from .lattice import Lattice, find_lattices
@@ -28,9 +29,6 @@ _FLAT = 6.0  # grey levels from the darkest to the brightest part of an image th
 _FEWEST_GAPS, _SPACING = 6, 0.03  # to tell the gap between tags, and by how much it may be off at least, over the tag
 _STRAIGHT, _FARTHEST = 0.3, 2.6  # how far from a line, and from each other, the middles of neighbours may be, in tags
 _BORDERS = (2, 1)
-
-DIFFERS = "The stated board differs"
-"""Where this is said, the images show an AprilGrid that is not the stated one."""
 
 
 def guess_board(images: Sequence[Grey], stated: Target) -> str:

@@ -152,7 +152,7 @@ def measured(image: Grey, board: Board) -> BoardView:
     limits = np.array([image.shape[1] - 1, image.shape[0] - 1]) - BORDER_PX
     inside = ((guess >= BORDER_PX) & (guess <= limits)).all(axis=1)
     crossing = (board.clear | ~board.known).ravel()
-    dropped["near the image's border"] = int((~inside).sum())
+    dropped["near the border"] = int((~inside).sum())
     dropped["not black and white in turn"] = int((inside & ~crossing).sum())
     numbers = numbers[inside & crossing]
     rows, cols = np.divmod(numbers, grid.shape[1])
@@ -163,7 +163,7 @@ def measured(image: Grey, board: Board) -> BoardView:
     fits = fit_corners(image, guess[numbers], edges, _RADIUS * height[numbers])
     near = np.linalg.norm(fits.pixels - guess[numbers], axis=1) < _FARTHEST * height[numbers]
     good = fits.good & near
-    dropped["blurred, or not a corner's picture"] = int((~good).sum())
+    dropped["blurred or covered"] = int((~good).sum())
     chosen = fits.only(good)
     if len(chosen) < _FEWEST:
         return nothing_seen(+dropped)

@@ -4,7 +4,7 @@ import difflib
 from dataclasses import dataclass
 
 from ...errors import OptionError
-from ...options import CameraImuOptions
+from ...options import CameraImuOptions, stated_prior
 from .parameters import Block, Parameters, Status, blocks
 
 _MODEL_BLOCKS = {
@@ -57,7 +57,7 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
                 status[scalar] = "estimated" if option == "free" else "fixed"
                 sigma.pop(scalar, None)
     for text in options.prior:
-        name, value = _prior(text)
+        name, value = stated_prior(text)
         for scalar in _scalars(name, "prior", all_blocks, stated):
             status[scalar], sigma[scalar] = "prior", value
     return Choices(status=status, prior_sigma=sigma)
@@ -85,14 +85,3 @@ def _scalars(name: str, option: str, all_blocks: tuple[Block, ...], stated: dict
         if stated.setdefault(scalar, option) != option:
             raise OptionError(f"--{option} {name}: {scalar} is also in --{stated[scalar]}. Keep one of them.")
     return found
-
-
-def _prior(text: str) -> tuple[str, float]:
-    name, equals, value = text.partition("=")
-    try:
-        sigma = float(value)
-    except ValueError:
-        sigma = float("nan")
-    if not equals or not 0 < sigma < float("inf"):
-        raise OptionError(f"--prior {text}: expected NAME=SIGMA with SIGMA greater than zero, as cam0.intrinsics=2.")
-    return name, sigma
