@@ -1,6 +1,6 @@
 """What `gnomon convert` does: with a calibration, and with a recording of cameras as images."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
@@ -56,6 +56,7 @@ def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
         imu_table=command.imu_table,
         need_imu=False,
     )
+    recording = _with_lenses(recording, command.path)
     terminal.close()
     say_assumptions(recording.assumptions, terminal)
     notes = _write(recording, output, command.to, terminal)
@@ -65,6 +66,22 @@ def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
         terminal.say(f"note:    {note}")
     terminal.document({"files": [str(output)], "assumptions": list(recording.assumptions), "notes": notes})
     return USABLE
+
+
+def _with_lenses(recording: "ImageRecording", path: Path) -> "ImageRecording":
+    """Return the recording with the lenses of camchain.yaml in its folder, where it states none itself."""
+    from ..readers.sensor_inputs import read_cameras
+
+    file = (path if path.is_dir() else path.parent) / "camchain.yaml"
+    if not file.is_file() or all(stream.camera is not None for stream in recording.streams.values()):
+        return recording
+    notes: list[str] = [f"{file.name} in the recording's folder tells the lenses."]
+    known = read_cameras(file, notes)
+    streams = {
+        name: replace(stream, camera=known[name].camera) if stream.camera is None and name in known else stream
+        for name, stream in recording.streams.items()
+    }
+    return replace(recording, streams=streams, assumptions=(*recording.assumptions, *notes))
 
 
 def _write(recording: "ImageRecording", output: Path, form: str, terminal: Terminal) -> list[str]:
