@@ -17,7 +17,7 @@ count where the model says that they should not be.
 """
 
 from dataclasses import dataclass, fields
-from typing import Any, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -25,34 +25,36 @@ from numpy.typing import NDArray
 
 from ..images import Grey
 from ..recording import Floats, Integers
+from .corner_windows import SATURATED, Booleans, Grid, Singles, Windows, arms_of, disc, gathered, grid_around
 
-Singles = NDArray[np.floating[Any]]
-Booleans = NDArray[np.bool_]
 CornerKind = Literal["crossing", "tip"]
 
-LARGEST_RADIUS_PX = 5
+LARGEST_RADIUS_PX = 4.5
 SMALLEST_RADIUS_PX = 2.0
 LONGEST_ARM_PX = 9.0
 """How far the edges of a tip are looked at."""
 
 _PARAMETERS = 9
-_ITERATIONS = 7
+_ITERATIONS, _SOON, _MOST = 5, 2, 0.8
 _SUBPIX = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 4, 0.03)
-_CONVERGED = np.array([0.02, 0.02, 0.05, 0.05, 0.06, 0.06])  # px, rad, px; the next step would be its square
-_FIRST_BLUR_PX = (0.35, 2.5)
+_CONVERGED = np.array([0.02, 0.02, 0.08, 0.08, 0.15, 0.15])  # px, rad, px; the next step would be its square
+_FIRST_BLUR_PX, _SLOPE_TO_BLUR = (0.35, 2.5), 0.85  # the steepest slope is not on a pixel
 _BLUR_PX = (0.2, 4.0)
 _LARGEST_CORRELATION = 0.95
 _WIDEST_BLUR = 0.75  # of the window's radius
 _LONGEST_STEP = np.array([1.0, 1.0, 0.35, 0.35, 0.5, 0.5, 0.5])
-_FARTHEST_PX, _FARTHEST = 3.0, 0.8  # in px, and of the window's radius
+_FARTHEST = 0.95  # from the guess, over the radius of the window
 _LEAST_CONTRAST = 8.0  # grey levels between black and white
 _MISFIT = 0.12  # rms of the residuals over the contrast
+_UNBLURRED, _SHARP_PX = 1.8, 0.1  # blurs that what is inside of a tip is kept away from, beyond the radius
+_CROWDED, _CROWDING = (2.2, 3.5), 0.1  # radius of the window of a tip over its blur
+_HOPELESS = 0.3  # the same, after a few iterations
+_LARGEST_SIGMA_PX = 0.25
 _LEAST_SINE = 0.3  # between the edges
 _DAMPING = 1e-4
 _BLURS_ALIKE_PX, _CORRELATION_KNOWN = 0.5, 0.5  # before the picture is looked at
 _NOISE = 0.02  # of the contrast, for the weight of what is known before
-_FAR = np.float32(8.0)
-_SATURATED = 255
+_FAR = np.float32(60.0)  # squared, in units of the blur
 _MODEL_SIGMA_PX = 0.005  # what a straight edge and a Gaussian blur leave out
 
 
@@ -96,27 +98,6 @@ def joined(first: CornerFits, second: CornerFits) -> CornerFits:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Windows:
-    """Pixels around the corners, (m, n), and their weights; their places relative to the middle, (m, n) or (1, n)."""
-
-    values: Singles
-    x: Singles
-    y: Singles
-    weight: Singles
-
-    def only(self, chosen: NDArray[np.integer]) -> "_Windows":
-        if len(chosen) == len(self.values):
-            return self
-        own = len(self.x) > 1
-        return _Windows(
-            values=self.values[chosen],
-            x=self.x[chosen] if own else self.x,
-            y=self.y[chosen] if own else self.y,
-            weight=self.weight[chosen],
-        )
-
-
 def fit_corners(
     image: Grey,
     guess: Floats,
@@ -133,7 +114,7 @@ def fit_corners(
     image : (h, w)
     guess : (m, 2) where they are, to a pixel or two; a corner whose window leaves the image is no good
     edges : (m, 2, 2) directions of two edges, pointing from the corner along both sides of a black wedge
-    radius : of the window [px], which shall hold nothing but the corner; cut to 2 ... 5
+    radius : of the window [px], which shall hold nothing but the corner; cut to 2 ... 4.5
     kind : what meets there
     arm : how far along the edges of a tip there is nothing else within the radius [px]; cut to 9
     """
@@ -143,23 +124,39 @@ def fit_corners(
     image = np.ascontiguousarray(image)
     reach = np.clip(np.broadcast_to(np.asarray(radius, float), count), SMALLEST_RADIUS_PX, LARGEST_RADIUS_PX)
     arms = np.clip(np.broadcast_to(np.asarray(arm, float), count), reach, LONGEST_ARM_PX) if kind == "tip" else reach
-    middle = np.rint(guess).astype(np.int64)
-    patches, inside = _patches(image, middle, int(np.ceil(arms.max())))
+    height, width = image.shape
+    u, v = guess.T
+    inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)  # not where they are not numbers
+    middle = np.where(inside[:, None], np.rint(guess), 0).astype(np.int64)
     centre = _nearer(image, guess, inside, reach) - middle
-    windows = _disc(patches, reach) if kind == "crossing" else _arms(patches, centre, edges, reach, arms)
-    state = _start(patches, windows, centre, edges)
-    information, variance = np.zeros((count, _PARAMETERS, _PARAMETERS)), np.full(count, np.inf)
+    grid = grid_around(int(np.ceil(arms.max())))
+    values, seen = gathered(image, middle, grid)
+    state = _start(values, grid, centre, edges, reach)
+    if kind == "crossing":
+        windows = disc(values, seen, grid, reach)
+    else:
+        free = np.broadcast_to(np.asarray(radius, float), count)
+        inner = np.clip(free - _UNBLURRED * (state[:, _BLURS.start] - _SHARP_PX), 0.8, reach)
+        windows = arms_of(values, seen, grid, (centre, edges), (reach, inner, arms))
+    place, variance = np.zeros((count, 2, 2)), np.full(count, np.inf)
     active = np.flatnonzero(inside)
-    for _ in range(_ITERATIONS):
+    for k in range(_ITERATIONS):
         if not len(active):
             break
         normal, pixels = _normal_equations(windows.only(active), state[active], kind)
-        step = _step(normal, state[active])
-        information[active] = normal[:, :-1, :-1]
+        step, place[active] = _step(normal, state[active])
         variance[active] = _variance(normal, pixels, step)
         state[active] = _moved(state[active], step)
-        active = active[(np.abs(step[:, : _BLURS.stop]) > _CONVERGED).any(axis=1)]
-    return _judged(state, information, variance, start=guess - middle, middle=middle, reach=reach)
+        unsettled = (np.abs(step[:, : _BLURS.stop]) > _CONVERGED).any(axis=1)
+        if k >= _SOON:
+            unsettled &= variance[active] < np.square(_HOPELESS * 2 * state[active, _AMPLITUDE])
+        if unsettled.sum() < _MOST * len(active):  # to pick out a few less would cost more than it saves
+            active = active[unsettled]
+    place = _by_normals(state, _by_normals(state, place).transpose(0, 2, 1))
+    crowded = (
+        np.zeros(count) if kind == "crossing" else _crowding(state, np.broadcast_to(np.asarray(radius, float), count))
+    )
+    return _judged(state, place, variance, crowded, (guess - middle, middle, reach))
 
 
 def _no_fits() -> CornerFits:
@@ -169,59 +166,13 @@ def _no_fits() -> CornerFits:
     )
 
 
-def _patches(image: Grey, middle: Integers, half: int) -> tuple[Singles, Booleans]:
-    """Return the squares around the corners, (m, side, side), and which are inside of the image."""
-    height, width = image.shape
-    inside = (middle >= half).all(axis=1) & (middle[:, 0] < width - half) & (middle[:, 1] < height - half)
-    side = 2 * half + 1
-    if min(height, width) < side:
-        return np.zeros((len(middle), side, side), np.float32), np.zeros(len(middle), dtype=bool)
-    first = np.where(inside[:, None], middle, half) - half
-    offset = np.arange(side)
-    place = (first[:, 1] * width + first[:, 0])[:, None] + (offset[:, None] * width + offset).ravel()
-    return image.ravel().take(place).astype(np.float32).reshape(-1, side, side), inside
-
-
-def _disc(patches: Singles, reach: Floats) -> _Windows:
-    """Return the pixels of round windows."""
-    half = patches.shape[1] // 2
-    offset = np.arange(-half, half + 1, dtype=np.float32)
-    x, y = np.tile(offset, len(offset)), np.repeat(offset, len(offset))
-    distance = np.hypot(x, y)
-    near = distance < reach.max() + 0.5
-    weight = np.clip((reach[:, None] + 0.5).astype(np.float32) - distance[near], 0, 1)
-    return _Windows(values=patches.reshape(len(patches), -1)[:, near], x=x[None, near], y=y[None, near], weight=weight)
-
-
-def _arms(patches: Singles, centre: Floats, edges: Floats, reach: Floats, arms: Floats) -> _Windows:
-    """Return the pixels near either edge of tips."""
-    half = patches.shape[1] // 2
-    offset = np.arange(-half, half + 1, dtype=np.float32)
-    count = len(patches)
-    x, y = np.tile(offset, len(offset)), np.repeat(offset, len(offset))
-    place, single = centre.astype(np.float32), edges.astype(np.float32)
-    dx, dy = x - place[:, :1], y - place[:, 1:]
-    chosen = np.zeros(dx.shape, dtype=bool)
-    for i in (0, 1):
-        ex, ey = single[:, i, :1], single[:, i, 1:]
-        along, across = ex * dx + ey * dy, ex * dy - ey * dx
-        chosen |= (np.abs(across) <= reach[:, None]) & (along <= arms[:, None]) & (along >= -reach[:, None])
-    row, pixel = np.nonzero(chosen)
-    each = chosen.sum(axis=1)
-    slot = np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each)
-    index = np.zeros((count, max(int(each.max()), 1)), np.int64)
-    weight = np.zeros(index.shape, np.float32)
-    index[row, slot], weight[row, slot] = pixel, 1
-    values = np.take_along_axis(patches.reshape(count, -1), index, axis=1)
-    return _Windows(values=values, x=x[index], y=y[index], weight=weight)
-
-
 def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floats:
     """Return the corners to a tenth of a pixel or so, which saves iterations: where the gradients point past them."""
     nearer = guess.copy()
-    for half in (2, 3):
-        chosen = np.flatnonzero(inside & ((reach >= 3) == (half == 3)))
-        if len(chosen):
+    halves = reach.astype(np.int64)
+    for half in np.unique(halves).tolist():
+        chosen = np.flatnonzero(inside & (halves == half))
+        if len(chosen) and min(image.shape) >= 2 * half + 5:
             start = np.ascontiguousarray(guess[chosen, None], dtype=np.float32)
             nearer[chosen] = cv2.cornerSubPix(image, start, (half, half), (-1, -1), _SUBPIX)[:, 0]
     strayed = ~(np.abs(nearer - guess).max(axis=1) < _FARTHEST * reach)
@@ -234,55 +185,49 @@ def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floa
 _U, _V, _ANGLES, _BLURS, _RHO, _MID, _AMPLITUDE = 0, 1, slice(2, 4), slice(4, 6), 6, 7, 8
 
 
-def _start(patches: Singles, windows: _Windows, centre: Floats, edges: Floats) -> Floats:
-    within = windows.weight > 0.5
-    low = np.where(within, windows.values, 255).min(axis=1)
-    high = np.where(within, windows.values, 0).max(axis=1)
+def _start(values: Singles, grid: Grid, centre: Floats, edges: Floats, reach: Floats) -> Floats:
+    near = values[:, : int(np.searchsorted(grid.distance, reach.max() + 0.1))]
+    within = grid.distance[: near.shape[1]] <= reach[:, None] + 0.1
+    low, high = np.where(within, near, 255).min(axis=1), np.where(within, near, 0).max(axis=1)
     along = np.arctan2(edges[:, :, 1], edges[:, :, 0])
     turn = np.sign(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
     state = np.empty((len(centre), _PARAMETERS))
     state[:, :2] = centre
     state[:, _ANGLES] = along + (np.pi / 2) * np.stack([turn, -turn], axis=1)
-    state[:, _BLURS] = _blur(patches, high - low)[:, None]
+    state[:, _BLURS] = _blur(values, grid, high - low)[:, None]
     state[:, _RHO] = np.cos(state[:, 2] - state[:, 3]).clip(-_LARGEST_CORRELATION, _LARGEST_CORRELATION)
     state[:, _MID] = (low + high) / 2
     state[:, _AMPLITUDE] = (high - low) / 2
     return state
 
 
-def _blur(patches: Singles, contrast: Singles) -> Floats:
+def _blur(values: Singles, grid: Grid, contrast: Singles) -> Floats:
     """Return the blur that the steepest slope between black and white tells, (m,) [px]."""
-    half = patches.shape[1] // 2
-    k = slice(half - 2, half + 3)
-    by_x = patches[:, k, half - 1 : half + 4] - patches[:, k, half - 3 : half + 2] if half >= 3 else None
-    by_y = patches[:, half - 1 : half + 4, k] - patches[:, half - 3 : half + 2, k] if half >= 3 else None
-    if by_x is None or by_y is None:
-        return np.full(len(patches), 0.8)
-    slope = np.sqrt((by_x * by_x + by_y * by_y).max(axis=(1, 2))) / 2
+    by_x = values[:, grid.right] - values[:, grid.left]
+    by_y = values[:, grid.below] - values[:, grid.above]
+    slope = np.sqrt((by_x * by_x + by_y * by_y).max(axis=1)) / 2
     wide = contrast / (np.sqrt(2 * np.pi) * np.maximum(slope, 1e-3))
-    return np.sqrt(np.maximum(wide.astype(np.float64) ** 2 - 1 / 3, 0)).clip(*_FIRST_BLUR_PX)
+    return (_SLOPE_TO_BLUR * np.sqrt(np.maximum(wide.astype(np.float64) ** 2 - 1 / 3, 0))).clip(*_FIRST_BLUR_PX)
 
 
-def _normal_equations(windows: _Windows, state: Floats, kind: CornerKind) -> tuple[Floats, Floats]:
+def _normal_equations(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Floats, Floats]:
     """Return J'J with J'r as last row and column, (m, 10, 10), and how many pixels count (m,).
 
     The columns are offsets of the corner along both normals, angles, blurs, correlation, grey levels, residual.
     """
+    distances, leavers = _frame(windows.place, state)
     s = state.astype(np.float32)
-    cos, sin = np.cos(s[:, _ANGLES]), np.sin(s[:, _ANGLES])
-    dx, dy = windows.x - s[:, _U, None], windows.y - s[:, _V, None]
-    inverse = 1 / s[:, _BLURS]
-    a1, a2 = ((cos[:, i, None] * dx + sin[:, i, None] * dy) * inverse[:, i, None] for i in (0, 1))
-    picture, by_a1, by_a2, by_rho = _crossing_or_tip(a1, a2, s[:, _RHO, None], kind)
+    picture, by_distance, by_rho = _crossing_or_tip(distances, s[:, _RHO, None], kind)
     amplitude = s[:, _AMPLITUDE, None]
     model = s[:, _MID, None] - amplitude * picture
     weight = _unsaturated(windows, model)
     columns = np.empty((len(s), _PARAMETERS + 1, weight.shape[1]), dtype=np.float32)
     scale = weight * amplitude
-    for i, (by_a, a) in enumerate(((by_a1, a1), (by_a2, a2))):
-        q = np.multiply(scale * inverse[:, i, None], by_a, out=columns[:, i])
-        np.multiply(q, sin[:, i, None] * dx - cos[:, i, None] * dy, out=columns[:, 2 + i])
-        np.multiply(q, a, out=columns[:, 4 + i])
+    offsets = columns[:, :2]
+    np.multiply(by_distance, scale[:, None], out=offsets)
+    offsets *= (1 / s[:, _BLURS])[:, :, None]
+    np.multiply(offsets, leavers, out=columns[:, _ANGLES])
+    np.multiply(offsets, distances, out=columns[:, _BLURS])
     np.multiply(-scale, by_rho, out=columns[:, _RHO])
     columns[:, _MID] = weight
     np.multiply(-weight, picture, out=columns[:, _AMPLITUDE])
@@ -291,71 +236,106 @@ def _normal_equations(windows: _Windows, state: Floats, kind: CornerKind) -> tup
     return normal, np.square(weight).sum(axis=1)
 
 
-def _unsaturated(windows: _Windows, model: Singles) -> Singles:
+def _frame(place: Singles, state: Floats) -> tuple[Singles, Singles]:
+    """Return the distances from both edges in units of the blur, and from the corner along them in px, (m, 2, n)."""
+    cos, sin, blur = np.cos(state[:, _ANGLES]), np.sin(state[:, _ANGLES]), state[:, _BLURS]
+    u, v = state[:, _U, None], state[:, _V, None]
+    rows = np.empty((len(state), 4, 3), dtype=np.float32)
+    rows[:, :2, 0], rows[:, :2, 1], rows[:, :2, 2] = cos / blur, sin / blur, -(cos * u + sin * v) / blur
+    rows[:, 2:, 0], rows[:, 2:, 1], rows[:, 2:, 2] = sin, -cos, cos * v - sin * u
+    shared = len(place) == 1
+    both = (rows.reshape(-1, 3) @ place[0]).reshape(len(state), 4, -1) if shared else np.matmul(rows, place)
+    return both[:, :2], both[:, 2:]
+
+
+def _unsaturated(windows: Windows, model: Singles) -> Singles:
     """Return the weights without pixels that are as light, or as dark, as they can be where the model goes beyond."""
-    if windows.values.max() < _SATURATED and windows.values.min() > 0:
+    if not windows.saturated:
         return windows.weight
-    beyond = ((windows.values >= _SATURATED) & (model > _SATURATED - 0.5)) | ((windows.values <= 0) & (model < 0.5))
-    return np.where(beyond, np.float32(0), windows.weight)
+    beyond = ((windows.values >= SATURATED) & (model > SATURATED - 0.5)) | ((windows.values <= 0) & (model < 0.5))
+    return windows.weight * ~beyond
 
 
-def _crossing_or_tip(
-    a1: Singles, a2: Singles, rho: Singles, kind: CornerKind
-) -> tuple[Singles, Singles, Singles, Singles]:
-    """Return the picture, 1 in the black and -1 in the white, and its derivatives by both distances and by rho."""
-    (G1, phi1), (G2, phi2) = _normal_distribution(a1), _normal_distribution(a2)
-    both = phi1 * phi2
-    half_square = 0.5 * rho * rho
-    product = a1 * a2
-    bend = rho + half_square * product
-    bend1, bend2 = half_square * a2 - a1 * bend, half_square * a1 - a2 * bend
-    by_rho = 1 + rho * product
-    if kind == "crossing":
-        both *= 4
-        return G1 * G2 + both * bend, 2 * phi1 * G2 + both * bend1, 2 * phi2 * G1 + both * bend2, both * by_rho
-    both *= 2
-    black1, black2 = 0.5 * (1 + G1), 0.5 * (1 + G2)
-    picture = 2 * black1 * black2 - 1 + both * bend
-    return picture, 2 * phi1 * black2 + both * bend1, 2 * phi2 * black1 + both * bend2, both * by_rho
+def _crossing_or_tip(a: Singles, rho: Singles, kind: CornerKind) -> tuple[Singles, Singles, Singles]:
+    """Return the picture, 1 in the black and -1 in the white, (m, n), and its derivatives.
+
+    These are those by both distances `a` (m, 2, n), (m, 2, n), and by rho (m, 1), (m, n).
+    """
+    signed, phi = _normal_distribution(a)
+    both = phi[:, 0] * phi[:, 1]
+    both *= 4 if kind == "crossing" else 2
+    product = a[:, 0] * a[:, 1]
+    product *= rho
+    bend = rho * (1 + 0.5 * product)
+    by_a = (0.5 * rho * rho)[:, None] * a[:, ::-1]
+    by_a -= a * bend[:, None]
+    by_a *= both[:, None]
+    if kind == "tip":
+        signed = 0.5 * (1 + signed)
+    phi *= 2
+    phi *= signed[:, ::-1]
+    by_a += phi
+    picture = signed[:, 0] * signed[:, 1]
+    if kind == "tip":
+        picture = 2 * picture - 1
+    picture += both * bend
+    product += 1
+    both *= product
+    return picture, by_a, both
 
 
 def _normal_distribution(a: Singles) -> tuple[Singles, Singles]:
-    """Return 2 Phi(a) - 1 and phi(a); the former to 1.5e-7 (Abramowitz and Stegun 7.1.26)."""
-    a = np.clip(a, -_FAR, _FAR)  # beyond, there is nothing but denormal numbers, which are slow
-    exponential = np.exp(np.float32(-0.5) * a * a)
-    t = 1 / (1 + np.float32(0.3275911 / np.sqrt(2)) * np.abs(a))
-    series = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
-    return np.copysign(1 - series * exponential, a), exponential * np.float32(1 / np.sqrt(2 * np.pi))
+    """Return 2 Phi(a) - 1 and phi(a); the former to 2.5e-5 (Abramowitz and Stegun 7.1.25)."""
+    square = a * a
+    np.minimum(square, _FAR, out=square)  # beyond, there is nothing but denormal numbers, which are slow
+    square *= -0.5
+    exponential = np.exp(square, out=square)
+    t = np.abs(a)
+    t *= np.float32(0.47047 / np.sqrt(2))
+    t += 1
+    np.reciprocal(t, out=t)
+    series = t * np.float32(0.7478556)
+    series -= np.float32(0.0958798)
+    series *= t
+    series += np.float32(0.3480242)
+    series *= t
+    series *= exponential
+    exponential *= np.float32(1 / np.sqrt(2 * np.pi))
+    return np.copysign(1 - series, a), exponential
 
 
-def _step(normal: Floats, state: Floats) -> Floats:
-    """Return the Gauss-Newton step (m, 9), slightly damped and of bounded length.
+def _step(normal: Floats, state: Floats) -> tuple[Floats, Floats]:
+    """Return the Gauss-Newton step (m, 9), slightly damped and of bounded length, and the covariance of the offsets.
 
-    What the picture does not tell is taken from what is likely: alike blurs, and the correlation that goes with them.
+    That is for residuals of unit variance, (m, 2, 2). What the picture does not tell is taken from what is likely:
+    alike blurs, and the correlation that goes with them.
     """
-    matrix, side = normal[:, :-1, :-1].copy(), normal[:, :-1, -1].copy()
+    matrix = normal[:, :-1, :-1].copy()
+    sides = np.zeros((len(normal), _PARAMETERS, 3))
+    sides[:, :, 0], sides[:, 0, 1], sides[:, 1, 2] = normal[:, :-1, -1], 1, 1
     noise = np.square(_NOISE * 2 * state[:, _AMPLITUDE])
     alike, known = noise / _BLURS_ALIKE_PX**2, noise / _CORRELATION_KNOWN**2
     first, second = _BLURS.start, _BLURS.start + 1
     for i, j in ((first, second), (second, first)):
         matrix[:, i, i] += alike
         matrix[:, i, j] -= alike
-        side[:, i] += alike * (state[:, j] - state[:, i])
+        sides[:, i, 0] += alike * (state[:, j] - state[:, i])
     matrix[:, _RHO, _RHO] += known
-    side[:, _RHO] += known * (np.cos(state[:, 2] - state[:, 3]) - state[:, _RHO])
+    sides[:, _RHO, 0] += known * (np.cos(state[:, 2] - state[:, 3]) - state[:, _RHO])
     diagonal = np.einsum("mii->mi", matrix)
     diagonal *= 1 + _DAMPING
     diagonal += 1e-6
-    step = np.linalg.solve(matrix, side[:, :, None])[:, :, 0]
+    solved = np.asarray(np.linalg.solve(matrix, sides), dtype=np.float64)
+    step = solved[:, :, 0]
     longest = np.abs(step[:, : _RHO + 1] / _LONGEST_STEP).max(axis=1)
-    return step / np.maximum(longest, 1)[:, None]
+    return step / np.maximum(longest, 1)[:, None], solved[:, :2, 1:]
 
 
 def _variance(normal: Floats, pixels: Floats, step: Floats) -> Floats:
     """Return the variance of the residuals after the step, (m,)."""
-    before, slope = normal[:, -1, -1], np.einsum("mi,mi->m", normal[:, :-1, -1], step)
-    bend = np.einsum("mi,mij,mj->m", step, normal[:, :-1, :-1], step)
-    return np.maximum(before - 2 * slope + bend, 0) / np.maximum(pixels - _PARAMETERS, 1)
+    slope = (normal[:, :-1, -1] * step).sum(axis=1)
+    bend = (np.matmul(normal[:, :-1, :-1], step[:, :, None])[:, :, 0] * step).sum(axis=1)
+    return np.maximum(normal[:, -1, -1] - 2 * slope + bend, 0) / np.maximum(pixels - _PARAMETERS, 1)
 
 
 def _moved(state: Floats, step: Floats) -> Floats:
@@ -375,40 +355,40 @@ def _by_normals(state: Floats, offsets: Floats) -> Floats:
     return np.matmul(inverse.transpose(2, 0, 1), offsets)
 
 
+def _crowding(state: Floats, radius: Floats) -> Floats:
+    """Return by how much of its blur what is printed inside a tip may displace it, as was measured; inf for much."""
+    blurs = radius / state[:, _BLURS].max(axis=1)
+    return np.where(blurs < _CROWDED[0], np.inf, _CROWDING * np.clip((_CROWDED[1] - blurs) / np.ptp(_CROWDED), 0, 1))
+
+
 def _judged(
-    state: Floats, information: Floats, variance: Floats, *, start: Floats, middle: Integers, reach: Floats
+    state: Floats, place: Floats, variance: Floats, crowding: Floats, guessed: tuple[Floats, Integers, Floats]
 ) -> CornerFits:
+    start, middle, reach = guessed
     regular = np.isfinite(variance) & np.isfinite(state).all(axis=1)
     state = np.where(regular[:, None], state, 1.0)
     variance = np.where(regular, variance, 0.0)
     contrast = 2 * state[:, _AMPLITUDE]
     misfit = np.sqrt(variance) / np.maximum(contrast, 1)
     angles, blurs = state[:, _ANGLES], state[:, _BLURS]
+    fitted = np.maximum((place[:, 0, 0] + place[:, 1, 1]) / 2, 0) * variance
+    sigma = np.sqrt(fitted + _MODEL_SIGMA_PX**2 + np.square(crowding * blurs.max(axis=1)))
     good = (
         regular
-        & (np.linalg.norm(state[:, :2] - start, axis=1) < np.minimum(_FARTHEST_PX, _FARTHEST * reach))
+        & (np.hypot(*(state[:, :2] - start).T) < _FARTHEST * reach)
         & (contrast > _LEAST_CONTRAST)
         & (misfit < _MISFIT)
+        & (sigma < _LARGEST_SIGMA_PX)
         & (np.abs(np.sin(angles[:, 0] - angles[:, 1])) > _LEAST_SINE)
         & (blurs.min(axis=1) > 1.01 * _BLUR_PX[0])
         & (blurs.max(axis=1) < _WIDEST_BLUR * reach)
     )
-    place = _place_covariance(state, np.where(regular[:, None, None], information, np.eye(_PARAMETERS)))
     return CornerFits(
         pixels=middle + state[:, :2],
-        sigma_px=np.sqrt(np.maximum(np.einsum("mii->m", place) / 2, 0) * variance + _MODEL_SIGMA_PX**2),
+        sigma_px=sigma,
         blur_px=np.sqrt(np.square(blurs).mean(axis=1)),
         black=state[:, _MID] - state[:, _AMPLITUDE],
         white=state[:, _MID] + state[:, _AMPLITUDE],
         misfit=misfit,
         good=good,
     )
-
-
-def _place_covariance(state: Floats, information: Floats) -> Floats:
-    """Return the covariance (m, 2, 2) of the place of the corners for residuals of unit variance [px^2]."""
-    scale = 1 / np.sqrt(np.maximum(np.einsum("mii->mi", information), 1e-12))
-    unit = information * scale[:, :, None] * scale[:, None, :] + 1e-6 * np.eye(_PARAMETERS)
-    columns = np.broadcast_to(np.eye(_PARAMETERS)[:, :2], (len(unit), _PARAMETERS, 2))
-    offsets = np.linalg.solve(unit, columns)[:, :2] * scale[:, :2, None] * scale[:, None, :2]
-    return _by_normals(state, _by_normals(state, offsets).transpose(0, 2, 1))

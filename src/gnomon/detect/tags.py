@@ -19,9 +19,13 @@ BITS = 6
 FAMILY = 587
 """Number of tags."""
 
-_LEAST_LIKENESS = 0.72  # correlation with the code; other codes stay below 0.4
 _LEAST_CONTRAST = 8.0  # grey levels between the code's black and white
-_LIGHT_BORDER = 0.35  # how far from black to white the border may be
+_LIGHT_BORDER = 0.4  # how far from black to white the border may be
+_BLURS = (0.3, 0.6)  # of a code, in its cells
+_LEAST_LIKENESS = (0.72, 0.88)  # correlation with the code; others stay below 0.54 and 0.83
+_MARGIN = 0.06  # by which others of the family are less alike where the codes are blurred
+_FINE = 16  # pixels along a cell in which codes are blurred
+_MANY_CELLS = 12  # that tell one code from others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,13 +59,32 @@ def codes() -> Floats:
 
 
 @cache
-def _turned_codes(first: int, last: int) -> Floats:
+def _blurred_codes(blur: float, border_bits: int) -> Floats:
+    """Return all codes as pictures of tags that are blurred, in cells, (587, 6, 6); the light around takes part."""
+    edge = border_bits + 1
+    pictures = np.pad(
+        np.pad(codes(), ((0, 0), (border_bits,) * 2, (border_bits,) * 2)), ((0, 0), (1, 1), (1, 1)), constant_values=1
+    )
+    side = pictures.shape[1]
+    fine = (np.arange(side * _FINE) + 0.5) / _FINE - 0.5
+    kernel = np.exp(-0.5 * np.square((fine[:, None] - np.arange(side)) / blur))
+    kernel = kernel.reshape(side, _FINE, side).sum(axis=1)  # cell by cell that is looked at
+    kernel /= kernel.sum(axis=0)
+    blurred = np.einsum("ij,nik,kl->njl", kernel, pictures, kernel)
+    return blurred[:, edge : edge + BITS, edge : edge + BITS]
+
+
+@cache
+def _turned_codes(first: int, last: int, blur: float, border_bits: int) -> Floats:
     """Return the codes first ... last - 1 in all four attitudes, zero mean and unit length, (36, 4 (last - first))."""
-    pictures = codes()[first:last]
+    pictures = _blurred_codes(blur, border_bits)[first:last]
     turned = np.stack([np.rot90(pictures, k, axes=(1, 2)) for k in range(4)], axis=1)
-    flat = turned.reshape(-1, BITS * BITS)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    return np.ascontiguousarray((flat / np.linalg.norm(flat, axis=1, keepdims=True)).T)
+    return np.ascontiguousarray(_of_unit_length(turned.reshape(-1, BITS * BITS)).T)
+
+
+def _of_unit_length(cells: Floats) -> Floats:
+    centred = cells - cells.mean(axis=-1, keepdims=True)
+    return centred / np.maximum(np.linalg.norm(centred, axis=-1, keepdims=True), 1e-9)
 
 
 def read_tags(image: Grey, quads: Floats, *, border_bits: int = 2, first: int = 0, count: int = FAMILY) -> Tags:
@@ -77,21 +100,39 @@ def read_tags(image: Grey, quads: Floats, *, border_bits: int = 2, first: int = 
     last = min(first + count, FAMILY)
     if not len(quads) or last <= first:
         return Tags(number=np.empty(0, np.int64), corners=np.empty((0, 4, 2)), likeness=np.empty(0))
-    code, framed = _sampled(image, quads, border_bits)
-    scores = code @ _turned_codes(first, last)
-    best = scores.argmax(axis=1)
-    likeness = scores[np.arange(len(quads)), best]
-    found = np.flatnonzero(framed & (likeness > _LEAST_LIKENESS))
-    number, turn = np.divmod(best[found], 4)
+    cells = _cells(image, quads, border_bits)
+    framed = np.flatnonzero(_framed(cells, border_bits))
+    code = _of_unit_length(_code(cells[framed], border_bits))
+    best, likeness = np.zeros(len(code), np.int64), np.zeros(len(code))
+    for blur, least in zip(_BLURS, _LEAST_LIKENESS, strict=True):
+        open_ = np.flatnonzero(likeness == 0)
+        scores = code[open_] @ _turned_codes(first, last, blur, border_bits)
+        leading, score = scores.argmax(axis=1), scores.max(axis=1)
+        sure = np.flatnonzero(score > least)
+        if blur > _BLURS[0]:  # sharp codes are not alike
+            sure = sure[
+                _surest(code[open_[sure]], first + leading[sure] // 4, score[sure], _MARGIN, (blur, border_bits))
+            ]
+        best[open_[sure]], likeness[open_[sure]] = leading[sure], score[sure]
+    read = np.flatnonzero(likeness)
+    number, turn = np.divmod(best[read], 4)
     # A code that is turned by k quarters against the clock has its upper left corner at corner -k of the quadrilateral.
     order = (np.array([3, 2, 1, 0]) - turn[:, None]) % 4
-    return Tags(
-        number=number + first, corners=np.take_along_axis(quads[found], order[:, :, None], 1), likeness=likeness[found]
-    )
+    corners = np.take_along_axis(quads[framed[read]], order[:, :, None], 1)
+    return Tags(number=number + first, corners=corners, likeness=likeness[read])
+
+
+def _surest(code: Floats, number: Integers, score: Floats, margin: float, blurred: tuple[float, int]) -> np.ndarray:
+    """Return which codes are clearly less like all other tags of the family."""
+    scores = (code @ _turned_codes(0, FAMILY, *blurred)).reshape(-1, FAMILY, 4)
+    scores[np.arange(len(code)), number] = -1
+    return score > scores.max(axis=(1, 2)) + margin
 
 
 def likeness_of(image: Grey, corners: Floats, number: Integers, border_bits: int = 2) -> Floats:
-    """Return how much quadrilaterals look like given tags, (k,): the correlation with the code.
+    """Return how much quadrilaterals look like given tags, (k,): the correlation with the code, blurred or not.
+
+    Of a tag that is partly outside the image the rest is looked at; nan where that is too little.
 
     Parameters
     ----------
@@ -100,30 +141,54 @@ def likeness_of(image: Grey, corners: Floats, number: Integers, border_bits: int
     """
     if not len(number):
         return np.empty(0)
-    code, framed = _sampled(image, corners[:, ::-1], border_bits)
-    expected = _turned_codes(0, FAMILY)[:, 4 * number]
-    return np.where(framed, np.einsum("qi,iq->q", code, expected), 0.0)
+    cells, seen = _cells_and_seen(image, corners[:, ::-1], border_bits)
+    code, within = _code(cells, border_bits), _code(seen, border_bits)
+    count = within.sum(axis=1)
+    best = np.full(len(number), -1.0)
+    for blur in _BLURS:
+        expected = _turned_codes(0, FAMILY, blur, border_bits)[:, 4 * number].T
+        best = np.maximum(best, _correlation(code, expected, within, count))
+    return np.where(count >= _MANY_CELLS, best, np.nan)
 
 
-def _sampled(image: Grey, quads: Floats, border_bits: int) -> tuple[Floats, np.ndarray]:
-    """Return the code's samples with zero mean and unit length, (q, 36), and whether there is a black border around."""
+def _correlation(a: Floats, b: Floats, weight: Floats, count: Floats) -> Floats:
+    count = np.maximum(count, 1)
+    a, b = (x - ((x * weight).sum(axis=1) / count)[:, None] for x in (a, b))
+    product, square = (a * b * weight).sum(axis=1), (a * a * weight).sum(axis=1) * (b * b * weight).sum(axis=1)
+    return product / np.sqrt(np.maximum(square, 1e-9))
+
+
+def _cells(image: Grey, quads: Floats, border_bits: int) -> Floats:
+    """Return the grey levels in the middle of the cells of tags, (q, side, side)."""
+    return _cells_and_seen(image, quads, border_bits)[0]
+
+
+def _cells_and_seen(image: Grey, quads: Floats, border_bits: int) -> tuple[Floats, Floats]:
+    """Return the grey levels in the middle of the cells of tags, (q, side, side), 1 where these are in the image."""
     side = BITS + 2 * border_bits
     at = (np.arange(side) + 0.5) / side
     place = _on_quads(quads, np.tile(at, side), np.repeat(at, side)).astype(np.float32)
     mapped = cv2.remap(image, place[:, 0], place[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    cells = np.asarray(mapped, dtype=np.float64).reshape(-1, side, side)
+    height, width = image.shape
+    x, y = place[:, 0], place[:, 1]
+    seen = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    shape = (-1, side, side)
+    return np.asarray(mapped, dtype=np.float64).reshape(shape), seen.astype(np.float64).reshape(shape)
+
+
+def _code(cells: Floats, border_bits: int) -> Floats:
     inner = slice(border_bits, border_bits + BITS)
-    code = cells[:, inner, inner].reshape(len(quads), -1)
-    border = np.ones((side, side), dtype=bool)
-    border[inner, inner] = False
-    ring = cells[:, border]
-    centred = code - code.mean(axis=1, keepdims=True)
-    length = np.linalg.norm(centred, axis=1)
-    low, high = np.quantile(code, [0.1, 0.9], axis=1)
+    return cells[:, inner, inner].reshape(len(cells), BITS * BITS)
+
+
+def _framed(cells: Floats, border_bits: int) -> np.ndarray:
+    """Return whether there is something in cells with a black border around."""
+    border = np.ones(cells.shape[1:], dtype=bool)
+    border[border_bits : border_bits + BITS, border_bits : border_bits + BITS] = False
+    code, ring = np.sort(_code(cells, border_bits), axis=1), np.sort(cells[:, border], axis=1)
+    low, high, light = code[:, 3], code[:, -4], ring[:, (3 * ring.shape[1]) // 4]
     contrast = high - low
-    light = np.quantile(ring, 0.9, axis=1) - np.minimum(low, ring.mean(axis=1))
-    framed = (contrast > _LEAST_CONTRAST) & (light < _LIGHT_BORDER * contrast + 2)
-    return centred / np.maximum(length, 1e-9)[:, None], framed
+    return (contrast > _LEAST_CONTRAST) & (light < low + _LIGHT_BORDER * contrast + 2)
 
 
 def _on_quads(quads: Floats, s: Floats, t: Floats) -> Floats:
