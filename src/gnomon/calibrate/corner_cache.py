@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._version import __version__
 from ..errors import GnomonError
 from ..models.target import Target
 from ..output import atomic_file
@@ -23,7 +24,7 @@ from ..recording import CameraFrames, FrameQuality, Source
 from .board_corners import BoardCorners
 
 DETECTORS = 1
-"""Version of the detectors; to be raised whenever corners come out differently."""
+"""Version of the detectors within one of gnomon; to be raised whenever corners come out differently."""
 
 PREFIX, SUFFIX = "corners-", ".npz"
 _HASH = 16  # digits
@@ -34,7 +35,7 @@ def cache_file(folder: Path, images: tuple[Source, ...], camera: str, topic: str
     """Return the file in which the corners of one camera are kept."""
     size = [target.tag_size_m, target.tag_spacing, target.row_spacing_m, target.col_spacing_m, target.spacing_m]
     board = [target.kind, target.cols, target.rows, *size, target.asymmetric, target.border_bits, target.first_tag]
-    what = json.dumps([DETECTORS, [source.sha256 for source in images], camera, topic, board])
+    what = json.dumps([__version__, DETECTORS, [source.sha256 for source in images], camera, topic, board])
     return folder / f"{PREFIX}{camera}-{hashlib.sha256(what.encode()).hexdigest()[:_HASH]}{SUFFIX}"
 
 
