@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
+import recorded
 from gnomon.cli import main
 
 SCENARIO = gnomon.Scenario(intervals=24, t_init_s=20.0, hold_s=(3.0, 3.5), rate_hz=50.0)
@@ -54,3 +55,9 @@ def good_table():
 def recording(tmp_path, good_table, write_table):
     """The same as a file, alone in a folder."""
     return write_table(tmp_path / "recording.csv", good_table)
+
+
+@pytest.fixture(scope="session")
+def walks(tmp_path_factory):
+    """Small recordings of a rig as images, in every layout."""
+    return recorded.Walks(tmp_path_factory.mktemp)

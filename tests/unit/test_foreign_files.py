@@ -449,7 +449,7 @@ def test_binary_and_missing_files(tmp_path):
     (tmp_path / "x").write_bytes(b"\x89PNG\x00\xff\xfe")
     for path, message in (
         (tmp_path / "x", "no text file"),
-        (tmp_path / "y", "cannot be read"),
+        (tmp_path / "y", "there is no such file"),
         (tmp_path, "cannot be"),
     ):
         with pytest.raises(FormatError, match=message):

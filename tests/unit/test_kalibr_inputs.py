@@ -274,7 +274,7 @@ def test_no_mapping_and_no_file(write, tmp_path) -> None:
     for content in ("", "- 1\n", "just text\n"):
         with pytest.raises(FormatError, match="expected keys and values"):
             read_camchain(write(content))
-    with pytest.raises(FormatError, match=r"nowhere\.yaml: cannot be read"):
+    with pytest.raises(FormatError, match=r"nowhere\.yaml: there is no such file"):
         read_camchain(tmp_path / "nowhere.yaml")
     with pytest.raises(FormatError, match="stands here twice"):
         read_camchain(write("cam0:\n  resolution: [1, 2]\n  resolution: [1, 2]\n"))

@@ -647,7 +647,7 @@ def test_no_damage_ends_in_a_traceback(folder, name, damages, cut) -> None:
 def test_kalibrs_files_are_checked_first(folder) -> None:
     with pytest.raises(FormatError, match="This seems to be a target, which belongs to --target"):
         read(folder, cam=folder / "target.yaml")
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match="there is no such file"):
         read(folder, imu=folder / "nowhere.yaml")
 
 

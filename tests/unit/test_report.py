@@ -77,16 +77,6 @@ def test_same_result_gives_same_bytes_in_another_process(make_result, tmp_path):
     assert not re.search(rb"20\d\d-\d\d-\d\d", (tmp_path / "a.html").read_bytes())
 
 
-def test_a_style_of_the_user_changes_nothing(make_result, tmp_path):
-    import matplotlib as mpl
-
-    write_report(make_result(), tmp_path / "a.html")
-    with mpl.rc_context({"lines.linewidth": 9, "svg.fonttype": "path", "axes.facecolor": "red", "font.size": 30}):
-        write_report(make_result(), tmp_path / "b.html")
-        assert mpl.rcParams["font.size"] == 30
-    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
-
-
 @pytest.mark.parametrize(
     "name", ["<script>alert(1)</script>&\"'", "</style><img src=x onerror=alert(1)>", "{{ 7 * 7 }}", "ünï\udcff.csv"]
 )

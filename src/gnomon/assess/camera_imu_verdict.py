@@ -9,7 +9,7 @@ from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import CameraImuEvidence
 from .clock_drift import check_drift
-from .imu_verdict import gravity_findings, verdict_of, worst_first
+from .verdict import gravity_findings, verdict_of, worst_first
 
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = np.radians(0.1), np.radians(1.0)
 _TRANSLATION_WARN_M, _TRANSLATION_FAIL_M = 5e-3, 5e-2

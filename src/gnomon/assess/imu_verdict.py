@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..calibration import Assessment, Gravity, Holdout, Verdict
+from ..calibration import Assessment, Gravity, Holdout
 from ..diagnostics import ImuDiagnostics
 from ..estimate.multiposition_model import B_, BG_, CG_, G_, LOWER, S_
 from ..estimate.scaling import ImuEstimate
@@ -13,6 +13,7 @@ from ..options import ImuOptions
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .imu_tables import ImuEvidence, interval_numbers
+from .verdict import SEVERITIES, gravity_findings, verdict_of, worst_first
 
 _AXES = "xyz"
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
@@ -20,18 +21,6 @@ _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
 _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = 0.02, 0.2
 _UNIT_FACTOR = 1.5
-_ORDER = {"problem": 0, "warning": 1, "info": 2, "good": 3}
-
-
-def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
-    """Return fail where a problem was found, warn where a warning was, else pass."""
-    severities = {finding.severity for finding in findings}
-    return "fail" if "problem" in severities else "warn" if "warning" in severities else "pass"
-
-
-def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Return findings by severity, otherwise in their order."""
-    return tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity]))
 
 
 def assess(
@@ -159,7 +148,7 @@ def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Findi
     findings: list[Finding] = []
     for triad, scale, angle, cure in rows:
         grades = (_graded(scale, _SCALE_WARN, _SCALE_FAIL), _graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
-        severity = min(grades, key=_ORDER.__getitem__)
+        severity = min(grades, key=SEVERITIES.__getitem__)
         findings.append(
             Finding(
                 severity=severity,  # pyright: ignore[reportArgumentType]
@@ -322,28 +311,6 @@ def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
             )
         )
     return findings
-
-
-def gravity_findings(gravity: Gravity) -> list[Finding]:
-    """Say aloud what was taken for gravity."""
-    relative = gravity.sigma / gravity.value
-    if relative < 1e-3:
-        return [
-            Finding(
-                severity="good",
-                code="gravity",
-                message=f"Gravity is {gravity.value:.5f} m/s^2 ({gravity.source}).",
-            )
-        ]
-    return [
-        Finding(
-            severity="info",
-            code="gravity",
-            message=f"Gravity is taken as {gravity.value:.5f} +- {gravity.sigma:.2g} m/s^2 ({gravity.source}).",
-            consequence=f"All accelerometer scales share this {100 * relative:.1f} % uncertainty.",
-            cure="State --latitude (and --altitude), or --gravity, to remove it.",
-        )
-    ]
 
 
 def _model_findings(diagnostics: ImuDiagnostics, options: ImuOptions) -> list[Finding]:

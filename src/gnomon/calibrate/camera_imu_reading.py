@@ -153,7 +153,12 @@ def _known_cameras(
         for name in images.streams
         if name not in both
     )
-    return {name: stated[name] for name in both}
+    return {name: _with_topic(stated[name], images.streams[name].topic) for name in both}
+
+
+def _with_topic(known: CameraInput, topic: str) -> CameraInput:
+    """Return what is known of a camera with the topic that was read, whatever the file of the cameras says."""
+    return replace(known, camera=replace(known.camera, topic=topic)) if topic else known
 
 
 def _as_recorded(stream: ImageStream) -> CameraInput | None:
@@ -198,4 +203,4 @@ def _with_noise(name: str, samples: ImuSamples, stated: ImuInput | None, notes: 
             f"{name}: its samples come at {rate:.4g} Hz, not at the stated update_rate of {stated.update_rate_hz:g} "
             "Hz; the noise densities do not depend on it."
         )
-    return replace(samples, noise=stated.noise, topic=stated.topic or samples.topic)
+    return replace(samples, noise=stated.noise, topic=samples.topic or stated.topic)

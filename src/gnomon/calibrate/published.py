@@ -20,15 +20,8 @@ from ..assess.imu_tables import (
     uncalibrated_error,
     uncalibrated_rotation_error,
 )
-from ..assess.imu_verdict import (
-    axis_findings,
-    convergence_findings,
-    gravity_findings,
-    holdout_findings,
-    unit_findings,
-    verdict_of,
-    worst_first,
-)
+from ..assess.imu_verdict import axis_findings, convergence_findings, holdout_findings, unit_findings
+from ..assess.verdict import gravity_findings, verdict_of, worst_first
 from ..calibration import (
     Assessment,
     Calibration,

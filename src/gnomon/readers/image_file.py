@@ -1,7 +1,7 @@
 """One image as a file -> 8 bits of grey, and the hash of a folder of them."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from .image_pixels import bit_depth, largest_in_picture, picture
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 _HASHING = 2  # threads: reading and hashing overlap, and more of them would only fight for the disk
-_BATCH = 256
+_BATCH = 32  # files that a thread takes at a time
 _LOOKED_AT = 32
 
 
@@ -74,22 +74,23 @@ def hash_of_images(files: Iterable[tuple[str, Path]]) -> str:
 
     Of a file that cannot be read only the name counts; its frame says what is wrong.
     """
+    ordered = sorted(files)
+    parts = [ordered[start : start + _BATCH] for start in range(0, len(ordered), _BATCH)]
     total = hashlib.sha256()
     with ThreadPoolExecutor(_HASHING) as pool:
-        for part in _batches(sorted(files)):
-            for (name, _), digest in zip(part, pool.map(_digest, (path for _, path in part)), strict=True):
-                total.update(name.encode(errors="surrogateescape") + b"\0" + digest)
+        for digested in pool.map(_digested, parts):
+            total.update(digested)
     return total.hexdigest()
 
 
-def _batches(files: list[tuple[str, Path]]) -> Iterator[list[tuple[str, Path]]]:
-    for start in range(0, len(files), _BATCH):
-        yield files[start : start + _BATCH]
+def _digested(files: list[tuple[str, Path]]) -> bytes:
+    """Return the names and the hashes of some files."""
+    return b"".join(name.encode(errors="surrogateescape") + b"\0" + _digest(path) for name, path in files)
 
 
 def _digest(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
+        with path.open("rb", buffering=0) as file:
+            return hashlib.sha256(file.readall()).digest()
     except OSError:
         return bytes(32)

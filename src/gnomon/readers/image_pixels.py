@@ -4,6 +4,7 @@ Images of 16 bits hold 10 or 12 of them with most cameras. The smallest of 8, 10
 value of a stream is taken for its depth, and the lowest bits are dropped: one scale for all images of the stream.
 """
 
+import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -51,6 +52,7 @@ ENCODINGS = tuple(_LAYOUTS)
 _DEPTHS = (8, 10, 12, 14, 16)
 _COMPRESSED = ("jpeg", "jpg", "png", "webp", "tiff", "tif", "bmp")
 _JPEG, _JPEG_END, _JPEG_TAIL = b"\xff\xd8\xff", b"\xff\xd9", 1024
+_PNG, _PNG_BITS = b"\x89PNG\r\n\x1a\n", 24  # where a PNG says how many bits its numbers have
 _CURE = "Convert the topic with image_proc or image_transport, or record the camera as mono8."
 
 
@@ -233,6 +235,9 @@ def largest_in_picture(data: Buffer, where: str) -> int:
     RecordingError
         If it is damaged or no picture.
     """
+    begin = bytes(memoryview(data)[: _PNG_BITS + 1])
+    if begin.startswith(_PNG) and len(begin) > _PNG_BITS and begin[-1] <= 8 and not _fault(memoryview(data)):
+        return 0  # known without decoding it
     found = _decoded(data, where)
     return int(found.max()) if found.dtype == np.uint16 else 0
 
@@ -241,14 +246,33 @@ def _decoded(data: Buffer, where: str) -> NDArray[Any]:
     import cv2
 
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    # Of a JPEG that is cut off some decoders make up the rest.
-    cut_off = bytes(data[:3]) == _JPEG and _JPEG_END not in bytes(data[-_JPEG_TAIL:])
+    fault = _fault(memoryview(data))
     found = None
-    if len(data) and not cut_off:
+    if len(data) and not fault:
         with suppress(cv2.error):
             found = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if found is None or found.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
-        raise RecordingError(
-            f"{where}: the picture is {'cut off' if cut_off else 'damaged or of an unknown kind'} ({len(data)} bytes)."
-        )
+        raise RecordingError(f"{where}: the picture is {fault or 'damaged or of an unknown kind'} ({len(data)} bytes).")
     return np.asarray(found)
+
+
+def _fault(data: memoryview) -> str:
+    """Return what is wrong with a picture file by its own ends and sums, before a decoder sees it; "" if nothing is.
+
+    Of a JPEG that is cut off some decoders make up the rest, and of a damaged PNG they complain on the terminal.
+    """
+    if bytes(data[:3]) == _JPEG:
+        return "" if _JPEG_END in bytes(data[-_JPEG_TAIL:]) else "cut off"
+    if bytes(data[:8]) != _PNG:
+        return ""
+    at, kind = len(_PNG), b""
+    while kind != b"IEND":
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        kind = bytes(data[at + 4 : at + 8])
+        if end + 4 > len(data):
+            return "cut off"
+        needed = kind[:1].isupper()  # else it is text, time, or whatever a program put there
+        if needed and zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+            return "damaged"
+        at = end + 4
+    return ""

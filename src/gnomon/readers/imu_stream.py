@@ -51,15 +51,16 @@ def read_imu(
     try:
         recording = read_recognising(IN_MOTION, *files, units=units)
     except RecordingError as error:  # there are no options here for tables that say too little
-        raise RecordingError(str(error).replace(HELP, _HEADER).replace(RATE_HELP, _HEADER)) from None
-    sources.extend(recording.sources)
-    notes.extend(note if name == "imu0" else f"{name}: {note}" for note in recording.assumptions)
+        raise RecordingError(_in_place(str(error), files).replace(HELP, _HEADER).replace(RATE_HELP, _HEADER)) from None
+    sources.extend(replace(source, name=_in_place(source.name, files)) for source in recording.sources)
+    said = [_in_place(note, files) for note in recording.assumptions]
+    notes.extend(note if name == "imu0" else f"{name}: {note}" for note in said)
     samples = recording.imus["imu0"]
-    file = files[0].name
+    file = _in_place(files[0].name, files)
     if not len(samples.gyroscope):
         raise RecordingError(f"{file}: found no gyroscope; both triads of the IMU are needed.")
     accelerometer = in_order(_si(samples.accelerometer, "accelerometer", file, notes), name, notes)
-    gyroscope = in_order(_si(samples.gyroscope, "gyroscope", files[-1].name, notes), name, notes)
+    gyroscope = in_order(_si(samples.gyroscope, "gyroscope", _in_place(files[-1].name, files), notes), name, notes)
     if known is None:
         return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope)
     stated, found = known.update_rate_hz, gyroscope.rate_hz
@@ -69,6 +70,12 @@ def read_imu(
             "the noise densities do not depend on it."
         )
     return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope, noise=known.noise, topic=known.topic)
+
+
+def _in_place(text: str, files: tuple[Path, ...]) -> str:
+    """Return a text that begins with the name of a file, with the folder before it that tells whose data.csv it is."""
+    named = next((file for file in files if text.startswith(file.name)), None)
+    return text if named is None or named.stem != "data" else f"{named.parent.name}/{text}"
 
 
 def _si(samples: TriadSamples, sensor: str, file: str, notes: list[str]) -> TriadSamples:

@@ -236,10 +236,14 @@ def read_text(path: str | PathLike[str]) -> str:
     """
     try:
         return Path(path).read_bytes().decode("utf-8-sig")
+    except FileNotFoundError as error:
+        raise FormatError(f"{path}: there is no such file. Check the path.") from error
     except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror or error}).") from error
+        raise FormatError(f"{path}: cannot be read ({error.strerror or error}). Name a file that can be.") from error
     except UnicodeDecodeError as error:
-        raise FormatError(f"{path}: this is no text file (byte {error.start} is not UTF-8).") from error
+        raise FormatError(
+            f"{path}: this is no text file (byte {error.start} is not UTF-8). Is this the file that you meant?"
+        ) from error
 
 
 def _refuse_duplicates(path: str | PathLike[str], root: Any) -> None:

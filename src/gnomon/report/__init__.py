@@ -25,13 +25,15 @@ def write_report(result: Result, path: str | Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    from .camera_imu import camera_imu_page
-    from .imu import imu_page
     from .page import render
 
     calibration, diagnostics = result.calibration, result.diagnostics
     if isinstance(diagnostics, CameraImuDiagnostics):
+        from .camera_imu import camera_imu_page
+
         page = camera_imu_page(calibration, diagnostics)
     else:
+        from .imu import imu_page
+
         page = imu_page(calibration, diagnostics)
     write_whole(path, render(page))

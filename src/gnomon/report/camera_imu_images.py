@@ -1,19 +1,17 @@
 """Figures of a camera-IMU report that show the corners: in the image, over the frames, and their residuals."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..diagnostics import CornerFit
 from ..recording import Floats
+from . import svg
 from .camera_imu_corners import CornerView, field_magnification
 from .camera_imu_signals import half_panel, histograms
-from .figures import RIGHT, WIDTH, Sheet, cells, coarser, dots, draw, ink, limits, log_limits, thinned, zigzag
+from .figures import RIGHT, WIDTH, Sheet, coarser, dots, draw, limits, log_limits, thinned, zigzag
 from .numbers import finite, highest, positive
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .panel import DASHED, Panel
 
 TIMES = ("t1", "t2", "t3", "t4", "t5")
 """Inks of five equal spans of time."""
@@ -29,19 +27,19 @@ def corner_residuals(name: str, view: CornerView) -> str:
         histograms(axes, [(residual[:, 0], "x"), (residual[:, 1], "y")], reach=reach, sigma=sigma)
         sheet.text("residual [px]", x=WIDTH / 2 - 14, y=400, color="muted", align="right")
         scatter = half_panel(sheet, "Scatter, v over u [px]", 1, top=36, height=314)
-        scatter.grid(visible=True, axis="x", color=ink("grid"), linewidth=1)
+        scatter.x.grid = True
         _scatter(scatter, view)
         turn = np.linspace(0, 2 * np.pi, 73)
         for radius in (sigma, 2 * sigma, 3 * sigma):
-            scatter.plot(radius * np.cos(turn), radius * np.sin(turn), color=ink("ink"), linewidth=1)
-        scatter.set_xlim(-reach, reach)
-        scatter.set_ylim(reach, -reach)  # v points down, as in the image
+            scatter.line(radius * np.cos(turn), radius * np.sin(turn), "ink")
+        scatter.x.span(-reach, reach)
+        scatter.y.span(reach, -reach)  # v points down, as in the image
 
     alt = f"Residuals of {len(residual)} corners of {name}: histograms along u and v, and a scatter coloured by time."
     return draw(f"corners-{name}", 410, alt, paint)
 
 
-def _scatter(axes: "Axes", view: CornerView) -> None:
+def _scatter(panel: Panel, view: CornerView) -> None:
     """Draw an even choice of the corners, coloured by time."""
     chosen = np.arange(0, len(view.residual), scatter_step(view))
     chosen = chosen[np.fmax(*np.abs(view.residual[chosen].T)) < view.reach]
@@ -49,7 +47,7 @@ def _scatter(axes: "Axes", view: CornerView) -> None:
     span = np.clip(np.searchsorted(spans, view.t_s[chosen], side="right") - 1, 0, len(TIMES) - 1)
     for i, color in enumerate(TIMES):
         here = view.residual[chosen[span == i]]
-        dots(axes, here[:, 0], here[:, 1], color, size=3.2)
+        dots(panel, here[:, 0], here[:, 1], color, size=3.2)
 
 
 def scatter_step(view: CornerView) -> int:
@@ -74,7 +72,7 @@ def frames(name: str, fit: CornerFit) -> str:
 
     def paint(sheet: Sheet) -> None:
         axes = sheet.panel("rms residual of the frame [px]", top=36, height=190)
-        axes.axhline(sigma, color=ink("ink"), linewidth=1.4, linestyle=(0, (4, 3)))
+        axes.across(sigma, "ink", width=1.4, dash=DASHED)
         for chosen, color, ring, size in ((used, "after", False, 4.0), (~used, "accent", True, 7.0)):
             dots(axes, *thinned(t[chosen], fit.frame_rms[chosen]), color, ring=ring, size=size)
         if wide:
@@ -85,33 +83,32 @@ def frames(name: str, fit: CornerFit) -> str:
         count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
         zigzag(below, *coarser(t[order], count, count, bins=400), "before")
         limits(below, count, np.zeros(1))
-        below.locator_params(axis="y", nbins=3)
+        below.y.most = 3
         for panel in (axes, below):
-            panel.set_xlim(0, positive(highest(t)))
-        axes.tick_params(labelbottom=False)
+            panel.x.span(0, positive(highest(t)))
+        axes.x.labelled = False
 
     alt = f"rms residual and number of corners of {len(t)} frames of {name}; {int((~used).sum())} were left out."
     return draw(f"frames-{name}", 446, alt, paint)
 
 
-def _image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list["Axes"]:
-    """Return axes in pixels, one per camera: a single image large, several in two columns."""
-    panels: list[Axes] = []
+def _image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list[Panel]:
+    """Return panels in pixels, one per camera: a single image large, several in two columns."""
+    panels: list[Panel] = []
     top = 36.0
     for k, (name, view) in enumerate(views.items()):
         alone = len(views) == 1
         left = 60.0 if alone else 56.0 + (k % 2) * WIDTH / 2
         width, height = _image_size(view, alone=alone)
-        axes = sheet.panel("", top=top, height=height, left=left, right=WIDTH - left - width)
+        panel = sheet.panel("", top=top, height=height, left=left, right=WIDTH - left - width)
         sheet.text("Image [px]" if alone else f"{name} [px]", x=0 if alone else left - 56, y=top - 18, color="ink",
                    weight="bold")  # fmt: skip
-        axes.grid(visible=False)
-        for side in ("top", "right", "left"):
-            axes.spines[side].set(visible=True, color=ink("muted"), linewidth=1)
-        axes.set_xlim(-0.5, view.fit.resolution[0] - 0.5)
-        axes.set_ylim(view.fit.resolution[1] - 0.5, -0.5)
-        axes.locator_params(axis="x", nbins=5 if alone else 4)
-        panels.append(axes)
+        panel.y.grid = False
+        panel.frame = ("left", "right", "top", "bottom")
+        panel.x.span(-0.5, view.fit.resolution[0] - 0.5)
+        panel.y.span(view.fit.resolution[1] - 0.5, -0.5)
+        panel.x.most = 5 if alone else 4
+        panels.append(panel)
         if k % 2:
             top += height + 92
     return panels
@@ -134,10 +131,10 @@ def density(views: Mapping[str, CornerView]) -> str:
     """Draw how many corners were seen where in the image."""
 
     def paint(sheet: Sheet) -> None:
-        for axes, view in zip(_image_panels(sheet, views), views.values(), strict=True):
+        for panel, view in zip(_image_panels(sheet, views), views.values(), strict=True):
             grid = view.density
             level = np.sqrt(grid.count / max(grid.count.max(), 1.0))
-            cells(axes, grid.corner, grid.size, level=level, color="after")
+            panel.cells(grid.corner, grid.size, level=level, color="after")
 
     return draw("density", _images_height(views), "Density of the corners over the image of each camera.", paint)
 
@@ -147,15 +144,15 @@ def field(views: Mapping[str, CornerView]) -> str:
     longer = field_magnification(views)
 
     def paint(sheet: Sheet) -> None:
-        for axes, view in zip(_image_panels(sheet, views), views.values(), strict=True):
+        for panel, view in zip(_image_panels(sheet, views), views.values(), strict=True):
             known = np.isfinite(view.field.mean).all(axis=1)
             centre = view.field.corner[known] + np.array(view.field.size) / 2
-            _arrows(axes, centre, longer * view.field.mean[known])
+            _arrows(panel, centre, longer * view.field.mean[known])
 
     return draw("field", _images_height(views), "Mean residual of the corners over the image, as arrows.", paint)
 
 
-def _arrows(axes: "Axes", start: Floats, along: Floats) -> None:
+def _arrows(panel: Panel, start: Floats, along: Floats) -> None:
     """Draw arrows as one path."""
     back = np.array([[-0.3, 0.14], [-0.3, -0.14]])
     aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -163,7 +160,7 @@ def _arrows(axes: "Axes", start: Floats, along: Floats) -> None:
     barbs = [tip + b[0] * along + b[1] * aside for b in back]
     gap = np.full_like(start, np.nan)
     line = np.stack([start, tip, gap, barbs[0], tip, barbs[1], gap], axis=1).reshape(-1, 2)
-    axes.plot(line[:, 0], line[:, 1], color=ink("after"), linewidth=1.5, clip_on=False)
+    panel.line(line[:, 0], line[:, 1], "after", width=1.5, clip=False)
 
 
 def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
@@ -174,27 +171,26 @@ def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
     size = pitch * count
 
     def paint(sheet: Sheet) -> None:
-        axes = sheet.panel("", top=20, height=size, left=left, right=WIDTH - left - size)
-        axes.grid(visible=False)
-        axes.set_xlim(0, count)
-        axes.set_ylim(count, 0)
-        axes.set_xticks([])
-        axes.set_yticks([])
+        panel = sheet.panel("", top=20, height=size, left=left, right=WIDTH - left - size)
+        panel.x.span(0, count)
+        panel.y.span(count, 0)
+        panel.x.ticks = panel.y.ticks = ()
         y, x = np.divmod(np.arange(count * count), count)
         corners = np.stack([x, y], axis=1).astype(np.float64)
         values = np.where(x == y, 0.0, np.nan_to_num(matrix.ravel()))
         for sign, color in ((1, "after"), (-1, "heldout")):
             strength = np.where(sign * values >= 0.05, sign * values, 0.0)
-            cells(axes, corners, (1.0, 1.0), level=strength, color=color)
-        cells(axes, corners[x == y], (1.0, 1.0), level=np.ones(count), color="grid")
-        _separate(axes, labels, count)
+            panel.cells(corners, (1.0, 1.0), level=strength, color=color)
+        panel.cells(corners[x == y], (1.0, 1.0), level=np.ones(count), color="grid")
+        _separate(panel, labels, count)
         _name_groups(sheet, labels, left - 26, pitch)
         row = 0
         for _, entries in labels:
             for entry in entries if pitch >= 8 else ():
                 y = row + entries.index(entry) + 0.5
-                axes.text(-5 / pitch, y, entry, color=ink("muted"), fontsize=min(10.0, 0.8 * pitch), ha="right",
-                          va="center", gid="fine")  # fmt: skip
+                font = min(10.0, 0.8 * pitch)
+                style = svg.text_style("muted", font, "right")
+                panel.text(entry, 0, y, style, offset=(-5, svg.MIDDLE * font), fine=True)
             row += len(entries)
 
     strongest = highest(np.abs(matrix[~np.eye(count, dtype=bool)]))
@@ -202,12 +198,11 @@ def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
     return draw("correlation", size + 30, alt, paint)
 
 
-def _separate(axes: "Axes", labels: list[tuple[str, list[str]]], count: int) -> None:
+def _separate(panel: Panel, labels: list[tuple[str, list[str]]], count: int) -> None:
     """Draw lines between groups."""
     for edge in np.cumsum([len(entries) for _, entries in labels])[:-1].tolist():
-        axes.plot(
-            [0, count, np.nan, edge, edge], [edge, edge, np.nan, 0, count], color=ink("muted"), linewidth=0.7, alpha=0.5
-        )
+        x, y = np.array([0, count, np.nan, edge, edge]), np.array([edge, edge, np.nan, 0, count])
+        panel.line(x, y, "muted", width=0.7, alpha=0.5)
 
 
 def _name_groups(sheet: Sheet, labels: list[tuple[str, list[str]]], right: float, pitch: float) -> None:

@@ -1,7 +1,6 @@
 """Figures of a camera-IMU report that show the rig and how it was moved."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,14 +9,13 @@ from ..diagnostics import TrajectoryTrack
 from ..geometry.quaternion import rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..recording import Floats, Integers
+from . import svg
 from .camera_imu_images import TIMES, time_spans
 from .camera_imu_signals import AXES, half_panel, histograms
-from .figures import WIDTH, Sheet, cells, draw, ink
+from .figures import TEXT, WIDTH, Sheet, draw
 from .numbers import finite, highest, number, rms
+from .panel import DASHED, Panel
 from .sphere import SPHERE_HEIGHT, hemisphere, lambert
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _DEG = 180 / np.pi
 _PATCH = 2 * np.sqrt(2) / 25
@@ -65,13 +63,10 @@ def axes_of_rotation(motion: Motion) -> str:
     most = max(float(count.max(initial=0)) for _, count in counted.values()) or 1.0
 
     def paint(sheet: Sheet) -> None:
-        from matplotlib.patches import Circle
-
         for side, (spots, count) in counted.items():
-            axes = hemisphere(sheet, side)
-            rim = Circle((0, 0), np.sqrt(2))
-            level = np.sqrt(count / most)
-            cells(axes, (spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=level, color="after", clip=rim)
+            panel = hemisphere(sheet, side)
+            panel.rim = np.sqrt(2)
+            panel.cells((spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=np.sqrt(count / most), color="after")
 
     return draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.", paint)
 
@@ -86,7 +81,7 @@ def rates(motion: Motion) -> str:
             reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
             axes = half_panel(sheet, title, k, top=36, height=220, left=20)
             histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
-            axes.set_yticks([])
+            axes.y.ticks = ()
 
     return draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.", paint)
 
@@ -104,16 +99,16 @@ def path(motion: Motion) -> str:
     def paint(sheet: Sheet) -> None:
         for k, (title, across, up) in enumerate((("Plane: y over x [m]", 0, 1), ("Depth: z over x [m]", 0, 2))):
             axes = half_panel(sheet, title, k, top=36, height=314)
-            axes.grid(visible=True, axis="x", color=ink("grid"), linewidth=1)
+            axes.x.grid = True
             for i, name in enumerate(TIMES):
                 # A piece reaches to the first point of the next one, and a gap interrupts it.
                 piece = (colour == i) | np.concatenate([[False], (colour == i)[:-1]])
                 line = motion.position[kept][:, [across, up]].copy()
                 line[torn] = np.nan
-                axes.plot(line[piece, 0], line[piece, 1], color=ink(name), linewidth=1.3)
+                axes.line(line[piece, 0], line[piece, 1], name, width=1.3)
             middle = (low + high) / 2
-            axes.set_xlim(middle[across] - span, middle[across] + span)
-            axes.set_ylim(middle[up] - span, middle[up] + span)
+            axes.x.span(middle[across] - span, middle[across] + span)
+            axes.y.span(middle[up] - span, middle[up] + span)
 
     return draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.", paint)
 
@@ -146,19 +141,19 @@ def rig(calibration: Calibration) -> str:
     height = 380.0
 
     def paint(sheet: Sheet) -> None:
-        axes = sheet.figure.add_axes((0, 0, 1, 1))
-        axes.set_axis_off()
+        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=height)
         corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
         tips = [body.origin + length * body.axes.T for body in (imu, *cameras)]
-        _fit(axes, _flat(np.concatenate([np.array(origins), *corners, *tips])), height)
+        _fit(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])), height)
         for body, image in zip(cameras, corners, strict=True):
-            _dashed(axes, imu, body, length)
+            _dashed(panel, imu, body, length)
             edges = [np.stack([body.origin, corner]) for corner in image]
             for line in (image[[0, 1, 2, 3, 0]], *edges):
-                axes.plot(*_flat(line).T, color=ink("before"), linewidth=1.1)
+                flat = _flat(line)
+                panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
         for body in (imu, *cameras):
-            _triad(axes, body, length)
-            _name(axes, body, [b.origin for b in (imu, *cameras) if b is not body], length)
+            _triad(panel, body, length)
+            _name(panel, body, [b.origin for b in (imu, *cameras) if b is not body], length)
 
     names = ", ".join(calibration.cameras)
     return draw("rig", height, f"The axes of imu0 and of {names} in space, drawn to scale.", paint)
@@ -175,25 +170,22 @@ def _flat(points: Floats) -> Floats:
     return (points @ _LOOK.T)[:, :2] * (1, -1)
 
 
-def _dashed(axes: "Axes", imu: _Body, camera: _Body, length: float) -> None:
+def _dashed(panel: Panel, imu: _Body, camera: _Body, length: float) -> None:
     """Draw the line from the IMU to a camera, with its length where there is room for it."""
     ends = _flat(np.stack([imu.origin, camera.origin]))
-    axes.plot(*ends.T, color=ink("muted"), linewidth=1.2, linestyle=(0, (4, 3)))
+    panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
     if np.linalg.norm(ends[1] - ends[0]) > 1.5 * length:
         far = f"{number(1e3 * float(np.linalg.norm(camera.origin - imu.origin)), 3)} mm"
-        _write(axes, far, ends.mean(axis=0), np.array([0.0, 9.0]))
+        _write(panel, far, ends.mean(axis=0), np.array([0.0, 9.0]))
 
 
-def _write(
-    axes: "Axes", text: str, at: Floats, offset: Floats, *, color: str = "muted", weight: str = "normal"
-) -> None:
-    axes.annotate(
-        text, (float(at[0]), float(at[1])), xytext=(float(offset[0]), float(offset[1])), textcoords="offset points",
-        ha="center", va="center", fontsize=12.5, color=ink(color), fontweight=weight,
-    )  # fmt: skip
+def _write(panel: Panel, text: str, at: Floats, offset: Floats, *, color: str = "muted", bold: bool = False) -> None:
+    """Write a text about a point that is moved by an offset (right, up) in figure units."""
+    place = float(offset[0]), svg.MIDDLE * TEXT - float(offset[1])
+    panel.text(text, float(at[0]), float(at[1]), svg.text_style(color, TEXT, "center", bold=bold), offset=place)
 
 
-def _triad(axes: "Axes", body: _Body, length: float) -> None:
+def _triad(panel: Panel, body: _Body, length: float) -> None:
     """Draw three axes as arrows."""
     base = _flat(body.origin[None])[0]
     tips = _flat(body.origin + length * body.axes.T)
@@ -203,10 +195,10 @@ def _triad(axes: "Axes", body: _Body, length: float) -> None:
         head = 0.12 * length / (float(np.linalg.norm(along)) or 1.0)
         barbs = [tip - head * along + sign * 0.55 * head * aside for sign in (1, -1)]
         line = np.stack([base, tip, barbs[0], tip, barbs[1]])
-        axes.plot(*line.T, color=ink(name), linewidth=2.6, solid_capstyle="round", solid_joinstyle="round")
+        panel.line(line[:, 0], line[:, 1], name, width=2.6, ends="round")
 
 
-def _name(axes: "Axes", body: _Body, others: list[Floats], length: float) -> None:
+def _name(panel: Panel, body: _Body, others: list[Floats], length: float) -> None:
     """Write a body's name on the side to which neither an axis nor another body lies."""
     base = _flat(body.origin[None])[0]
     parts = np.concatenate([np.eye(3), _FRUSTUM]) if body.image else np.eye(3)
@@ -215,16 +207,16 @@ def _name(axes: "Axes", body: _Body, others: list[Floats], length: float) -> Non
     around = np.linspace(-np.pi, np.pi, 25)[:-1]
     gap = [min((abs(np.angle(np.exp(1j * (a - b)))) for b in bearings), default=0.0) for a in around]
     away = around[int(np.argmax(gap))]
-    _write(axes, body.name, base, np.array([30 * np.cos(away), 17 * np.sin(away)]), color="ink", weight="bold")
+    _write(panel, body.name, base, np.array([30 * np.cos(away), 17 * np.sin(away)]), color="ink", bold=True)
 
 
-def _fit(axes: "Axes", drawn: Floats, height: float) -> None:
-    """Give the axes limits that hold all points, to scale, with room for labels."""
+def _fit(panel: Panel, drawn: Floats, height: float) -> None:
+    """Give the panel limits that hold all points, to scale, with room for labels."""
     known = drawn[np.isfinite(drawn).all(axis=1)]
     if not len(known):
         return
     low, high = known.min(axis=0), known.max(axis=0)
     middle, size = (low + high) / 2, high - low
     scale = max(size[0] / (WIDTH - 150), size[1] / (height - 70), 1e-9)
-    axes.set_xlim(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
-    axes.set_ylim(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
+    panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
+    panel.y.span(middle[1] - scale * height / 2, middle[1] + scale * height / 2)

@@ -1,19 +1,16 @@
 """The section of a camera-IMU report on the images themselves: blur, exposure, and how certain the corners are."""
 
 from math import isfinite
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..diagnostics import CameraImuDiagnostics, CornerFit
 from ..recording import Floats, FrameQuality
 from .camera_imu_signals import half_panel
-from .figures import WIDTH, Sheet, coarser, dots, draw, ink, limits, thinned, zigzag
+from .figures import WIDTH, Sheet, coarser, dots, draw, limits, thinned, zigzag
 from .numbers import finite, fixed, highest, number, positive
 from .page import Figure, Legend, Section, Table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .panel import DASHED, Panel
 
 _BLURRED_PX, _BRIGHT = 1.5, 250.0  # as assess.image_checks has them, and says why
 _GROUPS = 8
@@ -78,14 +75,14 @@ def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
         _level(panels[1], _BRIGHT)
         zigzag(panels[1], *coarser(t, black, black, bins=400), "before")
         zigzag(panels[1], *coarser(t, white, white, bins=400), "accent")
-        panels[1].set_ylim(0, 260)
-        panels[1].set_yticks([0, 100, 200])
+        panels[1].y.span(0, 260)
+        panels[1].y.ticks = (0, 100, 200)
         zigzag(panels[2], *coarser(t, count, count, bins=400), "after")
         limits(panels[2], count, np.zeros(1))
-        panels[2].locator_params(axis="y", nbins=3)
+        panels[2].y.most = 3
         for panel in panels:
-            panel.set_xlim(0, positive(highest(t)))
-            panel.tick_params(labelbottom=panel is panels[-1])
+            panel.x.span(0, positive(highest(t)))
+            panel.x.labelled = panel is panels[-1]
 
     alt = (
         f"Blur, exposure and number of corners of {len(t)} frames of {name}; the median blur is {_median(blur, 2)} px."
@@ -93,8 +90,8 @@ def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
     return draw(f"images-{name}", 560, alt, paint)
 
 
-def _level(axes: "Axes", value: float) -> None:
-    axes.axhline(value, color=ink("muted"), linewidth=1.2, linestyle=(0, (4, 3)))
+def _level(panel: Panel, value: float) -> None:
+    panel.across(value, "muted", width=1.2, dash=DASHED)
 
 
 def _median(values: Floats, digits: int) -> str:
@@ -153,17 +150,18 @@ def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
         axes = half_panel(sheet, "Density", 0, top=36, height=200)
         edges = np.linspace(0, reach, 61)
         density = np.histogram(known, edges)[0] / (len(known) * (edges[1] - edges[0]))
-        axes.stairs(density, edges, color=ink("after"), linewidth=1.5, baseline=None)
-        axes.set_xlim(0, reach)
-        axes.set_ylim(0, 1.05 * positive(float(density.max())))
+        axes.steps(density, edges, "after")
+        axes.x.span(0, reach)
+        axes.y.span(0, 1.05 * positive(float(density.max())))
         sheet.text("σ of a corner [px]", x=WIDTH / 2 - 14, y=286, color="muted", align="right")
         other = half_panel(sheet, "Scatter of the residuals [px]", 1, top=36, height=200)
         most = 1.1 * positive(max(highest(scatter), highest(sigma)), reach)
         widest = 1.1 * positive(highest(sigma), reach)
-        other.plot([0, widest], [0, widest], color=ink("ink"), linewidth=1.4, linestyle=(0, (4, 3)))
+        diagonal = np.array([0.0, widest])
+        other.line(diagonal, diagonal, "ink", width=1.4, dash=DASHED)
         dots(other, sigma, scatter, "after")
-        other.set_xlim(0, widest)
-        other.set_ylim(0, most)
+        other.x.span(0, widest)
+        other.y.span(0, most)
         sheet.text("σ of a corner [px]", x=WIDTH - 14, y=286, color="muted", align="right")
 
     alt = f"Standard deviations of {len(known)} corners of {name}, and the scatter of their residuals against them."

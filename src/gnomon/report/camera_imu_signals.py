@@ -1,18 +1,15 @@
 """Figures of a camera-IMU report that run over time: signals as measured and as predicted, residuals, biases."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..diagnostics import BiasTrack, SignalFit
 from ..recording import Floats
-from .figures import WIDTH, Sheet, coarser, draw, ink, limits, zigzag
+from .figures import WIDTH, Sheet, coarser, draw, limits, zigzag
 from .imu_parameters import readable_unit
 from .numbers import finite, highest, positive, prefixed
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .panel import DASHED, Panel
 
 AXES = ("x", "y", "z")
 ZOOM_S = 2.0
@@ -75,29 +72,28 @@ def overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
             _noise_band(panel, fit, factor)
             for values, color in ((basic, "accent"), (model, axis)):
                 _envelope(panel, fit.t_s, values[:, i] * factor, color)
-            panel.set_ylim(-reach * factor, reach * factor)
-            panel.locator_params(axis="y", nbins=3)
+            panel.y.span(-reach * factor, reach * factor)
+            panel.y.most = 3
             panels.append(panel)
         for panel in panels:
-            panel.set_xlim(0, end)
-            panel.tick_params(labelbottom=panel is panels[-1])
+            panel.x.span(0, end)
+            panel.x.labelled = panel is panels[-1]
             for edge in section:
-                panel.axvline(edge, color=ink("ink"), linewidth=1, linestyle=(0, (4, 3)))
+                panel.upright(edge, "ink", dash=DASHED)
 
     alt = f"{name} over {end:.0f} s, and the residuals of its three axes."
     return draw(f"overview-{name.replace('.', '-')}", 690, alt, paint)
 
 
-def _noise_band(axes: "Axes", fit: SignalFit, factor: float) -> None:
+def _noise_band(panel: Panel, fit: SignalFit, factor: float) -> None:
     reach = 2 * positive(fit.sigma, 0.0) * factor
-    axes.axhspan(-reach, reach, color=ink("before"), alpha=0.22, linewidth=0)
+    panel.strip(-reach, reach, "before", alpha=0.22)
 
 
-def _envelope(axes: "Axes", t: Floats, values: Floats, color: str) -> None:
+def _envelope(panel: Panel, t: Floats, values: Floats, color: str) -> None:
     """Fill between the smallest and the largest value of short stretches."""
     t, low, high = coarser(t, values, values, bins=300)
-    if np.isfinite(low).any():
-        axes.fill_between(t, low, high, color=ink(color), linewidth=0.6)
+    panel.band(t, low, high, color, edge=0.6)
 
 
 def _reach(fit: SignalFit, *residuals: Floats) -> float:
@@ -132,23 +128,23 @@ def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> s
             _noise_band(below, fit, factor)
             for values, color in zip(left, colors, strict=True):
                 _line(below, t, values[:, i] * factor, color)
-            below.set_ylim(-reach * factor, reach * factor)
-            below.locator_params(axis="y", nbins=3)
+            below.y.span(-reach * factor, reach * factor)
+            below.y.most = 3
             for panel in (axes, below):
-                panel.set_xlim(*section)
-                panel.tick_params(labelbottom=panel is below and i == 2)
+                panel.x.span(*section)
+                panel.x.labelled = panel is below and i == 2
 
     alt = f"{name} between {section[0]:.1f} and {section[1]:.1f} s: measured and predicted, and their difference."
     return draw(f"section-{name.replace('.', '-')}", 930, alt, paint)
 
 
-def _line(axes: "Axes", t: Floats, values: Floats, color: str, width: float = 1.3) -> None:
+def _line(panel: Panel, t: Floats, values: Floats, color: str, width: float = 1.3) -> None:
     """Draw a line; where it has too many points, its envelope. A wide line is a pale one."""
     if len(t) <= 2 * _FINEST:
         alpha = 0.55 if width > 2 else 1.0
-        axes.plot(t, values, color=ink(color), linewidth=width, alpha=alpha, solid_joinstyle="round")
+        panel.line(t, values, color, width=width, alpha=alpha)
     else:
-        zigzag(axes, *coarser(t, values, values, bins=_FINEST), color)
+        zigzag(panel, *coarser(t, values, values, bins=_FINEST), color)
 
 
 def normalised(signals: dict[str, SignalFit]) -> str:
@@ -169,17 +165,17 @@ def normalised(signals: dict[str, SignalFit]) -> str:
     return draw("normalised", pitch * -(-len(names) // 2), alt, paint)
 
 
-def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: float, left: float = 62.0) -> "Axes":
-    """Return axes of half the width of the sheet, on the left for even places and on the right for odd ones."""
+def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: float, left: float = 62.0) -> Panel:
+    """Return a panel of half the width of the sheet, on the left for even places and on the right for odd ones."""
     edge = (place % 2) * WIDTH / 2
-    axes = sheet.panel("", top=top, height=height, left=edge + left, right=WIDTH / 2 - edge + 14)
-    axes.locator_params(axis="x", nbins=5)
+    panel = sheet.panel("", top=top, height=height, left=edge + left, right=WIDTH / 2 - edge + 14)
+    panel.x.most = 5
     sheet.text(title, x=edge, y=top - 18, color="ink", weight="bold")
-    return axes
+    return panel
 
 
 def histograms(
-    axes: "Axes", series: list[tuple[Floats, str]], *, reach: float, sigma: float = 0.0, bins: int = 60
+    panel: Panel, series: list[tuple[Floats, str]], *, reach: float, sigma: float = 0.0, bins: int = 60
 ) -> None:
     """Draw the densities of values as steps within ±reach, and that of a normal distribution of this sigma, if any."""
     edges = np.linspace(-reach, reach, bins + 1)
@@ -187,15 +183,15 @@ def histograms(
     for values, color in series:
         kept = finite(values)
         density = np.histogram(kept, edges)[0] / max(len(kept), 1) / (edges[1] - edges[0])
-        axes.stairs(density, edges, color=ink(color), linewidth=1.5, baseline=None)
+        panel.steps(density, edges, color)
         top = max(top, float(density.max()))
     if sigma > 0:
         x = np.linspace(-reach, reach, 121)
         density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
-        axes.plot(x, density, color=ink("ink"), linewidth=1.4, linestyle=(0, (4, 3)))
+        panel.line(x, density, "ink", width=1.4, dash=DASHED)
         top = max(top, float(density.max()))
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(0, 1.05 * positive(top))
+    panel.x.span(-reach, reach)
+    panel.y.span(0, 1.05 * positive(top))
 
 
 def bias_figure(biases: dict[str, BiasTrack]) -> str:
@@ -211,19 +207,19 @@ def bias_figure(biases: dict[str, BiasTrack]) -> str:
             reach = _bias_reach(deviation, track.sigma, walked)
             prefix, factor = prefixed(reach)
             title = f"{signal_name(name, biases)}: bias − mean [{prefix}{readable_unit(track.unit)}]"
-            axes = sheet.panel(title, top=36 + pitch * k, height=206, x_label="time [s]" if name == last else "")
+            panel = sheet.panel(title, top=36 + pitch * k, height=206, x_label="time [s]" if name == last else "")
             for sign in (-1, 1):
-                axes.plot(track.t_s, sign * walked * factor, color=ink("muted"), linewidth=1.2, linestyle=(0, (4, 3)))
+                panel.line(track.t_s, sign * walked * factor, "muted", width=1.2, dash=DASHED)
             for i, axis in enumerate(AXES):
                 low, high = deviation[:, i] - track.sigma[:, i], deviation[:, i] + track.sigma[:, i]
                 t, low, high = coarser(track.t_s, low, high, bins=250)
-                axes.fill_between(t, low * factor, high * factor, color=ink(axis), alpha=0.16, linewidth=0)
+                panel.band(t, low * factor, high * factor, axis, alpha=0.16)
             for i, axis in enumerate(AXES):
                 t, low, high = coarser(track.t_s, deviation[:, i], deviation[:, i], bins=400)
-                axes.plot(t, (low + high) / 2 * factor, color=ink(axis), linewidth=1.6)
-            axes.set_ylim(-reach * factor, reach * factor)
-            axes.set_xlim(0, positive(highest(track.t_s)))
-            axes.tick_params(labelbottom=name == last)
+                panel.line(t, (low + high) / 2 * factor, axis, width=1.6)
+            panel.y.span(-reach * factor, reach * factor)
+            panel.x.span(0, positive(highest(track.t_s)))
+            panel.x.labelled = name == last
 
     alt = "Biases of the IMU over time, about their means, with one sigma; dashed, three sigma of the random walk."
     return draw("biases", pitch * len(biases) + 42, alt, paint)

@@ -1,18 +1,15 @@
 """The figures of an IMU report; what they show is drawn from ImuDiagnostics alone."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..diagnostics import AllanCurve, DetectorTrace, ImuDiagnostics, IntervalTable, RotationTable, SignalEnvelope
 from ..recording import Floats, Integers
-from .figures import Sheet, coarser, dots, draw, ink, limits, log_limits, thinned, zigzag
+from . import svg
+from .figures import Sheet, coarser, dots, draw, limits, log_limits, thinned, zigzag
 from .imu_parameters import readable_unit
 from .numbers import finite, largest, prefixed
+from .panel import Panel
 from .sphere import SPHERE_HEIGHT, hemisphere, lambert
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 AXES = ("x", "y", "z")
 
@@ -31,12 +28,12 @@ def signals(diagnostics: ImuDiagnostics) -> str:
                 continue
             axes = sheet.panel(f"{name} [{readable_unit(signal.unit)}]", top=top, height=210)
             _signal(axes, signal, diagnostics.intervals)
-            axes.set_xlim(0, duration)
-            axes.tick_params(labelbottom=False)
+            axes.x.span(0, duration)
+            axes.x.labelled = False
             top += 262
         axes = sheet.panel("Variance over resting variance", top=top, height=170, x_label="time [s]")
         _statistic(axes, diagnostics.detector)
-        axes.set_xlim(0, duration)
+        axes.x.span(0, duration)
 
     alt = (
         f"Raw signals over {duration:.0f} s; a square wave is high where the recording is static: "
@@ -45,17 +42,17 @@ def signals(diagnostics: ImuDiagnostics) -> str:
     return draw("signals", height + 270 - 36, alt, paint)
 
 
-def _signal(axes: "Axes", signal: SignalEnvelope, intervals: IntervalTable) -> None:
+def _signal(panel: Panel, signal: SignalEnvelope, intervals: IntervalTable) -> None:
     t, low, high = coarser(signal.t_s, signal.low, signal.high)
     for i, name in enumerate(AXES):
-        zigzag(axes, t, low[:, i], high[:, i], name)
-    limits(axes, low, high)
+        zigzag(panel, t, low[:, i], high[:, i], name)
+    limits(panel, low, high)
     used = np.asarray(intervals.used, dtype=bool)
-    _square_wave(axes, intervals.start_s[used], intervals.stop_s[used], "ink")
-    _square_wave(axes, intervals.start_s[~used], intervals.stop_s[~used], "accent", closed=False)
+    _square_wave(panel, intervals.start_s[used], intervals.stop_s[used], "ink")
+    _square_wave(panel, intervals.start_s[~used], intervals.stop_s[~used], "accent", closed=False)
 
 
-def _square_wave(axes: "Axes", start: Floats, stop: Floats, color: str, *, closed: bool = True) -> None:
+def _square_wave(panel: Panel, start: Floats, stop: Floats, color: str, *, closed: bool = True) -> None:
     """Draw a wave that is high in the intervals; `closed` also draws it where it is low."""
     if not len(start):
         return
@@ -64,42 +61,38 @@ def _square_wave(axes: "Axes", start: Floats, stop: Floats, color: str, *, close
     level = np.tile([0.03, 0.97, 0.97, 0.03] + ([] if closed else [np.nan]), len(start))
     if closed:
         t, level = np.concatenate([[0.0], t, [1e12]]), np.concatenate([[0.03], level, [0.03]])
-    axes.plot(t, level, color=ink(color), linewidth=1.1, alpha=0.85, transform=axes.get_xaxis_transform(), scalex=False)
+    panel.wave(t, level, color, width=1.1, alpha=0.85)
 
 
-def _statistic(axes: "Axes", trace: DetectorTrace) -> None:
+def _statistic(panel: Panel, trace: DetectorTrace) -> None:
     statistic = np.where(trace.statistic > 0, trace.statistic, np.nan)
     t, low, high = coarser(trace.t_s, statistic, statistic)
-    zigzag(axes, t, low, high, "before")
-    log_limits(axes, statistic, np.array([trace.multiplier]))
+    zigzag(panel, t, low, high, "before")
+    log_limits(panel, statistic, np.array([trace.multiplier]))
     if trace.multiplier > 0:
-        axes.axhline(trace.multiplier, color=ink("accent"), linewidth=1.6)
+        panel.across(trace.multiplier, "accent", width=1.6)
 
 
 def allan(curve: AllanCurve) -> str:
     """Allan deviation of the three gyroscope axes (document A, Fig. 3.2), with the advised T_init."""
 
     def paint(sheet: Sheet) -> None:
-        from matplotlib.ticker import LogLocator, NullLocator
-
         prefix, factor = prefixed(float(np.median(finite(curve.deviation))) if finite(curve.deviation).size else 1.0)
         title = f"Allan deviation [{prefix}rad/s]"
         axes = sheet.panel(title, top=36, height=290, x_label="averaging time [s]")
-        axes.grid(visible=True, axis="x", color=ink("grid"), linewidth=1)
+        axes.x.grid = True
         positive = np.where(curve.deviation > 0, curve.deviation * factor, np.nan)
         for i, name in enumerate(AXES):
-            axes.plot(curve.tau_s, positive[:, i], color=ink(name), linewidth=1.8)
+            axes.line(curve.tau_s, positive[:, i], name, width=1.8)
         log_limits(axes, positive)
-        axes.set_xscale("log")
+        axes.x.logarithmic = True
         taus = finite(curve.tau_s)
         taus = taus[taus > 0]
         bounds = (float(taus.min()), float(taus.max())) if taus.size else (1.0, 10.0)
-        axes.set_xlim(bounds[0], max(bounds[1], 1.05 * bounds[0]))
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=9))
-        axes.xaxis.set_minor_locator(NullLocator())
-        axes.xaxis.set_major_formatter(axes.yaxis.get_major_formatter())
+        axes.x.span(bounds[0], max(bounds[1], 1.05 * bounds[0]))
+        axes.x.ticks = [step * 10.0**k for k in range(-9, 9) for step in (1, 2, 5)]
         if np.isfinite(curve.t_init_s):
-            axes.axvline(curve.t_init_s, color=ink("accent"), linewidth=1.6, linestyle=(0, (5, 3)))
+            axes.upright(curve.t_init_s, "accent", width=1.6, dash=(5.0, 3.0))
 
     alt = f"Allan deviation of the gyroscope axes x, y, z over averaging time, from {curve.static_s:.0f} s at rest."
     return draw("allan", 386, alt, paint)
@@ -122,7 +115,7 @@ def attitudes(intervals: IntervalTable) -> str:
                 dots(axes, spots[:, 0], spots[:, 1], color, size=9, ring=ring)
             if labelled:
                 for x, y, names in _labels(flat, np.flatnonzero(here)):
-                    axes.text(x + 0.06, y + 0.03, names, color=ink("muted"), fontsize=9.5, gid="fine")
+                    axes.text(names, x + 0.06, y + 0.03, svg.text_style("muted", 9.5, "left"), fine=True)
 
     alt = f"Directions of gravity in the body frame in {int(used.sum())} static intervals that were used."
     return draw("attitudes", SPHERE_HEIGHT, alt, paint)
@@ -166,24 +159,29 @@ def accelerometer_errors(intervals: IntervalTable) -> str:
         limits(close, after * factor, heldout * factor, symmetric=True)
         for panel in (axes, close):
             _over_index(panel, len(used))
-        axes.tick_params(labelbottom=False)
+        axes.x.labelled = False
 
     alt = f"Error of the magnitude of specific force in {int(used.sum())} static intervals, before and after the fit."
     return draw("accelerometer", 550, alt, paint)
 
 
-def _band(axes: "Axes", x: Floats, reach: Floats) -> None:
+def _band(panel: Panel, x: Floats, reach: Floats) -> None:
     """Shade ±reach around zero."""
     t, _, high = coarser(x, reach, reach, bins=300)
-    axes.fill_between(t, -high, high, color=ink("before"), alpha=0.22, linewidth=0, step="mid")
+    between = (t[1:] + t[:-1]) / 2
+    edges = np.sort(np.concatenate([t[:1], between, between, t[-1:]]))
+    panel.band(edges, -np.repeat(high, 2), np.repeat(high, 2), "before", alpha=0.22)
 
 
-def _over_index(axes: "Axes", count: int) -> None:
-    from matplotlib.ticker import MaxNLocator
+def _over_index(panel: Panel, count: int) -> None:
+    _count(panel, count)
+    panel.across(0, "muted")
 
-    axes.set_xlim(0.4, max(count, 1) + 0.6)
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, steps=[1, 2, 5, 10]))
-    axes.axhline(0, color=ink("muted"), linewidth=1)
+
+def _count(panel: Panel, count: int) -> None:
+    """Let the x scale count from one."""
+    panel.x.span(0.4, max(count, 1) + 0.6)
+    panel.x.most, panel.x.whole = 8, True
 
 
 def rotation_errors(rotations: RotationTable) -> str:
@@ -193,8 +191,6 @@ def rotation_errors(rotations: RotationTable) -> str:
     degrees = np.asarray(np.degrees(rotations.angle_rad[used]), dtype=np.float64)
 
     def paint(sheet: Sheet) -> None:
-        from matplotlib.ticker import MaxNLocator
-
         title = "Measured against propagated gravity [mrad]"
         panels = (
             (sheet.panel(title, top=36, height=220, x_label="rotation"), number_of),
@@ -210,9 +206,8 @@ def rotation_errors(rotations: RotationTable) -> str:
                 positive = np.where(values > 0, values * 1e3, np.nan)
                 dots(axes, *thinned(x, positive), color, size=size, ring=ring)
             log_limits(axes, *(values * 1e3 for values, _, _, _ in series))
-        panels[0][0].set_xlim(0.4, len(used) + 0.6)
-        panels[0][0].xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True, steps=[1, 2, 5, 10]))
-        panels[1][0].set_xlim(0, max(largest(degrees) * 1.04, 1.0) if finite(degrees).size else 180.0)
+        _count(panels[0][0], len(used))
+        panels[1][0].x.span(0, max(largest(degrees) * 1.04, 1.0) if finite(degrees).size else 180.0)
 
     alt = f"Difference of measured and gyro-propagated gravity over {int(used.sum())} rotations, before and after."
     return draw("rotations", 644, alt, paint)

@@ -58,7 +58,7 @@ class ParameterGroup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Legend:
-    """What a mark in a figure means; `color` is one of figures.INKS."""
+    """What a mark in a figure means; page.css defines `color` as --plot-COLOR."""
 
     mark: Literal["line", "dash", "band", "dot", "ring", "square-wave"]
     color: str

@@ -1,34 +1,28 @@
 """The sphere of directions, drawn as two hemispheres in Lambert's equal-area projection."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ..recording import Floats
-from .figures import WIDTH, Sheet, ink
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .figures import WIDTH, Sheet
+from .panel import Panel
 
 SPHERE_HEIGHT = 390.0
 """Height of a figure of two hemispheres in figure units."""
 
 
-def hemisphere(sheet: Sheet, side: float) -> "Axes":
-    """Return the axes of the upper (side +1, left) or the lower (side -1, right) hemisphere; points as of `lambert`."""
+def hemisphere(sheet: Sheet, side: float) -> Panel:
+    """Return the panel of the upper (side +1, left) or lower (side -1, right) hemisphere; points as of `lambert`."""
     size, margin, top = 296.0, 42.0, 62.0
     left = 0.0 if side > 0 else WIDTH / 2
-    box = ((left + margin) / WIDTH, 1 - (top + size) / sheet.height, size / WIDTH, size / sheet.height)
-    axes = sheet.figure.add_axes(box)
-    axes.set_axis_off()
-    axes.set_xlim(-1.43, 1.43)
-    axes.set_ylim(-1.43, 1.43)
+    panel = sheet.bare_panel(left=left + margin, top=top, width=size, height=size)
+    panel.x.span(-1.43, 1.43)
+    panel.y.span(-1.43, 1.43)
     turn = np.linspace(0, 2 * np.pi, 91)
     for polar_deg, color in ((30, "grid"), (60, "grid"), (90, "muted")):
         radius = 2 * np.sin(np.radians(polar_deg) / 2)
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=ink(color), linewidth=1)
+        panel.line(radius * np.cos(turn), radius * np.sin(turn), color, clip=False)
     for x, y in ((np.sqrt(2), 0), (0, np.sqrt(2))):
-        axes.plot([-x, x], [-y, y], color=ink("grid"), linewidth=1)
+        panel.line(np.array([-x, x]), np.array([-y, y]), "grid")
     centre, y_up = left + margin + size / 2, "+y" if side > 0 else "−y"
     y_down = "−y" if side > 0 else "+y"
     middle = top + size / 2 + 4
@@ -37,7 +31,7 @@ def hemisphere(sheet: Sheet, side: float) -> "Axes":
     sheet.text("−x", x=left + margin - 5, y=middle, color="muted", align="right")
     sheet.text("+x", x=left + margin + size + 5, y=middle, color="muted")
     sheet.text("Above (z up)" if side > 0 else "Below (z down)", x=left, y=20, color="ink", weight="bold")
-    return axes
+    return panel
 
 
 def lambert(directions: Floats, side: float) -> Floats:

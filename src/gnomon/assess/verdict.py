@@ -1,0 +1,40 @@
+"""What verdicts on calibrations of any kind have in common."""
+
+from ..calibration import Gravity, Verdict
+from ..findings import Finding
+
+SEVERITIES = {"problem": 0, "warning": 1, "info": 2, "good": 3}
+"""The worst first."""
+
+
+def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
+    """Return fail where a problem was found, warn where a warning was, else pass."""
+    severities = {finding.severity for finding in findings}
+    return "fail" if "problem" in severities else "warn" if "warning" in severities else "pass"
+
+
+def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
+    """Return findings by severity, otherwise in their order."""
+    return tuple(sorted(findings, key=lambda finding: SEVERITIES[finding.severity]))
+
+
+def gravity_findings(gravity: Gravity) -> list[Finding]:
+    """Say aloud what was taken for gravity."""
+    relative = gravity.sigma / gravity.value
+    if relative < 1e-3:
+        return [
+            Finding(
+                severity="good",
+                code="gravity",
+                message=f"Gravity is {gravity.value:.5f} m/s^2 ({gravity.source}).",
+            )
+        ]
+    return [
+        Finding(
+            severity="info",
+            code="gravity",
+            message=f"Gravity is taken as {gravity.value:.5f} +- {gravity.sigma:.2g} m/s^2 ({gravity.source}).",
+            consequence=f"All accelerometer scales share this {100 * relative:.1f} % uncertainty.",
+            cure="State --latitude (and --altitude), or --gravity, to remove it.",
+        )
+    ]
