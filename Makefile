@@ -40,6 +40,7 @@ study: dev
 bench: dev
 	$(BIN)/python benchmarks/imu.py
 	$(BIN)/python benchmarks/camera_imu.py
+	$(BIN)/python benchmarks/images.py --quick
 
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed

@@ -154,7 +154,7 @@ REFUSED = {
     "a camera of two that hardly sees the board": Case(
         scenario={"cameras": 2}, edit=corners(lambda t, i, p: (t[:999], i[:999], p[:999]), "cam1"), words="cam1: "
     ),
-    "no corners": Case(edit=without("cam0_corners.csv.gz"), words="no corners of a camera"),
+    "no corners": Case(edit=without("cam0_corners.csv.gz"), words="no images of a camera in this folder"),
     "no samples": Case(edit=without("imu0.csv.gz"), words="no samples of an IMU"),
     "camchain missing": Case(edit=without("camchain.yaml"), words="--cam is missing"),
     "target missing": Case(edit=without("target.yaml"), words="--target is missing"),

@@ -148,7 +148,7 @@ def test_corners_near_the_border_are_dropped():
     image, true = picture(ODD, (0.0, 0.0, 0.5), (0.0, 0.0, 0.35), wall=False)
     top = int(true[:, 1].min()) - 3
     view = detect_checkerboard(np.ascontiguousarray(image[top:]), ODD)
-    assert view.dropped["near the image's border"] == 1
+    assert view.dropped["near the border"] == 1
     left_out = set(range(len(ODD))) - set(view.point.tolist())
     assert left_out == {int(np.argmin(true[:, 1]))}
     assert np.abs(view.pixels + np.array([0, top]) - true[view.point]).max() < 0.2

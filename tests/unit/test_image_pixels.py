@@ -176,3 +176,29 @@ def test_a_png_with_a_flipped_byte_is_damaged():
 def test_formats_that_hold_no_picture_are_named(form):
     with pytest.raises(RecordingError, match=rf'/cam0: .*"{form}".*jpeg'):
         compressed_image(encoded(GREY, ".png"), form, "/cam0")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda png: png[:-20], "cut off"),
+        (lambda png: png[:200], "cut off"),
+        (lambda png: png[:8], "cut off"),
+        (lambda png: png[:100] + bytes([png[100] ^ 1]) + png[101:], "damaged"),
+        (lambda png: png[:20] + bytes([png[20] ^ 1]) + png[21:], "damaged"),
+    ],
+)
+def test_a_damaged_png_is_refused_without_a_word_on_the_terminal(capfd, spoil, said):
+    """The library that decodes it would write to the terminal for every image of a folder."""
+    png = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (24, 32), dtype=np.uint8))[1].tobytes()
+    with pytest.raises(RecordingError, match=rf"^a\.png: the picture is {said} \(\d+ bytes\)\.$"):
+        picture(spoil(png), "a.png")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_a_program_wrote_into_a_png_may_be_damaged():
+    """A text that nobody needs, with a wrong sum."""
+    image = np.random.default_rng(0).integers(0, 255, (24, 32), dtype=np.uint8)
+    png = cv2.imencode(".png", image)[1].tobytes()
+    text = (5).to_bytes(4, "big") + b"tEXt" + b"a\0bcd" + bytes(4)
+    np.testing.assert_array_equal(picture(png[:33] + text + png[33:], "a.png"), image)
