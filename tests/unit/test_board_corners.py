@@ -272,3 +272,38 @@ def test_the_gap_is_measured_whatever_the_perspective():
     assert found is not None
     assert abs(found - 0.37) < 0.005
     assert tag_spacing(seen[:0], board) is None
+
+
+def many(content: list[Frame]) -> CameraImages:
+    """Return a camera that says it has so many images that processes are worth their start."""
+    images = camera(content)
+    return replace(images, stream=replace(images.stream, count=1000))
+
+
+def test_processes_find_what_threads_find(views):
+    images = frames(views)
+    images[3] = damaged(images[3])
+    assert equal(detect_corners(camera(images), BOARD, workers=1), detect_corners(many(images), BOARD, workers=2))
+
+
+def test_work_of_a_process_that_is_lost_is_done_here(views, monkeypatch):
+    from gnomon.detect import worker
+
+    lost: list[worker.BoardProcess] = []
+    look = worker.BoardProcess.views
+
+    def killed(self: worker.BoardProcess, images: list[Grey]):
+        lost.append(self)
+        self.close()
+        return look(self, images)
+
+    monkeypatch.setattr(worker.BoardProcess, "views", killed)
+    found = detect_corners(many(frames(views)), BOARD, workers=2)
+    assert len(lost) == 2
+    assert equal(found, detect_corners(camera(frames(views)), BOARD, workers=1))
+
+
+def test_without_processes_threads_do(views, monkeypatch):
+    monkeypatch.setattr("sys.executable", "/nowhere/python")
+    found = detect_corners(many(frames(views)), BOARD, workers=2)
+    assert equal(found, detect_corners(camera(frames(views)), BOARD, workers=1))

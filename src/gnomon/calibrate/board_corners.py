@@ -13,12 +13,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
+from queue import Empty, SimpleQueue
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..detect.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from ..detect.tag_spacing import tag_spacing
+from ..detect.worker import BoardProcess, ProcessLostError, detector
 from ..errors import DetectionError, OptionError, RecordingError
 from ..images import Frame, Grey, ImageStream
 from ..models.target import Target
@@ -26,9 +28,10 @@ from ..readers.kalibr_camchain import CameraInput
 from ..recording import CameraFrames, FrameQuality
 
 Progress = Callable[[str], None]
-Detector = Callable[[Grey], BoardView]
+Processes = SimpleQueue[BoardProcess]
 
 _RUN = 8  # consecutive frames that one worker takes; bounds the memory
+_MANY_IMAGES = 200  # from which on it pays to start processes
 _WAITING = 2  # runs for each worker that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show
 _TOLD = 10  # times that progress is told
@@ -79,7 +82,8 @@ def detect_corners(
     ----------
     images : of the camera
     target : the board
-    workers : threads; as many as there are cores where not given
+    workers : how many look at once, in processes of their own where there are many images; as many as there are cores
+        where not given
     progress : called with a sentence from time to time
 
     Raises
@@ -92,10 +96,11 @@ def detect_corners(
         If boards of this kind cannot be found in images.
     """
     notes: list[str] = []
+    _refuse_unknown(target)
     tell = progress or (lambda _: None)
     seen: list[_Seen] = []
     step = max(images.stream.count // _TOLD, 1)
-    for item in _all_frames(images.stream.frames(notes), target, workers or os.cpu_count() or 1):
+    for item in _all_frames(images.stream.frames(notes), target, workers or os.cpu_count() or 1, images.stream.count):
         _check_size(images, item, seen)
         if len(seen) % step == 0:
             of = f" of {images.stream.count}" if images.stream.count else ""
@@ -107,42 +112,49 @@ def detect_corners(
     return BoardCorners(frames=_camera_frames(seen, views, images.known), notes=tuple(notes))
 
 
-def detector(target: Target) -> Detector:
-    """Return what finds a board in one image after the other; it may remember the one before.
-
-    Raises
-    ------
-    OptionError
-        If boards of this kind cannot be found in images.
-    """
-    if target.kind == "aprilgrid":  # the detectors load OpenCV, which corners from the cache do not need
-        from ..detect.aprilgrid import detect_aprilgrid
-
-        return lambda image: detect_aprilgrid(image, target)
-    if target.kind == "checkerboard":
-        from ..detect.checkerboard import CheckerboardTracker
-
-        return CheckerboardTracker(target).detect
-    raise OptionError(
-        f"{target.describe()}: such boards are not found in images yet. Detect the corners with another program and "
-        "give them as cam0_corners.csv, or use an AprilGrid or a checkerboard."
-    )
+def _refuse_unknown(target: Target) -> None:
+    if target.kind not in {"aprilgrid", "checkerboard"}:
+        raise OptionError(
+            f"{target.describe()}: such boards are not found in images yet. Detect the corners with another program "
+            "and give them as cam0_corners.csv, or use an AprilGrid or a checkerboard."
+        )
 
 
-def _all_frames(source: Iterator[Frame], target: Target, workers: int) -> Iterator[_Seen]:
+def _all_frames(source: Iterator[Frame], target: Target, workers: int, count: int) -> Iterator[_Seen]:
     """Yield what every frame shows, in the order of the recording."""
-    detector(target)  # says at once whether there is one
     waiting: deque[Future[list[_Seen]]] = deque()
-    with _one_thread_each(), ThreadPoolExecutor(workers, thread_name_prefix="gnomon-board") as pool:
+    with _one_thread_each(), _processes(target, workers if count >= _MANY_IMAGES else 1) as processes:
+        pool = ThreadPoolExecutor(workers, thread_name_prefix="gnomon-board")
         try:
             while True:
                 while len(waiting) < _WAITING * workers and (run := list(islice(source, _RUN))):
-                    waiting.append(pool.submit(_run, run, target))
+                    waiting.append(pool.submit(_run, run, target, processes))
                 if not waiting:
                     return
                 yield from waiting.popleft().result()
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _processes(target: Target, workers: int) -> Generator[Processes]:
+    """Give processes that find the board, of which each run of frames borrows one; none for a single worker.
+
+    Threads alone would take turns, as the detectors are Python for the most part.
+    """
+    free: Processes = SimpleQueue()
+    started: list[BoardProcess] = []
+    try:
+        for _ in range(workers if workers > 1 else 0):
+            try:
+                started.append(BoardProcess(target))
+            except ProcessLostError:
+                break
+            free.put(started[-1])
+        yield free
+    finally:
+        for process in started:
+            process.close()
 
 
 @contextmanager
@@ -159,18 +171,35 @@ def _one_thread_each() -> Generator[None]:
         cv2.setNumThreads(before)
 
 
-def _run(frames: list[Frame], target: Target) -> list[_Seen]:
-    find = detector(target)
-    return [_seen(frame, find) for frame in frames]
+def _run(frames: list[Frame], target: Target, processes: Processes) -> list[_Seen]:
+    """Return what consecutive frames show: decoded here, looked at in a process that is free, else here."""
+    images = [_decoded(frame) for frame in frames]
+    views = iter(_views([image for image in images if not isinstance(image, str)], target, processes))
+    return [
+        _Seen(t_ns=frame.t_ns, view=nothing_seen(), size=None, damage=image)
+        if isinstance(image, str)
+        else _Seen(t_ns=frame.t_ns, view=next(views), size=(image.shape[1], image.shape[0]))
+        for frame, image in zip(frames, images, strict=True)
+    ]
 
 
-def _seen(frame: Frame, find: Detector) -> _Seen:
+def _decoded(frame: Frame) -> Grey | str:
+    """Return the image, or what is wrong with it."""
     try:
-        image = frame.decode()
+        return frame.decode()
     except RecordingError as error:
-        return _Seen(t_ns=frame.t_ns, view=nothing_seen(), size=None, damage=str(error))
-    height, width = image.shape
-    return _Seen(t_ns=frame.t_ns, view=find(image), size=(width, height))
+        return str(error)
+
+
+def _views(images: list[Grey], target: Target, processes: Processes) -> list[BoardView]:
+    try:
+        process = processes.get_nowait()
+        found = process.views(images)
+    except (Empty, ProcessLostError):  # a process that was lost is not put back
+        find = detector(target)
+        return [find(image) for image in images]
+    processes.put(process)
+    return found
 
 
 def _check_size(images: CameraImages, item: _Seen, before: list[_Seen]) -> None:

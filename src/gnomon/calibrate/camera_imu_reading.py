@@ -61,7 +61,7 @@ def read_camera_imu(
     units : of the IMU's samples, as for `gnomon.read`; bags are in SI units
     topics : "cam0", "imu0", ... -> topic of a bag; guessed where it is clear
     imu_table : table of the IMU's samples, where it is not in the recording
-    workers : threads that look for the board; as many as there are cores where not given
+    workers : how many look for the board at once; as many as there are cores where not given
     cache : folder in which the corners are kept, so that the same images need not be looked at again
     progress : called with a sentence from time to time
 

@@ -111,7 +111,7 @@ class CameraImu:
     units: str | None = None
     """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
     workers: int | None = None
-    """Threads that look for the board in the images; as many as there are cores where not given."""
+    """How many look for the board in the images at once; as many as there are cores where not given."""
     cache: Annotated[bool, _Switch] = True
     """Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept there."""
     output: Annotated[Path | None, _output("DIR")] = None
