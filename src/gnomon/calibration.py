@@ -19,6 +19,7 @@ from .sensors import (
     CameraCalibration,
     GyroscopeCalibration,
     ImuCalibration,
+    MagnetometerCalibration,
     interpolate_triad,
     rotated,
 )
@@ -34,6 +35,7 @@ __all__ = [
     "GyroscopeCalibration",
     "Holdout",
     "ImuCalibration",
+    "MagnetometerCalibration",
     "Provenance",
     "Verdict",
     "covariance_names",
@@ -104,10 +106,14 @@ class Holdout:
     accelerometer_rms : leave-one-interval-out rms of |f| - g [m/s^2]
     rotation_rms : leave-one-rotation-out rms of |u_a - u_g| [rad], u_a measured and u_g propagated gravity; nan without
         gyroscope
+    rate_rms : leave-one-part-out rms of |omega| minus the rate of the turntable [rad/s]; nan without one
+    field_rms : leave-out rms of |m| - 1, in units of the local magnetic field; nan without magnetometer
     """
 
-    accelerometer_rms: float
+    accelerometer_rms: float = float("nan")
     rotation_rms: float = float("nan")
+    rate_rms: float = float("nan")
+    field_rms: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,7 +135,7 @@ class Assessment:
     verdict: Verdict
     findings: tuple[Finding, ...]
     model: str
-    holdout: Holdout = field(default_factory=lambda: Holdout(accelerometer_rms=float("nan")))
+    holdout: Holdout = field(default_factory=Holdout)
     intervals_found: int = 0
     intervals_used: int = 0
     rotations_found: int = 0
@@ -166,7 +172,8 @@ class Calibration:
     ----------
     imus : mapping "imu0" -> ImuCalibration
     cameras : mapping "cam0" -> CameraCalibration; empty for an IMU alone
-    frame : body frame, "accel-x", "accel-z" or "user"
+    frame : body frame, "accel-x", "accel-z" or "user"; without accelerometer "gyro-x" (x along the sensitivity axis of
+        the x gyroscope, that of the y gyroscope in the x-y plane) or "mag-x" (the same of a magnetometer)
     gravity : what was taken for the magnitude of gravity
     uncertainty : covariance of every scalar of every IMU, then of every camera; zero rows where the frame or the model
         fixes a scalar

@@ -6,6 +6,7 @@ import numpy as np
 
 from .calibration import Calibration
 from .recording import Floats, FrameQuality
+from .triad_diagnostics import TriadDiagnostics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -359,7 +360,7 @@ class Result:
     """A calibration, and how it came about."""
 
     calibration: Calibration
-    diagnostics: ImuDiagnostics | CameraImuDiagnostics
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics | TriadDiagnostics
 
     def _repr_html_(self) -> str:
         return self.calibration._repr_html_()  # pyright: ignore[reportPrivateUsage]

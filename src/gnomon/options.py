@@ -5,7 +5,7 @@ from typing import Literal
 
 from .errors import OptionError
 
-Preset = Literal["gnomon", "tedaldi2014", "tedaldi2014-text", "imu_tk"]
+Preset = Literal["gnomon", "tedaldi2014", "tedaldi2014-text", "imu_tk", "angrisano"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -14,7 +14,8 @@ class ImuOptions:
 
     preset: Preset = "gnomon"
     """gnomon: the better estimator (default). tedaldi2014: the authors' published script behind Table 4.8.
-    tedaldi2014-text: Algorithm 1 as printed. imu_tk: the published C++ program."""
+    tedaldi2014-text: Algorithm 1 as printed. imu_tk: the published C++ program. angrisano: the accelerometer by
+    document C, Eqs. 8 to 12."""
 
     gravity: float | None = None
     """Local gravity in m/s^2, where you know it."""
@@ -48,6 +49,15 @@ class ImuOptions:
 
     gyroscope_range: float | None = None
     """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.gyroscope.g_sensitivity."""
+
+    free: tuple[str, ...] = ()
+    """Parameters to estimate that are fixed otherwise."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.accelerometer.bias=0.05."""
 
     def __post_init__(self) -> None:
         _check_place(self.gravity, self.latitude)

@@ -23,12 +23,16 @@ def parameters(
 ) -> Iterator[tuple[str, Floats]]:
     """Yield (path, value) of every parameter, in the order of the covariance."""
     for name, imu in imus.items():
-        yield f"{name}.accelerometer.sensitivity", imu.accelerometer.sensitivity
-        yield f"{name}.accelerometer.bias", imu.accelerometer.bias
+        if imu.accelerometer is not None:
+            yield f"{name}.accelerometer.sensitivity", imu.accelerometer.sensitivity
+            yield f"{name}.accelerometer.bias", imu.accelerometer.bias
         if imu.gyroscope is not None:
             yield f"{name}.gyroscope.sensitivity", imu.gyroscope.sensitivity
             yield f"{name}.gyroscope.bias", imu.gyroscope.bias
             yield f"{name}.gyroscope.g_sensitivity", imu.gyroscope.g_sensitivity
+        if imu.magnetometer is not None:
+            yield f"{name}.magnetometer.sensitivity", imu.magnetometer.sensitivity
+            yield f"{name}.magnetometer.bias", imu.magnetometer.bias
     for name, camera in cameras.items():
         yield f"{name}.T_cam_imu.rotation", rotvec_from_rotation(camera.T_cam_imu[:3, :3])
         yield f"{name}.T_cam_imu.translation", camera.T_cam_imu[:3, 3]
@@ -75,14 +79,14 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
     Raises
     ------
     OptionError
-        If `frame` is neither.
+        If `frame` is neither, or an IMU has no accelerometer to define it.
     """
     moved: dict[str, ImuCalibration] = {}
     jacobian = np.eye(len(covariance_names(imus, cameras)))
     turn, by_sensitivity = np.eye(3), np.zeros((3, 9))
     start = 0
     for name, imu in imus.items():
-        sensitivity = imu.accelerometer.sensitivity
+        sensitivity = imu.required_accelerometer.sensitivity
         rotation = frame_rotation(sensitivity, frame)
         moved[name] = _with_exact_zeros(rotated(imu, rotation), frame)
         block = rotation_jacobian(_matrices(imu), rotation, frame)
@@ -100,10 +104,11 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
 
 def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:
     """Return the IMU without the rounding that a rotation leaves in the elements that the frame makes zero."""
-    sensitivity = imu.accelerometer.sensitivity.copy()
+    accelerometer = imu.required_accelerometer
+    sensitivity = accelerometer.sensitivity.copy()
     for entry in fixed_entries(frame):
         sensitivity[entry] = 0.0
-    return replace(imu, accelerometer=replace(imu.accelerometer, sensitivity=sensitivity))
+    return replace(imu, accelerometer=replace(accelerometer, sensitivity=sensitivity))
 
 
 def _matrices(imu: ImuCalibration) -> list[Floats]:

@@ -98,10 +98,12 @@ class TriadSamples:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuSamples:
-    """Both triads of one IMU; they may differ in rate and stamps, but share one clock.
+    """The triads of one IMU; they may differ in rate and stamps, but share one clock.
 
     Attributes
     ----------
+    accelerometer, gyroscope : without samples where the recording has none
+    magnetometer : None where the recording has none
     noise : what its data sheet or its Allan deviation says, where that was stated
     topic : ROS topic that Kalibr's files name, or ""
     """
@@ -110,6 +112,7 @@ class ImuSamples:
     gyroscope: TriadSamples
     noise: ImuNoise | None = None
     topic: str = ""
+    magnetometer: TriadSamples | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -212,6 +215,56 @@ class CameraFrames:
             raise RecordingError(f"quality must hold one entry a frame, {len(self.t_ns)}.")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Poses:
+    """Averages of an IMU at rest in several attitudes, one row a pose: a table that somebody made, or a file per pose.
+
+    Attributes
+    ----------
+    name : (n,) what a person knows each pose by: a file, or the row of a table
+    accelerometer : (n, 3) mean [accelerometer_unit]
+    gyroscope : (n, 3) mean [gyroscope_unit], or None
+    accelerometer_sigma, gyroscope_sigma : (n, 3) standard deviation of each mean [unit], or None where it is not known
+    samples : (n,) samples in each mean; 0 where that is not known
+    t_s : (n,) when [s], or None where it is not known
+    specific_force : (n, 3) known specific force in the frame of the jig [m/s^2], or None (document C, Eqs. 4 to 7)
+
+    Raises
+    ------
+    RecordingError
+        If the shapes do not fit.
+    """
+
+    name: tuple[str, ...]
+    accelerometer: Floats
+    accelerometer_unit: str
+    gyroscope: Floats | None = None
+    gyroscope_unit: str = "rad/s"
+    accelerometer_sigma: Floats | None = None
+    gyroscope_sigma: Floats | None = None
+    samples: Integers | None = None
+    t_s: Floats | None = None
+    specific_force: Floats | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.name)
+        for field_name in ("accelerometer", "gyroscope", "accelerometer_sigma", "gyroscope_sigma", "specific_force"):
+            values = getattr(self, field_name)
+            if values is not None:
+                object.__setattr__(self, field_name, frozen_array(values))
+                if np.shape(values) != (n, 3):
+                    raise RecordingError(f"{field_name} of {n} poses must be ({n}, 3); found {np.shape(values)}.")
+        for field_name, dtype in (("samples", np.int64), ("t_s", np.float64)):
+            values = getattr(self, field_name)
+            if values is not None:
+                object.__setattr__(self, field_name, frozen_array(values, dtype))
+                if np.shape(values) != (n,):
+                    raise RecordingError(f"{field_name} of {n} poses must be ({n},); found {np.shape(values)}.")
+
+    def __len__(self) -> int:
+        return len(self.name)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
     """A file that was read: its name without folder, and the SHA-256 of its bytes."""
@@ -229,6 +282,7 @@ class Recording:
     imus : mapping from "imu0", "imu1", ... to ImuSamples
     cameras : mapping from "cam0", "cam1", ... to CameraFrames; empty for an IMU alone
     findings : what was noticed while it was read, such as clocks that drift
+    poses : averages instead of samples; `imus` is empty then
     sources : the files that were read
     assumptions : sentences on what the reader had to assume, such as units or the rate
     """
@@ -238,6 +292,7 @@ class Recording:
     assumptions: tuple[str, ...] = ()
     cameras: Mapping[str, CameraFrames] = field(default_factory=dict[str, "CameraFrames"])
     findings: tuple[Finding, ...] = ()
+    poses: Poses | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))

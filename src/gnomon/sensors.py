@@ -1,10 +1,11 @@
-"""Calibrated sensors: an IMU's two triads, and the camera that moves with them.
+"""Calibrated sensors: an IMU's triads, and the camera that moves with them.
 
-The one sensor model of gnomon (see docs/theory): with specific force f [m/s^2] and angular rate omega [rad/s] in the
-body frame, and measurements in the unit of the recording,
+The one sensor model of gnomon (see docs/theory): with specific force f [m/s^2], angular rate omega [rad/s] and magnetic
+field m [uT, or the local field's strength] in the body frame, and measurements in the unit of the recording,
 
     accelerometer = sensitivity @ f + bias
     gyroscope     = sensitivity @ omega + bias + g_sensitivity @ f
+    magnetometer  = sensitivity @ m + bias
 
 The models of documents A, B and C and of other projects are exact views of it.
 """
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import FormatError
+from .errors import FormatError, OptionError
 from .models.camera import Camera
 from .recording import Floats, ImuSamples, TriadSamples, frozen_array
 
@@ -85,39 +86,110 @@ def _mapped(matrix: NDArray[np.floating[Any]], vectors: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImuCalibration:
-    """Both triads of one IMU, in one body frame."""
+class MagnetometerCalibration:
+    """measured = sensitivity @ m + bias.
 
-    accelerometer: AccelerometerCalibration
+    Attributes
+    ----------
+    sensitivity : (3, 3) [unit per field_unit], body frame to sensor axes; what iron that is magnetised by the field
+        ("soft iron") does is part of it
+    bias : (3,) [unit], sensor axes; magnetised parts ("hard iron") and the sensor's own offset
+    unit : unit of the measurements
+    field_unit : unit of the calibrated field: "uT", or "local field" where the strength of the field was not stated and
+        is 1
+    """
+
+    sensitivity: Floats
+    bias: Floats
+    unit: str
+    field_unit: str = "local field"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sensitivity", frozen_array(self.sensitivity))
+        object.__setattr__(self, "bias", frozen_array(self.bias))
+
+    def magnetic_field(self, values: Floats) -> Floats:
+        """Return the magnetic field in the body frame, (n, 3) [field_unit], of measurements (n, 3) [unit]."""
+        return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuCalibration:
+    """The triads of one IMU, in one body frame; those that were not calibrated are None.
+
+    Raises
+    ------
+    FormatError
+        If there is no triad at all.
+    """
+
+    accelerometer: AccelerometerCalibration | None = None
     gyroscope: GyroscopeCalibration | None = None
+    magnetometer: MagnetometerCalibration | None = None
+
+    def __post_init__(self) -> None:
+        if self.accelerometer is None and self.gyroscope is None and self.magnetometer is None:
+            raise FormatError("a calibrated IMU needs an accelerometer, a gyroscope or a magnetometer.")
+
+    @property
+    def required_accelerometer(self) -> AccelerometerCalibration:
+        """The accelerometer, for what cannot do without.
+
+        Raises
+        ------
+        OptionError
+            If it was not calibrated.
+        """
+        if self.accelerometer is None:
+            raise OptionError(
+                "this calibration holds no accelerometer, which is needed here. Calibrate one with gnomon imu, "
+                "and give its calibration.yaml."
+            )
+        return self.accelerometer
 
     def apply(self, samples: ImuSamples) -> ImuSamples:
-        """Turn measurements into specific force [m/s^2] and angular rate [rad/s] in the body frame.
+        """Turn measurements into specific force [m/s^2], angular rate [rad/s] and magnetic field in the body frame.
 
-        The g-sensitivity of the gyroscope needs the specific force at the stamps of the gyroscope; where the two triads
-        have stamps of their own it is interpolated linearly.
+        A triad that was not calibrated keeps its measurements. The g-sensitivity of the gyroscope needs the specific
+        force at the stamps of the gyroscope; where the two triads have stamps of their own it is interpolated linearly.
 
         Raises
         ------
         FormatError
             If the samples are not in the unit for which the calibration was made.
         """
-        for triad, stream in ((self.accelerometer, samples.accelerometer), (self.gyroscope, samples.gyroscope)):
-            if triad is not None and triad.unit != stream.unit:
+        self._check_units(samples)
+        accelerometer, gyroscope, magnetometer = samples.accelerometer, samples.gyroscope, samples.magnetometer
+        if self.accelerometer is not None:
+            force = self.accelerometer.specific_force(accelerometer.values)
+            accelerometer = TriadSamples(t_ns=accelerometer.t_ns, values=force, unit="m/s^2")
+        if self.gyroscope is not None:
+            force = interpolate_triad(accelerometer, gyroscope) if self.gyroscope.g_sensitivity.any() else None
+            rate = self.gyroscope.angular_rate(
+                gyroscope.values, np.zeros((len(gyroscope), 3)) if force is None else force
+            )
+            gyroscope = TriadSamples(t_ns=gyroscope.t_ns, values=rate, unit="rad/s")
+        if self.magnetometer is not None and magnetometer is not None:
+            field = self.magnetometer.magnetic_field(magnetometer.values)
+            magnetometer = TriadSamples(t_ns=magnetometer.t_ns, values=field, unit=self.magnetometer.field_unit)
+        return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
+
+    def _check_units(self, samples: ImuSamples) -> None:
+        pairs = (
+            (self.accelerometer, samples.accelerometer),
+            (self.gyroscope, samples.gyroscope),
+            (self.magnetometer, samples.magnetometer),
+        )
+        for triad, stream in pairs:
+            if triad is not None and stream is not None and len(stream) and triad.unit != stream.unit:
                 raise FormatError(
                     f"the calibration is for measurements in {triad.unit}, the samples are in {stream.unit}. "
                     "Read the recording with the units that it had when it was calibrated (--units)."
                 )
-        force = self.accelerometer.specific_force(samples.accelerometer.values)
-        calibrated = TriadSamples(t_ns=samples.accelerometer.t_ns, values=force, unit="m/s^2")
-        if self.gyroscope is None:
-            return ImuSamples(accelerometer=calibrated, gyroscope=samples.gyroscope)
-        at_gyro = interpolate_triad(calibrated, samples.gyroscope)
-        rate = self.gyroscope.angular_rate(samples.gyroscope.values, at_gyro)
-        return ImuSamples(
-            accelerometer=calibrated,
-            gyroscope=TriadSamples(t_ns=samples.gyroscope.t_ns, values=rate, unit="rad/s"),
-        )
+        if self.gyroscope is not None and self.gyroscope.g_sensitivity.any() and self.accelerometer is None:
+            raise FormatError(
+                "the gyroscope's g-sensitivity needs the specific force, and this calibration holds no accelerometer."
+            )
 
 
 def interpolate_triad(source: TriadSamples, target: TriadSamples) -> Floats:
@@ -157,15 +229,18 @@ class CameraCalibration:
 
 def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
     """Return the IMU with its body frame turned: f_new = rotation @ f_old, (3, 3)."""
-    accelerometer = replace(imu.accelerometer, sensitivity=imu.accelerometer.sensitivity @ rotation.T)
-    if imu.gyroscope is None:
-        return ImuCalibration(accelerometer=accelerometer)
-    gyroscope = replace(
-        imu.gyroscope,
-        sensitivity=imu.gyroscope.sensitivity @ rotation.T,
-        g_sensitivity=imu.gyroscope.g_sensitivity @ rotation.T,
-    )
-    return ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope)
+    accelerometer, gyroscope, magnetometer = imu.accelerometer, imu.gyroscope, imu.magnetometer
+    if accelerometer is not None:
+        accelerometer = replace(accelerometer, sensitivity=accelerometer.sensitivity @ rotation.T)
+    if gyroscope is not None:
+        gyroscope = replace(
+            gyroscope,
+            sensitivity=gyroscope.sensitivity @ rotation.T,
+            g_sensitivity=gyroscope.g_sensitivity @ rotation.T,
+        )
+    if magnetometer is not None:
+        magnetometer = replace(magnetometer, sensitivity=magnetometer.sensitivity @ rotation.T)
+    return ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
 
 
 def rotated_camera(camera: CameraCalibration, rotation: Floats) -> CameraCalibration:

@@ -15,6 +15,7 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 AccelerometerUnit = Literal["m/s^2", "g", "mg", "count"]
 GyroscopeUnit = Literal["rad/s", "deg/s", "mdeg/s", "count"]
+MagnetometerUnit = Literal["uT", "nT", "T", "gauss", "mgauss", "count"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
 
 ACCELEROMETER_UNITS_M_S2: dict[str, float | None] = {
@@ -33,6 +34,16 @@ GYROSCOPE_UNITS_RAD_S: dict[str, float | None] = {
 }
 """One unit in rad/s; None where only a calibration can tell."""
 
+MAGNETOMETER_UNITS_UT: dict[str, float | None] = {
+    "uT": 1.0,
+    "nT": 1e-3,
+    "T": 1e6,
+    "gauss": 100.0,
+    "mgauss": 0.1,
+    "count": None,
+}
+"""One unit in microtesla; None where only a calibration can tell."""
+
 TIME_UNITS_NS: dict[str, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 """One unit in nanoseconds."""
 
@@ -46,11 +57,13 @@ class Units:
     accelerometer : "m/s^2", "g", "mg" or "count"
     gyroscope : "rad/s", "deg/s", "mdeg/s" or "count"
     time : "s", "ms", "us" or "ns"
+    magnetometer : "uT", "nT", "T", "gauss", "mgauss" or "count"
     """
 
     accelerometer: AccelerometerUnit | None = None
     gyroscope: GyroscopeUnit | None = None
     time: TimeUnit | None = None
+    magnetometer: MagnetometerUnit | None = None
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -64,19 +77,20 @@ class Units:
         Examples
         --------
         >>> Units.parse("si")
-        Units(accelerometer='m/s^2', gyroscope='rad/s', time=None)
+        Units(accelerometer='m/s^2', gyroscope='rad/s', time=None, magnetometer='uT')
         >>> Units.parse("g deg/s us")
-        Units(accelerometer='g', gyroscope='deg/s', time='us')
+        Units(accelerometer='g', gyroscope='deg/s', time='us', magnetometer=None)
         """
         if text == "si":
-            return cls(accelerometer="m/s^2", gyroscope="rad/s")
+            return cls(accelerometer="m/s^2", gyroscope="rad/s", magnetometer="uT")
         if text == "raw":
-            return cls(accelerometer="count", gyroscope="count")
+            return cls(accelerometer="count", gyroscope="count", magnetometer="count")
         found: dict[str, str] = {}
         tables = {
             "accelerometer": ACCELEROMETER_UNITS_M_S2,
             "gyroscope": GYROSCOPE_UNITS_RAD_S,
             "time": TIME_UNITS_NS,
+            "magnetometer": MAGNETOMETER_UNITS_UT,
         }
         for word in text.replace(",", " ").replace("m/s2", "m/s^2").split():
             quantities = [name for name, table in tables.items() if word in table and word != "count"]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from . import commands
 from .camera_imu_actions import camera_imu, simulate_camera_imu
 from .check_actions import check
+from .command_parts import Input
 from .convert_actions import convert
 from .places import RESULT_FILES, default_folder, result_folder
 from .results import (
@@ -60,7 +61,7 @@ def _say_result(calibration: "Calibration", folder: Path, terminal: Terminal, *,
     say_files(folder, terminal)
 
 
-def _read(source: commands.Input) -> "Recording":
+def _read(source: Input) -> "Recording":
     from ..readers import read
 
     return read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)

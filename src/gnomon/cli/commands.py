@@ -10,61 +10,13 @@ from ..errors import OptionError
 from ..options import CameraImuOptions, ImuOptions
 from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
+from .command_parts import CalibrationPath, FileOption, Flat, Input, Switch, Topics, output_option
 from .topics import topics_of
-
-_Flat = tyro.conf.arg(name="")
-"""Options of a nested class appear without a prefix."""
 
 _DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
 
-
-_Switch = tyro.conf.arg(help_behavior_hint="")
-
-_Calibration = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")]
-
-
-def _output(metavar: str, hint: str = "") -> object:
-    return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
-
-
-_File = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
-
 CalibrationForm = Literal["imu_tk", "kalibr", "openvins", "basalt", "imucal", "c-header", "csv"]
 RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
-
-Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
-"""Options of a bag; `topics.topics_of` reads them."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Input:
-    """A recording, and what it does not say about itself."""
-
-    path: tyro.conf.Positional[Path]
-    """A file or a folder; with two files, that of the accelerometer."""
-
-    gyroscope_path: Annotated[
-        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]", help_behavior_hint="")
-    ] = None
-    """The file of the gyroscope, where it has its own."""
-
-    columns: str | None = None
-    """What the columns of a table are, such as "t ax ay az gx gy gz"; _ skips one."""
-
-    rate: float | None = None
-    """Sample rate in Hz, for a table without time."""
-
-    units: str | None = None
-    """Units of the recording: "si", "raw" (counts), or a list such as "g deg/s us"; recognised where not given."""
-
-    def __post_init__(self) -> None:
-        if self.units is not None:
-            Units.parse(self.units)
-
-    @property
-    def paths(self) -> tuple[Path, ...]:
-        """The one or two paths."""
-        return (self.path,) if self.gyroscope_path is None else (self.path, self.gyroscope_path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,14 +27,14 @@ class Imu:
     seconds in each.
     """
 
-    recording: Annotated[Input, _Flat]
-    output: Annotated[Path | None, _output("DIR")] = None
+    recording: Annotated[Input, Flat]
+    output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
-    report: Annotated[bool, _Switch] = True
+    report: Annotated[bool, Switch] = True
     """Do not make the report."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
-    options: Annotated[ImuOptions, _Flat] = field(default_factory=ImuOptions)
+    options: Annotated[ImuOptions, Flat] = field(default_factory=ImuOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,28 +52,28 @@ class CameraImu:
     cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
     """Kalibr's file of the cameras and their intrinsics, or gnomon's calibration.yaml (default: camchain.yaml in the
     recording's folder; else what the recording itself says, as EuRoC's does)."""
-    imu: Annotated[Path | None, _File] = None
+    imu: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
-    target: Annotated[Path | None, _File] = None
+    target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
     topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC ...", help_behavior_hint="")] = ()
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
-    imu_table: Annotated[Path | None, _File] = None
+    imu_table: Annotated[Path | None, FileOption] = None
     """Table of the IMU's samples, where the recording has none, as a video."""
     units: str | None = None
     """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
     workers: int | None = None
     """How many look for the board in the images at once; as many as there are cores where not given."""
-    cache: Annotated[bool, _Switch] = True
+    cache: Annotated[bool, Switch] = True
     """Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept there."""
-    output: Annotated[Path | None, _output("DIR")] = None
+    output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz, trajectory.txt and Kalibr's camchain-imucam.yaml,
     imu.yaml and results-imucam.txt (default: the recording's name with -gnomon)."""
-    report: Annotated[bool, _Switch] = True
+    report: Annotated[bool, Switch] = True
     """Do not make the report."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
-    options: Annotated[CameraImuOptions, _Flat] = field(default_factory=CameraImuOptions)
+    options: Annotated[CameraImuOptions, Flat] = field(default_factory=CameraImuOptions)
 
     def __post_init__(self) -> None:
         topics_of(self.topics)
@@ -139,19 +91,19 @@ class Check:
     video) as one that was waved in front of a board; neither lens nor board need be known.
     """
 
-    recording: Annotated[Input, _Flat]
+    recording: Annotated[Input, Flat]
     cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
     """Kalibr's file of the cameras (default: camchain.yaml in the recording's folder, where there is one)."""
-    imu: Annotated[Path | None, _File] = None
+    imu: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
-    target: Annotated[Path | None, _File] = None
+    target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board, which is then sought in some of the images (default: target.yaml in the recording's
     folder, where there is one)."""
     topics: Topics = ()
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
-    imu_table: Annotated[Path | None, _File] = None
+    imu_table: Annotated[Path | None, FileOption] = None
     """Table of the IMU's samples, where it is not in the recording of the cameras."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
     def __post_init__(self) -> None:
@@ -162,12 +114,12 @@ class Check:
 class Show:
     """Show a calibration as tables with standard deviations; files of other projects without."""
 
-    calibration: _Calibration
+    calibration: CalibrationPath
     """A calibration.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and results-imucam.txt,
     OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
     form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
     """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
 
@@ -175,12 +127,12 @@ class Show:
 class Apply:
     """Turn a recording into specific force and angular rate with a calibration; of any length, in little memory."""
 
-    calibration: _Calibration
+    calibration: CalibrationPath
     """A calibration.yaml."""
-    recording: Annotated[Input, _Flat]
-    output: Annotated[Path, _output("FILE", "(required)")]
+    recording: Annotated[Input, Flat]
+    output: Annotated[Path, output_option("FILE", "(required)")]
     """CSV file to write."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
 
@@ -196,16 +148,16 @@ class Convert:
     to: CalibrationForm | RecordingForm
     """The format: imu_tk, kalibr, openvins, basalt, imucal, c-header or csv of a calibration; euroc, ros1, ros2
     (SQLite) or mcap of a recording."""
-    output: Annotated[Path | None, _output("PATH")] = None
+    output: Annotated[Path | None, output_option("PATH")] = None
     """Folder for the files, file of a bag (default: beside the calibration or the recording, named after it and the
     format)."""
     topics: Topics = ()
     """Which topics of a bag are read, such as cam0=/camera/image_raw imu0=/imu/data; found where not given."""
-    imu_table: Annotated[Path | None, _File] = None
+    imu_table: Annotated[Path | None, FileOption] = None
     """Table of the IMU's samples, where it is not in the recording."""
     units: str | None = None
     """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
     def __post_init__(self) -> None:
@@ -218,13 +170,13 @@ class Convert:
 class Simulate:
     """Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml)."""
 
-    output: Annotated[Path, _output("FILE", "(required)")]
+    output: Annotated[Path, output_option("FILE", "(required)")]
     """Recording to write, .npz or .csv."""
     seed: int = 0
     """All random numbers follow from it."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
-    scenario: Annotated[Scenario, _Flat] = field(default_factory=Scenario)
+    scenario: Annotated[Scenario, Flat] = field(default_factory=Scenario)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,15 +186,15 @@ class SimulateCameraImu:
     `gnomon camera-imu` takes the folder as it is.
     """
 
-    output: Annotated[Path, _output("DIR", "(required)")]
+    output: Annotated[Path, output_option("DIR", "(required)")]
     """Folder for the recording."""
-    scenario: Annotated[Path | None, _File] = None
+    scenario: Annotated[Path | None, FileOption] = None
     """A scenario.yaml that states the options below; those that are given here as well replace its own."""
     seed: int = 0
     """All random numbers follow from it."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
-    options: Annotated[CameraImuScenario, _Flat] = field(default_factory=CameraImuScenario)
+    options: Annotated[CameraImuScenario, Flat] = field(default_factory=CameraImuScenario)
 
     @classmethod
     def with_scenario(cls, path: Path) -> Self:
@@ -262,13 +214,13 @@ class SimulateCameraImu:
 class Demo:
     """Calibrate a simulated recording and compare the result with the truth."""
 
-    output: Annotated[Path, _output("DIR", "(default: gnomon-demo)")] = Path("gnomon-demo")
+    output: Annotated[Path, output_option("DIR", "(default: gnomon-demo)")] = Path("gnomon-demo")
     """Folder for the recording, the truth and the results."""
     seed: int = 0
     """All random numbers follow from it."""
-    report: Annotated[bool, _Switch] = True
+    report: Annotated[bool, Switch] = True
     """Do not make the report."""
-    json: Annotated[bool, _Switch] = False
+    json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
     @property

@@ -1,0 +1,57 @@
+"""What several commands share: annotations of their options, and what a recording does not say about itself."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ..units import Units
+
+Flat = tyro.conf.arg(name="")
+"""Options of a nested class appear without a prefix."""
+
+Switch = tyro.conf.arg(help_behavior_hint="")
+
+CalibrationPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")]
+
+FileOption = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
+
+Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
+"""Options of a bag; `topics.topics_of` reads them."""
+
+
+def output_option(metavar: str, hint: str = "") -> object:
+    """Return the annotation of where a command writes."""
+    return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Input:
+    """A recording, and what it does not say about itself."""
+
+    path: tyro.conf.Positional[Path]
+    """A file or a folder; with two files, that of the accelerometer."""
+
+    gyroscope_path: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]", help_behavior_hint="")
+    ] = None
+    """The file of the gyroscope, where it has its own."""
+
+    columns: str | None = None
+    """What the columns of a table are, such as "t ax ay az gx gy gz"; _ skips one."""
+
+    rate: float | None = None
+    """Sample rate in Hz, for a table without time."""
+
+    units: str | None = None
+    """Units of the recording: "si", "raw" (counts), or a list such as "g deg/s us"; recognised where not given."""
+
+    def __post_init__(self) -> None:
+        if self.units is not None:
+            Units.parse(self.units)
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """The one or two paths."""
+        return (self.path,) if self.gyroscope_path is None else (self.path, self.gyroscope_path)

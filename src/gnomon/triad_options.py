@@ -1,0 +1,77 @@
+"""What a person may choose about calibrations from magnitudes; the command line is made from these classes."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedRate:
+    """The rate of a turntable, as somebody stated it or as a video showed it.
+
+    Attributes
+    ----------
+    name : as stated, such as "16rpm", or the name of the video
+    rate_rad_s : [rad/s], 0 for a turntable at rest
+    sigma_rad_s : its standard deviation [rad/s]; 0 where it is taken as exact
+    turns : turns that a video showed; nan where there was none
+    """
+
+    name: str
+    rate_rad_s: float
+    sigma_rad_s: float = 0.0
+    turns: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurntableOptions:
+    """How to calibrate a gyroscope on a turntable (document C)."""
+
+    model: Literal["auto", "basic", "g-sensitivity"] = "auto"
+    """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""
+
+    rate_sigma: float = 1e-3
+    """Relative standard deviation of rates that were stated as numbers."""
+
+    gravity: float | None = None
+    """Local gravity in m/s^2, where you know it."""
+
+    latitude: float | None = None
+    """Latitude in degrees, from which the earth's rate and, unless stated, normal gravity (WGS 84) are computed."""
+
+    altitude: float = 0.0
+    """Height above the ellipsoid in metres, used with --latitude."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.gyroscope.g_sensitivity."""
+
+    free: tuple[str, ...] = ()
+    """Parameters to estimate that are fixed otherwise, such as rate.scale."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.gyroscope.bias=0.01."""
+
+    accelerometer_range: float | None = None
+    """Full scale of the accelerometer, in the recording's unit; samples at or beyond it are masked."""
+
+    gyroscope_range: float | None = None
+    """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MagnetometerOptions:
+    """How to calibrate a magnetometer."""
+
+    field: float | None = None
+    """Strength of the local magnetic field in uT, where you know it; otherwise it is the unit of the result."""
+
+    model: Literal["auto", "hard-iron", "full"] = "auto"
+    """Offset and one scale (hard-iron), every entry of the sensitivity (full), or chosen by hold-out (auto)."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.magnetometer.bias."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.magnetometer.bias=5."""
+
+    magnetometer_range: float | None = None
+    """Full scale of the magnetometer, in the recording's unit; samples at or beyond it are masked."""
