@@ -21,8 +21,9 @@ import tyro.conf
 
 import gnomon
 from gnomon.cli.commands import COMMANDS
-from gnomon.options import CameraImuOptions, ImuOptions
-from gnomon.simulate import CameraImuScenario, Scenario
+from gnomon.options import CameraImuOptions, ImuOptions, NoiseOptions
+from gnomon.simulate import CameraImuScenario, FieldScenario, PoseScenario, Scenario, TurntableScenario
+from gnomon.triad_options import MagnetometerOptions, TurntableOptions
 
 DOCS = Path(__file__).parent
 GENERATED = "<!-- Made by docs/make_reference.py; do not edit. -->"
@@ -48,15 +49,21 @@ _PYTHON_HEAD = """\
 
 Everything public is in the package `gnomon`; nothing is imported before it is used. Values are frozen dataclasses whose
 arrays are read-only. Arrays are float64 with samples first, `(n, 3)`. The command line only wraps these names: its
-options are the fields of `ImuOptions`, `CameraImuOptions`, `Scenario` and `CameraImuScenario` ([cli.md](cli.md)
-describes each), and the names of parameters are the paths in [calibration.yaml](files.md#calibrationyaml).
+options are the fields of `ImuOptions` and of the other classes of options and scenarios ([cli.md](cli.md) describes
+each), and the names of parameters are the paths in [calibration.yaml](files.md#calibrationyaml).
 """
 
 _COMMAND_OF = {
     ImuOptions: "imu",
     CameraImuOptions: "camera-imu",
+    TurntableOptions: "turntable",
+    MagnetometerOptions: "magnetometer",
+    NoiseOptions: "noise",
     Scenario: "simulate",
     CameraImuScenario: "simulate-camera-imu",
+    PoseScenario: "simulate-poses",
+    TurntableScenario: "simulate-turntable",
+    FieldScenario: "simulate-magnetometer",
 }
 """Options -> the command whose help describes each of them."""
 
@@ -67,17 +74,38 @@ _SECTIONS = {
         "check",
         "calibrate_imu",
         "calibrate_camera_imu",
+        "calibrate_turntable",
+        "rate_from_video",
+        "calibrate_magnetometer",
+        "identify_noise",
         "save",
         "save_camera_imu_files",
         "load",
+        "load_noise",
         "load_foreign",
         "convert",
         "write_report",
         "simulate",
         "simulate_camera_imu",
+        "simulate_poses",
+        "simulate_turntable",
+        "simulate_magnetometer",
     ),
-    "What one chooses": ("ImuOptions", "CameraImuOptions", "Scenario", "CameraImuScenario", "Units"),
-    "What was measured": ("Recording", "ImuSamples", "TriadSamples", "CameraFrames"),
+    "What one chooses": (
+        "ImuOptions",
+        "CameraImuOptions",
+        "TurntableOptions",
+        "StatedRate",
+        "MagnetometerOptions",
+        "NoiseOptions",
+        "Scenario",
+        "CameraImuScenario",
+        "PoseScenario",
+        "TurntableScenario",
+        "FieldScenario",
+        "Units",
+    ),
+    "What was measured": ("Recording", "ImuSamples", "TriadSamples", "Poses", "CameraFrames"),
     "What is known beforehand": ("Target", "Camera", "ImuNoise"),
     "What was learned": (
         "Result",
@@ -85,6 +113,7 @@ _SECTIONS = {
         "ImuCalibration",
         "AccelerometerCalibration",
         "GyroscopeCalibration",
+        "MagnetometerCalibration",
         "CameraCalibration",
         "ForeignCalibration",
         "Covariance",
@@ -127,7 +156,7 @@ def pages() -> dict[str, str]:
 def _cli_page() -> str:
     parts = [GENERATED, _CLI_HEAD]
     for name, command in COMMANDS.items():
-        options = list(command_options(command))
+        options = sorted(command_options(command), key=lambda option: option.words.startswith("`-"))
         parts += [f"## gnomon {name}", f"```text\n{_usage(name, options)}\n```"]
         parts.append(_paragraphs(command.__doc__ or ""))
         parts.append("| argument | meaning | default |\n|---|---|---|\n" + "\n".join(map(_row, options)))
@@ -199,9 +228,9 @@ def _default(value: Any) -> str:
 
 def _field_texts(owner: type) -> dict[str, str]:
     """Return field -> the text that stands beneath it in the source, on one line."""
-    body = _definition(owner).body
+    bases = [base for base in reversed(owner.__mro__) if is_dataclass(base)]
     texts: dict[str, str] = {}
-    for statement, following in pairwise(body):
+    for statement, following in (pair for base in bases for pair in pairwise(_definition(base).body)):
         if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
             texts[statement.target.id] = " ".join(_text(following).split()).replace("|", "\\|")
     return texts

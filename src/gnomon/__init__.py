@@ -19,11 +19,30 @@ from .errors import (
 )
 
 # At once: later, the function simulate would be hidden by the room of the same name.
-from .simulate import CameraImuScenario, Scenario, simulate, simulate_camera_imu
+from .simulate import (
+    CameraImuScenario,
+    FieldScenario,
+    PoseScenario,
+    Scenario,
+    TurntableScenario,
+    simulate,
+    simulate_camera_imu,
+    simulate_magnetometer,
+    simulate_poses,
+    simulate_turntable,
+)
 
 if TYPE_CHECKING:
     from .assess.doctor import check
-    from .calibrate import calibrate_camera_imu, calibrate_imu, read_camera_imu
+    from .calibrate import (
+        calibrate_camera_imu,
+        calibrate_imu,
+        calibrate_magnetometer,
+        calibrate_turntable,
+        identify_noise,
+        rate_from_video,
+        read_camera_imu,
+    )
     from .calibration import (
         AccelerometerCalibration,
         Calibration,
@@ -31,18 +50,21 @@ if TYPE_CHECKING:
         Covariance,
         GyroscopeCalibration,
         ImuCalibration,
+        MagnetometerCalibration,
     )
     from .diagnostics import Result
     from .findings import Finding
     from .models.camera import Camera
     from .models.noise import ImuNoise
     from .models.target import Target
-    from .options import CameraImuOptions, ImuOptions
+    from .options import CameraImuOptions, ImuOptions, NoiseOptions
     from .readers import load, read
     from .readers.foreign import ForeignCalibration
     from .readers.foreign_files import load_foreign
-    from .recording import CameraFrames, ImuSamples, Recording, TriadSamples
+    from .readers.noise_file import load_noise
+    from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
+    from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers import Loss, convert, save, save_camera_imu_files
 
@@ -78,6 +100,17 @@ _HOMES = {
     "save": "writers",
     "save_camera_imu_files": "writers",
     "write_report": "report",
+    "MagnetometerCalibration": "calibration",
+    "Poses": "recording",
+    "StatedRate": "triad_options",
+    "TurntableOptions": "triad_options",
+    "MagnetometerOptions": "triad_options",
+    "calibrate_magnetometer": "calibrate",
+    "calibrate_turntable": "calibrate",
+    "identify_noise": "calibrate",
+    "rate_from_video": "calibrate",
+    "load_noise": "readers.noise_file",
+    "NoiseOptions": "options",
 }
 
 __all__ = [
@@ -90,6 +123,7 @@ __all__ = [
     "CameraImuScenario",
     "Covariance",
     "DetectionError",
+    "FieldScenario",
     "Finding",
     "ForeignCalibration",
     "FormatError",
@@ -101,29 +135,45 @@ __all__ = [
     "ImuSamples",
     "InitialisationError",
     "Loss",
+    "MagnetometerCalibration",
+    "MagnetometerOptions",
+    "NoiseOptions",
     "OptionError",
     "OutputError",
+    "PoseScenario",
+    "Poses",
     "Recording",
     "RecordingError",
     "Result",
     "Scenario",
     "SolveError",
+    "StatedRate",
     "Target",
     "TriadSamples",
+    "TurntableOptions",
+    "TurntableScenario",
     "Units",
     "__version__",
     "calibrate_camera_imu",
     "calibrate_imu",
+    "calibrate_magnetometer",
+    "calibrate_turntable",
     "check",
     "convert",
+    "identify_noise",
     "load",
     "load_foreign",
+    "load_noise",
+    "rate_from_video",
     "read",
     "read_camera_imu",
     "save",
     "save_camera_imu_files",
     "simulate",
     "simulate_camera_imu",
+    "simulate_magnetometer",
+    "simulate_poses",
+    "simulate_turntable",
     "write_report",
 ]
 

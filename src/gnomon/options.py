@@ -29,8 +29,9 @@ class ImuOptions:
     frame: str = "accel-x"
     """Body frame: accel-x (Kalibr), accel-z (Tedaldi), or poses "x=3 z=-7" (interval 3 with x up, 7 with z down)."""
 
-    model: Literal["auto", "basic", "g-sensitivity"] = "auto"
-    """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""
+    model: Literal["auto", "basic", "g-sensitivity", "static"] = "auto"
+    """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto); or
+    linear and from the rests alone, whatever the rotations show (static: document B, section 5.2)."""
 
     time_base: Literal["auto", "stamps", "uniform"] = "auto"
     """Use the stamps as they are, a straight line through them, or what the recording supports (auto)."""
@@ -50,18 +51,30 @@ class ImuOptions:
     gyroscope_range: float | None = None
     """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
 
+    bits: int | None = None
+    """Bits of the converter, for the start of preset angrisano on counts (n of Eq. 12)."""
+
+    full_scale: float | None = None
+    """Full scale of the accelerometer in m/s^2, for the same start (y of Eq. 12)."""
+
+    geometry: Literal["small-angle", "exact"] = "small-angle"
+    """Alignment matrix of preset angrisano: Eq. 15 (small-angle) or Eq. 14 (exact)."""
+
     fix: tuple[str, ...] = ()
     """Parameters that keep their prior value, such as imu0.gyroscope.g_sensitivity."""
 
     free: tuple[str, ...] = ()
-    """Parameters to estimate that are fixed otherwise."""
+    """Parameters of which a prior calibration is not asked, such as imu0.accelerometer."""
 
     prior: tuple[str, ...] = ()
-    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.accelerometer.bias=0.05."""
+    """What is known beforehand: a calibration.yaml, a noise.yaml, or NAME=SIGMA as imu0.accelerometer.bias=0.05."""
 
     def __post_init__(self) -> None:
         _check_place(self.gravity, self.latitude)
-        _check_positive(self, ("window_s", "multiplier", "t_init_s", "accelerometer_range", "gyroscope_range"))
+        positive = ("window_s", "multiplier", "t_init_s", "accelerometer_range", "gyroscope_range", "full_scale")
+        _check_positive(self, positive)
+        if self.bits is not None and not 2 <= self.bits <= 32:
+            raise OptionError(f"bits {self.bits}: give a number from 2 to 32.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +114,8 @@ class CameraImuOptions:
     """Parameters to estimate that are fixed otherwise, such as cam0.intrinsics, cam0.line_delay or target.scale."""
 
     prior: tuple[str, ...] = ()
-    """Parameters to estimate with a prior about their start value, NAME=SIGMA, such as cam0.intrinsics=2."""
+    """Parameters to estimate with a prior about their start value, NAME=SIGMA, such as cam0.intrinsics=2; or a file
+    with what is known of the IMU, a calibration.yaml."""
 
     line_delay: float | None = None
     """Time from one image row to the next in seconds, of every camera (rolling shutter)."""
@@ -129,10 +143,31 @@ class CameraImuOptions:
     def __post_init__(self) -> None:
         _check_place(self.gravity, self.latitude)
         for text in self.prior:
-            stated_prior(text)
+            if "=" in text:  # the others are files, which the command line reads
+                stated_prior(text)
         _check_positive(
             self, ("pixel_sigma", "knots_per_s", "accelerometer_range", "gyroscope_range", "max_iterations")
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseOptions:
+    """How to identify the noise of an IMU from a long recording at rest."""
+
+    start_s: float = 0.0
+    """Leave out this long at the start, in seconds: the sensor was still touched, or warmed up."""
+
+    stop_s: float | None = None
+    """Leave out what comes later than this, in seconds from the start of the recording."""
+
+    topic: str = "/imu0"
+    """ROS topic (rostopic) for imu.yaml; the noise does not depend on it."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start_s < float("inf"):
+            raise OptionError(f"start_s {self.start_s:g} must be zero or more.")
+        if self.stop_s is not None and not self.stop_s > self.start_s:
+            raise OptionError(f"stop_s {self.stop_s:g} must be later than start_s {self.start_s:g}.")
 
 
 def stated_prior(text: str) -> tuple[str, float]:
@@ -149,7 +184,10 @@ def stated_prior(text: str) -> tuple[str, float]:
     except ValueError:
         sigma = float("nan")
     if not equals or not 0 < sigma < float("inf"):
-        raise OptionError(f"--prior {text}: expected NAME=SIGMA with SIGMA greater than zero, as cam0.intrinsics=2.")
+        raise OptionError(
+            f"--prior {text}: expected NAME=SIGMA with SIGMA greater than zero, as cam0.intrinsics=2, or a file on the "
+            "command line (in Python: prior=gnomon.load(file))."
+        )
     return name, sigma
 
 

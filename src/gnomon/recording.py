@@ -18,6 +18,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
+_LONGEST_PAUSE_NS = 2_000_000_000  # between packets
 _PACKET_FACTOR = 3.0  # a mean step this much longer than the median comes from packets, not from gaps
 
 
@@ -85,8 +86,10 @@ class TriadSamples:
         """Sample rate [Hz]: by the median step, or the mean where samples were stamped in packets; nan if unknown."""
         if len(self) < 2:
             return float("nan")
-        step = float(np.median(np.diff(self.t_ns)))
-        mean = float(self.t_ns[-1] - self.t_ns[0]) / (len(self) - 1)
+        steps = np.diff(self.t_ns)
+        step = float(np.median(steps))
+        together = steps[steps < max(_LONGEST_PAUSE_NS, step)]  # what was cut out between poses is no packet's pause
+        mean = float(np.mean(together)) if len(together) else step
         step = mean if mean > _PACKET_FACTOR * step else step
         return 1e9 / step if step > 0 else float("nan")
 
@@ -266,6 +269,21 @@ class Poses:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """A part of a recording that was recorded on its own, as one file a pose.
+
+    Attributes
+    ----------
+    name : what a person knows it by: its file
+    start, stop : first sample and one past the last, of each of the triads, which have the same stamps
+    """
+
+    name: str
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
     """A file that was read: its name without folder, and the SHA-256 of its bytes."""
 
@@ -283,6 +301,7 @@ class Recording:
     cameras : mapping from "cam0", "cam1", ... to CameraFrames; empty for an IMU alone
     findings : what was noticed while it was read, such as clocks that drift
     poses : averages instead of samples; `imus` is empty then
+    pieces : the parts of the only IMU's samples, where each was recorded on its own; a pose each
     sources : the files that were read
     assumptions : sentences on what the reader had to assume, such as units or the rate
     """
@@ -293,6 +312,7 @@ class Recording:
     cameras: Mapping[str, CameraFrames] = field(default_factory=dict[str, "CameraFrames"])
     findings: tuple[Finding, ...] = ()
     poses: Poses | None = None
+    pieces: tuple[Piece, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))

@@ -156,7 +156,8 @@ class ImuCalibration:
         Raises
         ------
         FormatError
-            If the samples are not in the unit for which the calibration was made.
+            If the samples are not in the unit for which the calibration was made, or there is no specific force where
+            the gyroscope's g-sensitivity needs it.
         """
         self._check_units(samples)
         accelerometer, gyroscope, magnetometer = samples.accelerometer, samples.gyroscope, samples.magnetometer
@@ -186,10 +187,13 @@ class ImuCalibration:
                     f"the calibration is for measurements in {triad.unit}, the samples are in {stream.unit}. "
                     "Read the recording with the units that it had when it was calibrated (--units)."
                 )
-        if self.gyroscope is not None and self.gyroscope.g_sensitivity.any() and self.accelerometer is None:
-            raise FormatError(
-                "the gyroscope's g-sensitivity needs the specific force, and this calibration holds no accelerometer."
-            )
+        if self.gyroscope is None or not self.gyroscope.g_sensitivity.any() or not len(samples.gyroscope):
+            return
+        for missing, whose in ((self.accelerometer is None, "calibration"), (not samples.accelerometer, "recording")):
+            if missing:
+                raise FormatError(
+                    f"the gyroscope's g-sensitivity needs the specific force, and this {whose} holds no accelerometer."
+                )
 
 
 def interpolate_triad(source: TriadSamples, target: TriadSamples) -> Floats:

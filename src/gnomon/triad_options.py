@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from .errors import OptionError
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedRate:
@@ -32,6 +34,9 @@ class TurntableOptions:
     rate_sigma: float = 1e-3
     """Relative standard deviation of rates that were stated as numbers."""
 
+    sense: Literal["auto", "clockwise", "counterclockwise"] = "auto"
+    """Which way the platter turns, seen from above; both triads are taken for right-handed where it is not stated."""
+
     gravity: float | None = None
     """Local gravity in m/s^2, where you know it."""
 
@@ -55,6 +60,21 @@ class TurntableOptions:
 
     gyroscope_range: float | None = None
     """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
+
+    def __post_init__(self) -> None:
+        if not self.rate_sigma >= 0:
+            raise OptionError(f"rate_sigma {self.rate_sigma:g} must not be below zero.")
+        if self.gravity is not None and not 9.0 < self.gravity < 10.5:
+            raise OptionError(
+                f"gravity {self.gravity:g} m/s^2 is found nowhere on Earth (9.76 to 9.84). "
+                "Give the local value in m/s^2, or --latitude and --altitude."
+            )
+        if self.latitude is not None and not -90 <= self.latitude <= 90:
+            raise OptionError(f"latitude {self.latitude:g} deg is not between -90 and 90.")
+        for name in ("accelerometer_range", "gyroscope_range"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise OptionError(f"{name} {value:g} must be greater than zero.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,8 +4,9 @@ Samples keep the unit in which they were recorded; a calibration maps that unit 
 nowhere else, so that raw counts, g and m/s^2 are the same problem with other numbers.
 """
 
+import re
 from dataclasses import dataclass
-from math import pi
+from math import isfinite, pi
 from typing import Literal, Self
 
 from .errors import OptionError
@@ -100,3 +101,41 @@ class Units:
                 raise OptionError(f'units "{text}": "{word}" is {problem}. Write "si", "raw", or a list of: {known}.')
             found[quantities[0]] = word
         return cls(**found)  # pyright: ignore[reportArgumentType]
+
+
+ROTATION_UNITS_RAD_S = {"rpm": pi / 30, "rad/s": 1.0, "deg/s": pi / 180, "Hz": 2 * pi}
+"""One unit of a platter's rate in rad/s; Hz are turns a second."""
+
+_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*(.*?)\s*", re.IGNORECASE)
+
+
+def parse_rate(text: str) -> float:
+    """Return how fast a platter turns, as in "33.33rpm", in rad/s.
+
+    Raises
+    ------
+    OptionError
+        If it is not a number, zero or more, with one of the units rpm, rad/s, deg/s and Hz.
+
+    Examples
+    --------
+    >>> round(parse_rate("16rpm"), 6)
+    1.675516
+    >>> parse_rate("2.0 rad/s")
+    2.0
+    """
+    units = {unit.lower(): factor for unit, factor in ROTATION_UNITS_RAD_S.items()} | {"°/s": pi / 180}
+    match = _NUMBER_AND_UNIT.fullmatch(text)
+    expected = 'Write a number and a unit, such as "33.33rpm", "2.0rad/s", "90deg/s" or "0.5Hz".'
+    if match is None:
+        raise OptionError(f'rate "{text}": there is no number in front. {expected}')
+    try:
+        number = float(match[1])
+    except ValueError:
+        raise OptionError(f'rate "{text}": "{match[1]}" is not a number. {expected}') from None
+    if match[2].lower() not in units:
+        what = f'"{match[2]}" is not a unit of it' if match[2] else "the unit is missing"
+        raise OptionError(f'rate "{text}": {what}. {expected}')
+    if not (isfinite(number) and number >= 0):
+        raise OptionError(f'rate "{text}": it must not be negative; the direction does not matter. {expected}')
+    return number * units[match[2].lower()]

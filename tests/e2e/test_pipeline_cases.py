@@ -138,10 +138,18 @@ def test_never_static():
         calibrate(swinging)
 
 
-@pytest.mark.parametrize("attitudes", [2, 5, 8])
+@pytest.mark.parametrize("attitudes", [2, 5])
 def test_too_few_attitudes(attitudes):
     with pytest.raises(gnomon.DetectionError, match="attitude"):
         calibrate(usual(attitudes, seed=attitudes).recording())
+
+
+def test_six_to_eight_attitudes_are_judged_by_their_rests():
+    calibration = calibrate(usual(8, seed=8).recording())
+    assert calibration.verdict != "pass"
+    assert "few-attitudes" in codes(calibration, "warning")
+    assert "static-experiment" in codes(calibration)
+    assert "imu0.gyroscope.sensitivity[0,0]" in calibration.assessment.held_by_prior
 
 
 @pytest.mark.parametrize("seed", [4, 5, 6])

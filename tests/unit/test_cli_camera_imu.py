@@ -51,7 +51,7 @@ def solver(monkeypatch, camera_imu_case):
     calls = []
     state = {"verdict": "warn"}
 
-    def calibrate(recording, target, options=None, progress=None):
+    def calibrate(recording, target, options=None, progress=None, prior=None):
         calls.append((recording, target, options))
         progress("solving")
         return camera_imu_case(verdict=state["verdict"], cameras=len(recording.cameras))[0]

@@ -1,12 +1,8 @@
 """The documentation tells everything there is, and nothing that is not."""
 
 import ast
-import contextlib
 import importlib.util
-import io
 import re
-import shlex
-import shutil
 import typing
 from dataclasses import replace
 from pathlib import Path
@@ -16,52 +12,29 @@ import pytest
 import yaml
 
 import gnomon
+import triad_result
+from docs_pages import DOCS, PAGES, ROOT, shell_commands, text
 from gnomon.calibrate import corner_cache
 from gnomon.calibration import parameters
-from gnomon.cli import main
 from gnomon.cli.commands import COMMANDS, RecordingForm
 from gnomon.cli.parse import parse
+from gnomon.cli.study_actions import PAGE, TABLES
 from gnomon.readers import kalibr_camchain, kalibr_target
 from gnomon.readers.calibration_cameras import SIGMAS
 from gnomon.readers.image_file import IMAGE_SUFFIXES
 from gnomon.readers.image_pixels import ENCODINGS
 from gnomon.readers.npz import __doc__ as npz_keys
+from gnomon.readers.pose_table import pose_column
 from gnomon.recording import FrameQuality
+from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.conversion import FORMATS
 from gnomon.writers.diagnostics_file import diagnostic_arrays
-from gnomon.writers.kalibr_text import kalibr_yaml
+from gnomon.writers.noise_file import allan_text, noise_document
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
-PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
-SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
-PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 DOCUMENTED_CODE = re.compile(r"^- (\*\*`.*?)\(", re.MULTILINE)
 SHORT = gnomon.Scenario(intervals=20, t_init_s=20.0, g_sensitivity=3e-4)
 WAVED = gnomon.CameraImuScenario(duration_s=8.0, camera_rate_hz=10.0, cameras=2, target_cols=4, target_rows=4)
-RIG = shlex.split("--duration-s 10 --camera-rate-hz 5 --imu-rate-hz 100 --target-cols 3 --target-rows 3")
-"""Options of a small simulated rig."""
-
-
-def text(name):
-    return (DOCS / name).read_text(encoding="utf-8")
-
-
-def shell_commands(page):
-    """Yield the words of every `gnomon` command in a page's shell blocks."""
-    for block in SHELL.findall(page.read_text(encoding="utf-8")):
-        for line in block.splitlines():
-            words = shlex.split(line, comments=True)
-            if words[:1] == ["gnomon"]:
-                end = next((i for i, word in enumerate(words) if word.startswith((">", "2>"))), len(words))
-                yield words[1:end]
-
-
-def run(arguments):
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as errors:
-        code = main(arguments)
-    assert code == 0, f"gnomon {shlex.join(arguments)}: exit code {code}: {errors.getvalue()}"
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +76,7 @@ def test_every_option_in_the_help_is_documented(name, capsys):
     with pytest.raises(SystemExit):
         parse([name, "--help"])
     options = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", capsys.readouterr().out)) - {"-h", "--help", "-gnomon"}
+    options -= {"-x", "-y", "-z"}  # axes that point down
     section = text("cli.md").split(f"## gnomon {name}\n")[1].split("\n## ")[0]
     assert options
     assert {option for option in options if not re.search(rf"`{option}[` ]", section)} == set()
@@ -116,20 +90,21 @@ def test_every_public_name_is_documented():
 def finding_codes():
     """Return every code that the source gives to a finding; a part that is filled in becomes a star."""
     codes = set()
-    for folder in ("assess", "calibrate"):
-        for path in (ROOT / "src" / "gnomon" / folder).glob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
-                    value = next(keyword.value for keyword in node.keywords if keyword.arg == "code")
-                    parts = value.values if isinstance(value, ast.JoinedStr) else [value]
+    for path in (ROOT / "src" / "gnomon").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                value = next((keyword.value for keyword in node.keywords if keyword.arg == "code"), None)
+                parts = value.values if isinstance(value, ast.JoinedStr) else [value]
+                if any(isinstance(part, ast.Constant) for part in parts):  # else it repeats that of another finding
                     codes.add("".join(part.value if isinstance(part, ast.Constant) else "*" for part in parts))
     return codes
 
 
 def test_every_finding_is_explained_and_no_other():
-    written = {code for line in DOCUMENTED_CODE.findall(text("how-to.md")) for code in re.findall(r"`([\w-]+)`", line)}
+    lines = DOCUMENTED_CODE.findall(text("symptoms.md"))
+    written = {code for line in lines for code in re.findall(r"`([\w-]+)`", line)}
     patterns = {code: re.compile(re.escape(code).replace(r"\*", r"[\w-]+")) for code in finding_codes()}
-    assert len(patterns) > 30
+    assert len(patterns) > 100
     assert {code for code, pattern in patterns.items() if not any(map(pattern.fullmatch, written))} == set()
     assert {code for code in written if not any(p.fullmatch(code) for p in patterns.values())} == set()
 
@@ -144,10 +119,11 @@ def keys_of(node, path=""):
         yield from keys_of(node[0], path)
 
 
-@pytest.mark.parametrize("which", ["result", "rig_result"])
+@pytest.mark.parametrize("which", ["result", "rig_result", *triad_result.RESULTS])
 def test_every_key_of_the_calibration_file_is_documented(which, request):
     section = text("files.md").split("## calibration.yaml")[1].split("\n## ")[0]
-    calibration = request.getfixturevalue(which).calibration
+    made = triad_result.RESULTS[which]() if which in triad_result.RESULTS else request.getfixturevalue(which)
+    calibration = made.calibration
     document = yaml.safe_load(calibration_text(calibration))
     document["provenance"]["inputs"] = [{"name": "", "sha256": ""}]
     sensors = {*calibration.imus, *calibration.cameras}
@@ -167,13 +143,20 @@ def documented_keys(table):
 
 def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
-    alone, with_cameras = section.split("Of cameras and an IMU")
+    alone, from_magnitudes, with_cameras = re.split("Of poses, a turntable|Of cameras and an IMU", section)
     assert documented_keys(alone) == {name for name, _ in diagnostic_arrays(result.diagnostics)}
     names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name, _ in diagnostic_arrays(rig_result.diagnostics)}
     assert "corners.cam0.quality.dropped.REASON" in names
     twins = {name for name in names if name.split(".")[-1] == "cam1" or ".cam1." in name or "accelerometer" in name}
     assert {name.replace("cam1", "cam0").replace("accelerometer", "gyroscope") for name in twins} < names
     assert documented_keys(with_cameras) == names - twins
+    results = [make() for make in triad_result.RESULTS.values()]
+    tables = [replace(made.diagnostics, gravity=made.calibration.gravity) for made in results]
+    names = {name for table in tables for name, _ in diagnostic_arrays(table)}
+    names = {re.sub(r"^(triads\.)\w+(?!.*history)", r"\1gyroscope", name) for name in names}
+    names = {re.sub(r"^noise\..*", "noise.NAME", name) for name in names}
+    assert len(names) > 40
+    assert documented_keys(from_magnitudes) == names
 
 
 def test_every_key_of_kalibrs_results_is_documented(rig_result, tmp_path):
@@ -228,6 +211,40 @@ def test_every_npz_key_and_export_format_is_documented():
     assert {name for name in FORMATS if f"| `{name}` |" not in text("files.md")} == set()
 
 
+def test_every_key_of_the_noise_files_is_documented(tmp_path):
+    rng = np.random.default_rng(1)
+    t_s = np.arange(12_000) / 100
+    found = gnomon.identify_noise(gnomon.Recording.from_arrays(t_s, *rng.normal(size=(2, len(t_s), 3)) * 1e-2))
+    section = text("files.md").split("## noise.yaml")[1].split("\n## ")[0]
+    keys = {key.rsplit(".", 1)[-1] for key in keys_of(noise_document(found.noise))}
+    keys -= {"severity", "code", "message", "consequence", "cure", "gnomon_version", "method", "inputs", "options"}
+    assert len(keys) > 15
+    assert {key for key in keys if not re.search(rf"[`.]{key}[`.]", section)} == set()
+    section = text("files.md").split("## allan.csv")[1].split("\n## ")[0]
+    header = allan_text(found).splitlines()[0].split(",")
+    assert {name for name in header if f"`{name}`" not in section} == set()
+
+
+def test_every_column_of_averaged_poses_is_documented():
+    section = text("files.md").split("### Averaged poses")[1].split("\n### ")[0]
+    listed = {word for word in documented_keys(section) if " " not in word and not word.startswith("-")}
+    assert len(listed) > 12
+    assert {word for word in listed if not pose_column(word).kind} == set()
+    kinds = {"accelerometer", "gyroscope", "accelerometer_sigma", "gyroscope_sigma"}
+    assert {pose_column(word).kind for word in listed} == {*kinds, "reference", "samples", "time", "name"}
+
+
+def test_every_unit_and_file_of_a_study_is_documented():
+    units = {
+        unit for table in (ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT) for unit in table
+    }
+    section = text("files.md").split("**Units.**")[1].split("\n\n")[0]
+    assert {unit for unit in units if f"`{unit}`" not in section} == set()
+    section = text("files.md").split("## Studies")[1].split("\n## ")[0]
+    assert {name for name in TABLES if f"`{name}.csv`" not in section} == set()
+    assert f"`{PAGE}`" in section
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
@@ -258,60 +275,3 @@ def test_commands_can_be_parsed(page, tmp_path, monkeypatch):
             file.write_text("motion: shaky\n", encoding="utf-8")
         if words[0] != "demo" or words[1:]:
             assert type(parse(words)) is COMMANDS[words[0]]
-
-
-def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    commands = list(shell_commands(DOCS / "tutorial.md"))
-    alone = ["simulate", "check", "imu", "show", "apply", "convert"]
-    with_cameras = ["simulate-camera-imu", "check", "camera-imu", "show", "convert", "apply", "convert"]
-    assert [words[0] for words in commands] == alone + with_cameras
-    for words in commands:
-        run(words)
-    for part in ("first", "second"):
-        assert (tmp_path / part / "result" / "report.html").exists()
-    files = re.findall(r"^\| `([\w.-]+)` \|", text("tutorial.md"), re.MULTILINE)
-    assert {name for name in files if not (tmp_path / "second" / "result" / name).exists()} == set()
-    header = text("tutorial.md").split("```text\n")[1].split("\n")[0]
-    rows = np.loadtxt("first/recording.csv", delimiter=",", skiprows=1)
-    rows[:, 0] //= 1000
-    Path("mine.csv").write_text(header + "\n", encoding="utf-8")
-    with Path("mine.csv").open("a", encoding="utf-8") as file:
-        np.savetxt(file, rows, fmt="%d", delimiter=",")
-    assert gnomon.read("mine.csv").imus["imu0"].gyroscope.rate_hz == pytest.approx(100)
-
-
-def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for name, seed in (("log.csv", 1), ("flight.csv", 2)):
-        run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
-    run(["simulate-camera-imu", "-o", "rig", "--images", *RIG])
-    run(["convert", "rig", "--to", "ros1", "-o", "rig.bag"])
-    for name in ("camchain.yaml", "imu.yaml", "target.yaml"):
-        shutil.copy(f"rig/{name}", name)
-    page = ROOT / "README.md"
-    commands = list(shell_commands(page))
-    alone, calibrated = ["check", "imu", "show", "apply", "convert"], ["camera-imu", "show", "camera-imu", "camera-imu"]
-    with_cameras = ["camera-imu", "check", *calibrated, "convert", "convert", "simulate-camera-imu"]
-    assert [words[0] for words in commands] == alone + with_cameras
-    for words in commands:
-        once = words[:2] == ["camera-imu", "rig"] and "-o" not in words
-        run(words + ["--no-report"] * (words[0] == "camera-imu" and not once))
-    for block in PYTHON.findall(page.read_text(encoding="utf-8")):
-        with contextlib.redirect_stdout(io.StringIO()):
-            exec(compile(block, "README.md", "exec"), {})
-    for report in ("report.html", "rig-gnomon/report.html"):
-        assert (tmp_path / report).exists()
-
-
-def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
-    assert len(commands) > 5
-    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
-    chain = yaml.safe_load(Path("rig/camchain.yaml").read_text(encoding="utf-8"))
-    truth = gnomon.load("rig/truth.yaml").cameras["cam0"]
-    chain["cam0"] |= {"T_cam_imu": truth.T_cam_imu, "timeshift_cam_imu": truth.time_shift_cam_imu}
-    Path("rig/camchain.yaml").write_text(kalibr_yaml(chain), encoding="utf-8")  # what --fix and --prior hold
-    for number, words in enumerate(commands):
-        run([*words, "--no-report", "-o", f"result-{number}"])

@@ -108,11 +108,6 @@ def test_rendered(real_data, folder) -> None:
     assert imu.accelerometer.rate_hz == 200
 
 
-def test_magnetometer_is_refused_with_its_header(real_data) -> None:
-    with pytest.raises(RecordingError, match=r"\(mx, my, mz\).*--columns"):
-        gnomon.read(real_data("qmc5883l-mag/noisy_raw_data.csv"))
-
-
 # ---- dialects ----
 
 

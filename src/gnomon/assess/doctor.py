@@ -8,6 +8,8 @@ from .protocol import check_protocol
 from .signals import check_signal
 from .stamps import check_stamps
 
+_POSES = 9
+
 
 def check(recording: Recording) -> tuple[Finding, ...]:
     """Look at a recording and say what is good or bad about it for the calibration of an IMU.
@@ -15,13 +17,40 @@ def check(recording: Recording) -> tuple[Finding, ...]:
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
     rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated; samples-missing,
     gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady, always-static, attitudes,
-    static-start, clocks-apart.
+    static-start, clocks-apart; poses.
 
     Returns
     -------
     Findings in the order stamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
     """
+    if recording.pieces or recording.poses is not None:
+        return tuple(_check_poses(recording))
     return tuple(finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu))
+
+
+def _check_poses(recording: Recording) -> list[Finding]:
+    """Look at poses, which need neither rests between them nor one rate."""
+    count, what = len(recording.pieces), "files"
+    if recording.poses is not None:
+        count, what = len(recording.poses), "averages"
+    findings = [
+        finding
+        for name, imu in recording.imus.items()
+        for quantity, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
+        if len(samples) > 1
+        for finding in check_signal(samples, f"{name} {quantity}")
+    ]
+    enough = count >= _POSES
+    return [
+        *findings,
+        Finding(
+            severity="good" if enough else "warning",
+            code="poses",
+            message=f"{count} {what} of one pose each.",
+            consequence="" if enough else "Nine parameters of the accelerometer need nine attitudes or more.",
+            cure="" if enough else "Record 18 or more attitudes, all axes up and down and between.",
+        ),
+    ]
 
 
 def _check_imu(name: str, imu: ImuSamples) -> list[Finding]:

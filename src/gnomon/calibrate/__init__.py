@@ -7,10 +7,30 @@ if TYPE_CHECKING:
     from .camera_imu import calibrate_camera_imu
     from .camera_imu_reading import read_camera_imu
     from .imu import calibrate_imu
+    from .magnetometer import calibrate_magnetometer
+    from .noise import identify_noise
+    from .platter_rate import rate_from_video
+    from .turntable import calibrate_turntable
 
-_HOMES = {"calibrate_camera_imu": "camera_imu", "calibrate_imu": "imu", "read_camera_imu": "camera_imu_reading"}
+_HOMES = {
+    "calibrate_camera_imu": "camera_imu",
+    "calibrate_imu": "imu",
+    "calibrate_magnetometer": "magnetometer",
+    "calibrate_turntable": "turntable",
+    "identify_noise": "noise",
+    "rate_from_video": "platter_rate",
+    "read_camera_imu": "camera_imu_reading",
+}
 
-__all__ = ["calibrate_camera_imu", "calibrate_imu", "read_camera_imu"]
+__all__ = [
+    "calibrate_camera_imu",
+    "calibrate_imu",
+    "calibrate_magnetometer",
+    "calibrate_turntable",
+    "identify_noise",
+    "rate_from_video",
+    "read_camera_imu",
+]
 
 
 def __getattr__(name: str) -> Any:  # each recipe loads only what it needs

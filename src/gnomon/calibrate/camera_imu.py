@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from .._version import __version__
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
+from ..assess.prior_findings import prior_used
 from ..calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
 from ..diagnostics import Result
 from ..estimate.camera_imu.batch import Measurements, State
@@ -20,16 +21,18 @@ from ..estimate.camera_imu.first_guess import Look, first_parameters, first_stat
 from ..estimate.camera_imu.inertial_terms import triads
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
 from ..estimate.camera_imu.knots import knots_per_s
-from ..estimate.camera_imu.parameters import Parameters, layout
+from ..estimate.camera_imu.parameters import ImuParameters, Parameters, layout
 from ..estimate.camera_imu.publish import published
 from ..estimate.camera_imu.solution import GATE, Solution, solved
 from ..estimate.camera_imu.uncertainty import uncertainty
 from ..estimate.camera_imu.visual_terms import VisualData
+from ..evidence import Priors
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
 from .board_order import numbered_alike
 from .camera_imu_preparation import PreparedCameraImu, prepare_camera_imu
+from .camera_imu_prior import evidence_of_imu, known_imu
 from .preparation import local_gravity, stated_options
 
 Progress = Callable[[str], None]
@@ -43,6 +46,7 @@ def calibrate_camera_imu(
     target: Target,
     options: CameraImuOptions | None = None,
     progress: Progress | None = None,
+    prior: Priors = None,
 ) -> Result:
     """Calibrate cameras and an IMU from a recording in which they were waved together in front of a board.
 
@@ -52,6 +56,7 @@ def calibrate_camera_imu(
     target : the board
     options : see CameraImuOptions
     progress : called with a sentence at each step
+    prior : other calibrations of the same IMU, which count as evidence; see `gnomon.evidence`
 
     Raises
     ------
@@ -67,21 +72,24 @@ def calibrate_camera_imu(
     options = options or CameraImuOptions()
     tell = progress or (lambda _: None)
     with threadpool_limits(1, user_api="blas"):  # many small products: more threads only get in each other's way
-        return _calibrated(recording, target, options, tell)
+        return _calibrated(recording, target, options, tell, prior)
 
 
-def _calibrated(recording: Recording, target: Target, options: CameraImuOptions, tell: Progress) -> Result:
+def _calibrated(
+    recording: Recording, target: Target, options: CameraImuOptions, tell: Progress, prior: Priors
+) -> Result:
     tell("checking the recording")
     prepared = prepare_camera_imu(recording, target, options)
     gravity = local_gravity(options)
+    known = evidence_of_imu(prior, gravity)
     tell("finding the board's poses, the time shift and the camera's axes")
     stream = imu_stream(prepared.inertial)
     cameras, ends = numbered_alike(recording.cameras, target, prepared.origin_ns, stream)
     recording = replace(recording, cameras=cameras)
-    prepared = replace(prepared, findings=(*prepared.findings, *ends))
+    prepared = replace(prepared, findings=(*prepared.findings, *prior_used(known), *ends))
     found = looks(recording.cameras, target, prepared.origin_ns, stream)
     tell("estimating")
-    start, solution = _estimated(prepared, found, gravity, options, tell)
+    start, solution = _estimated(prepared, found, gravity, options, tell, known=known_imu(known))
     certain = uncertainty(solution, _held(start))
     basic = _basic(start, solution, options, tell) if options.compare and options.model != "basic" else None
     tell("assessing the result")
@@ -126,10 +134,14 @@ def _estimated(
     gravity: Gravity,
     options: CameraImuOptions,
     tell: Progress,
+    *,
+    known: ImuParameters | None,
 ) -> tuple[Parameters, Solution]:
     """Return the start values and the solution; begin anew where a time shift would leave the trajectory's span."""
     stream = imu_stream(prepared.inertial)
     parameters = _with_line_delay(first_parameters(found, gravity.value, options), options)
+    if known is not None:
+        parameters = replace(parameters, imus=(known,))
     pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)
     noise = prepared.first_noise(pixel_sigma, _HUBER if options.robust else np.inf)
     knots = options.knots_per_s or knots_per_s(*triads(prepared.inertial))
@@ -212,7 +224,7 @@ def _basic(start: Parameters, solution: Solution, options: CameraImuOptions, tel
     """Return the basic model's solution on the same measurements (Figs. 5.6 and 5.7 of document B)."""
     tell("estimating the basic model for comparison")
     chosen = choices(start, replace(options, fix=(), free=(), prior=()), model="basic")
-    ideal = replace(solution.state.parameters, imus=start.imus)
+    ideal = replace(solution.state.parameters, imus=(ImuParameters.ideal(),) * len(start.imus))
     columns = layout(solution.layout.start, chosen.status, chosen.prior_sigma)
     return solved(
         solution.measurements,

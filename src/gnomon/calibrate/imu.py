@@ -10,34 +10,54 @@ import numpy as np
 from .._version import __version__
 from ..assess.imu_tables import ImuEvidence, describe
 from ..assess.imu_verdict import assess
+from ..assess.prior_findings import prior_findings
 from ..assess.threshold import FEWEST_INTERVALS, MULTIPLIERS, Motion, ThresholdTrial, choose_threshold, disturbed
 from ..calibration import (
     Calibration,
     Covariance,
+    Gravity,
     Provenance,
     covariance_names,
 )
-from ..detect.static import static_statistic, turning, window_samples
+from ..detect.static import static_statistic, window_samples
 from ..diagnostics import Result
 from ..errors import DetectionError
 from ..estimate.leave_one_out import HeldOut, leave_one_out
 from ..estimate.multiposition import MultiPositionFit, fit_multiposition
 from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
-from ..estimate.scaling import unscaled
+from ..estimate.scaling import ImuEstimate, unscaled
+from ..evidence import Evidence, Priors, known_beforehand
+from ..findings import Finding
 from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
-from .preparation import PreparedImu, imu_calibration, local_gravity, prepare, stated_options, stream
+from ..units import GYROSCOPE_UNITS_RAD_S
+from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
+from .preparation import (
+    PreparedImu,
+    imu_calibration,
+    local_gravity,
+    prepare,
+    stated_options,
+    stream,
+    turns_at_rest,
+)
+from .prior_knowledge import knowledge, refuse_evidence, with_fixed
 from .published import calibrate_as_published
 from .user_frame import in_stated_frame
 
 Progress = Callable[[str], None]
 
-_SURELY_STILL = 10.0  # times the resting level of s^2
+_G = slice(24, 33)  # g-sensitivity among what may be known
 
 
-def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progress: Progress | None = None) -> Result:
+def calibrate_imu(
+    recording: Recording,
+    options: ImuOptions | None = None,
+    progress: Progress | None = None,
+    prior: Priors = None,
+) -> Result:
     """Calibrate an IMU from a recording in which it was turned by hand and held still, some forty times.
 
     Parameters
@@ -45,6 +65,7 @@ def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progr
     recording : of one IMU
     options : see ImuOptions
     progress : called with a sentence at each step
+    prior : other calibrations of the same sensor, which count as evidence; see `gnomon.evidence`
 
     Raises
     ------
@@ -57,25 +78,28 @@ def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progr
     """
     options = options or ImuOptions()
     tell = progress or (lambda _: None)
+    if by_rests(recording, options):
+        return calibrate_poses(recording, options, progress, prior)
     tell("checking the recording")
-    prepared = prepare(recording, options)
+    tolerated = LEFT_TO_RESTS if options.preset == "gnomon" else frozenset[str]()
+    prepared = prepare(recording, options, tolerated=tolerated)
+    if tolerated and left_to_rests(prepared):
+        return calibrate_poses(recording, options, progress, prior)
     if options.preset != "gnomon":
+        refuse_evidence(options, prior)
         return calibrate_as_published(recording, prepared, options, tell)
     gravity = local_gravity(options)
     tell("finding static intervals")
     chosen, trials, statistic = _static_intervals(prepared, options, gravity.value)
     touched = disturbed(chosen, prepared.accelerometer)
     problem, streams = _problem(prepared, chosen, touched, options)
+    if np.sum(problem.data.linked) < FEWEST_ROTATIONS:
+        return calibrate_poses(recording, options, progress, prior)
+    units = {"accelerometer": prepared.accelerometer.unit, "gyroscope": prepared.gyroscope.unit}
+    known = known_beforehand(prior, options, units, free=options.free, gravity=gravity)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
-    fit, heldout, rivals = _choose_model(problem, options)
-    estimate = unscaled(
-        fit,
-        problem.accelerometer,
-        problem.gyroscope,
-        gravity_m_s2=gravity.value,
-        gravity_sigma_m_s2=gravity.sigma,
-        latitude_deg=options.latitude,
-    )
+    fit, heldout, rivals = _choose_model(problem, options, known, gravity.value, _known_walk(recording, problem))
+    estimate = with_fixed(_in_units(fit, problem, gravity, options), known)
     tell("assessing the result")
     evidence = ImuEvidence(
         accelerometer=streams[0],
@@ -100,12 +124,20 @@ def calibrate_imu(recording: Recording, options: ImuOptions | None = None, progr
         frame="accel-x",
         gravity=gravity,
         uncertainty=Covariance(names=covariance_names(imus), matrix=estimate.covariance),
-        assessment=assess(prepared.findings, evidence, diagnostics, gravity, options),
+        assessment=assess(
+            (*prepared.findings, *_agreement(problem, known, gravity, options)),
+            evidence,
+            diagnostics,
+            gravity,
+            options,
+        ),
         provenance=Provenance(
             gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
         ),
     )
-    return Result(calibration=in_stated_frame(calibration, options.frame, diagnostics), diagnostics=diagnostics)
+    rests = diagnostics.intervals
+    calibration = in_stated_frame(calibration, options.frame, rests.accelerometer, rests.sigma)
+    return Result(calibration=calibration, diagnostics=diagnostics)
 
 
 def _static_intervals(
@@ -120,7 +152,9 @@ def _static_intervals(
             "Record at least nine attitudes of 2 to 4 s each."
         )
     statistic = static_statistic(samples.values, window)
-    turns, stirs = _turns_at_rest(prepared, statistic)
+    turns, stirs = turns_at_rest(
+        prepared.gyroscope, prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s, statistic
+    )
     statistic[turns] = np.inf
     motion = Motion(samples=samples, statistic=statistic, stirs=stirs, saturated=prepared.accelerometer_saturated)
     multipliers = MULTIPLIERS if options.multiplier is None else (options.multiplier,)
@@ -138,18 +172,6 @@ def _static_intervals(
             "Hold the sensor still for 2 to 4 s in each attitude, better lying on something than in the hand."
         )
     return chosen, trials, statistic
-
-
-def _turns_at_rest(prepared: PreparedImu, statistic: Floats) -> tuple[Booleans, Booleans]:
-    """Mark the accelerometer samples (n,) that rest while the gyroscope turns, as about the vertical, or stirs."""
-    t_accel, t_gyro = prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s
-    still = statistic < _SURELY_STILL
-    if t_accel is t_gyro:
-        return turning(prepared.gyroscope, still)
-    nearest = np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)
-    turns, stirs = turning(prepared.gyroscope, still[nearest])
-    at_accel = np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)
-    return turns[at_accel], stirs[at_accel]
 
 
 def _problem(
@@ -174,21 +196,60 @@ def _problem(
 
 
 def _choose_model(
-    problem: MultiPositionProblem, options: ImuOptions
+    problem: MultiPositionProblem, options: ImuOptions, known: Evidence, gravity_m_s2: float, walk: Floats | None
 ) -> tuple[MultiPositionFit, HeldOut, dict[str, HeldOut]]:
     """Fit with g-sensitivity, and keep it unless rotations that were left out are predicted better without."""
-    if options.model == "basic":
-        fit = fit_multiposition(problem.data, g_sensitivity=False)
+    beforehand = knowledge(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
+
+    def fitted(*, g_sensitivity: bool) -> MultiPositionFit:
+        return fit_multiposition(problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk)
+
+    zero = known.fixed[_G].all() and not known.value[_G].any()
+    if options.model == "basic" or zero:
+        fit = fitted(g_sensitivity=False)
         heldout = leave_one_out(problem.data, fit)
         return fit, heldout, {"basic": heldout}
-    fit = fit_multiposition(problem.data, g_sensitivity=True)
+    fit = fitted(g_sensitivity=True)
+    if known.knows("imu0.gyroscope.g_sensitivity") or "imu0.gyroscope.g_sensitivity" in options.free:
+        heldout = leave_one_out(problem.data, fit)
+        return fit, heldout, {"g-sensitivity": heldout}
     rivals = {
         "basic": leave_one_out(problem.data, fit, g_sensitivity=False),
         "g-sensitivity": leave_one_out(problem.data, fit),
     }
     errors = {name: float(np.sum(trial.rotation[fit.rotation_used] ** 2)) for name, trial in rivals.items()}
     if options.model == "auto" and errors["basic"] < errors["g-sensitivity"]:
-        fit = fit_multiposition(problem.data, g_sensitivity=False)
+        fit = fitted(g_sensitivity=False)
         rivals["basic"] = leave_one_out(problem.data, fit)
         return fit, rivals["basic"], rivals
     return fit, rivals["g-sensitivity"], rivals
+
+
+def _in_units(
+    fit: MultiPositionFit, problem: MultiPositionProblem, gravity: Gravity, options: ImuOptions
+) -> ImuEstimate:
+    return unscaled(
+        fit,
+        problem.accelerometer,
+        problem.gyroscope,
+        gravity_m_s2=gravity.value,
+        gravity_sigma_m_s2=gravity.sigma,
+        latitude_deg=options.latitude,
+    )
+
+
+def _agreement(problem: MultiPositionProblem, known: Evidence, gravity: Gravity, options: ImuOptions) -> list[Finding]:
+    """Say what was known beforehand, and whether this recording on its own agrees."""
+    if not known:
+        return []
+    alone = _in_units(fit_multiposition(problem.data, g_sensitivity=True), problem, gravity, options)
+    return prior_findings(known, alone.values, alone.covariance)
+
+
+def _known_walk(recording: Recording, problem: MultiPositionProblem) -> Floats | None:
+    """Return the random walk of the gyroscope's bias (3,) in scaled units, where it was stated; None for counts."""
+    samples = next(iter(recording.imus.values()))
+    factor = GYROSCOPE_UNITS_RAD_S[samples.gyroscope.unit]
+    if samples.noise is None or factor is None:
+        return None
+    return (samples.noise.gyroscope_random_walk / factor / problem.gyroscope.spread) ** 2

@@ -1,5 +1,6 @@
 """Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from ..calibration import AccelerometerCalibration, Gravity, GyroscopeCalibratio
 from ..detect.noise import resting_noise
 from ..detect.repair import repaired
 from ..detect.saturation import saturated
+from ..detect.static import turning
 from ..detect.time_base import TimeBase, time_base
 from ..errors import DetectionError, RecordingError
 from ..estimate.problem import TriadStream
@@ -22,8 +24,10 @@ from ..models.gravity import (
 )
 from ..options import CameraImuOptions, ImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..triad_options import MagnetometerOptions, TurntableOptions
 from ..units import STANDARD_GRAVITY_M_S2
 
+_SURELY_STILL = 10.0  # times the resting level of s^2
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
 
 
@@ -48,8 +52,13 @@ class PreparedImu:
     findings: tuple[Finding, ...]
 
 
-def prepare(recording: Recording, options: ImuOptions) -> PreparedImu:
+def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[str] = frozenset()) -> PreparedImu:
     """Check a recording and put its first IMU on its time base.
+
+    Parameters
+    ----------
+    recording, options : see `calibrate_imu`
+    tolerated : codes of findings that are left to the caller, although the data doctor calls them a problem
 
     Raises
     ------
@@ -64,11 +73,8 @@ def prepare(recording: Recording, options: ImuOptions) -> PreparedImu:
     assumptions = recording.assumptions
     if len(recording.imus) > 1:
         assumptions += (f"the recording holds {len(recording.imus)} IMUs; {name} is the one that is calibrated.",)
-    findings = (*check(replace(recording, imus={name: samples})), *map(_assumed, assumptions))
-    for finding in findings:
-        if finding.severity == "problem":
-            kind = DetectionError if finding.code in _PROTOCOL_PROBLEMS else RecordingError
-            raise kind(str(finding))
+    findings = (*check(replace(recording, imus={name: samples})), *map(assumed, assumptions))
+    refuse(findings, tolerated=tolerated)
     if not len(samples.gyroscope):
         raise RecordingError(
             "the recording holds no gyroscope samples. "
@@ -77,8 +83,36 @@ def prepare(recording: Recording, options: ImuOptions) -> PreparedImu:
     return _on_time_base(samples, findings, options)
 
 
-def _assumed(sentence: str) -> Finding:
+def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset()) -> None:
+    """Raise the first problem among what the data doctor found.
+
+    Raises
+    ------
+    RecordingError, DetectionError
+        See `prepare`.
+    """
+    for finding in findings:
+        if finding.severity == "problem" and finding.code not in tolerated:
+            kind = DetectionError if finding.code in _PROTOCOL_PROBLEMS else RecordingError
+            raise kind(str(finding))
+
+
+def assumed(sentence: str) -> Finding:
+    """Return what a reader had to take for granted as a finding."""
     return Finding(severity="info", code="assumed", message=sentence)
+
+
+def turns_at_rest(
+    gyroscope: TriadSamples, t_accel: Floats, t_gyro: Floats, statistic: Floats
+) -> tuple[Booleans, Booleans]:
+    """Mark the accelerometer samples (n,) that rest while the gyroscope turns, as about the vertical, or stirs."""
+    still = statistic < _SURELY_STILL
+    if t_accel is t_gyro:
+        return turning(gyroscope, still)
+    nearest = np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)
+    turns, stirs = turning(gyroscope, still[nearest])
+    at_accel = np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)
+    return turns[at_accel], stirs[at_accel]
 
 
 def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:
@@ -98,7 +132,7 @@ def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: I
     )
 
 
-def local_gravity(options: ImuOptions | CameraImuOptions) -> Gravity:
+def local_gravity(options: ImuOptions | CameraImuOptions | TurntableOptions) -> Gravity:
     """Return gravity as stated, by latitude, or standard gravity with the spread that it has in the world."""
     if options.gravity is not None:
         return Gravity(value=options.gravity, sigma=0.0, source="as stated")
@@ -111,7 +145,7 @@ def local_gravity(options: ImuOptions | CameraImuOptions) -> Gravity:
     )
 
 
-def stated_options(options: ImuOptions | CameraImuOptions) -> dict[str, str]:
+def stated_options(options: ImuOptions | CameraImuOptions | TurntableOptions | MagnetometerOptions) -> dict[str, str]:
     """Return the options that differ from their default, as text."""
     return {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
 

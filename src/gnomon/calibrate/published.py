@@ -102,7 +102,8 @@ def calibrate_as_published(
         ),
     )
     if options.frame != "accel-z":
-        calibration = in_stated_frame(calibration.in_frame("accel-x"), options.frame, diagnostics)
+        rests = diagnostics.intervals
+        calibration = in_stated_frame(calibration.in_frame("accel-x"), options.frame, rests.accelerometer, rests.sigma)
     return Result(calibration=calibration, diagnostics=diagnostics)
 
 

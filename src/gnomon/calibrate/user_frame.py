@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..calibration import Calibration, Covariance, ImuCalibration, parameters, rotated
-from ..diagnostics import ImuDiagnostics
 from ..errors import OptionError
 from ..geometry.so3 import nearest_rotation
 from ..recording import Floats
@@ -15,8 +14,15 @@ from ..recording import Floats
 _POSE = re.compile(r"([xyz])=(-?)(\d+)")
 
 
-def in_stated_frame(calibration: Calibration, frame: str, diagnostics: ImuDiagnostics) -> Calibration:
+def in_stated_frame(calibration: Calibration, frame: str, rests: Floats, sigmas: Floats) -> Calibration:
     """Return the calibration in "accel-x", "accel-z", or the frame that poses such as "x=3 y=12 z=-7" define.
+
+    Parameters
+    ----------
+    calibration : in body frame accel-x
+    frame : as stated
+    rests : (n, 3) means of the accelerometer in the static intervals [unit]
+    sigmas : (n,) predicted sigma of |f| in each [m/s^2]
 
     Raises
     ------
@@ -27,10 +33,10 @@ def in_stated_frame(calibration: Calibration, frame: str, diagnostics: ImuDiagno
         return calibration
     if frame == "accel-z":
         return calibration.in_frame(frame)
-    axes, rows = _poses(frame, len(diagnostics.intervals.used))
+    axes, rows = _poses(frame, len(rests))
     imu = calibration.imus["imu0"]
-    means = diagnostics.intervals.accelerometer[rows]
-    sigma = diagnostics.intervals.sigma[rows]
+    means = rests[rows]
+    sigma = sigmas[rows]
     flat = np.concatenate([value.ravel() for _, value in parameters({"imu0": imu})])
 
     def moved(x: Floats) -> Floats:
@@ -45,11 +51,13 @@ def in_stated_frame(calibration: Calibration, frame: str, diagnostics: ImuDiagno
     jacobian = _differences(moved, point)
     noise = np.zeros((len(point), len(point)))
     noise[: len(flat), : len(flat)] = calibration.uncertainty.matrix
-    by_force = imu.accelerometer.sensitivity @ imu.accelerometer.sensitivity.T
+    by_force = imu.required_accelerometer.sensitivity @ imu.required_accelerometer.sensitivity.T
     for k in range(len(rows)):
         part = slice(len(flat) + 3 * k, len(flat) + 3 * k + 3)
         noise[part, part] = by_force * sigma[k] ** 2
-    rotation = nearest_rotation(axes.T @ _up(imu.accelerometer.sensitivity, imu.accelerometer.bias, means))
+    rotation = nearest_rotation(
+        axes.T @ _up(imu.required_accelerometer.sensitivity, imu.required_accelerometer.bias, means)
+    )
     return replace(
         calibration,
         imus={"imu0": rotated(imu, rotation)},

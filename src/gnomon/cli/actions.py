@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, Any
 from . import commands
 from .camera_imu_actions import camera_imu, simulate_camera_imu
 from .check_actions import check
-from .command_parts import Input
+from .command_parts import PosesInput
 from .convert_actions import convert
+from .magnetometer_actions import magnetometer, simulate_magnetometer
+from .noise_actions import noise, simulate_noise
 from .places import RESULT_FILES, default_folder, result_folder
+from .platter_actions import rate, simulate_platter_video
+from .poses_actions import simulate_poses
+from .prior_files import read_priors
 from .results import (
     USABLE,
     calibration_document,
@@ -22,7 +27,9 @@ from .results import (
     say_verdict,
     write_result,
 )
+from .study_actions import study
 from .terminal import Terminal
+from .turntable_actions import simulate_turntable, turntable
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
@@ -38,10 +45,12 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
     folder = command.output or default_folder(command.recording.paths)
     with result_folder(folder) as staging:
         terminal.progress("reading the recording")
-        recording = _read(command.recording)
+        known = read_priors(command.options.prior)
+        recording = known.known_of(_read(command.recording))
         terminal.close()
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
-        result = calibrate_imu(recording, command.options, progress=terminal.progress)
+        options = replace(command.options, prior=known.stated)
+        result = calibrate_imu(recording, options, progress=terminal.progress, prior=known.calibrations)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     _say_result(result.calibration, folder, terminal, parameters=True)
@@ -61,7 +70,7 @@ def _say_result(calibration: "Calibration", folder: Path, terminal: Terminal, *,
     say_files(folder, terminal)
 
 
-def _read(source: Input) -> "Recording":
+def _read(source: PosesInput) -> "Recording":
     from ..readers import read
 
     return read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
@@ -175,12 +184,22 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
 _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.Imu: _imu,
     commands.CameraImu: camera_imu,
+    commands.Turntable: turntable,
+    commands.Rate: rate,
+    commands.Magnetometer: magnetometer,
+    commands.Noise: noise,
     commands.Check: check,
     commands.Show: _show,
     commands.Apply: _apply,
     commands.Convert: convert,
     commands.Simulate: _simulate,
+    commands.SimulatePoses: simulate_poses,
+    commands.SimulateTurntable: simulate_turntable,
+    commands.SimulatePlatterVideo: simulate_platter_video,
+    commands.SimulateMagnetometer: simulate_magnetometer,
+    commands.SimulateNoise: simulate_noise,
     commands.SimulateCameraImu: simulate_camera_imu,
+    commands.Study: study,
     commands.Demo: _demo,
 }
 

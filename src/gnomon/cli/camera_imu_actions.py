@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import OptionError, OutputError, RecordingError
 from . import commands
 from .places import CAMERA_IMU_FILES, default_folder, result_folder
+from .prior_files import read_priors
 from .results import (
     USABLE,
     exit_code,
@@ -41,6 +42,7 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
     from ..writers.camera_imu_files import save_camera_imu_files
 
     folder = command.output or default_folder((command.recording,))
+    known = read_priors(command.options.prior)
     inputs, taken = kalibr_inputs(command)
     refuse_overwriting(folder, command.recording, inputs)
     with result_folder(folder, own=CAMERA_IMU_FILES) as staging:
@@ -58,8 +60,10 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
         recording = replace(recording, assumptions=(*taken, *_noise_note(recording), *recording.assumptions))
         terminal.close()
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
-        options = replace(command.options, compare=command.options.compare or command.report)
-        result = calibrate_camera_imu(recording, target, options, progress=terminal.progress)
+        recording = known.known_of(recording)
+        compare = command.options.compare or command.report
+        options = replace(command.options, compare=compare, prior=known.stated)
+        result = calibrate_camera_imu(recording, target, options, progress=terminal.progress, prior=known.calibrations)
         terminal.progress("writing the result")
         save_camera_imu_files(result, recording, target, staging)
         write_result(result, staging, report=command.report, terminal=terminal)

@@ -1,7 +1,7 @@
 """What `gnomon check` does: an IMU alone, corners, or images, each with what is known of it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..models.target import Target
     from ..readers.kalibr_camchain import CameraInput
     from ..readers.kalibr_imu_input import ImuInput
-    from ..recording import ImuSamples, Integers, Recording
+    from ..recording import ImuSamples, Integers, Recording, TriadSamples
 
 _FILES = {"cam": "camchain.yaml", "imu": "imu.yaml", "target": "target.yaml"}
 """Option -> Kalibr's file that is taken from the recording's folder."""
@@ -53,11 +53,14 @@ def check(command: commands.Check, terminal: Terminal) -> int:
 
 def _check_imu(command: commands.Check, terminal: Terminal) -> int:
     from ..assess.doctor import check
+    from ..assess.magnetometer_checks import check_magnetometers
     from ..readers import read
 
     source = command.recording
     recording = read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
-    return _told(check(recording), recording.imus, {}, recording.assumptions, terminal)
+    inertial = {name: imu for name, imu in recording.imus.items() if imu.magnetometer is None or len(imu.accelerometer)}
+    findings = [*check(replace(recording, imus=inertial)), *check_magnetometers(recording)]
+    return _told(findings, recording.imus, {}, recording.assumptions, terminal)
 
 
 # ---- corners ----
@@ -220,7 +223,7 @@ def _told(
     for name, entry in cameras.items():
         terminal.say(_camera_line(name, entry))
     for name, imu in imus.items():
-        for triad, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope)):
+        for triad, samples in _triads(imu).items():
             topic = f", topic {imu.topic}" if imu.topic else ""
             terminal.say(
                 f"{name} {triad:<13} {len(samples)} samples, {samples.duration_s:.1f} s at {samples.rate_hz:.6g} Hz, "
@@ -238,7 +241,7 @@ def _told(
                     "duration_s": samples.duration_s,
                     "unit": samples.unit,
                 }
-                for triad, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
+                for triad, samples in _triads(imu).items()
             }
             for name, imu in imus.items()
         },
@@ -247,6 +250,14 @@ def _told(
     }
     terminal.document(document)
     return code
+
+
+def _triads(imu: "ImuSamples") -> "dict[str, TriadSamples]":
+    """Return the triads of an IMU; the magnetometer only where there is one, and the others unless it is alone."""
+    inertial = {"accelerometer": imu.accelerometer, "gyroscope": imu.gyroscope}
+    if imu.magnetometer is None:
+        return inertial
+    return {name: samples for name, samples in inertial.items() if len(samples)} | {"magnetometer": imu.magnetometer}
 
 
 def _camera_line(name: str, entry: Mapping[str, Any]) -> str:

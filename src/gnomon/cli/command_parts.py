@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from ..errors import OptionError
 from ..units import Units
 
 Flat = tyro.conf.arg(name="")
@@ -27,16 +28,8 @@ def output_option(metavar: str, hint: str = "") -> object:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Input:
-    """A recording, and what it does not say about itself."""
-
-    path: tyro.conf.Positional[Path]
-    """A file or a folder; with two files, that of the accelerometer."""
-
-    gyroscope_path: Annotated[
-        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]", help_behavior_hint="")
-    ] = None
-    """The file of the gyroscope, where it has its own."""
+class TableOptions:
+    """What a table does not say about itself."""
 
     columns: str | None = None
     """What the columns of a table are, such as "t ax ay az gx gy gz"; _ skips one."""
@@ -51,7 +44,36 @@ class Input:
         if self.units is not None:
             Units.parse(self.units)
 
+
+@dataclass(frozen=True, kw_only=True)
+class Input(TableOptions):
+    """A recording, and what it does not say about itself."""
+
+    path: tyro.conf.Positional[Path]
+    """A file or a folder; with two files, that of the accelerometer."""
+
+    gyroscope_path: Annotated[
+        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]", help_behavior_hint="")
+    ] = None
+    """The file of the gyroscope, where it has its own."""
+
     @property
     def paths(self) -> tuple[Path, ...]:
         """The one or two paths."""
         return (self.path,) if self.gyroscope_path is None else (self.path, self.gyroscope_path)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosesInput(TableOptions):
+    """A recording, or poses: averaged in a table, or one file each."""
+
+    paths: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
+    ]
+    """A file or a folder; with two files, that of the accelerometer and that of the gyroscope; with three or more, or a
+    folder of them, one static pose each. A short table without time holds averaged poses."""
+
+    def __post_init__(self) -> None:
+        TableOptions.__post_init__(self)
+        if not self.paths:
+            raise OptionError("no recording given. Name a file or a folder, such as gnomon imu recording.csv.")

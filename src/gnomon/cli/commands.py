@@ -10,8 +10,14 @@ from ..errors import OptionError
 from ..options import CameraImuOptions, ImuOptions
 from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
-from .command_parts import CalibrationPath, FileOption, Flat, Input, Switch, Topics, output_option
+from .command_parts import CalibrationPath, FileOption, Flat, Input, PosesInput, Switch, Topics, output_option
+from .magnetometer_command import Magnetometer, SimulateMagnetometer
+from .noise_command import Noise, SimulateNoise
+from .platter_command import Rate, SimulatePlatterVideo
+from .poses_command import SimulatePoses
+from .study_command import Study
 from .topics import topics_of
+from .turntable_command import SimulateTurntable, Turntable
 
 _DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
 
@@ -21,13 +27,13 @@ RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
 
 @dataclass(frozen=True, kw_only=True)
 class Imu:
-    """Calibrate accelerometer and gyroscope from one hand-held recording.
+    """Calibrate accelerometer and gyroscope from one hand-held recording, or an accelerometer alone from static poses.
 
     Let the sensor rest for about 50 s, then turn it by hand into many different attitudes and let it rest for a few
     seconds in each.
     """
 
-    recording: Annotated[Input, Flat]
+    recording: Annotated[PosesInput, Flat]
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
     report: Annotated[bool, Switch] = True
@@ -229,16 +235,46 @@ class Demo:
         return _DEMO_SCENARIO
 
 
-Command = Imu | CameraImu | Check | Show | Apply | Convert | Simulate | SimulateCameraImu | Demo
+Command = (
+    Imu
+    | CameraImu
+    | Turntable
+    | Rate
+    | Magnetometer
+    | Noise
+    | Check
+    | Show
+    | Apply
+    | Convert
+    | Simulate
+    | SimulatePoses
+    | SimulateTurntable
+    | SimulatePlatterVideo
+    | SimulateMagnetometer
+    | SimulateNoise
+    | SimulateCameraImu
+    | Study
+    | Demo
+)
 
 COMMANDS: dict[str, type[Command]] = {
     "imu": Imu,
     "camera-imu": CameraImu,
+    "turntable": Turntable,
+    "rate": Rate,
+    "magnetometer": Magnetometer,
+    "noise": Noise,
     "check": Check,
     "show": Show,
     "apply": Apply,
     "convert": Convert,
     "simulate": Simulate,
+    "simulate-poses": SimulatePoses,
+    "simulate-turntable": SimulateTurntable,
+    "simulate-platter-video": SimulatePlatterVideo,
+    "simulate-magnetometer": SimulateMagnetometer,
+    "simulate-noise": SimulateNoise,
     "simulate-camera-imu": SimulateCameraImu,
+    "study": Study,
     "demo": Demo,
 }

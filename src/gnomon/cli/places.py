@@ -26,11 +26,15 @@ def default_folder(paths: tuple[Path, ...]) -> Path:
     'flight-gnomon'
     >>> default_folder((Path("xsens_acc.mat.gz"), Path("xsens_gyro.mat.gz"))).name
     'xsens-gnomon'
+    >>> default_folder(tuple(Path(f"pose{k}.csv") for k in range(1, 4))).name
+    'pose-gnomon'
     """
     first = Path(os.path.abspath(paths[0]))  # noqa: PTH100 - without following links: beside what was named
     names = [first.name if path.is_dir() else _stem(path.name) for path in paths]
     common = _common_start(names) if len(names) > 1 else ""
     shared = common.rstrip("-_. ")  # a word of its own, not the first letter of accelerometer and angular rate
+    if len(names) > 2:  # one file a pose
+        return first.with_name(f"{shared.rstrip('0') or 'poses'}-gnomon")
     return first.with_name(f"{shared if shared != common and shared else names[0]}-gnomon")
 
 

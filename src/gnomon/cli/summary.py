@@ -9,6 +9,7 @@ import numpy as np
 from ..calibration import Calibration, parameters
 from ..findings import Finding
 from ..recording import Floats
+from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 from ..writers.units_text import parameter_unit
 
 WIDTH = 80
@@ -25,17 +26,19 @@ def facts(calibration: Calibration) -> Iterator[str]:
     """Yield lines on what the calibration rests on and how well it predicts what it has not seen."""
     found = calibration.assessment
     gravity = calibration.gravity
-    yield f"  static intervals   {found.intervals_used} used of {found.intervals_found}"
-    if found.model != "none":
+    yield f"  {counted_things(calibration):<18} {found.intervals_used} used of {found.intervals_found}"
+    if found.model != "none" and found.rotations_found:
         yield f"  rotations          {found.rotations_used} used of {found.rotations_found}"
-    held_out = [f"accelerometer {engineering(found.holdout.accelerometer_rms, 'm/s^2')}"]
-    if math.isfinite(found.holdout.rotation_rms):
-        held_out.append(f"rotations {engineering(found.holdout.rotation_rms, 'rad')}")
-    if math.isfinite(found.holdout.accelerometer_rms):
-        yield f"  error on unseen    {', '.join(held_out)} (rms)"
-    sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
-    yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
-    yield f"  model, body frame  {found.model}, {calibration.frame}"
+    errors = [f"{sensor} {engineering(rms, unit)}" for sensor, _, rms, unit in held_out_errors(calibration)]
+    if errors:
+        yield from _paragraph(f"{', '.join(errors)} (rms)", "  error on unseen    ", " " * 21)
+    if rests_on_gravity(calibration):
+        sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
+        yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
+    if found.model == "none":  # of an accelerometer alone there is but one
+        yield f"  body frame         {calibration.frame}"
+    else:
+        yield f"  model, body frame  {found.model}, {calibration.frame}"
 
 
 def advice(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
@@ -115,6 +118,8 @@ def engineering(value: float, unit: str) -> str:
     """
     if not math.isfinite(value):
         return "unknown"
+    if unit == "%":
+        return f"{value:.3g} %"
     for prefix, factor in (("", 1.0), ("m", 1e3), ("u", 1e6)):
         if abs(value) * factor >= 0.5 or value == 0:
             return f"{value * factor:.3g} {prefix}{unit}"

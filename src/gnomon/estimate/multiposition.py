@@ -4,6 +4,7 @@ Gauss-Newton on the chain of directions and the border of 30 parameters. Interva
 what the others show are gated, and what the noise at rest does not explain becomes an extra variance (noise_levels.py).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,6 +45,10 @@ _FEWEST_INTERVALS = 9
 _HELD = 0.3  # posterior sigma over prior sigma beyond which a parameter is the prior's
 
 
+Knowledge = Callable[[State], tuple[Floats, Floats]]
+"""What is known beforehand: at a state, precision (30, 30) and information vector (30,) of theta, linearised there."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Task:
     """What stays the same during a fit.
@@ -51,14 +56,18 @@ class Task:
     Attributes
     ----------
     data : scaled means and segments
+    start : where the weak prior is centred
     free : (30 + 3 j,) bool, parameters that are estimated
+    known : what is known beforehand, or None
     prior_mean : (30 + 3 j,)
     prior_sigma : (30,) of the weak prior
     prior_precision : (30 + 3 j,) * 2, with the drift's random walk
     """
 
     data: MultiPositionData
+    start: State
     free: Booleans
+    known: Knowledge | None
     prior_mean: Floats
     prior_sigma: Floats
     prior_precision: Floats
@@ -108,7 +117,9 @@ class MultiPositionFit:
     rotation_used: Booleans
 
 
-def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiPositionFit:
+def fit_multiposition(
+    data: MultiPositionData, *, g_sensitivity: bool, known: Knowledge | None = None, walk: Floats | None = None
+) -> MultiPositionFit:
     """Fit the multi-position model.
 
     Robust noise levels show outliers; noise levels without them weigh the rest. Where the gyroscope's residuals at rest
@@ -118,6 +129,8 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
     ----------
     data : scaled means and segments
     g_sensitivity : whether the gyroscope's bias may depend on the specific force
+    known : what is known beforehand
+    walk : (3,) random walk of the gyroscope's bias, where it is known [unit^2/s]; otherwise the residuals tell
 
     Raises
     ------
@@ -127,17 +140,18 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
         If the normal equations are not positive definite even with the weak prior.
     """
     start = start_state(data)
-    task = _task(data, start, None, g_sensitivity=g_sensitivity)
+    task = _task(data, start, None, known, g_sensitivity=g_sensitivity)
     used = everything = (np.ones(len(start.u), dtype=bool), data.linked)
     whitening = _whitening(task, start, ExtraVariance(), used)
     point = _gauss_newton(task, start, linearise(data, start), whitening, _ROUGH_STEP)
-    walk = walk_density(data.interval_s, point.lines.gyroscope, used[0])
+    walk = walk_density(data.interval_s, point.lines.gyroscope, used[0]) if walk is None else walk
     if walk is not None:
         data = with_drift(data)
-        task = _task(data, start, walk, g_sensitivity=g_sensitivity)
+        task = _task(data, start, walk, known, g_sensitivity=g_sensitivity)
         state = State(theta=np.append(point.state.theta, np.zeros(len(task.free) - PARAMETERS)), u=point.state.u)
         whitening = _whitening(task, state, ExtraVariance(), used)
         point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
+    task = _knowing(task, point.state)
     lines = _reweighted(task, point)
     robust = estimate_extra_variance(
         data, point.state, lines, point.arrow, point.whitening, free=task.free, robust=True
@@ -146,6 +160,7 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
     extra = _settled_variance(task, point, used, robust)
     whitening = _whitening(task, point.state, extra, used)
     second = _gauss_newton(task, point.state, point.lines, whitening, _ROUGH_STEP)
+    task = _knowing(task, second.state)
     still_used = _gated(task, second, extra, everything)  # what the settled levels explain comes back
     if not all(np.array_equal(a, b) for a, b in zip(used, still_used, strict=True)):
         used, extra = still_used, _settled_variance(task, second, still_used, extra)
@@ -154,7 +169,9 @@ def fit_multiposition(data: MultiPositionData, *, g_sensitivity: bool) -> MultiP
     return _finished(task, last, extra, used, point.iterations + second.iterations + last.iterations)
 
 
-def _task(data: MultiPositionData, start: State, walk: Floats | None, *, g_sensitivity: bool) -> Task:
+def _task(
+    data: MultiPositionData, start: State, walk: Floats | None, known: Knowledge | None, *, g_sensitivity: bool
+) -> Task:
     sigma = _prior_sigma(start)
     knots = data.drift[0].shape[1]
     free = np.ones(PARAMETERS + 3 * knots, dtype=bool)
@@ -163,13 +180,30 @@ def _task(data: MultiPositionData, start: State, walk: Floats | None, *, g_sensi
     precision[:PARAMETERS, :PARAMETERS] = np.diag(1 / sigma**2)
     if walk is not None:
         precision[PARAMETERS:, PARAMETERS:] = walk_precision(data, walk)
-    return Task(
+    task = Task(
         data=data,
+        start=start,
         free=free,
+        known=known,
         prior_mean=np.append(start.theta, np.zeros(3 * knots)),
         prior_sigma=sigma,
         prior_precision=precision,
     )
+    return _knowing(task, start)
+
+
+def _knowing(task: Task, state: State) -> Task:
+    """Return the task with what is known beforehand linearised about a state, on top of the weak prior."""
+    if task.known is None:
+        return task
+    theta = slice(0, PARAMETERS)
+    precision, information = task.known(state)
+    weak = 1 / task.prior_sigma**2
+    total = np.diag(weak) + precision
+    mean, joint = task.prior_mean.copy(), task.prior_precision.copy()
+    mean[theta] = np.linalg.solve(total, weak * task.start.theta + information)
+    joint[theta, theta] = total
+    return replace(task, prior_mean=mean, prior_precision=joint)
 
 
 def _finished(

@@ -10,7 +10,7 @@ import numpy as np
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, frozen_array
 from .multiposition import MultiPositionFit
-from .multiposition_model import B_, BG_, CG_, G_, LOWER, S_
+from .multiposition_model import B_, BG_, CG_, G_, LOWER, S_, State
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,6 +61,18 @@ class ImuEstimate:
     g_sensitivity: Floats
     covariance: Floats
 
+    @property
+    def values(self) -> Floats:
+        """All scalars (33,), in the order of the covariance."""
+        parts = (
+            self.accelerometer_sensitivity,
+            self.accelerometer_bias,
+            self.gyroscope_sensitivity,
+            self.gyroscope_bias,
+            self.g_sensitivity,
+        )
+        return np.concatenate([part.ravel() for part in parts])
+
 
 def unscaled(
     fit: MultiPositionFit,
@@ -77,13 +89,50 @@ def unscaled(
     earth's rate turns with the attitude like gravity and hides in the g-sensitivity: it is taken off where the latitude
     is known, and is part of the sigma where it is not.
     """
-    s, b, c_g, b_g, g = fit.state.matrices
-    has_gyroscope = bool(np.any(c_g))
-    s_g = np.linalg.inv(c_g) if has_gyroscope else np.zeros((3, 3))
+    values, jacobian = sensor_scalars(
+        fit.state, accelerometer, gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
+    )
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    by_gravity = np.zeros(33)
+    by_gravity[:9], by_gravity[24:] = -values[:9] / gravity_m_s2, -values[24:] / gravity_m_s2
+    covariance += gravity_sigma_m_s2**2 * np.outer(by_gravity, by_gravity)
+    if not fit.free[G_].any():
+        values[24:] = 0.0
+    elif latitude_deg is None:
+        by_earth = np.zeros(33)
+        by_earth[24:] = values[12:21] / gravity_m_s2
+        covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth)
+    return ImuEstimate(
+        accelerometer_sensitivity=values[:9].reshape(3, 3),
+        accelerometer_bias=values[9:12],
+        gyroscope_sensitivity=values[12:21].reshape(3, 3),
+        gyroscope_bias=values[21:24],
+        g_sensitivity=values[24:].reshape(3, 3),
+        covariance=covariance,
+    )
+
+
+def sensor_scalars(
+    state: State, accelerometer: Scaling, gyroscope: Scaling, *, gravity_m_s2: float, latitude_deg: float | None
+) -> tuple[Floats, Floats]:
+    """Return the scalars (33,) in the sensors' units, in the order of `ImuEstimate.covariance`, and their derivative.
+
+    The derivative (33, 30) is by the scaled parameters theta.
+    """
+    s, b, c_g, b_g, g = state.matrices
+    s_g = np.linalg.inv(c_g) if np.any(c_g) else np.zeros((3, 3))
     da, dg = accelerometer.spread, gyroscope.spread
-    sensitivity = da[:, None] * s / gravity_m_s2
+    vertical = EARTH_RATE_RAD_S * np.sin(np.radians(latitude_deg)) if latitude_deg is not None else 0.0
     gyro_sensitivity = dg[:, None] * s_g
-    g_sensitivity = dg[:, None] * g / gravity_m_s2
+    values = np.concatenate(
+        [
+            (da[:, None] * s / gravity_m_s2).ravel(),
+            da * b + accelerometer.centre,
+            gyro_sensitivity.ravel(),
+            dg * b_g + gyroscope.centre,
+            (dg[:, None] * g / gravity_m_s2 - gyro_sensitivity * vertical / gravity_m_s2).ravel(),
+        ]
+    )
     jacobian = np.zeros((33, 30))
     for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
         jacobian[3 * i + j, S_.start + column] = da[i] / gravity_m_s2
@@ -91,22 +140,4 @@ def unscaled(
     jacobian[12:21, CG_] = -np.kron(np.diag(dg) @ s_g, s_g.T)  # d inv(C) = -inv(C) dC inv(C)
     jacobian[21:24, BG_] = np.diag(dg)
     jacobian[24:33, G_] = np.kron(np.diag(dg), np.eye(3)) / gravity_m_s2
-    covariance = jacobian @ fit.covariance @ jacobian.T
-    by_gravity = np.zeros(33)
-    by_gravity[:9], by_gravity[24:] = -sensitivity.ravel() / gravity_m_s2, -g_sensitivity.ravel() / gravity_m_s2
-    covariance += gravity_sigma_m_s2**2 * np.outer(by_gravity, by_gravity)
-    if fit.free[G_].any():
-        vertical = EARTH_RATE_RAD_S * np.sin(np.radians(latitude_deg)) if latitude_deg is not None else 0.0
-        g_sensitivity = g_sensitivity - gyro_sensitivity * vertical / gravity_m_s2
-        if latitude_deg is None:
-            by_earth = np.zeros(33)
-            by_earth[24:] = gyro_sensitivity.ravel() / gravity_m_s2
-            covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth)
-    return ImuEstimate(
-        accelerometer_sensitivity=sensitivity,
-        accelerometer_bias=da * b + accelerometer.centre,
-        gyroscope_sensitivity=gyro_sensitivity,
-        gyroscope_bias=dg * b_g + gyroscope.centre,
-        g_sensitivity=g_sensitivity,
-        covariance=covariance,
-    )
+    return values, jacobian

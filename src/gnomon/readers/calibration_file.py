@@ -1,8 +1,9 @@
-"""gnomon's own calibration file, schemas "gnomon/1" and "gnomon/1.1"; `writers.calibration_file` writes it.
+"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.2"; `writers.calibration_file` writes it.
 
 A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
 newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
-assessment.camera_imu, which stands there in place of the counts of a multi-position recording.
+assessment.camera_imu, which stands there in place of the counts of a multi-position recording. "gnomon/1.2" added
+magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
 """
 
 import re
@@ -20,6 +21,7 @@ from ..calibration import (
     GyroscopeCalibration,
     Holdout,
     ImuCalibration,
+    MagnetometerCalibration,
     Provenance,
     covariance_names,
     parameters,
@@ -28,12 +30,12 @@ from ..errors import OptionError
 from ..findings import Finding
 from ..models.forms import in_frame
 from ..recording import Floats, Source
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry
 from .structured import Node, read_yaml
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 1
+SCHEMA_MINOR = 2
 
 TOP_KEYS = (
     "schema",
@@ -46,7 +48,16 @@ TOP_KEYS = (
     "provenance",
     "covariance",
 )
+FIELD_UNITS = ("uT", "local field")
+"""Units of a calibrated magnetic field."""
 _VERDICTS = ("pass", "warn", "fail")
+_FRAMES = {
+    "accel-x": ("accelerometer", "accel-x"),
+    "accel-z": ("accelerometer", "accel-z"),
+    "gyro-x": ("gyroscope", "accel-x"),
+    "mag-x": ("magnetometer", "accel-x"),
+}
+"""Body frame -> the triad that defines it, and the frame of `models.frames` whose zeros its sensitivity has."""
 
 
 def load(path: str | PathLike[str]) -> Calibration:
@@ -60,17 +71,17 @@ def load(path: str | PathLike[str]) -> Calibration:
     root = read_yaml(path)
     minor = _checked_minor(root)
     top = root.mapping(TOP_KEYS)
-    imus = {node.key: _imu(node) for node in top["imus"].entries()}
+    imus = {node.key: _imu(node, minor) for node in top["imus"].entries()}
     if minor == 0:
         top["cameras"].mapping()
     cameras = {node.key: camera_entry(node) for node in top["cameras"].entries()}
     calibration = Calibration(
         imus=imus,
-        frame=_frame(top["body_frame"], top["imus"], imus),
+        frame=_frame(top["body_frame"], top["imus"], imus, minor),
         gravity=_gravity(top["gravity"]),
         uncertainty=_covariance(top["covariance"], covariance_names(imus, cameras)),
         assessment=_assessment(top["assessment"], tuple(cameras), minor),
-        provenance=_provenance(top["provenance"]),
+        provenance=provenance_entry(top["provenance"]),
         cameras=cameras,
     )
     if top["verdict"].text(_VERDICTS) != calibration.verdict:
@@ -103,33 +114,51 @@ def _checked_minor(root: Node) -> int:
     return minor
 
 
-def _imu(node: Node) -> ImuCalibration:
-    triads = node.mapping(["accelerometer"], ["gyroscope"])
-    shapes = {"sensitivity": (3, 3), "bias": (3,), "g_sensitivity": (3, 3)}
-
-    def read(triad: str, values: tuple[str, ...]) -> dict[str, Node]:
-        return triads[triad].mapping(["unit", *values], [f"{name}_sigma" for name in values])
-
-    accelerometer = read("accelerometer", ("sensitivity", "bias"))
-    result = ImuCalibration(
-        accelerometer=AccelerometerCalibration(
-            unit=accelerometer["unit"].text(tuple(ACCELEROMETER_UNITS_M_S2)),
-            sensitivity=_invertible(accelerometer["sensitivity"]),
-            bias=accelerometer["bias"].floats(*shapes["bias"]),
-        )
-    )
-    if "gyroscope" not in triads:
-        return result
-    gyroscope = read("gyroscope", tuple(shapes))
+def _imu(node: Node, minor: int) -> ImuCalibration:
+    required, optional = ["accelerometer"], ["gyroscope"]
+    if minor >= 2:
+        required, optional = [], ["accelerometer", "gyroscope", "magnetometer"]
+    triads = node.mapping(required, optional)
+    if not triads:
+        raise node.fail("found no sensor, expected an accelerometer, a gyroscope or a magnetometer.")
     return ImuCalibration(
-        accelerometer=result.accelerometer,
-        gyroscope=GyroscopeCalibration(
-            unit=gyroscope["unit"].text(tuple(GYROSCOPE_UNITS_RAD_S)),
-            sensitivity=_invertible(gyroscope["sensitivity"]),
-            bias=gyroscope["bias"].floats(*shapes["bias"]),
-            g_sensitivity=gyroscope["g_sensitivity"].floats(*shapes["g_sensitivity"]),
-        ),
+        accelerometer=_accelerometer(triads["accelerometer"]) if "accelerometer" in triads else None,
+        gyroscope=_gyroscope(triads["gyroscope"]) if "gyroscope" in triads else None,
+        magnetometer=_magnetometer(triads["magnetometer"]) if "magnetometer" in triads else None,
     )
+
+
+def _accelerometer(node: Node) -> AccelerometerCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias")
+    return AccelerometerCalibration(
+        unit=keys["unit"].text(tuple(ACCELEROMETER_UNITS_M_S2)),
+        sensitivity=_invertible(keys["sensitivity"]),
+        bias=keys["bias"].floats(3),
+    )
+
+
+def _gyroscope(node: Node) -> GyroscopeCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias", "g_sensitivity")
+    return GyroscopeCalibration(
+        unit=keys["unit"].text(tuple(GYROSCOPE_UNITS_RAD_S)),
+        sensitivity=_invertible(keys["sensitivity"]),
+        bias=keys["bias"].floats(3),
+        g_sensitivity=keys["g_sensitivity"].floats(3, 3),
+    )
+
+
+def _magnetometer(node: Node) -> MagnetometerCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias", also=("field_unit",))
+    return MagnetometerCalibration(
+        unit=keys["unit"].text(tuple(MAGNETOMETER_UNITS_UT)),
+        field_unit=keys["field_unit"].text(FIELD_UNITS),
+        sensitivity=_invertible(keys["sensitivity"]),
+        bias=keys["bias"].floats(3),
+    )
+
+
+def _triad_keys(node: Node, *values: str, also: tuple[str, ...] = ()) -> dict[str, Node]:
+    return node.mapping(["unit", *also, *values], [f"{name}_sigma" for name in values])
 
 
 def _invertible(node: Node) -> Floats:
@@ -139,20 +168,24 @@ def _invertible(node: Node) -> Floats:
     return matrix
 
 
-def _frame(node: Node, imus_node: Node, imus: dict[str, ImuCalibration]) -> str:
-    frame = node.text(("accel-x", "accel-z", "user"))
-    for name, imu in imus.items() if frame != "user" else ():
+def _frame(node: Node, imus_node: Node, imus: dict[str, ImuCalibration], minor: int) -> str:
+    frame = node.text((*(_FRAMES if minor >= 2 else ("accel-x", "accel-z")), "user"))
+    if frame == "user":
+        return frame
+    triad, zeros = _FRAMES[frame]
+    for name, imu in imus.items():
+        sensor = getattr(imu, triad)
+        if sensor is None:
+            raise imus_node.child(name).fail(
+                f"body frame {frame} is that of the {triad}, and there is none here. Correct body_frame, or state user."
+            )
         try:
-            in_frame(imu.accelerometer.sensitivity, frame)
+            in_frame(sensor.sensitivity, zeros)
         except OptionError:
-            raise (
-                imus_node.child(name)
-                .child("accelerometer")
-                .child("sensitivity")
-                .fail(
-                    f"in body frame {frame} this matrix is {'lower' if frame == 'accel-x' else 'upper'} triangular, "
-                    "which it is not. Correct it, or state body_frame: user."
-                )
+            place = imus_node.child(name).child(triad).child("sensitivity")
+            raise place.fail(
+                f"in body frame {frame} this matrix is {'upper' if zeros == 'accel-z' else 'lower'} triangular, "
+                "which it is not. Correct it, or state body_frame: user."
             ) from None
     return frame
 
@@ -204,24 +237,39 @@ def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
     verdict = keys["verdict"].text(_VERDICTS)
     common = Assessment(
         verdict=verdict,  # pyright: ignore[reportArgumentType]
-        findings=tuple(_finding(item) for item in keys["findings"].items()),
+        findings=tuple(finding_entry(item) for item in keys["findings"].items()),
         model=keys["model"].text(),
         held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
     )
     if with_cameras:
         return replace(common, camera_imu=camera_imu_entry(keys["camera_imu"], cameras))
-    holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"))
+    newer = ("rate_rms", "field_rms") if minor >= 2 else ()
+    holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"), newer)
     rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
     return replace(common, holdout=Holdout(**rms), **{name: keys[name].integer() for name in counts})
 
 
-def _finding(node: Node) -> Finding:
+def finding_entry(node: Node) -> Finding:
+    """Return a finding.
+
+    Raises
+    ------
+    FormatError
+        If the entry is none.
+    """
     keys = node.mapping(("severity", "code", "message"), ("consequence", "cure"))
     keys["severity"].text(("good", "info", "warning", "problem"))
     return Finding(**{name: item.text() for name, item in keys.items()})  # pyright: ignore[reportArgumentType]
 
 
-def _provenance(node: Node) -> Provenance:
+def provenance_entry(node: Node) -> Provenance:
+    """Return where a result comes from.
+
+    Raises
+    ------
+    FormatError
+        If the entry does not say.
+    """
     keys = node.mapping(("gnomon_version", "method", "inputs", "options"), ("seed",))
     inputs = [item.mapping(("name", "sha256")) for item in keys["inputs"].items()]
     return Provenance(

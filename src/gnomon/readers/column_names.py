@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-Quantity = Literal["time", "accelerometer", "gyroscope", "unnamed", "other"]
+Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "unnamed", "other"]
 
 
 def _words(text: str) -> frozenset[str]:
@@ -14,13 +14,18 @@ def _words(text: str) -> frozenset[str]:
 _AXES = {"x": 0, "y": 1, "z": 2}
 _ACCELEROMETER = _words("a acc accl accel accelero accelerometer acceleration linacc alpha f sf specific force")
 _GYROSCOPE = _words("g gyr gyro gyroscope w omega angular angvel rate rot rotation")
+_MAGNETOMETER = _words("m mag magn magnet magnetic magneto magnetometer compass")
 _TIME = _words(
     "t ts time times timestamp timestamps stamp stamps epoch epoc elapsed sec secs seconds nsec nsecs nanosec"
 )
+_SENSORS: dict[Quantity, frozenset[str]] = {
+    "accelerometer": _ACCELEROMETER,
+    "gyroscope": _GYROSCOPE,
+    "magnetometer": _MAGNETOMETER,
+}
 # Columns of these are something else, even if the name of a sensor is in them too.
 _OTHER = _words(
-    "covariance cov std stddev var variance bias offset orientation quaternion quat gravity user mag magn magnetic "
-    "magnetometer temperature temp"
+    "covariance cov std stddev var variance bias offset orientation quaternion quat gravity user temperature temp"
 )
 
 _COUNT = dict.fromkeys(_words("count counts lsb raw adc digit digits bit bits"), "count")
@@ -35,6 +40,14 @@ _UNITS: dict[str, dict[str, str]] = {
         **dict.fromkeys(_words("rads rads1 radps rad radsec radianspersecond"), "rad/s"),
         **dict.fromkeys(_words("degs degs1 dps degps deg degsec degreespersecond"), "deg/s"),
         **dict.fromkeys(_words("mdegs mdps mdegs1 millidps"), "mdeg/s"),
+        **_COUNT,
+    },
+    "magnetometer": {
+        **dict.fromkeys(_words("ut utesla microtesla microteslas"), "uT"),
+        **dict.fromkeys(_words("nt ntesla nanotesla nanoteslas"), "nT"),
+        **dict.fromkeys(_words("t tesla teslas"), "T"),
+        **dict.fromkeys(_words("g ga gs gauss"), "gauss"),
+        **dict.fromkeys(_words("mg mga mgauss milligauss"), "mgauss"),
         **_COUNT,
     },
     "time": {
@@ -113,7 +126,7 @@ def _axis(words: list[str], inside: str) -> tuple[int, list[str], list[str]] | N
             before = words[:i]
             return (_AXES[word], before, words[i + 1 :]) if before else (_AXES[word], words[1:], [])
         for stem, axis in ((word[:-1], word[-1]), (word[1:], word[0])):  # "ax", "gyrox"; "xacc"
-            known = stem in _ACCELEROMETER or stem in _GYROSCOPE
+            known = any(stem in names for names in _SENSORS.values())
             if axis in _AXES and known and not (stem == word[1:] and len(stem) == 1):
                 return _AXES[axis], [stem], words[i + 1 :]
     if inside in {"0", "1", "2"}:  # "accelerometer_m_s2[0]"
@@ -124,19 +137,18 @@ def _axis(words: list[str], inside: str) -> tuple[int, list[str], list[str]] | N
 def _triad_column(axis: int, names: list[str], behind: list[str], inside: str) -> ColumnName:
     # A single letter names a sensor only in front: "a_RS_S_x", but not "imu_a".
     telling = {word for i, word in enumerate(names) if len(word) > 1 or i == 0}
-    accelerometer, gyroscope = bool(telling & _ACCELEROMETER), bool(telling & _GYROSCOPE)
-    if accelerometer and gyroscope:
+    sensors: list[Quantity] = [quantity for quantity, known in _SENSORS.items() if telling & known]
+    if len(sensors) > 1:
         return OTHER
-    if not accelerometer and not gyroscope:
+    if not sensors:
         return OTHER if names else _bare_axis(axis, inside)
-    quantity: Quantity = "accelerometer" if accelerometer else "gyroscope"
+    (quantity,) = sensors
     unit = unit_of(inside, quantity) or unit_of("".join(behind), quantity)
     return ColumnName(quantity=quantity, axis=axis, unit=unit)
 
 
 def _bare_axis(axis: int, inside: str) -> ColumnName:
-    quantities: tuple[Quantity, ...] = ("accelerometer", "gyroscope")
-    for quantity in quantities:
+    for quantity in _SENSORS:
         unit = unit_of(inside, quantity)
         if unit is not None and unit != "count":
             return ColumnName(quantity=quantity, axis=axis, unit=unit)

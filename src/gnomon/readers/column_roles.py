@@ -1,4 +1,4 @@
-"""Which columns of a table are stamps, accelerometer and gyroscope: stated, named in the header, or by their number."""
+"""Which columns of a table are stamps and which are which sensor: stated, named in the header, or by their number."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class Roles:
     Attributes
     ----------
     time : columns of the stamp and their units: none, one, or two to be added (seconds and nanoseconds)
-    triads : one or two
+    triads : one or two, and the magnetometer behind them, or it alone
     notes : what was assumed
     """
 
@@ -59,7 +59,8 @@ def roles(layout: Layout, stated: str | None, where: str) -> Roles:
         if any(name.quantity not in {"time", "other"} for name in names):
             return _named(names, layout, where, "the header")
         raise RecordingError(
-            f"{where}: the header names no accelerometer or gyroscope ({', '.join(layout.header)[:120]}). {HELP}"
+            f"{where}: the header names no accelerometer, gyroscope or magnetometer "
+            f"({', '.join(layout.header)[:120]}). {HELP}"
         )
     return _by_number(layout, where)
 
@@ -75,19 +76,22 @@ def _stated(layout: Layout, stated: str, where: str) -> Roles:
     unknown = [word for word, name in zip(words, names, strict=True) if name is OTHER and word != "_"]
     if unknown:
         raise OptionError(
-            f'columns "{stated}": "{unknown[0]}" is not known. Write t, ax, ay, az, gx, gy, gz, or _ to skip a column.'
+            f'columns "{stated}": "{unknown[0]}" is not known. '
+            "Write t, ax, ay, az, gx, gy, gz, mx, my, mz, or _ to skip a column."
         )
     return _named(names, layout, where, "--columns")
 
 
 def _named(names: list[ColumnName], layout: Layout, where: str, origin: str) -> Roles:
     triads: list[TriadColumns] = []
-    for quantity in ("accelerometer", "gyroscope", "unnamed"):
+    for quantity in ("accelerometer", "gyroscope", "unnamed", "magnetometer"):
         axes = {axis: [i for i, n in enumerate(names) if (n.quantity, n.axis) == (quantity, axis)] for axis in range(3)}
         found = sum(len(columns) for columns in axes.values())
         if not found:
             continue
         if any(len(columns) != 1 for columns in axes.values()):
+            if quantity == "magnetometer" and triads:  # what is wanted may well be without it
+                continue
             listed = ", ".join(f"{'xyz'[axis]}: {len(columns)}" for axis, columns in axes.items())
             sensor = "triad" if quantity == "unnamed" else quantity
             raise RecordingError(
@@ -95,10 +99,11 @@ def _named(names: list[ColumnName], layout: Layout, where: str, origin: str) -> 
             )
         columns = (axes[0][0], axes[1][0], axes[2][0])
         triads.append(TriadColumns(quantity=quantity, columns=columns, unit=names[columns[0]].unit))
-    named = [triad for triad in triads if triad.quantity != "unnamed"]
+    inertial = any(triad.quantity in {"accelerometer", "gyroscope"} for triad in triads)
+    named = [triad for triad in triads if triad.quantity != "unnamed"] if inertial else triads
     if not triads:
-        raise RecordingError(f"{where}: {origin} names no accelerometer and no gyroscope. {HELP}")
-    return Roles(time=time_columns(names, layout), triads=tuple(named or triads))
+        raise RecordingError(f"{where}: {origin} names no accelerometer, no gyroscope and no magnetometer. {HELP}")
+    return Roles(time=time_columns(names, layout), triads=tuple(named))
 
 
 def time_columns(names: list[ColumnName], layout: Layout) -> tuple[tuple[int, str | None], ...]:

@@ -39,15 +39,13 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
     RecordingError
         If there is no recording in the folder, or more than one.
     """
-    for layout in _LAYOUTS:
-        for path in (folder / layout, folder / f"{layout}.gz"):
-            if path.is_file():
-                return (path,)
-    files = sorted(path for path in folder.iterdir() if path.is_file() and _is_candidate(path))
-    accelerometer = [path for path in files if _ACCELEROMETER.search(path.name) and not _GYROSCOPE.search(path.name)]
-    gyroscope = [path for path in files if _GYROSCOPE.search(path.name) and not _ACCELEROMETER.search(path.name)]
-    if len(accelerometer) == len(gyroscope) == 1:
-        return (accelerometer[0], gyroscope[0])
+    known = known_layout(folder)
+    if known is not None:
+        return (known,)
+    files = candidates(folder)
+    pair = accelerometer_and_gyroscope(files)
+    if pair is not None:
+        return pair
     if len(files) == 1:
         return (files[0],)
     if not files:
@@ -57,6 +55,24 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
         )
     listed = ", ".join(path.name for path in files[:8]) + (", ..." if len(files) > 8 else "")
     raise RecordingError(f"{folder}: {len(files)} files may be the recording ({listed}). Name the one to read.")
+
+
+def known_layout(folder: Path) -> Path | None:
+    """Return the file of samples of a folder in the layout of EuRoC or Kalibr, or None."""
+    paths = (path for layout in _LAYOUTS for path in (folder / layout, folder / f"{layout}.gz"))
+    return next((path for path in paths if path.is_file()), None)
+
+
+def candidates(folder: Path) -> list[Path]:
+    """Return the files in a folder that may hold samples, by name."""
+    return sorted(path for path in folder.iterdir() if path.is_file() and _is_candidate(path))
+
+
+def accelerometer_and_gyroscope(files: list[Path]) -> tuple[Path, Path] | None:
+    """Return the one file with acc and the one with gyr in its name, or None."""
+    accelerometer = [path for path in files if _ACCELEROMETER.search(path.name) and not _GYROSCOPE.search(path.name)]
+    gyroscope = [path for path in files if _GYROSCOPE.search(path.name) and not _ACCELEROMETER.search(path.name)]
+    return (accelerometer[0], gyroscope[0]) if len(accelerometer) == len(gyroscope) == 1 else None
 
 
 def _is_candidate(path: Path) -> bool:

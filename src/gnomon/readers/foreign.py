@@ -7,7 +7,13 @@ from typing import Self
 
 import numpy as np
 
-from ..calibration import CameraCalibration, ImuCalibration
+from ..calibration import (
+    AccelerometerCalibration,
+    CameraCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
+    MagnetometerCalibration,
+)
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
 from ..models.target import Target
@@ -106,10 +112,16 @@ class ForeignCalibration:
 
 
 def recognised_frame(imus: Mapping[str, ImuCalibration]) -> str:
-    """Return the frame in which every accelerometer's sensitivity is triangular as that frame asks, else "user"."""
-    matrices = [imu.accelerometer.sensitivity for imu in imus.values()]
-    for frame, strict in (("accel-x", np.triu), ("accel-z", np.tril)):
-        off = -1 if frame == "accel-z" else 1
-        if all(np.abs(strict(S, off)).max() <= 1e-9 * np.abs(S).max() for S in matrices):
+    """Return the frame in which the first triad of every IMU is triangular as that frame asks, else "user"."""
+    sensors = [imu.accelerometer or imu.gyroscope or imu.magnetometer for imu in imus.values()]
+    kinds = {type(sensor) for sensor in sensors}
+    matrices = [sensor.sensitivity for sensor in sensors if sensor is not None]
+    for frame, kind, strict, off in (
+        ("accel-x", AccelerometerCalibration, np.triu, 1),
+        ("accel-z", AccelerometerCalibration, np.tril, -1),
+        ("gyro-x", GyroscopeCalibration, np.triu, 1),
+        ("mag-x", MagnetometerCalibration, np.triu, 1),
+    ):
+        if kinds <= {kind} and all(np.abs(strict(S, off)).max() <= 1e-9 * np.abs(S).max() for S in matrices):
             return frame
     return "user"

@@ -84,4 +84,4 @@ def _triads(path: Path) -> int:
         found = roles(sniff(file), None, file.name)
     except RecordingError:
         return 0
-    return len(found.triads) if found.time else 0
+    return sum(triad.quantity != "magnetometer" for triad in found.triads) if found.time else 0

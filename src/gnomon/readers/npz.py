@@ -1,14 +1,18 @@
 """Format "npz": NumPy arrays with the keys below. `gnomon simulate` writes it, too.
 
-    accelerometer          (n, 3)  as measured
+    accelerometer          (n, 3)  as measured; may be missing where there is a magnetometer
     gyroscope              (m, 3)  as measured; may be missing
-    t_ns or t_s            (n,)    stamps of both triads [ns, integer] or [s]
-    t_accelerometer_ns, t_gyroscope_ns (or _s)    where the triads have stamps of their own
+    magnetometer           (k, 3)  as measured; may be missing
+    t_ns or t_s            (n,)    stamps of all triads [ns, integer] or [s]
+    t_accelerometer_ns, t_gyroscope_ns, t_magnetometer_ns (or _s)    where the triads have stamps of their own
     rate_hz                ()      instead of stamps
     unit_accelerometer     "m/s^2", "g", "mg" or "count"; recognised where it is missing
     unit_gyroscope         "rad/s", "deg/s", "mdeg/s" or "count"; recognised where it is missing
+    unit_magnetometer      "uT", "nT", "T", "gauss", "mgauss" or "count"; recognised where it is missing
 
 Keys of a second IMU begin with "imu1.", such as "imu1.accelerometer", and so on; "imu0." may be left out.
+
+Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g, are read too (`readers.npz_keys`).
 """
 
 import zipfile
@@ -22,11 +26,16 @@ from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from ..recording import Floats, Integers, measurable
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
-from .stamps import to_ns
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from .npz_keys import SensorArray, sensor_arrays
+from .stamps import guess_time_unit, to_ns
 from .table import Table, Triad, uniform_stamps
 
-_UNITS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
+_UNITS = {
+    "accelerometer": ACCELEROMETER_UNITS_M_S2,
+    "gyroscope": GYROSCOPE_UNITS_RAD_S,
+    "magnetometer": MAGNETOMETER_UNITS_UT,
+}
 
 
 def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
@@ -39,11 +48,15 @@ def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
     """
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            names = sorted({_imu(key) for key in archive.files if key.split(".")[-1] == "accelerometer"})
+            wanted = {"accelerometer", "gyroscope", "magnetometer"}
+            names = sorted({_imu(key) for key in archive.files if key.split(".")[-1] in wanted})
+            found = {} if names else sensor_arrays(archive.files)
+            if wanted.intersection(found):
+                return {"imu0": [_read_named(archive, *item, path.name, rate_hz) for item in found.items()]}
             if not names:
                 raise RecordingError(
                     f"{path.name}: no array named accelerometer; found {', '.join(archive.files)[:200] or 'nothing'}. "
-                    "Save with the keys t_ns (or t_s), accelerometer, gyroscope."
+                    "Save with the keys t_ns (or t_s), accelerometer, gyroscope, magnetometer."
                 )
             return {name: _read_imu(archive, name, path.name, rate_hz) for name in names}
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError) as error:
@@ -54,6 +67,31 @@ def _imu(key: str) -> str:
     return key.rpartition(".")[0] or "imu0"
 
 
+def _read_named(
+    archive: Mapping[str, Any], quantity: str, array: SensorArray, where: str, rate_hz: float | None
+) -> Table:
+    """Read an array of somebody else's file that names its sensor."""
+    values = _values(archive[array.key], f"{where}, {array.key}")
+    note = f"{where}: {array.key} is the {quantity} (by its name"
+    if array.stamps is None and rate_hz is None:
+        raise RecordingError(f"{where}: no stamps for {array.key} (such as t_{array.key}). State --rate.")
+    if array.stamps is None or rate_hz is not None:
+        t_ns = uniform_stamps(len(values), float(rate_hz or 1.0))
+        note += f"); {rate_hz:g} Hz as stated."
+    else:
+        stamps = np.squeeze(archive[array.stamps])
+        if stamps.ndim != 1 or stamps.dtype.kind not in "fiu" or len(stamps) != len(values):
+            raise RecordingError(
+                f"{where}: {len(values)} samples in {array.key}, but stamps {array.stamps} of shape {stamps.shape} and "
+                f"type {stamps.dtype}."
+            )
+        unit, reason = guess_time_unit(stamps)
+        t_ns = to_ns(stamps, unit, where)
+        note += f"), with the stamps {array.stamps} in {unit} ({reason})."
+    t_ns.flags.writeable = False
+    return Table(t_ns=t_ns, triads=(Triad(quantity=quantity, values=values, unit=array.unit),), notes=(note,))
+
+
 def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float | None) -> list[Table]:
     def get(name: str) -> NDArray[Any] | None:
         plain = archive.get(name) if imu == "imu0" else None
@@ -61,14 +99,14 @@ def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float |
 
     shared: dict[int, Integers] = {}
     tables: list[Table] = []
-    for quantity in ("accelerometer", "gyroscope"):
+    for quantity, units in _UNITS.items():
         raw = get(quantity)
         if raw is None:
             continue
         values = _values(raw, f"{where}, {imu}, {quantity}")
         unit = get(f"unit_{quantity}")
-        if unit is not None and str(unit) not in _UNITS[quantity]:
-            known = ", ".join(_UNITS[quantity])
+        if unit is not None and str(unit) not in units:
+            known = ", ".join(units)
             raise RecordingError(f'{where}: unit_{quantity} is "{unit}", expected one of {known}.')
         own = get(f"t_{quantity}_ns"), get(f"t_{quantity}_s")
         notes: list[str] = []

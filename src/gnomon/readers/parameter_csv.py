@@ -6,16 +6,18 @@ from os import PathLike
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
+from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration, MagnetometerCalibration
 from ..errors import FormatError
 from ..recording import Floats
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from .calibration_file import FIELD_UNITS
 from .foreign import ForeignCalibration, recognised_frame
 from .structured import read_text
 
 _SHAPES = {
     "accelerometer": {"sensitivity": (3, 3), "bias": (3,)},
     "gyroscope": {"sensitivity": (3, 3), "bias": (3,), "g_sensitivity": (3, 3)},
+    "magnetometer": {"sensitivity": (3, 3), "bias": (3,)},
 }
 
 
@@ -61,15 +63,41 @@ class _Table:
         self.sigmas: dict[str, Floats] = {}
 
     def imu(self, name: str) -> ImuCalibration:
-        acc = {key: self.take(f"{name}.accelerometer.{key}", s) for key, s in _SHAPES["accelerometer"].items()}
-        unit = self.unit(acc["bias"][1], ACCELEROMETER_UNITS_M_S2)
-        accelerometer = AccelerometerCalibration(**{key: value for key, (value, _) in acc.items()}, unit=unit)
-        if not any(row.startswith(f"{name}.gyroscope.") for row in self.rows):
-            return ImuCalibration(accelerometer=accelerometer)
-        gyro = {key: self.take(f"{name}.gyroscope.{key}", s) for key, s in _SHAPES["gyroscope"].items()}
-        unit = self.unit(gyro["bias"][1], GYROSCOPE_UNITS_RAD_S)
-        gyroscope = GyroscopeCalibration(**{key: value for key, (value, _) in gyro.items()}, unit=unit)
-        return ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope)
+        """Return the triads of an IMU that have rows."""
+        there = [triad for triad in _SHAPES if any(row.startswith(f"{name}.{triad}.") for row in self.rows)]
+        if not there:
+            raise FormatError(f"{self.path}: {name} has no row of an accelerometer, a gyroscope or a magnetometer.")
+        return ImuCalibration(
+            accelerometer=self.accelerometer(name) if "accelerometer" in there else None,
+            gyroscope=self.gyroscope(name) if "gyroscope" in there else None,
+            magnetometer=self.magnetometer(name) if "magnetometer" in there else None,
+        )
+
+    def accelerometer(self, name: str) -> AccelerometerCalibration:
+        found = self.triad(name, "accelerometer")
+        unit = self.unit(found["bias"][1], ACCELEROMETER_UNITS_M_S2)
+        return AccelerometerCalibration(**{key: value for key, (value, _) in found.items()}, unit=unit)
+
+    def gyroscope(self, name: str) -> GyroscopeCalibration:
+        found = self.triad(name, "gyroscope")
+        unit = self.unit(found["bias"][1], GYROSCOPE_UNITS_RAD_S)
+        return GyroscopeCalibration(**{key: value for key, (value, _) in found.items()}, unit=unit)
+
+    def magnetometer(self, name: str) -> MagnetometerCalibration:
+        """Return the magnetometer; the unit of its sensitivity tells that of the field."""
+        found = self.triad(name, "magnetometer")
+        unit = self.unit(found["bias"][1], MAGNETOMETER_UNITS_UT)
+        stated = {"1" if unit == field else f"{unit}/{field}": field for field in FIELD_UNITS}
+        if found["sensitivity"][1] not in stated:
+            raise FormatError(
+                f'{self.path}: the sensitivity of the magnetometer is in "{found["sensitivity"][1]}", expected '
+                f"{' or '.join(stated)}."
+            )
+        values = {key: value for key, (value, _) in found.items()}
+        return MagnetometerCalibration(**values, unit=unit, field_unit=stated[found["sensitivity"][1]])
+
+    def triad(self, name: str, triad: str) -> dict[str, tuple[Floats, str]]:
+        return {key: self.take(f"{name}.{triad}.{key}", shape) for key, shape in _SHAPES[triad].items()}
 
     def take(self, parameter: str, shape: tuple[int, ...]) -> tuple[Floats, str]:
         """Return the value of a parameter and the unit of its last row."""

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recording import Floats, Integers
-from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
+from ..units import ACCELEROMETER_UNITS_M_S2, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 
 _WINDOWS = 1000
 _WINDOW = 50  # samples; half a second at usual rates
 _LIKE_GRAVITY = (0.8, 1.2)  # an uncalibrated accelerometer reads gravity within 20 %
 _LIKE_GRAVITY_IN_MOTION = (0.5, 2.0)
 _RATES_IN_MOTION = (("rad/s", 10.0), ("deg/s", 2000.0), ("mdeg/s", np.inf))  # largest rms of a hand that waves a sensor
+_LIKE_EARTH_UT = (14.2, 142.0)  # the earth's field is 22 to 67 uT; an uncalibrated scale may be off
 _DECISIVE = 10.0  # ratio of the scatters of the two triads between rests
 
 
@@ -121,6 +122,24 @@ def gyroscope_unit_in_motion(values: Floats, t_ns: Integers, accelerometer: Floa
     rms = float(np.sqrt(values.var(axis=0).sum()))
     unit = next(unit for unit, largest in _RATES_IN_MOTION if rms <= largest)
     return Unit(unit=unit, reason=f"its root mean square is {rms:.3g}")
+
+
+def magnetometer_unit(values: Floats) -> Unit:
+    """Recognise the unit of a magnetometer from the earth's field, (n, 3).
+
+    Where the sensor was turned, half the range of an axis is the field whatever the offset is; else its magnitude is
+    all there is.
+    """
+    if _whole_numbers(values):
+        return Unit(unit="count", reason="whole numbers")
+    low, high = np.quantile(values, (0.005, 0.995), axis=0)
+    half = float((high - low).max()) / 2
+    magnitude = float(np.median(np.linalg.norm(values, axis=1)))
+    field = half if half > 0.3 * magnitude else magnitude
+    for unit, factor in MAGNETOMETER_UNITS_UT.items():
+        if factor is not None and _LIKE_EARTH_UT[0] < field * factor < _LIKE_EARTH_UT[1]:
+            return Unit(unit=unit, reason=f"the field is {field:.4g}")
+    return Unit(unit="count", reason=f"the field, {field:.4g}, is that of the earth in no known unit")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

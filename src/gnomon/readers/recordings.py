@@ -1,5 +1,6 @@
 """Reading recordings: find the format by the content, put the triads together, recognise their units."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,14 @@ from ..units import Units
 from .column_roles import HELP
 from .files import NPZ_MAGIC, file_source, first_bytes, read_text
 from .folder import recording_files
-from .recognise import WITH_RESTS, Recogniser, accelerometer_is_first
+from .pose_files import joined, pose_files
+from .pose_table import LARGEST_BYTES, read_pose_table
+from .recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
 from .table import Table, Triad, read_table
 
 StampedTriad = tuple[Integers, Triad]
+Streams = tuple[StampedTriad | None, StampedTriad | None, StampedTriad | None]
+"""Accelerometer, gyroscope, magnetometer."""
 
 
 def read(
@@ -22,11 +27,12 @@ def read(
     rate_hz: float | None = None,
     units: str | Units | None = None,
 ) -> Recording:
-    """Read a recording.
+    """Read a recording of samples, or of averaged poses.
 
     Parameters
     ----------
-    paths : a file, a folder, or an accelerometer file and a gyroscope file; text may be gzipped
+    paths : a file, a folder, or an accelerometer file and a gyroscope file; text may be gzipped; three files or
+        more, or a folder of such, are one pose each
     columns : what the columns of a text table are, such as "t ax ay az gx gy gz"; _ skips a column
     rate_hz : sample rate of a recording without stamps [Hz]
     units : "si", "raw" or a list such as "g deg/s us"; recognised from headers and magnitudes where not given
@@ -38,7 +44,43 @@ def read(
     OptionError
         If an option does not fit the recording.
     """
+    poses = _read_poses(paths, columns, rate_hz, units)
+    if poses is not None:
+        return poses
     return read_recognising(WITH_RESTS, *paths, columns=columns, rate_hz=rate_hz, units=units)
+
+
+def _read_poses(
+    paths: tuple[str | Path, ...], columns: str | None, rate_hz: float | None, units: str | Units | None
+) -> Recording | None:
+    """Read a table of averaged poses or files of one pose each; None where the paths are neither."""
+    several = pose_files(paths)
+    if several is not None:
+        stated, notes = _stated(units, rate_hz), list[str]()
+        texts = [read_text(path) for path in several]
+        table, pieces, said = joined(
+            [read_table(text, columns, rate_hz, stated) for text in texts], [path.name for path in several]
+        )
+        tables, files, magnetometer = without_magnetometer([table], several[:1])
+        streams = inertial_streams(tables, files, notes, alone=magnetometer is None)
+        samples = _samples((*streams, magnetometer), stated, WITH_RESTS, notes)
+        sources = tuple(text.source for text in texts)
+        return Recording(imus={"imu0": samples}, sources=sources, assumptions=(*said, *notes), pieces=pieces)
+    if rate_hz is not None:
+        return None
+    files = recording_files(paths)
+    if len(files) != 1 or not files[0].is_file() or files[0].stat().st_size > LARGEST_BYTES:
+        return None
+    if first_bytes(files[0]).startswith(NPZ_MAGIC):
+        return None
+    return read_pose_table(read_text(files[0]), columns, _stated(units, rate_hz))
+
+
+def _stated(units: str | Units | None, rate_hz: float | None) -> Units:
+    """Return the units as stated, and check the rate."""
+    if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
+        raise OptionError(f"rate {rate_hz:g} Hz must be greater than zero.")
+    return Units() if units is None else Units.parse(units) if isinstance(units, str) else units
 
 
 def read_recognising(
@@ -49,19 +91,17 @@ def read_recognising(
     units: str | Units | None = None,
 ) -> Recording:
     """Read a recording like `read`, with what tells the units from the values where nothing states them."""
-    stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
-    if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
-        raise OptionError(f"rate {rate_hz:g} Hz must be greater than zero.")
+    stated = _stated(units, rate_hz)
     files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):
         return _read_npz(files, columns, rate_hz, stated, recogniser)
     texts = [read_text(path) for path in files]
     tables = [read_table(text, columns, rate_hz, stated) for text in texts]
     notes = [note for table in tables for note in table.notes]
-    pair = len(files) == 2
-    streams = in_two_files(tables, files, notes) if pair else in_one_file(tables[0], files[0].name, notes)
+    tables, files, magnetometer = without_magnetometer(tables, files)
+    streams = inertial_streams(tables, files, notes, alone=magnetometer is None)
     return Recording(
-        imus={"imu0": _samples(*streams, stated, recogniser, notes)},
+        imus={"imu0": _samples((*streams, magnetometer), stated, recogniser, notes)},
         sources=tuple(text.source for text in texts),
         assumptions=tuple(notes),
     )
@@ -73,7 +113,7 @@ def _read_npz(
     if columns is not None:
         raise OptionError(f"columns are for text tables; {files[0].name} is an NPZ file, whose arrays have names.")
     if len(files) != 1:
-        raise OptionError("give one NPZ file; both triads are in it.")
+        raise OptionError("give one NPZ file; all triads are in it.")
     from .npz import read_npz  # zipfile takes its time
 
     notes: list[str] = []
@@ -81,12 +121,47 @@ def _read_npz(
     tables = read_npz(files[0], rate_hz)
     for imu, parts in tables.items():
         notes += [note for part in parts for note in part.notes]
-        streams: list[StampedTriad] = [(part.t_ns, part.triads[0]) for part in parts]
+        streams: dict[str, StampedTriad] = {part.triads[0].quantity: (part.t_ns, part.triads[0]) for part in parts}
         said: list[str] = []
-        imus[imu] = _samples(streams[0], streams[1] if len(streams) > 1 else None, stated, recogniser, said)
+        three = streams.get("accelerometer"), streams.get("gyroscope"), streams.get("magnetometer")
+        imus[imu] = _samples(three, stated, recogniser, said)
         notes += [f"{imu} {note}" if len(tables) > 1 else note for note in said]
     source: Source = file_source(files[0])
     return Recording(imus=imus, sources=(source,), assumptions=tuple(notes))
+
+
+def without_magnetometer(tables: list[Table], files: list[Path]) -> tuple[list[Table], list[Path], StampedTriad | None]:
+    """Return the tables that hold other triads, without the magnetometer; their files; and the magnetometer.
+
+    Raises
+    ------
+    RecordingError
+        If two files hold one.
+    """
+    found: list[StampedTriad] = []
+    others: list[tuple[Table, Path]] = []
+    for table, path in zip(tables, files, strict=True):
+        found += [(table.t_ns, triad) for triad in table.triads if triad.quantity == "magnetometer"]
+        rest = tuple(triad for triad in table.triads if triad.quantity != "magnetometer")
+        if rest:
+            others.append((table if len(rest) == len(table.triads) else replace(table, triads=rest), path))
+    if len(found) > 1:
+        raise RecordingError(f"{files[0].name} and {files[1].name}: both hold a magnetometer. Give one of them alone.")
+    return [table for table, _ in others], [path for _, path in others], found[0] if found else None
+
+
+def inertial_streams(
+    tables: list[Table], files: list[Path], notes: list[str], *, alone: bool
+) -> tuple[StampedTriad | None, StampedTriad | None]:
+    """Return accelerometer and gyroscope; with a magnetometer (not alone) either may be missing."""
+    if len(tables) == 2:
+        return in_two_files(tables, files, notes)
+    if not tables:
+        return None, None
+    (table,) = tables
+    if not alone and [triad.quantity for triad in table.triads] == ["gyroscope"]:
+        return None, (table.t_ns, table.triads[0])
+    return in_one_file(table, files[0].name, notes)
 
 
 def in_one_file(table: Table, where: str, notes: list[str]) -> tuple[StampedTriad, StampedTriad | None]:
@@ -135,30 +210,39 @@ def in_two_files(tables: list[Table], files: list[Path], notes: list[str]) -> tu
     return (streams[0], streams[1]) if first else (streams[1], streams[0])
 
 
-def _samples(
-    accel: StampedTriad, gyro: StampedTriad | None, stated: Units, recogniser: Recogniser, notes: list[str]
-) -> ImuSamples:
+def _samples(streams: Streams, stated: Units, recogniser: Recogniser, notes: list[str]) -> ImuSamples:
     """Make samples with units: stated, else named in the file, else recognised."""
-    unit, reason = _known(stated.accelerometer, accel[1].unit)
-    if unit is None:
-        found = recogniser.accelerometer(accel[1].values)
-        unit, reason = found.unit, found.reason
-    notes.append(f"accelerometer in {unit} ({reason}).")
-    accelerometer = TriadSamples(t_ns=accel[0], values=accel[1].values, unit=unit)
-    if gyro is None:
-        notes.append("no gyroscope in this recording.")
-        return ImuSamples(
-            accelerometer=accelerometer,
-            gyroscope=TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit="rad/s"),
-        )
-    unit, reason = _known(stated.gyroscope, gyro[1].unit)
-    if unit is None:
-        found = recogniser.gyroscope(gyro[1].values, gyro[0], _force_at(gyro[0], accelerometer))
-        unit, reason = found.unit, found.reason
-    notes.append(f"gyroscope in {unit} ({reason}).")
-    return ImuSamples(
-        accelerometer=accelerometer, gyroscope=TriadSamples(t_ns=gyro[0], values=gyro[1].values, unit=unit)
-    )
+    accel, gyro, mag = streams
+    accelerometer, gyroscope, magnetometer = _nothing("m/s^2"), _nothing("rad/s"), None
+    if accel is not None:
+        unit, reason = _known(stated.accelerometer, accel[1].unit)
+        if unit is None:
+            found = recogniser.accelerometer(accel[1].values)
+            unit, reason = found.unit, found.reason
+        notes.append(f"accelerometer in {unit} ({reason}).")
+        accelerometer = TriadSamples(t_ns=accel[0], values=accel[1].values, unit=unit)
+    if gyro is not None:
+        unit, reason = _known(stated.gyroscope, gyro[1].unit)
+        if unit is None:
+            found = recogniser.gyroscope(gyro[1].values, gyro[0], _force_at(gyro[0], accelerometer))
+            unit, reason = found.unit, found.reason
+        notes.append(f"gyroscope in {unit} ({reason}).")
+        gyroscope = TriadSamples(t_ns=gyro[0], values=gyro[1].values, unit=unit)
+    if mag is not None:
+        unit, reason = _known(stated.magnetometer, mag[1].unit)
+        if unit is None:
+            found = magnetometer_unit(mag[1].values)
+            unit, reason = found.unit, found.reason
+        notes.append(f"magnetometer in {unit} ({reason}).")
+        magnetometer = TriadSamples(t_ns=mag[0], values=mag[1].values, unit=unit)
+    missing = [name for name, there in (("accelerometer", accel), ("gyroscope", gyro)) if there is None]
+    if missing:
+        notes.append(f"no {' and no '.join(missing)} in this recording.")
+    return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
+
+
+def _nothing(unit: str) -> TriadSamples:
+    return TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit=unit)
 
 
 def _known(stated: str | None, named: str | None) -> tuple[str | None, str]:
@@ -167,7 +251,7 @@ def _known(stated: str | None, named: str | None) -> tuple[str | None, str]:
 
 def _force_at(t_ns: Integers, accelerometer: TriadSamples) -> Floats | None:
     """Return the accelerometer at the gyroscope's stamps where it is cheap and its zero is known; else None."""
-    if accelerometer.unit == "count":
+    if accelerometer.unit == "count" or not len(accelerometer):
         return None
     if np.array_equal(t_ns, accelerometer.t_ns):
         return accelerometer.values

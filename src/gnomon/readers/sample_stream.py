@@ -1,27 +1,31 @@
 """Samples in consecutive blocks, and the units that a reader of blocks takes them for."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from ..recording import Floats, ImuSamples, TriadSamples
+from ..recording import Floats, TriadSamples
 from ..units import Units
 from .recognise import accelerometer_unit
 
 Blocks = Iterator[TriadSamples]
 
+TRIADS = ("accelerometer", "gyroscope", "magnetometer")
+"""The sensors of an IMU, in the order in which readers of blocks count them."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampleStream:
-    """One IMU's samples in consecutive blocks; the blocks of the two triads need not have the same stamps or lengths.
+    """One IMU's samples in consecutive blocks; the blocks of its triads need not have the same stamps or lengths.
 
     Attributes
     ----------
-    accelerometer, gyroscope : iterators of TriadSamples, to be consumed once; the gyroscope's may be None
+    accelerometer, gyroscope, magnetometer : iterators of TriadSamples, to be consumed once, or None
     """
 
-    accelerometer: Blocks
-    gyroscope: Blocks | None
+    accelerometer: Blocks | None = None
+    gyroscope: Blocks | None = None
+    magnetometer: Blocks | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,10 +46,14 @@ class UnitChoice:
         """Return the unit: stated, else named in the file, else expected."""
         return self.stated.gyroscope or named or self.expected.gyroscope or "count"
 
+    def magnetometer(self, named: str | None) -> str:
+        """Return the unit: stated, else named in the file, else expected."""
+        return self.stated.magnetometer or named or self.expected.magnetometer or "count"
 
-def shared_blocks(blocks: Iterator[ImuSamples]) -> SampleStream:
-    """Split blocks that hold both triads into two iterators; what one of them has not yet taken is kept for it."""
-    waiting: tuple[deque[TriadSamples], deque[TriadSamples]] = (deque(), deque())
+
+def shared_blocks(blocks: Iterator[Sequence[TriadSamples]], count: int) -> list[Blocks]:
+    """Split blocks that hold so many triads into an iterator for each; what one of them has not yet taken is kept."""
+    waiting: list[deque[TriadSamples]] = [deque() for _ in range(count)]
 
     def side(which: int) -> Blocks:
         while True:
@@ -53,8 +61,8 @@ def shared_blocks(blocks: Iterator[ImuSamples]) -> SampleStream:
                 block = next(blocks, None)
                 if block is None:
                     return
-                waiting[0].append(block.accelerometer)
-                waiting[1].append(block.gyroscope)
+                for queue, triad in zip(waiting, block, strict=True):
+                    queue.append(triad)
             yield waiting[which].popleft()
 
-    return SampleStream(accelerometer=side(0), gyroscope=side(1))
+    return [side(which) for which in range(count)]

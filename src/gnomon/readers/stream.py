@@ -5,7 +5,7 @@ where it is short. The units of the samples are known beforehand, from the calib
 file says, or gravity shows, takes precedence, so that a calibration for other units can be refused.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..units import Units
 from .files import NPZ_MAGIC, first_bytes
 from .folder import recording_files
-from .sample_stream import Blocks, SampleStream, UnitChoice
+from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
 
 
 def stream_of(samples: ImuSamples, block: int = 65_536) -> SampleStream:
@@ -25,8 +25,8 @@ def stream_of(samples: ImuSamples, block: int = 65_536) -> SampleStream:
         for i in range(0, len(triad), block):
             yield TriadSamples(t_ns=triad.t_ns[i : i + block], values=triad.values[i : i + block], unit=triad.unit)
 
-    gyroscope = blocks(samples.gyroscope) if len(samples.gyroscope) else None
-    return SampleStream(accelerometer=blocks(samples.accelerometer), gyroscope=gyroscope)
+    triads = {name: getattr(samples, name) for name in TRIADS}
+    return SampleStream(**{name: blocks(triad) for name, triad in triads.items() if triad is not None and len(triad)})
 
 
 def open_stream(
@@ -36,14 +36,16 @@ def open_stream(
     columns: str | None = None,
     rate_hz: float | None = None,
     imu: str = "imu0",
+    triads: Collection[str] = TRIADS,
     block_bytes: int = 1 << 20,
 ) -> SampleStream:
     """Open a recording for reading block by block; `paths`, `units`, `columns` and `rate_hz` as in `read`.
 
     Parameters
     ----------
-    expected : units of accelerometer and gyroscope where neither `units`, nor the file, nor gravity tells them
+    expected : units of the triads where neither `units`, nor the file, nor gravity tells them
     imu : which IMU of an NPZ file
+    triads : which triads are read, as far as the recording holds them
     block_bytes : size of a block [bytes of the unpacked file]
 
     Raises
@@ -60,17 +62,24 @@ def open_stream(
 
         if columns is not None or len(files) != 1:
             raise OptionError(f"{files[0].name} is an NPZ file: give it alone, and without columns.")
-        return open_npz(files[0], choice, rate_hz, imu, block_bytes)
+        return open_npz(files[0], choice, rate_hz, imu, triads=triads, block_bytes=block_bytes)
     from .stream_text import open_text
 
-    return open_text(files, choice, columns, rate_hz, block_bytes)
+    return open_text(files, choice, columns, rate_hz, triads=triads, block_bytes=block_bytes)
 
 
 class Rows:
-    """The rows of an iterator of blocks, taken in pieces of any length."""
+    """The rows of an iterator of blocks, taken in pieces of any length.
 
-    def __init__(self, blocks: Blocks, transform: Callable[[TriadSamples], TriadSamples]) -> None:
+    Parameters
+    ----------
+    blocks, transform : the blocks, and what is made of each
+    what, onto : the sensor, and the one to whose stamps it is brought, for messages
+    """
+
+    def __init__(self, blocks: Blocks, transform: Callable[[TriadSamples], TriadSamples], what: str, onto: str) -> None:
         self._blocks, self._transform = blocks, transform
+        self.what, self.onto = what, onto
         self.t_ns = np.empty(0, np.int64)
         self.values = np.empty((0, 3))
 
@@ -101,8 +110,8 @@ class Rows:
             back = np.flatnonzero(np.diff(self.t_ns[max(checked - 1, 0) :]) < 0)
             if len(back):
                 raise RecordingError(
-                    "the accelerometer's stamps go backwards, so that its samples cannot be brought to the gyroscope's "
-                    "stamps. `gnomon check` says where; sort or cut the recording."
+                    f"the {self.what}'s stamps go backwards, so that its samples cannot be brought to the "
+                    f"{self.onto}'s stamps. `gnomon check` says where; sort or cut the recording."
                 )
             checked = len(self.t_ns)
             if (checked and self.t_ns[-1] > t_ns) or not self._pull():

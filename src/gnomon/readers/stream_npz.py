@@ -2,7 +2,7 @@
 
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from math import prod
@@ -14,17 +14,24 @@ from numpy.typing import NDArray
 
 from ..errors import RecordingError
 from ..recording import TriadSamples, measurable
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
-from .sample_stream import Blocks, SampleStream, UnitChoice
-from .stamps import to_ns
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from .npz_keys import SensorArray, sensor_arrays
+from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
+from .stamps import guess_time_unit, to_ns
 
-_UNITS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
+_UNITS = {
+    "accelerometer": ACCELEROMETER_UNITS_M_S2,
+    "gyroscope": GYROSCOPE_UNITS_RAD_S,
+    "magnetometer": MAGNETOMETER_UNITS_UT,
+}
 _FIRST_ROWS = 100_000  # from which the unit of the accelerometer is recognised
 _DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError)
 
 
-def open_npz(path: Path, choice: UnitChoice, rate_hz: float | None, imu: str, block_bytes: int) -> SampleStream:
-    """Open one IMU of an NPZ file.
+def open_npz(
+    path: Path, choice: UnitChoice, rate_hz: float | None, imu: str, *, triads: Collection[str], block_bytes: int
+) -> SampleStream:
+    """Open one IMU of an NPZ file; `triads` are those that are wanted.
 
     Raises
     ------
@@ -34,38 +41,67 @@ def open_npz(path: Path, choice: UnitChoice, rate_hz: float | None, imu: str, bl
     try:
         with zipfile.ZipFile(path) as archive:
             keys = {name.removesuffix(".npy") for name in archive.namelist()}
-            lengths = {key: _shape(archive, key)[0] for key in keys if len(_shape(archive, key))}
             rate = _rate(archive, keys, imu) if rate_hz is None else rate_hz
-            named = [_unit(archive, _key(keys, imu, f"unit_{quantity}"), known) for quantity, known in _UNITS.items()]
-            accelerometer = _key(keys, imu, "accelerometer")
-            first = np.empty((0, 3)) if accelerometer is None else next(_array(archive, accelerometer, _FIRST_ROWS))
+            arrays = _arrays(archive, keys, imu)
+            if not arrays:
+                listed = ", ".join(sorted(keys))[:200]
+                raise RecordingError(f"{path.name}: no array named accelerometer for {imu}; found {listed}.")
+            streams = {
+                name: _Triad(
+                    path=path,
+                    key=array.key,
+                    clock=array.stamps,
+                    clock_unit=_clock_unit(archive, array),
+                    rate_hz=rate,
+                    unit=_chosen(archive, choice, name, array),
+                    rows=max(1, block_bytes // 24),
+                )
+                for name, array in arrays.items()
+                if name in triads
+            }
     except _DAMAGE as error:
         raise _damaged(path, error) from None
-    if accelerometer is None:
-        listed = ", ".join(sorted(keys))[:200]
-        raise RecordingError(f"{path.name}: no array named accelerometer for {imu}; found {listed}.")
-    rows = max(1, block_bytes // 24)
-    clock = _clock(keys, imu, "accelerometer")
-    unit = choice.accelerometer(named[0], first)
-    triad = _Triad(path=path, key=accelerometer, clock=clock, rate_hz=rate, unit=unit, rows=rows)
-    gyroscope = _key(keys, imu, "gyroscope")
-    if gyroscope is None:
-        return SampleStream(accelerometer=triad.blocks(), gyroscope=None)
-    own = _clock(keys, imu, "gyroscope", shared=False)
-    same_length = lengths[gyroscope] == lengths[accelerometer]
-    clock = own or (clock if same_length else None) or _clock(keys, imu, "gyroscope")
-    unit = choice.gyroscope(named[1])
-    other = _Triad(path=path, key=gyroscope, clock=clock, rate_hz=rate, unit=unit, rows=rows)
-    return SampleStream(accelerometer=triad.blocks(), gyroscope=other.blocks())
+    return SampleStream(**{name: triad.blocks() for name, triad in streams.items()})
+
+
+def _arrays(archive: zipfile.ZipFile, keys: set[str], imu: str) -> dict[str, SensorArray]:
+    """Return the triads of an IMU, by gnomon's own keys, else by the sensors that the names of arrays tell."""
+    own = {name: key for name in TRIADS if (key := _key(keys, imu, name)) is not None}
+    if not own:
+        return sensor_arrays(sorted(keys)) if imu == "imu0" else {}
+    clocks: dict[int, str] = {}  # arrays of one length share their stamps where they have none of their own
+    found: dict[str, SensorArray] = {}
+    for name, key in own.items():
+        length = (_shape(archive, key) or (0,))[0]
+        clock = _clock(keys, imu, name, shared=False) or clocks.get(length) or _clock(keys, imu, name)
+        if clock is not None:
+            clocks.setdefault(length, clock)
+        unit = _unit(archive, _key(keys, imu, f"unit_{name}"), _UNITS[name])
+        found[name] = SensorArray(key=key, unit=unit, stamps=clock)
+    return found
+
+
+def _clock_unit(archive: zipfile.ZipFile, array: SensorArray) -> str:
+    """Return the unit of the stamps: as their key says, else by their size."""
+    if array.stamps is None or array.stamps.endswith(("_ns", "_s")):
+        return "ns" if str(array.stamps).endswith("_ns") else "s"
+    return guess_time_unit(next(_array(archive, array.stamps, _FIRST_ROWS)))[0]
+
+
+def _chosen(archive: zipfile.ZipFile, choice: UnitChoice, name: str, array: SensorArray) -> str:
+    if name == "accelerometer":
+        return choice.accelerometer(array.unit, next(_array(archive, array.key, _FIRST_ROWS), np.empty((0, 3))))
+    return choice.gyroscope(array.unit) if name == "gyroscope" else choice.magnetometer(array.unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Triad:
-    """One triad of an NPZ file and its stamps; clock is their key, rows the length of a block."""
+    """One triad of an NPZ file; clock and clock_unit are key and unit of its stamps, rows the length of a block."""
 
     path: Path
     key: str
     clock: str | None
+    clock_unit: str
     rate_hz: float | None
     unit: str
     rows: int
@@ -103,7 +139,7 @@ class _Triad:
             if clock is None:
                 t_ns = np.rint(np.arange(done, done + len(raw)) * (1e9 / (self.rate_hz or 1.0))).astype(np.int64)
             else:
-                t_ns = to_ns(next(clock), "ns" if str(self.clock).endswith("_ns") else "s", self.path.name)
+                t_ns = to_ns(next(clock), self.clock_unit, self.path.name)
             yield TriadSamples(t_ns=t_ns, values=values, unit=self.unit)
             done += len(raw)
 

@@ -3,7 +3,7 @@
 import gzip
 import io
 import zlib
-from collections.abc import Generator, Iterator
+from collections.abc import Collection, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,13 +12,13 @@ from typing import Protocol
 import numpy as np
 
 from ..errors import RecordingError
-from ..recording import ImuSamples, Integers, Source, TriadSamples
+from ..recording import Integers, Source, TriadSamples
 from .column_roles import Roles, roles
 from .files import TextFile, first_bytes, refuse_binary
-from .recordings import in_one_file, in_two_files
-from .sample_stream import SampleStream, UnitChoice, shared_blocks
+from .recordings import inertial_streams, without_magnetometer
+from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .stamps import guess_time_unit, stamp_kind, to_ns
-from .table import preamble_rate, read_table
+from .table import Triad, preamble_rate, read_table
 from .text_table import Column, Layout, parse, sniff
 
 _HEAD_BYTES = 8 << 20
@@ -37,8 +37,8 @@ class _Plan:
 
     Attributes
     ----------
-    triads : index of the accelerometer and of the gyroscope among the triads of the table; None where it is not there
-    units : of accelerometer and gyroscope
+    triads : for each of `TRIADS` its index among the triads of the table; None where it is not there or not wanted
+    units : of each of `TRIADS`
     time_unit : of a single column of stamps
     rate_hz : where there are no stamps
     """
@@ -46,16 +46,22 @@ class _Plan:
     path: Path
     layout: Layout
     used: Roles
-    triads: tuple[int | None, int | None]
-    units: tuple[str, str]
+    triads: list[int | None]
+    units: tuple[str, str, str]
     time_unit: str | None
     rate_hz: float | None
 
 
 def open_text(
-    files: list[Path], choice: UnitChoice, columns: str | None, rate_hz: float | None, block_bytes: int
+    files: list[Path],
+    choice: UnitChoice,
+    columns: str | None,
+    rate_hz: float | None,
+    *,
+    triads: Collection[str],
+    block_bytes: int,
 ) -> SampleStream:
-    """Open a table, or an accelerometer table and a gyroscope table.
+    """Open a table, or two tables that hold different triads; `triads` are those that are wanted.
 
     Raises
     ------
@@ -66,35 +72,29 @@ def open_text(
     """
     heads = [_head(path) for path in files]
     tables = [read_table(head, columns, rate_hz, choice.stated) for head in heads]
-    if len(files) == 1:
-        accelerometer, gyroscope = in_one_file(tables[0], files[0].name, [])
-    else:
-        accelerometer, gyroscope = in_two_files(tables, files, [])
-    wanted = (accelerometer[1], None if gyroscope is None else gyroscope[1])
-    units = (
-        choice.accelerometer(accelerometer[1].unit, accelerometer[1].values),
-        choice.gyroscope(None if gyroscope is None else gyroscope[1].unit),
-    )
-    plans: list[_Plan] = []
+    others, names, magnetometer = without_magnetometer(tables, files)
+    found = (*inertial_streams(others, names, [], alone=False), magnetometer)
+    there = [
+        None if stream is None or name not in triads else stream[1] for name, stream in zip(TRIADS, found, strict=True)
+    ]
+    units = _units(choice, there)
+    streams: dict[str, Blocks] = {}
     for path, head, table in zip(files, heads, tables, strict=True):
-        index = [next((i for i, triad in enumerate(table.triads) if triad is one), None) for one in wanted]
-        plans.append(
-            _plan(
-                path,
-                head,
-                columns,
-                rate_hz=rate_hz,
-                time_unit=choice.stated.time,
-                triads=(index[0], index[1]),
-                units=units,
-            )
-        )
-    if len(plans) == 1 and gyroscope is not None:
-        return shared_blocks(_samples(plans[0], block_bytes))
-    if len(plans) == 1:
-        return SampleStream(accelerometer=_triad(plans[0], block_bytes, 0), gyroscope=None)
-    first, second = plans if plans[0].triads[0] is not None else plans[::-1]
-    return SampleStream(accelerometer=_triad(first, block_bytes, 0), gyroscope=_triad(second, block_bytes, 1))
+        index = [next((i for i, triad in enumerate(table.triads) if triad is one), None) for one in there]
+        plan = _plan(path, head, columns, rate_hz=rate_hz, time_unit=choice.stated.time, triads=index, units=units)
+        held = [which for which, place in enumerate(index) if place is not None]
+        sides = shared_blocks(_blocks(plan, block_bytes, held), len(held))
+        streams |= {TRIADS[which]: side for which, side in zip(held, sides, strict=True)}
+    return SampleStream(**streams)
+
+
+def _units(choice: UnitChoice, triads: list[Triad | None]) -> tuple[str, str, str]:
+    accelerometer, gyroscope, magnetometer = triads
+    return (
+        "" if accelerometer is None else choice.accelerometer(accelerometer.unit, accelerometer.values),
+        "" if gyroscope is None else choice.gyroscope(gyroscope.unit),
+        "" if magnetometer is None else choice.magnetometer(magnetometer.unit),
+    )
 
 
 def _head(path: Path) -> TextFile:
@@ -116,8 +116,8 @@ def _plan(
     *,
     rate_hz: float | None,
     time_unit: str | None,
-    triads: tuple[int | None, int | None],
-    units: tuple[str, str],
+    triads: list[int | None],
+    units: tuple[str, str, str],
 ) -> _Plan:
     layout = sniff(head)
     used = roles(layout, columns, head.name)
@@ -132,33 +132,20 @@ def _plan(
     return _Plan(path=path, layout=layout, used=used, triads=triads, units=units, time_unit=unit, rate_hz=rate_hz)
 
 
-def _samples(plan: _Plan, block_bytes: int) -> Iterator[ImuSamples]:
-    for t_ns, data in _blocks(plan, block_bytes, [0, 1]):
-        yield ImuSamples(accelerometer=_picked(plan, t_ns, data, 0), gyroscope=_picked(plan, t_ns, data, 1))
-
-
-def _triad(plan: _Plan, block_bytes: int, which: int) -> Iterator[TriadSamples]:
-    for t_ns, data in _blocks(plan, block_bytes, [which]):
-        yield _picked(plan, t_ns, data, which)
-
-
-def _picked(plan: _Plan, t_ns: Integers, data: list[Column], which: int) -> TriadSamples:
-    index = plan.triads[which]
-    assert index is not None
-    values = np.column_stack([data[i] for i in plan.used.triads[index].columns])
-    return TriadSamples(t_ns=t_ns, values=values, unit=plan.units[which])
-
-
-def _blocks(plan: _Plan, block_bytes: int, wanted: list[int]) -> Iterator[tuple[Integers, list[Column]]]:
-    """Yield (stamps, columns) of every block."""
+def _blocks(plan: _Plan, block_bytes: int, held: list[int]) -> Iterator[list[TriadSamples]]:
+    """Yield the triads of every block, those of `plan.triads` that are counted in `held`."""
     stamps = [i for i, _ in plan.used.time]
-    places = [index for which in wanted if (index := plan.triads[which]) is not None]
-    values = [i for index in places for i in plan.used.triads[index].columns]
+    places = [plan.used.triads[index].columns for which in held if (index := plan.triads[which]) is not None]
+    values = [i for columns in places for i in columns]
     count = 0
     for line, text in _lines(plan, block_bytes):
         file = TextFile(name=plan.path.name, data=text, source=_NO_SOURCE)
         data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
-        yield _stamps(plan, data, count), data
+        t_ns = _stamps(plan, data, count)
+        yield [
+            TriadSamples(t_ns=t_ns, values=np.column_stack([data[i] for i in columns]), unit=plan.units[which])
+            for which, columns in zip(held, places, strict=True)
+        ]
         count += len(data[0])
 
 

@@ -38,7 +38,7 @@ class Triad:
 
     Attributes
     ----------
-    quantity : "accelerometer", "gyroscope" or "unnamed"
+    quantity : "accelerometer", "gyroscope", "magnetometer" or "unnamed"
     values : (n, 3)
     unit : where the header tells it
     """
@@ -50,7 +50,7 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """What is in a table: stamps (n,) [ns] and one or two triads, and what was assumed."""
+    """What is in a table: stamps (n,) [ns], its triads (see `Roles.triads`), and what was assumed."""
 
     t_ns: Integers
     triads: tuple[Triad, ...]

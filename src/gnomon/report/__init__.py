@@ -1,13 +1,14 @@
 """Calibration and diagnostics -> one self-contained HTML file.
 
 page.py is the design, the same for every kind of calibration; imu.py says what an IMU calibration puts on it,
-camera_imu.py what a camera-IMU calibration does.
+camera_imu.py what a camera-IMU calibration does, triads.py what a calibration from known magnitudes does.
 """
 
 from pathlib import Path
 
 from ..diagnostics import CameraImuDiagnostics, Result
 from ..output import write_whole
+from ..triad_diagnostics import TriadDiagnostics
 
 
 def write_report(result: Result, path: str | Path) -> None:
@@ -32,6 +33,10 @@ def write_report(result: Result, path: str | Path) -> None:
         from .camera_imu import camera_imu_page
 
         page = camera_imu_page(calibration, diagnostics)
+    elif isinstance(diagnostics, TriadDiagnostics):
+        from .triads import triad_page
+
+        page = triad_page(calibration, diagnostics)
     else:
         from .imu import imu_page
 

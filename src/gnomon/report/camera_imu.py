@@ -184,9 +184,9 @@ def _use(calibration: Calibration) -> Section:
     for name, imu in calibration.imus.items():
         of = f" of {name}" if len(calibration.imus) > 1 else ""
         text = "m = S f + b          f = S⁻¹ (m − b)        S = S_a M_a\n\n" + matrix_text(
-            "S", imu.accelerometer.sensitivity
+            "S", imu.required_accelerometer.sensitivity
         )
-        text += "\n\n" + matrix_text("b", imu.accelerometer.bias[:, None])
+        text += "\n\n" + matrix_text("b", imu.required_accelerometer.bias[:, None])
         blocks.append(Code(title=f"Accelerometer{of}: m and f in m/s²", text=text))
         if imu.gyroscope is not None:
             text = "y = S ω + G f + b    ω = S⁻¹ (y − b − G f)    S = S_g M_g C_bg′, G = B_g\n\n"

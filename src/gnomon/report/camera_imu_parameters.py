@@ -195,9 +195,9 @@ def imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...
 def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]:
     imu = calibration.imus[name]
     path = f"{name}.accelerometer"
-    triad = _lower_triad(imu.accelerometer.sensitivity)
+    triad = _lower_triad(imu.required_accelerometer.sensitivity)
     spreads = sigmas_of(
-        _lower_triad, imu.accelerometer.sensitivity.ravel(), calibration.covariance(f"{path}.sensitivity")
+        _lower_triad, imu.required_accelerometer.sensitivity.ravel(), calibration.covariance(f"{path}.sensitivity")
     )
     groups = [*_triad("Accelerometer", "a", triad, spreads), _bias(calibration, path, "Accelerometer", "a")]
     if imu.gyroscope is None:

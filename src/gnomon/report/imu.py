@@ -8,9 +8,10 @@ from ..units import STANDARD_GRAVITY_M_S2
 from . import imu_sections
 from .imu_parameters import parameter_groups
 from .numbers import number, quantity
-from .page import Code, KeyNumber, Page, Parameters, Prose, Section, typeset
+from .page import KeyNumber, Page, Parameters, Prose, Section, typeset
 from .provenance import provenance_section
-from .wording import FRAMES, HEADLINES, gravity_text, matrix_text
+from .usage import use_section
+from .wording import FRAMES, HEADLINES, gravity_text
 
 _MODELS = {
     "basic": "constant gyroscope bias",
@@ -30,9 +31,9 @@ def imu_page(calibration: Calibration, diagnostics: ImuDiagnostics) -> Page:
         imu_sections.accelerometer_section(diagnostics.intervals),
         imu_sections.gyroscope_section(diagnostics.rotations, calibration.gravity.value),
         imu_sections.choices_section(diagnostics),
-        imu_sections.noise_section(diagnostics),
+        imu_sections.noise_section(diagnostics.noise),
         _assumptions(calibration),
-        _use(calibration),
+        use_section(calibration),
         provenance_section(calibration.provenance),
     )
     return Page(
@@ -117,38 +118,3 @@ def _assumptions(calibration: Calibration) -> Section:
         held = ", ".join(assessment.held_by_prior)
         points.append(f"Not determined by this recording, and held by assumption: {held}.")
     return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
-
-
-def _use(calibration: Calibration) -> Section:
-    blocks = [
-        Code(
-            title="On the command line",
-            text="gnomon apply calibration.yaml RECORDING -o calibrated.csv\n"
-            "gnomon show calibration.yaml\n"
-            "gnomon convert calibration.yaml --to kalibr",
-        )
-    ]
-    for name, imu in calibration.imus.items():
-        blocks.append(
-            Code(
-                title="In Python" if len(calibration.imus) == 1 else f"In Python, {name}",
-                text="import gnomon\n\n"
-                'calibration = gnomon.load("calibration.yaml")\n'
-                f'samples = gnomon.read("RECORDING").imus[{name!r}]\n'
-                f"calibrated = calibration.imus[{name!r}].apply(samples)  # m/s² and rad/s in the body frame",
-            )
-        )
-        text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + matrix_text("S", imu.accelerometer.sensitivity)
-        text += "\n\n" + matrix_text("b", imu.accelerometer.bias[:, None])
-        blocks.append(Code(title=f"Accelerometer: m in {imu.accelerometer.unit}, f in m/s²", text=text))
-        if imu.gyroscope is not None:
-            text = "y = S ω + b + G f    ω = S⁻¹ (y − b − G f)\n\n" + matrix_text("S", imu.gyroscope.sensitivity)
-            text += "\n\n" + matrix_text("b", imu.gyroscope.bias[:, None])
-            text += "\n\n" + matrix_text("G", imu.gyroscope.g_sensitivity)
-            blocks.append(Code(title=f"Gyroscope: y in {imu.gyroscope.unit}, ω in rad/s", text=text))
-    return Section(
-        anchor="use",
-        title="How to use it",
-        lead="The calibration maps what the sensor reads to specific force f and angular rate ω in the body frame.",
-        blocks=tuple(blocks),
-    )

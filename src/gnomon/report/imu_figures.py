@@ -3,13 +3,12 @@
 import numpy as np
 
 from ..diagnostics import AllanCurve, DetectorTrace, ImuDiagnostics, IntervalTable, RotationTable, SignalEnvelope
-from ..recording import Floats, Integers
-from . import svg
+from ..recording import Floats
 from .figures import Sheet, coarser, dots, draw, limits, log_limits, thinned, zigzag
 from .imu_parameters import readable_unit
+from .magnitude_figures import count_along
 from .numbers import finite, largest, prefixed
 from .panel import Panel
-from .sphere import SPHERE_HEIGHT, hemisphere, lambert
 
 AXES = ("x", "y", "z")
 
@@ -98,92 +97,6 @@ def allan(curve: AllanCurve) -> str:
     return draw("allan", 386, alt, paint)
 
 
-def attitudes(intervals: IntervalTable) -> str:
-    """Directions of gravity in the body frame on two hemispheres in Lambert's equal-area projection."""
-    known = np.isfinite(intervals.direction).all(axis=1)
-    used = np.asarray(intervals.used, dtype=bool) & known
-    labelled = len(used) <= 60
-
-    def paint(sheet: Sheet) -> None:
-        for side in (1.0, -1.0):
-            axes = hemisphere(sheet, side)
-            here = known & ((intervals.direction[:, 2] >= 0) == (side > 0))
-            flat = lambert(intervals.direction, side)
-            for chosen, color, ring in ((here & ~used, "accent", True), (here & used, "after", False)):
-                # Directions closer than a dot is wide add nothing to see.
-                spots = np.unique(np.round(flat[chosen] / 0.02) * 0.02, axis=0) if not labelled else flat[chosen]
-                dots(axes, spots[:, 0], spots[:, 1], color, size=9, ring=ring)
-            if labelled:
-                for x, y, names in _labels(flat, np.flatnonzero(here)):
-                    axes.text(names, x + 0.06, y + 0.03, svg.text_style("muted", 9.5, "left"), fine=True)
-
-    alt = f"Directions of gravity in the body frame in {int(used.sum())} static intervals that were used."
-    return draw("attitudes", SPHERE_HEIGHT, alt, paint)
-
-
-def _labels(flat: Floats, indices: Integers) -> list[tuple[float, float, str]]:
-    """Return places and numbers of points; points that nearly coincide share one label, such as "3, 9, 17"."""
-    groups: list[list[int]] = []
-    for i in indices.tolist():
-        near = next((g for g in groups if np.hypot(*(flat[g[0]] - flat[i])) < 0.11), None)
-        if near is None:
-            groups.append([i])
-        else:
-            near.append(i)
-    labels: list[tuple[float, float, str]] = []
-    for group in groups:
-        names = ", ".join(str(i + 1) for i in group[:3]) + (" …" if len(group) > 3 else "")
-        x, y = flat[max(group, key=lambda i: float(flat[i, 0]))]
-        labels.append((float(x), float(y), names))
-    return labels
-
-
-def accelerometer_errors(intervals: IntervalTable) -> str:
-    """|f| - g per static interval: before, after, and when the interval was held out."""
-    used = np.asarray(intervals.used, dtype=bool)
-    number_of = np.asarray(np.flatnonzero(used) + 1, dtype=np.float64)
-
-    def paint(sheet: Sheet) -> None:
-        before, after = intervals.error_before[used], intervals.error_after[used]
-        heldout, sigma = intervals.error_holdout[used], intervals.sigma[used]
-        prefix, factor = prefixed(largest(np.concatenate([before, after])))
-        axes = sheet.panel(f"Before and after [{prefix}m/s²]", top=36, height=180)
-        for values, color, ring in ((before, "before", False), (after, "after", False)):
-            dots(axes, *thinned(number_of, values * factor), color, ring=ring)
-        limits(axes, before * factor, after * factor, symmetric=True)
-        prefix, factor = prefixed(largest(np.concatenate([after, heldout])))
-        close = sheet.panel(f"After, magnified [{prefix}m/s²]", top=270, height=220, x_label="static interval")
-        _band(close, number_of, 2 * sigma * factor)
-        dots(close, *thinned(number_of, heldout * factor), "heldout", ring=True)
-        dots(close, *thinned(number_of, after * factor), "after", size=5)
-        limits(close, after * factor, heldout * factor, symmetric=True)
-        for panel in (axes, close):
-            _over_index(panel, len(used))
-        axes.x.labelled = False
-
-    alt = f"Error of the magnitude of specific force in {int(used.sum())} static intervals, before and after the fit."
-    return draw("accelerometer", 550, alt, paint)
-
-
-def _band(panel: Panel, x: Floats, reach: Floats) -> None:
-    """Shade ±reach around zero."""
-    t, _, high = coarser(x, reach, reach, bins=300)
-    between = (t[1:] + t[:-1]) / 2
-    edges = np.sort(np.concatenate([t[:1], between, between, t[-1:]]))
-    panel.band(edges, -np.repeat(high, 2), np.repeat(high, 2), "before", alpha=0.22)
-
-
-def _over_index(panel: Panel, count: int) -> None:
-    _count(panel, count)
-    panel.across(0, "muted")
-
-
-def _count(panel: Panel, count: int) -> None:
-    """Let the x scale count from one."""
-    panel.x.span(0.4, max(count, 1) + 0.6)
-    panel.x.most, panel.x.whole = 8, True
-
-
 def rotation_errors(rotations: RotationTable) -> str:
     """|u_a - u_g| per rotation and over the angle turned: before, after, held out."""
     used = np.asarray(rotations.used, dtype=bool)
@@ -206,7 +119,7 @@ def rotation_errors(rotations: RotationTable) -> str:
                 positive = np.where(values > 0, values * 1e3, np.nan)
                 dots(axes, *thinned(x, positive), color, size=size, ring=ring)
             log_limits(axes, *(values * 1e3 for values, _, _, _ in series))
-        _count(panels[0][0], len(used))
+        count_along(panels[0][0], len(used))
         panels[1][0].x.span(0, max(largest(degrees) * 1.04, 1.0) if finite(degrees).size else 180.0)
 
     alt = f"Difference of measured and gyro-propagated gravity over {int(used.sum())} rotations, before and after."

@@ -6,9 +6,20 @@ from math import isfinite, pi
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration
+from ..calibration import (
+    AccelerometerCalibration,
+    Calibration,
+    GyroscopeCalibration,
+    ImuCalibration,
+    MagnetometerCalibration,
+)
 from ..recording import Floats
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
+from ..units import (
+    ACCELEROMETER_UNITS_M_S2,
+    GYROSCOPE_UNITS_RAD_S,
+    MAGNETOMETER_UNITS_UT,
+    STANDARD_GRAVITY_M_S2,
+)
 from .numbers import fixed, number, with_sigma
 from .page import Bar, Parameter, ParameterGroup
 
@@ -16,32 +27,49 @@ _AXES = "xyz"
 _DEG = 180 / pi
 _NOT_DETERMINED = "not determined by this recording"
 
-Triad = AccelerometerCalibration | GyroscopeCalibration
+Triad = AccelerometerCalibration | GyroscopeCalibration | MagnetometerCalibration
+LOCAL_FIELD = "local field"
+_AGAINST = {
+    AccelerometerCalibration: "the mean of the three axes, which share what gravity leaves uncertain",
+    GyroscopeCalibration: "the mean of the three axes",
+    MagnetometerCalibration: "the mean of the three axes; soft iron is part of it",
+}
+"""What scales are compared with where the unit has no nominal one."""
 
 
 def readable_unit(unit: str) -> str:
     """Return a unit as it is printed, such as "m/s²" for "m/s^2"."""
-    return unit.replace("^2", "²").replace("deg/s", "°/s")
+    return unit.replace("^2", "²").replace("deg/s", "°/s").replace("uT", "µT")
 
 
 def parameter_groups(calibration: Calibration) -> tuple[ParameterGroup, ...]:
     """Return the groups of parameters of all IMUs, each group with bars on one scale."""
     groups: list[ParameterGroup] = []
     for name, imu in calibration.imus.items():
-        prefix = f"{name}: " if len(calibration.imus) > 1 else ""
-        path = f"{name}.accelerometer"
-        nominal = ACCELEROMETER_UNITS_M_S2.get(imu.accelerometer.unit)
-        groups += _shape(calibration, path, f"{prefix}Accelerometer", imu.accelerometer, si="m/s²", unit_in_si=nominal)
-        groups.append(_bias(calibration, path, f"{prefix}Accelerometer bias", imu.accelerometer, "m/s²"))
-        if imu.gyroscope is None:
-            continue
-        path = f"{name}.gyroscope"
-        nominal = GYROSCOPE_UNITS_RAD_S.get(imu.gyroscope.unit)
-        groups += _shape(calibration, path, f"{prefix}Gyroscope", imu.gyroscope, si="rad/s", unit_in_si=nominal)
-        groups.append(_bias(calibration, path, f"{prefix}Gyroscope bias", imu.gyroscope, "rad/s"))
-        if np.any(imu.gyroscope.g_sensitivity != 0):
-            groups.append(_g_sensitivity(calibration, path, f"{prefix}Gyroscope g-sensitivity", imu.gyroscope))
+        groups += _triad_groups(calibration, name, imu, f"{name}: " if len(calibration.imus) > 1 else "")
     return tuple(groups)
+
+
+def _triad_groups(calibration: Calibration, name: str, imu: ImuCalibration, prefix: str) -> Iterator[ParameterGroup]:
+    """Yield the groups of each triad of an IMU that was calibrated."""
+    if imu.accelerometer is not None:
+        path, nominal = f"{name}.accelerometer", ACCELEROMETER_UNITS_M_S2.get(imu.accelerometer.unit)
+        title = f"{prefix}Accelerometer"
+        yield from _shape(calibration, path, title, imu.accelerometer, si="m/s²", unit_in_si=nominal)
+        yield _bias(calibration, path, f"{title} bias", imu.accelerometer, "m/s²")
+    if imu.gyroscope is not None:
+        path, nominal = f"{name}.gyroscope", GYROSCOPE_UNITS_RAD_S.get(imu.gyroscope.unit)
+        title = f"{prefix}Gyroscope"
+        yield from _shape(calibration, path, title, imu.gyroscope, si="rad/s", unit_in_si=nominal)
+        yield _bias(calibration, path, f"{title} bias", imu.gyroscope, "rad/s")
+        if np.any(imu.gyroscope.g_sensitivity != 0):
+            yield _g_sensitivity(calibration, path, f"{title} g-sensitivity", imu.gyroscope)
+    if imu.magnetometer is not None:
+        known = imu.magnetometer.field_unit == "uT"
+        nominal = MAGNETOMETER_UNITS_UT.get(imu.magnetometer.unit) if known else None
+        path, title, si = f"{name}.magnetometer", f"{prefix}Magnetometer", "µT" if known else LOCAL_FIELD
+        yield from _shape(calibration, path, title, imu.magnetometer, si=si, unit_in_si=nominal)
+        yield _bias(calibration, path, f"{title} bias", imu.magnetometer, si)
 
 
 def _sigmas(calibration: Calibration, path: str) -> Floats:
@@ -60,8 +88,8 @@ def _shape(
     """Yield the groups of scales and misalignments of a sensitivity matrix (rows are the sensor axes)."""
     path = f"{path}.sensitivity"
     covariance = calibration.covariance(path)
-    unit = "" if triad.unit == si else f"{readable_unit(triad.unit)} per {si}"
-    against = "nominal" if unit_in_si else "the mean of the three axes, which share what gravity leaves uncertain"
+    unit = "" if readable_unit(triad.unit) == si else f"{readable_unit(triad.unit)} per {si}"
+    against = "nominal" if unit_in_si else _AGAINST[type(triad)]
     yield ParameterGroup(
         title=f"{title} scale",
         note=f"deviation from {against}",
@@ -70,6 +98,7 @@ def _shape(
     tilts = _tilts(calibration, path, triad.sensitivity, covariance)
     if tilts:
         note = "sine of the angle by which the sensor axis leans out of the body axis"
+        note += ", soft iron included" if isinstance(triad, MagnetometerCalibration) else ""
         yield ParameterGroup(title=f"{title} misalignment", note=note, rows=tilts)
 
 
@@ -131,7 +160,8 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
         value, spread = with_sigma(float(triad.bias[i]), float(sigmas[i]))
         physical, sigma = float(triad.bias[i] / lengths[i]), float(sigmas[i] / lengths[i])
         # The offset of raw counts is arbitrary; only its uncertainty says something in physical units.
-        reads_as = f"± {_physical(sigma, si)}" if triad.unit == "count" else _physical(physical, si)
+        arbitrary = triad.unit == "count" and not isinstance(triad, MagnetometerCalibration)
+        reads_as = f"± {_physical(sigma, si)}" if arbitrary else _physical(physical, si)
         rows.append(
             Parameter(
                 name=f"bias {axis}",
@@ -143,12 +173,18 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
             )
         )
     drawn = [(float(b), float(s)) for b, s in zip(triad.bias, sigmas, strict=True)]
-    return ParameterGroup(title=title, note="", rows=tuple(rows) if triad.unit == "count" else with_bars(rows, drawn))
+    note = "hard iron, with the sensor's own offset" if isinstance(triad, MagnetometerCalibration) else ""
+    bare = triad.unit == "count" and not note  # the offset of raw counts says nothing; that of hard iron does
+    return ParameterGroup(title=title, note=note, rows=tuple(rows) if bare else with_bars(rows, drawn))
 
 
 def _physical(value: float, si: str) -> str:
     if si == "rad/s":
         return f"{number(value * _DEG, 3)}\u00a0°/s"
+    if si == LOCAL_FIELD:
+        return f"{number(100 * value, 3)}\u00a0% of the field"
+    if si == "µT":
+        return f"{number(value, 3)}\u00a0µT"
     return f"{number(value / STANDARD_GRAVITY_M_S2 * 1e3, 3)}\u00a0mg"
 
 

@@ -1,24 +1,25 @@
 """The sections of an IMU report that show how the calibration came about."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from math import asin, degrees, isfinite
 
 import numpy as np
 
 from ..diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, RotationTable
 from ..recording import Floats
+from ..triad_diagnostics import PoseTable
 from ..units import STANDARD_GRAVITY_M_S2
-from . import imu_figures
+from . import imu_figures, magnitude_figures
 from .numbers import MISSING, finite, fixed, largest, number, quantity, rms
 from .page import Figure, Legend, Section, Table
 
 _AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
-_SERIES = (
+SERIES = (
     Legend(mark="dot", color="before", label="before"),
     Legend(mark="dot", color="after", label="after"),
     Legend(mark="ring", color="heldout", label="held out of the fit"),
 )
-_MOST_ROWS = 60
+MOST_ROWS = 60
 """Rows of a table beyond this are counted instead of shown."""
 
 
@@ -57,7 +58,7 @@ def _left_out(intervals: IntervalTable) -> tuple[Table, ...]:
             f"{number(float(intervals.start_s[i]), 5)} to {number(float(intervals.stop_s[i]), 5)}",
             intervals.reason[i] or MISSING,
         )
-        for i in rejected[:_MOST_ROWS]
+        for i in rejected[:MOST_ROWS]
     )
     more = len(rejected) - len(rows)
     return (
@@ -109,10 +110,15 @@ def attitudes_section(intervals: IntervalTable) -> Section | None:
     legend = [Legend(mark="dot", color="after", label="used")]
     if not used.all():
         legend.append(Legend(mark="ring", color="accent", label="left out"))
-    gap, towards = _largest_gap(directions)
+    gap, towards = largest_gap(directions)
     figure = Figure(
         title="Directions of gravity in the body frame",
-        svg=imu_figures.attitudes(intervals),
+        svg=magnitude_figures.directions(
+            "attitudes",
+            intervals.direction,
+            intervals.used,
+            f"Directions of gravity in the body frame in {len(directions)} static intervals that were used.",
+        ),
         legend=tuple(legend),
         caption="Both halves of the sphere in equal-area projection, seen from outside; circles every 30°. The "
         f"emptiest spot, {fixed(gap, 0)}° from the nearest attitude, is where up is ({towards}) in the body frame.",
@@ -126,7 +132,7 @@ def attitudes_section(intervals: IntervalTable) -> Section | None:
     )
 
 
-def _largest_gap(directions: Floats) -> tuple[float, str]:
+def largest_gap(directions: Floats) -> tuple[float, str]:
     """Return the largest angle [deg] from any direction to the nearest of (n, 3) unit vectors, and that direction."""
     spots = np.unique(np.round(directions / 0.05) * 0.05, axis=0) if len(directions) > 500 else directions
     k = np.arange(1000) + 0.5  # a Fibonacci lattice: even cover of the sphere
@@ -145,20 +151,26 @@ def accelerometer_section(intervals: IntervalTable) -> Section | None:
         return None
     figure = Figure(
         title="Error of the magnitude of specific force",
-        svg=imu_figures.accelerometer_errors(intervals),
-        legend=(*_SERIES, Legend(mark="band", color="before", label="±2σ expected of noise alone")),
+        svg=magnitude_figures.magnitude_errors(
+            "accelerometer",
+            intervals,
+            "m/s^2",
+            "static interval",
+            f"Error of the magnitude of specific force in {int(used.sum())} static intervals before and after the fit.",
+        ),
+        legend=(*SERIES, Legend(mark="band", color="before", label="±2σ expected of noise alone")),
         caption="|f| − g in each static interval. Before: one best scale and no bias, as an uncalibrated sensor reads. "
         "Held out: the calibration was made without the interval that it is tested on.",
     )
     rows: list[tuple[str, ...]] = []
-    for name, (spread, mean, worst) in _in_numbers(intervals):
+    for name, (spread, mean, worst) in in_numbers(intervals):
         milli_g = number(1e3 * spread / STANDARD_GRAVITY_M_S2, 3, trim=False)
         rows.append((name, *(quantity(v, "m/s²") for v in (spread, mean, worst)), milli_g))
     table = Table(title="In numbers", head=("|f| − g", "rms", "mean size", "worst", "rms in mg"), rows=tuple(rows))
     return Section(anchor="accelerometer", title="Accelerometer", blocks=(figure, table))
 
 
-def _in_numbers(table: IntervalTable | RotationTable) -> Iterator[tuple[str, tuple[float, float, float]]]:
+def in_numbers(table: IntervalTable | RotationTable | PoseTable) -> Iterator[tuple[str, tuple[float, float, float]]]:
     """Yield each kind of error with rms, mean magnitude and largest magnitude over the used rows; nan without any."""
     used = np.asarray(table.used, dtype=bool)
     for name, errors in (
@@ -179,13 +191,13 @@ def gyroscope_section(rotations: RotationTable, gravity: float) -> Section | Non
     figure = Figure(
         title="Gravity carried along by the gyroscope",
         svg=imu_figures.rotation_errors(rotations),
-        legend=_SERIES,
+        legend=SERIES,
         caption="For each rotation, gravity before it is carried along by integrating the gyroscope, and compared with "
         "gravity measured after it. Before: one scale for all axes and the bias of the first interval. An error that "
         "grows with the angle speaks of scale or misalignment, one that does not of bias or noise.",
     )
     rows: list[tuple[str, ...]] = []
-    for name, (spread, mean, worst) in _in_numbers(rotations):
+    for name, (spread, mean, worst) in in_numbers(rotations):
         # |u_a - u_g| is the chord of the angle between the two unit vectors.
         angle = degrees(2 * asin(min(worst / 2, 1.0))) if isfinite(worst) else float("nan")
         rows.append(
@@ -222,7 +234,7 @@ def choices_section(diagnostics: ImuDiagnostics) -> Section | None:
 
 
 def _thresholds(detector: DetectorTrace) -> Table:
-    candidates = np.atleast_2d(detector.candidates)[:_MOST_ROWS]
+    candidates = np.atleast_2d(detector.candidates)[:MOST_ROWS]
     chosen = np.flatnonzero(np.isclose(candidates[:, 0], detector.multiplier))
     return Table(
         title="Threshold of the static detector",
@@ -259,12 +271,12 @@ _NOISE_UNITS = {
 }
 
 
-def noise_section(diagnostics: ImuDiagnostics) -> Section | None:
-    """Return the noise that was found; None if none was."""
-    if not diagnostics.noise:
+def noise_section(noise: Mapping[str, float]) -> Section | None:
+    """Return the noise that was found, as in `ImuDiagnostics`; None if none was."""
+    if not noise:
         return None
     rows: list[tuple[str, ...]] = []
-    for name, value in diagnostics.noise.items():
+    for name, value in noise.items():
         sensor, _, kind = name.partition(".")
         unit = _NOISE_UNITS.get((sensor, kind), "")
         shown = f"{number(value, 4)} {unit}".strip()

@@ -15,6 +15,10 @@ FRAMES = {
     "the x-y plane (Kalibr's convention)",
     "accel-z": "the z axis of the body is the sensitivity axis of the z accelerometer, and the y accelerometer lies in "
     "the y-z plane (the convention of Tedaldi and of imu_tk)",
+    "gyro-x": "the x axis of the body is the sensitivity axis of the x gyroscope, and the y gyroscope lies in the x-y "
+    "plane",
+    "mag-x": "the x axis of the body is the sensitivity axis of the x magnetometer, and the y magnetometer lies in the "
+    "x-y plane",
     "user": "axes of your own, taken from the poses that you named",
 }
 """What the body frames mean."""

@@ -3,14 +3,30 @@
 from typing import TYPE_CHECKING
 
 from .camera_imu_scenario import CameraImuScenario
+from .field_scenario import FieldScenario
+from .pose_scenario import PoseScenario
 from .scenario import Scenario
+from .turntable_scenario import TurntableScenario
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..recording import Recording
     from .camera_imu import CameraImuSimulation
+    from .poses import PoseSimulation
+    from .turntable import TurntableSimulation
 
-__all__ = ["CameraImuScenario", "Scenario", "simulate", "simulate_camera_imu"]
+__all__ = [
+    "CameraImuScenario",
+    "FieldScenario",
+    "PoseScenario",
+    "Scenario",
+    "TurntableScenario",
+    "simulate",
+    "simulate_camera_imu",
+    "simulate_magnetometer",
+    "simulate_poses",
+    "simulate_turntable",
+]
 
 
 def simulate(scenario: Scenario | None = None, seed: int = 0) -> "tuple[Recording, Calibration]":
@@ -67,3 +83,73 @@ def simulate_camera_imu(scenario: CameraImuScenario | None = None, seed: int = 0
     from .camera_imu import simulated_camera_imu
 
     return simulated_camera_imu(scenario or CameraImuScenario(), seed)
+
+
+def simulate_poses(scenario: PoseScenario | None = None, seed: int = 0) -> "PoseSimulation":
+    """Make an experiment in which a sensor lies still in one attitude after another, and what is true of it.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None: document C's accelerometer in 18 poses
+    seed : every random number follows from it; the same scenario and seed give the same experiment
+
+    Returns
+    -------
+    simulation : samples and means of each pose, the attitudes, and the true calibration in body frame "accel-z"
+
+    Examples
+    --------
+    >>> simulation = simulate_poses(PoseScenario(attitude_error_deg=10.0), seed=1)
+    >>> simulation.accelerometer.shape, simulation.truth.frame
+    ((18, 3), 'accel-z')
+    """
+    from .poses import simulated_poses
+
+    return simulated_poses(scenario or PoseScenario(), seed)
+
+
+def simulate_magnetometer(scenario: FieldScenario | None = None, seed: int = 0) -> "tuple[Recording, Calibration]":
+    """Make a recording of a magnetometer that a hand turns over the sphere, and the calibration that is true of it.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None
+    seed : every random number follows from it; the same scenario and seed give the same recording
+
+    Returns
+    -------
+    recording : one IMU, "imu0", with a magnetometer
+    truth : in body frame "accel-x", or "mag-x" without accelerometer, with zero covariance; the field in uT
+
+    Examples
+    --------
+    >>> recording, truth = simulate_magnetometer(FieldScenario(duration_s=20.0), seed=1)
+    >>> len(recording.imus["imu0"].magnetometer), truth.frame
+    (1000, 'accel-x')
+    """
+    from .magnetometer import simulated_magnetometer
+
+    return simulated_magnetometer(scenario or FieldScenario(), seed)
+
+
+def simulate_turntable(scenario: TurntableScenario | None = None, seed: int = 0) -> "TurntableSimulation":
+    """Make recordings of a sensor on a turntable, and what is true of them.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None: document C's gyroscope on a record player at 16 rpm
+    seed : every random number follows from it; the same scenario and seed give the same recordings
+
+    Returns
+    -------
+    simulation : recordings, speeds, steady parts, and the truth in body frame "accel-x", "gyro-x" of a gyroscope alone
+
+    Examples
+    --------
+    >>> simulation = simulate_turntable(TurntableScenario(poses=2, steady_s=8.0), seed=1)
+    >>> len(simulation.recordings), simulation.truth.frame
+    (1, 'accel-x')
+    """
+    from .turntable import simulated_turntable
+
+    return simulated_turntable(scenario or TurntableScenario(), seed)

@@ -217,10 +217,11 @@ def _simulated_imu(
     trajectory = _trajectory(scenario, path, cam0.T_cam_imu, t_s)
     sensor = imu.calibration(np.zeros(3), np.zeros(3))
     assert sensor.gyroscope is not None
+    accelerometer = sensor.required_accelerometer
     f, omega = trajectory.f_imu, trajectory.omega_imu
     b_a = imu.b_a + _walk(imu.noise["accelerometer_random_walk"], t_s, streams["accelerometer_walk"])
     b_g = imu.b_g + _walk(imu.noise["gyroscope_random_walk"], t_s, streams["gyroscope_walk"])
-    force = f @ sensor.accelerometer.sensitivity.T + b_a
+    force = f @ accelerometer.sensitivity.T + b_a
     rate = omega @ sensor.gyroscope.sensitivity.T + f @ sensor.gyroscope.g_sensitivity.T + b_g
     for name, values, limit in (
         ("accelerometer", force, scenario.accelerometer_range),

@@ -79,7 +79,7 @@ def simulate_imu(scenario: Scenario, seed: int) -> tuple[Recording, Calibration]
 
 def _models(imu: ImuCalibration) -> tuple[Callable[[Floats, Floats], Floats], Callable[[Floats, Floats], Floats]]:
     """Return the noise-free output of accelerometer and gyroscope as functions of specific force and angular rate."""
-    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
+    accelerometer, gyroscope = imu.required_accelerometer, imu.gyroscope
     assert gyroscope is not None
 
     def force_reading(force: Floats, _rate: Floats) -> Floats:

@@ -1,11 +1,12 @@
 """A calibration applied to a recording of any length: block by block, with the arithmetic of `ImuCalibration.apply`.
 
-The result is a CSV table with one row for each gyroscope sample, and beside it the specific force that the gyroscope's
-correction used: the accelerometer's own samples where both triads share their stamps, else interpolated linearly to the
-gyroscope's stamps. Without a gyroscope there is a row for each accelerometer sample.
+The result is a CSV table of what was calibrated and recorded. It has one row for each gyroscope sample, else for each
+accelerometer sample, else for each magnetometer sample. Other triads stand beside it: their own samples where they have
+the same stamps, else interpolated linearly to those of the row. The specific force beside a rate is the one that the
+gyroscope's correction used.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from os import PathLike
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import numpy as np
 from ..calibration import ImuCalibration
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
-from ..readers.sample_stream import SampleStream
+from ..readers.sample_stream import TRIADS, Blocks, SampleStream
 from ..readers.stream import Rows, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..units import Units
@@ -36,25 +37,28 @@ def apply_files(
     Parameters
     ----------
     paths, columns, rate_hz : as for `gnomon.read`
-    output : CSV with `t_ns`, angular rate [rad/s] and specific force [m/s^2] in the body frame
+    output : CSV with `t_ns`, angular rate [rad/s], specific force [m/s^2] and magnetic field in the body frame, of what
+        was calibrated and recorded
     units : as for `gnomon.read`; where nothing tells otherwise they are those of the calibration
     imu : which IMU of an NPZ file
 
     Raises
     ------
     RecordingError
-        If the recording cannot be read.
+        If the recording cannot be read, or holds none of the sensors that were calibrated.
     FormatError
-        If the samples are not in the units for which the calibration was made.
+        If the samples are not in the units for which the calibration was made, or the gyroscope's g-sensitivity needs a
+        specific force that there is not.
     OutputError
         If the output cannot be written.
     """
-    gyroscope = calibration.gyroscope
-    expected = Units(
-        accelerometer=calibration.accelerometer.unit,  # pyright: ignore[reportArgumentType]
-        gyroscope=None if gyroscope is None else gyroscope.unit,  # pyright: ignore[reportArgumentType]
+    triads = {name: getattr(calibration, name) for name in TRIADS}
+    expected = Units(**{name: None if triad is None else triad.unit for name, triad in triads.items()})
+    wanted = [name for name, triad in triads.items() if triad is not None]
+    _check_force(calibration)
+    stream = open_stream(
+        *paths, expected=expected, units=units, columns=columns, rate_hz=rate_hz, imu=imu, triads=wanted
     )
-    stream = open_stream(*paths, expected=expected, units=units, columns=columns, rate_hz=rate_hz, imu=imu)
     return write_calibrated(calibration, stream, output)
 
 
@@ -66,9 +70,10 @@ def apply_recording(
     Raises
     ------
     RecordingError
-        If the recording holds no such IMU.
+        If the recording holds no such IMU, or none of the sensors that were calibrated.
     FormatError
-        If the samples are not in the units for which the calibration was made.
+        If the samples are not in the units for which the calibration was made, or the gyroscope's g-sensitivity needs a
+        specific force that there is not.
     OutputError
         If the output cannot be written.
     """
@@ -83,16 +88,21 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
     Raises
     ------
     RecordingError
-        If the stream cannot be read on, or stamps that must be interpolated go backwards.
+        If the stream cannot be read on, holds nothing that was calibrated, or stamps that must be interpolated go
+        backwards.
     FormatError
-        If the samples are not in the units for which the calibration was made.
+        If the samples are not in the units for which the calibration was made, or the gyroscope's g-sensitivity needs a
+        specific force that there is not.
     OutputError
         If the output cannot be written.
     """
-    with_rate = calibration.gyroscope is not None and stream.gyroscope is not None
+    there = _triads(calibration, stream)
+    names = _RATE * ("gyroscope" in there) + _FORCE * ("accelerometer" in there)
+    if calibration.magnetometer is not None and "magnetometer" in there:
+        names += tuple(f"m{axis} [{calibration.magnetometer.field_unit}]" for axis in "xyz")
     count = 0
     with atomic_file(output) as file:
-        file.write((",".join(("t_ns", *(_RATE if with_rate else ()), *_FORCE)) + "\n").encode())
+        file.write((",".join(("t_ns", *names)) + "\n").encode())
         for t_ns, values in calibrated_blocks(calibration, stream):
             columns = [t_ns.tolist(), *values.T.tolist()]
             file.write("".join(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True)).encode())
@@ -101,30 +111,75 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
 
 
 def calibrated_blocks(calibration: ImuCalibration, stream: SampleStream) -> Iterator[tuple[Integers, Floats]]:
-    """Yield stamps (k,) [ns] with rate and force (k, 6) [rad/s, m/s^2], or force (k, 3) alone without a gyroscope."""
+    """Yield stamps (k,) [ns] and, of what was calibrated and recorded, rate, force and field side by side, (k, 3 n)."""
+    there = _triads(calibration, stream)
+    first = next(name for name in ("gyroscope", "accelerometer", "magnetometer") if name in there)
+    beside = {
+        name: _Synchroniser(Rows(blocks, _calibrator(calibration, name), name, first))
+        for name, blocks in there.items()
+        if name != first
+    }
+    if first != "gyroscope":
+        for block in map(_calibrator(calibration, first), there[first]):
+            yield block.t_ns, np.column_stack([block.values, *(other.at(block.t_ns) for other in beside.values())])
+        return
+    gyroscope = calibration.gyroscope
+    assert gyroscope is not None
+    for block in there[first]:
+        _check_unit(gyroscope.unit, block)
+        others = {name: other.at(block.t_ns) for name, other in beside.items()}
+        acting = others.get("accelerometer", np.zeros((len(block), 3)))
+        yield block.t_ns, np.column_stack([gyroscope.angular_rate(block.values, acting), *others.values()])
 
-    def force(block: TriadSamples) -> TriadSamples:
-        if block.unit != calibration.accelerometer.unit:
-            raise _other_unit(calibration.accelerometer.unit, block.unit)
-        return TriadSamples(
-            t_ns=block.t_ns, values=calibration.accelerometer.specific_force(block.values), unit="m/s^2"
+
+def _triads(calibration: ImuCalibration, stream: SampleStream) -> dict[str, Blocks]:
+    """Return the triads that were calibrated and recorded, in the order of `TRIADS`."""
+    calibrated = [name for name in TRIADS if getattr(calibration, name) is not None]
+    there = {name: blocks for name in calibrated if (blocks := getattr(stream, name)) is not None}
+    if not there:
+        raise RecordingError(
+            f"this calibration is of {' and '.join(calibrated)}, and the recording holds none of them. "
+            "Give the recording of the same sensor, or name its columns (--columns)."
+        )
+    _check_force(calibration)
+    feels = calibration.gyroscope is not None and calibration.gyroscope.g_sensitivity.any()
+    if feels and "gyroscope" in there and "accelerometer" not in there:
+        raise FormatError(
+            "the gyroscope's g-sensitivity needs the specific force, and this recording holds no accelerometer. "
+            "Record it too, or calibrate with --model basic."
+        )
+    return there
+
+
+def _check_force(calibration: ImuCalibration) -> None:
+    """Refuse a g-sensitivity without an accelerometer."""
+    gyroscope = calibration.gyroscope
+    if gyroscope is not None and gyroscope.g_sensitivity.any() and calibration.accelerometer is None:
+        raise FormatError(
+            "the gyroscope's g-sensitivity needs the specific force, and this calibration holds no accelerometer. "
+            "Calibrate both together, or the gyroscope with --model basic."
         )
 
-    gyroscope = calibration.gyroscope
-    if gyroscope is None or stream.gyroscope is None:
-        for block in map(force, stream.accelerometer):
-            yield block.t_ns, block.values
-        return
-    at_gyroscope = _Synchroniser(Rows(stream.accelerometer, force))
-    for block in stream.gyroscope:
-        if block.unit != gyroscope.unit:
-            raise _other_unit(gyroscope.unit, block.unit)
-        acting = at_gyroscope.force(block.t_ns)
-        yield block.t_ns, np.column_stack([gyroscope.angular_rate(block.values, acting), acting])
+
+def _calibrator(calibration: ImuCalibration, name: str) -> Callable[[TriadSamples], TriadSamples]:
+    """Return what makes specific force or magnetic field of a block of samples."""
+    if name == "accelerometer":
+        accelerometer = calibration.required_accelerometer
+        unit, si_unit, physical = accelerometer.unit, "m/s^2", accelerometer.specific_force
+    else:
+        magnetometer = calibration.magnetometer
+        assert magnetometer is not None
+        unit, si_unit, physical = magnetometer.unit, magnetometer.field_unit, magnetometer.magnetic_field
+
+    def calibrated(block: TriadSamples) -> TriadSamples:
+        _check_unit(unit, block)
+        return TriadSamples(t_ns=block.t_ns, values=physical(block.values), unit=si_unit)
+
+    return calibrated
 
 
 class _Synchroniser:
-    """Brings specific force to the stamps of consecutive gyroscope blocks, as `calibration.interpolate_triad` does."""
+    """Brings one triad to the stamps of consecutive blocks of another, as `calibration.interpolate_triad` does."""
 
     def __init__(self, rows: Rows) -> None:
         self._rows = rows
@@ -133,8 +188,8 @@ class _Synchroniser:
         self._last: int | None = None
         self._support: tuple[Integers, Floats] | None = None  # the last row of equal stamps
 
-    def force(self, t_ns: Integers) -> Floats:
-        """Return specific force (k, 3) at stamps (k,).
+    def at(self, t_ns: Integers) -> Floats:
+        """Return the values (k, 3) at stamps (k,).
 
         Raises
         ------
@@ -148,10 +203,10 @@ class _Synchroniser:
         if self._origin is None:
             self._origin = int(min(rows.t_ns[0], t_ns[0]))
         if self._equal and np.array_equal(rows.t_ns[: len(t_ns)], t_ns):
-            force = rows.values[: len(t_ns)]
-            self._support = (t_ns[-1:], force[-1:])
+            values = rows.values[: len(t_ns)]
+            self._support = (t_ns[-1:], values[-1:])
             rows.drop(len(t_ns))
-            return force
+            return values
         if self._equal and self._support is not None:  # the stamps part company here
             rows.put_back(*self._support)
         self._equal = False
@@ -161,19 +216,20 @@ class _Synchroniser:
         rows, origin = self._rows, self._origin or 0
         if (np.diff(t_ns) < 0).any() or (self._last is not None and t_ns[0] < self._last):
             raise RecordingError(
-                "the gyroscope's stamps go backwards, so that the accelerometer's samples cannot be brought to them. "
+                f"the {rows.onto}'s stamps go backwards, so that the {rows.what}'s samples cannot be brought to them. "
                 "`gnomon check` says where; sort or cut the recording."
             )
         self._last = int(t_ns[-1])
         rows.reach(self._last)
         at, support = (t_ns - origin) * 1e-9, (rows.t_ns - origin) * 1e-9
-        force = np.column_stack([np.interp(at, support, rows.values[:, axis]) for axis in range(3)])
+        values = np.column_stack([np.interp(at, support, rows.values[:, axis]) for axis in range(3)])
         rows.drop(max(0, int(np.searchsorted(rows.t_ns, self._last, side="right")) - 1))
-        return force
+        return values
 
 
-def _other_unit(expected: str, found: str) -> FormatError:
-    return FormatError(
-        f"the calibration is for measurements in {expected}, the samples are in {found}. "
-        "Read the recording with the units that it had when it was calibrated (--units)."
-    )
+def _check_unit(expected: str, block: TriadSamples) -> None:
+    if block.unit != expected:
+        raise FormatError(
+            f"the calibration is for measurements in {expected}, the samples are in {block.unit}. "
+            "Read the recording with the units that it had when it was calibrated (--units)."
+        )

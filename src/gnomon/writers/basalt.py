@@ -18,7 +18,15 @@ from ..models.camera import Camera
 from ..models.estimator_forms import BasaltTriad
 from ..models.noise import CONSUMER_MEMS
 from ..recording import Floats
-from .export import Export, Loss, g_sensitivity_losses, into_frame, uncertainty_loss
+from .export import (
+    Export,
+    Loss,
+    g_sensitivity_losses,
+    into_frame,
+    magnetometer_losses,
+    require_triads,
+    uncertainty_loss,
+)
 from .kalibr import StatedImu
 from .openvins import missing_gyroscope_loss, other_imu_losses, shift_losses
 from .si_units import conversions, count_losses, si_imu
@@ -41,8 +49,9 @@ def export(calibration: Calibration) -> Export:
     Raises
     ------
     OptionError
-        If Basalt does not know the model of a camera.
+        If Basalt does not know the model of a camera, or an IMU has no accelerometer, which defines its frame.
     """
+    require_triads(calibration, "basalt", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, BasaltTriad.frame, "Basalt's")
     name, imu = next(iter(moved.imus.items()))
     found = (
@@ -53,6 +62,7 @@ def export(calibration: Calibration) -> Export:
         *other_imu_losses(moved, "Basalt"),
         *shift_losses(moved, "Basalt"),
         *_losses(moved),
+        *magnetometer_losses(moved, "Basalt"),
     )
     return Export(files={FILE: basalt_text(moved)}, losses=(*found, uncertainty_loss("basalt")))
 
@@ -96,7 +106,8 @@ def basalt_text(calibration: Calibration, stated: StatedImu | None = None) -> st
 
 def _triads(imu: ImuCalibration) -> tuple[BasaltTriad, BasaltTriad]:
     si = si_imu(imu)
-    accelerometer = BasaltTriad.of_accelerometer(si.accelerometer.sensitivity, si.accelerometer.bias)
+    sensor = si.required_accelerometer
+    accelerometer = BasaltTriad.of_accelerometer(sensor.sensitivity, sensor.bias)
     if si.gyroscope is None:
         return accelerometer, BasaltTriad(S=np.zeros((3, 3)), b=np.zeros(3))
     return accelerometer, BasaltTriad.from_sensor(si.gyroscope.sensitivity, si.gyroscope.bias)

@@ -1,4 +1,4 @@
-"""C99 (and C++): one header with the numbers and an inline function for each IMU, in single precision.
+"""C99 (and C++): one header with the numbers and inline functions for each IMU, in single precision.
 
 A bias of 33124.1825 counts loses two thousandths of a count in a float; it is therefore kept as the sum of two floats,
 whose differences to a sample of similar size are exact.
@@ -21,47 +21,63 @@ _HEAD = """\
  *   accelerometer = S f + b,   gyroscope = S w + b + G f,
  * so that
  *   f = S^-1 (accelerometer - b),   w = S^-1 (gyroscope - b - G f).
- * Body frame: {frame}.
+{magnetometer} * Body frame: {frame}.
  */
 #ifndef GNOMON_IMU_H
 #define GNOMON_IMU_H
 """
 
-_FUNCTION = """\
-/* {imu}: from samples in {units} to specific force [m/s^2]{and_rate} in the body frame.
- * Samples and results are x, y, z of one instant. */
-static inline void gnomon_{imu}_apply({arguments})
-{{
-    float d[3];
-    for (int i = 0; i < 3; ++i)
-        d[i] = (accelerometer[i] - gnomon_{imu}_accelerometer_bias[i]) - gnomon_{imu}_accelerometer_bias_rest[i];
-    for (int i = 0; i < 3; ++i)
-        force[i] = gnomon_{imu}_accelerometer_correction[i][0] * d[0]
-                 + gnomon_{imu}_accelerometer_correction[i][1] * d[1]
-                 + gnomon_{imu}_accelerometer_correction[i][2] * d[2];
-{gyroscope}}}
+_HEAD_MAGNETOMETER = """\
+ * With the magnetic field m in the body frame,
+ *   magnetometer = S m + b, so that m = S^-1 (magnetometer - b);
+ * its unit stands at the function; where it is "local field", m has length 1 where the sensor was calibrated.
 """
 
-_GYROSCOPE = """\
+_FUNCTION = """\
+/* {imu}: from samples in {units} to {results} in the body frame.
+ * {notes} */
+static inline void gnomon_{imu}_apply{suffix}({arguments})
+{{
+    float d[3];
+{body}}}
+"""
+
+_OFFSET = """\
+    for (int i = 0; i < 3; ++i)
+        d[i] = (accelerometer[i] - gnomon_{imu}_accelerometer_bias[i]) - gnomon_{imu}_accelerometer_bias_rest[i];
+"""
+
+_OFFSET_WITH_FORCE = """\
     for (int i = 0; i < 3; ++i)
         d[i] = ((gyroscope[i] - gnomon_{imu}_gyroscope_bias[i]) - gnomon_{imu}_gyroscope_bias_rest[i])
              - (gnomon_{imu}_g_sensitivity[i][0] * force[0]
               + gnomon_{imu}_g_sensitivity[i][1] * force[1]
               + gnomon_{imu}_g_sensitivity[i][2] * force[2]);
+"""
+
+_PRODUCT = """\
     for (int i = 0; i < 3; ++i)
-        rate[i] = gnomon_{imu}_gyroscope_correction[i][0] * d[0]
-                + gnomon_{imu}_gyroscope_correction[i][1] * d[1]
-                + gnomon_{imu}_gyroscope_correction[i][2] * d[2];
+        {result}[i] = gnomon_{imu}_{triad}_correction[i][0] * d[0]
+        {pad}     + gnomon_{imu}_{triad}_correction[i][1] * d[1]
+        {pad}     + gnomon_{imu}_{triad}_correction[i][2] * d[2];
 """
 
 
 def export(calibration: Calibration) -> Export:
-    """Return `gnomon_imu.h` with a function `gnomon_imu0_apply` for each IMU."""
+    """Return `gnomon_imu.h` with a function `gnomon_imu0_apply` for each IMU.
+
+    A magnetometer, whose samples come at a rate of their own, has `gnomon_imu0_apply_magnetometer`.
+    """
     frame = f"{calibration.frame}, {FRAMES.get(calibration.frame, FRAMES['user'])}"
-    parts = [_HEAD.format(frame=frame.replace("*/", "* /"))]
+    magnetic = any(imu.magnetometer is not None for imu in calibration.imus.values())
+    parts = [_HEAD.format(frame=frame.replace("*/", "* /"), magnetometer=_HEAD_MAGNETOMETER if magnetic else "")]
     for name, imu in calibration.imus.items():
         identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
-        parts += [_constants(identifier, imu), _function(identifier, imu)]
+        parts.append(_constants(identifier, imu))
+        if imu.accelerometer is not None or imu.gyroscope is not None:
+            parts.append(_function(identifier, imu))
+        if imu.magnetometer is not None:
+            parts.append(_magnetometer_function(identifier, imu.magnetometer.unit, imu.magnetometer.field_unit))
     text = "\n".join([*parts, "#endif\n"])
     rounding = Loss(
         what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
@@ -71,13 +87,18 @@ def export(calibration: Calibration) -> Export:
 
 
 def _constants(imu: str, calibration: ImuCalibration) -> str:
-    triads = {"accelerometer": calibration.accelerometer, "gyroscope": calibration.gyroscope}
+    magnetometer = calibration.magnetometer
+    triads = {
+        "accelerometer": (calibration.accelerometer, "m/s^2"),
+        "gyroscope": (calibration.gyroscope, "rad/s"),
+        "magnetometer": (magnetometer, "" if magnetometer is None else magnetometer.field_unit),
+    }
     lines: list[str] = []
-    for name, triad in triads.items():
+    for name, (triad, physical) in triads.items():
         if triad is not None:
             bias = triad.bias.astype(np.float32)
             lines += [
-                f"/* S^-1 of the {name} [{'m/s^2' if name == 'accelerometer' else 'rad/s'} per {triad.unit}] */",
+                f"/* S^-1 of the {name} [{physical} per {triad.unit}] */",
                 _matrix(f"gnomon_{imu}_{name}_correction", inverse(triad.sensitivity)),
                 f"/* b of the {name} [{triad.unit}], the sum of two floats */",
                 _vector(f"gnomon_{imu}_{name}_bias", triad.bias),
@@ -90,15 +111,41 @@ def _constants(imu: str, calibration: ImuCalibration) -> str:
 
 
 def _function(imu: str, calibration: ImuCalibration) -> str:
-    units = [calibration.accelerometer.unit]
-    arguments, gyroscope, and_rate = "const float accelerometer[3], float force[3]", "", ""
-    if calibration.gyroscope is not None:
-        arguments = "const float accelerometer[3], const float gyroscope[3], float force[3], float rate[3]"
-        gyroscope, and_rate = _GYROSCOPE.format(imu=imu), " and angular rate [rad/s]"
-        units += [calibration.gyroscope.unit] if calibration.gyroscope.unit not in units else []
+    """Return the function of accelerometer and gyroscope; of a gyroscope alone it takes the specific force."""
+    accelerometer, gyroscope = calibration.accelerometer, calibration.gyroscope
+    samples, results, meant, units, body = list[str](), list[str](), list[str](), list[str](), ""
+    if accelerometer is not None:
+        samples.append("const float accelerometer[3]")
+        results.append("float force[3]")
+        meant.append("specific force [m/s^2]")
+        units.append(accelerometer.unit)
+        body += _OFFSET.format(imu=imu) + _product(imu, "accelerometer", "force")
+    note = "Samples and results are x, y, z of one instant."
+    if gyroscope is not None:
+        samples.append("const float gyroscope[3]")
+        results.append("float rate[3]")
+        meant.append("angular rate [rad/s]")
+        units += [gyroscope.unit] if gyroscope.unit not in units else []
+        body += _OFFSET_WITH_FORCE.format(imu=imu) + _product(imu, "gyroscope", "rate")
+        if accelerometer is None:
+            samples.append("const float force[3]")
+            note += " force is the specific force [m/s^2] in the body frame."
     return _FUNCTION.format(
-        imu=imu, units=" and ".join(units), and_rate=and_rate, arguments=arguments, gyroscope=gyroscope
-    )
+        imu=imu, units=" and ".join(units), results=" and ".join(meant), notes=note, suffix="",
+        arguments=", ".join([*samples, *results]), body=body,
+    )  # fmt: skip
+
+
+def _magnetometer_function(imu: str, unit: str, field_unit: str) -> str:
+    body = _OFFSET.format(imu=imu).replace("accelerometer", "magnetometer") + _product(imu, "magnetometer", "field")
+    return _FUNCTION.format(
+        imu=imu, units=unit, results=f"magnetic field [{field_unit}]", suffix="_magnetometer", body=body,
+        notes="Samples and results are x, y, z.", arguments="const float magnetometer[3], float field[3]",
+    )  # fmt: skip
+
+
+def _product(imu: str, triad: str, result: str) -> str:
+    return _PRODUCT.format(imu=imu, triad=triad, result=result, pad=" " * (len(result) - 1))
 
 
 def _vector(name: str, values: Floats) -> str:

@@ -1,23 +1,36 @@
-"""gnomon's own calibration file, schema "gnomon/1", with cameras "gnomon/1.1"; `readers.calibration_file` reads it.
+"""gnomon's own calibration file, schema "gnomon/1" and its minors; `readers.calibration_file` reads it.
 
-Matrices stand row by row, numbers read back bit by bit, and the same calibration gives the same bytes.
+The minor is the lowest that holds the calibration, so that older versions can read what holds nothing newer. Matrices
+stand row by row, numbers read back bit by bit, and the same calibration gives the same bytes.
 """
 
 import math
+from dataclasses import asdict
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, Covariance, parameters
+from ..calibration import (
+    Assessment,
+    Calibration,
+    CameraCalibration,
+    CameraImuFit,
+    Covariance,
+    Provenance,
+    parameters,
+)
 from ..errors import OutputError
+from ..findings import Finding
 from ..output import write_whole
-from ..readers.calibration_file import SCHEMA_MAJOR, SCHEMA_MINOR
+from ..readers.calibration_file import SCHEMA_MAJOR
 from .yaml_text import yaml_lines
 
 FRAMES = {
     "accel-x": "x along the sensitivity axis of the x accelerometer, the axis of the y accelerometer in the x-y plane",
     "accel-z": "z along the sensitivity axis of the z accelerometer, the axis of the y accelerometer in the y-z plane",
+    "gyro-x": "x along the sensitivity axis of the x gyroscope, the axis of the y gyroscope in the x-y plane",
+    "mag-x": "x along the sensitivity axis of the x magnetometer, the axis of the y magnetometer in the x-y plane",
     "user": "the axes that its owner named",
 }
 """Body frames in words."""
@@ -34,6 +47,16 @@ _HEADER = """\
 # Units: sensitivity in unit per m/s^2 (accelerometer) or unit per rad/s (gyroscope), bias in unit, g_sensitivity in
 # unit per m/s^2. Matrices have a row for each sensor axis and a column for each body axis.
 # Body frame: {frame}.
+"""
+
+_MAGNETOMETER = """\
+#
+# Magnetometer: with the magnetic field m in `field_unit` and in the body frame, the sensor reads sensitivity * m + bias
+# in its `unit`, so that m = sensitivity^-1 (magnetometer - bias). Where the strength of the field was not stated,
+# field_unit is "local field", and m has length 1 where it was calibrated. What the field magnetises ("soft iron") is
+# part of the sensitivity, what is magnetic by itself ("hard iron") is part of the bias: both hold as long as nothing
+# of iron is moved, added or taken away near the sensor.
+#
 """
 
 _CAMERAS = """\
@@ -75,42 +98,48 @@ def calibration_text(calibration: Calibration) -> str:
         if not np.isfinite(value).all():
             raise OutputError(f"{name} is not a finite number: this calibration is of no use and was not written.")
     header = _HEADER.format(frame=f"{calibration.frame}, {FRAMES.get(calibration.frame, FRAMES['user'])}")
+    if any(imu.magnetometer is not None for imu in calibration.imus.values()):
+        header += _MAGNETOMETER
     header += (_CAMERAS if calibration.cameras else "") + _SIGMAS
     return header + "\n" + "\n".join(yaml_lines(_document(calibration))) + "\n"
 
 
 def _document(calibration: Calibration) -> dict[str, Any]:
-    # Without cameras nothing is newer than the first schema, so that older versions can read the file.
-    with_cameras = calibration.cameras or calibration.assessment.camera_imu
-    minor = f".{SCHEMA_MINOR}" if with_cameras else ""
-    gravity, provenance = calibration.gravity, calibration.provenance
-    origin: dict[str, Any] = {
-        "gnomon_version": provenance.gnomon_version,
-        "method": provenance.method,
-        "inputs": [{"name": source.name, "sha256": source.sha256} for source in provenance.inputs],
-        "options": dict(provenance.options),
-    }
-    if provenance.seed is not None:
-        origin["seed"] = provenance.seed
+    minor = _minor(calibration)
+    gravity = calibration.gravity
     return {
-        "schema": f"gnomon/{SCHEMA_MAJOR}{minor}",
+        "schema": f"gnomon/{SCHEMA_MAJOR}" + (f".{minor}" if minor else ""),
         "verdict": calibration.verdict,
         "body_frame": calibration.frame,
         "gravity": {"value": gravity.value, "sigma": gravity.sigma, "source": gravity.source},
         "imus": _imus(calibration),
         "cameras": {name: _camera(calibration, name, camera) for name, camera in calibration.cameras.items()},
-        "assessment": _assessment(calibration.assessment),
-        "provenance": origin,
+        "assessment": _assessment(calibration.assessment, minor),
+        "provenance": provenance_document(calibration.provenance),
         "covariance": _covariance(calibration.uncertainty),
     }
+
+
+def _minor(calibration: Calibration) -> int:
+    """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
+    imus, holdout = calibration.imus.values(), calibration.assessment.holdout
+    if (
+        any(imu.accelerometer is None or imu.magnetometer is not None for imu in imus)
+        or calibration.frame in ("gyro-x", "mag-x")
+        or math.isfinite(holdout.rate_rms)
+        or math.isfinite(holdout.field_rms)
+    ):
+        return 2
+    return 1 if calibration.cameras or calibration.assessment.camera_imu else 0
 
 
 def _imus(calibration: Calibration) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, imu in calibration.imus.items():
-        result[name] = {"accelerometer": {"unit": imu.accelerometer.unit}}
-        if imu.gyroscope is not None:
-            result[name]["gyroscope"] = {"unit": imu.gyroscope.unit}
+        triads = {"accelerometer": imu.accelerometer, "gyroscope": imu.gyroscope}
+        result[name] = {triad: {"unit": sensor.unit} for triad, sensor in triads.items() if sensor is not None}
+        if imu.magnetometer is not None:
+            result[name]["magnetometer"] = {"unit": imu.magnetometer.unit, "field_unit": imu.magnetometer.field_unit}
     for path, value in parameters(calibration.imus):
         imu, triad, parameter = path.split(".")
         result[imu][triad][parameter] = value
@@ -144,31 +173,37 @@ def _camera(calibration: Calibration, name: str, calibrated: CameraCalibration) 
     }
 
 
-def _assessment(assessment: Assessment) -> dict[str, Any]:
+def _assessment(assessment: Assessment, minor: int) -> dict[str, Any]:
     fit = assessment.camera_imu
     return {
         "verdict": assessment.verdict,
         "model": assessment.model,
-        **(_multi_position(assessment) if fit is None else {"camera_imu": _camera_imu(fit)}),
+        **(_multi_position(assessment, minor) if fit is None else {"camera_imu": _camera_imu(fit)}),
         "held_by_prior": list(assessment.held_by_prior),
-        "findings": [
-            {
-                key: getattr(finding, key)
-                for key in ("severity", "code", "message", "consequence", "cure")
-                if getattr(finding, key) or key in ("severity", "code", "message")
-            }
-            for finding in assessment.findings
-        ],
+        "findings": [finding_document(finding) for finding in assessment.findings],
     }
 
 
-def _multi_position(assessment: Assessment) -> dict[str, Any]:
-    holdout = assessment.holdout
+def finding_document(finding: Finding) -> dict[str, str]:
+    """Return a finding by its keys, without consequence and cure where there are none."""
+    return {key: text for key, text in asdict(finding).items() if text or key in ("severity", "code", "message")}
+
+
+def provenance_document(provenance: Provenance) -> dict[str, Any]:
+    """Return where a result comes from by its keys."""
+    origin: dict[str, Any] = {
+        "gnomon_version": provenance.gnomon_version,
+        "method": provenance.method,
+        "inputs": [{"name": source.name, "sha256": source.sha256} for source in provenance.inputs],
+        "options": dict(provenance.options),
+    }
+    return origin if provenance.seed is None else origin | {"seed": provenance.seed}
+
+
+def _multi_position(assessment: Assessment, minor: int) -> dict[str, Any]:
+    names = ("accelerometer_rms", "rotation_rms", *(("rate_rms", "field_rms") if minor >= 2 else ()))
     return {
-        "holdout": {
-            "accelerometer_rms": _known(holdout.accelerometer_rms),
-            "rotation_rms": _known(holdout.rotation_rms),
-        },
+        "holdout": {name: _known(getattr(assessment.holdout, name)) for name in names},
         "intervals_found": assessment.intervals_found,
         "intervals_used": assessment.intervals_used,
         "rotations_found": assessment.rotations_found,

@@ -1,7 +1,8 @@
 """How a result came about, as an NPZ file: every field of `gnomon.diagnostics` under its path.
 
 The key of an array is the path of its field, such as "intervals.start_s"; what a result does not have has no key.
-A list of candidates is one array for each field, such as "trials.rotation_rms".
+A list of candidates is one array for each field, such as "trials.rotation_rms"; a list of curves is counted, such as
+"videos.0.period_s".
 """
 
 import io
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..diagnostics import CameraImuDiagnostics, ImuDiagnostics
 from ..output import atomic_file
+from ..triad_diagnostics import TriadDiagnostics
 
 _LEVEL = 1  # higher levels take twice the time for a twentieth of the size
 _SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,
@@ -24,7 +26,9 @@ _WORTH = 0.75  # to this share at least: readings with noise hardly do, and woul
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 
 
-def save_diagnostics(diagnostics: ImuDiagnostics | CameraImuDiagnostics, path: str | PathLike[str]) -> None:
+def save_diagnostics(
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics | TriadDiagnostics, path: str | PathLike[str]
+) -> None:
     """Write diagnostics to a compressed NPZ file; `numpy.load` reads it without pickle.
 
     Raises
@@ -58,6 +62,10 @@ def diagnostic_arrays(node: Any, path: str = "") -> Iterator[tuple[str, NDArray[
         for key, value in node.items():  # pyright: ignore[reportUnknownVariableType]
             yield from diagnostic_arrays(value, _joined(path, str(key)))
     elif isinstance(node, tuple) and node and is_dataclass(node[0]):
+        if any(isinstance(getattr(node[0], entry.name), np.ndarray) for entry in fields(node[0])):
+            for i, item in enumerate(node):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+                yield from diagnostic_arrays(item, _joined(path, str(i)))
+            return
         for entry in fields(node[0]):
             yield _joined(path, entry.name), np.array([getattr(item, entry.name) for item in node])
     elif isinstance(node, tuple) and all(isinstance(item, str) for item in node):  # of words, or none at all

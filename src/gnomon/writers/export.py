@@ -7,6 +7,7 @@ from math import degrees
 import numpy as np
 
 from ..calibration import Calibration, ImuCalibration
+from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from ..units import STANDARD_GRAVITY_M_S2
 
@@ -38,12 +39,36 @@ class Export:
     losses: tuple[Loss, ...] = field(default=())
 
 
+def require_triads(calibration: Calibration, format_name: str, *triads: str, otherwise: str) -> None:
+    """Refuse a calibration whose IMUs lack a triad that a format cannot do without.
+
+    Parameters
+    ----------
+    triads : "accelerometer", "gyroscope"
+    otherwise : the formats that can do without
+
+    Raises
+    ------
+    OptionError
+        If one is missing.
+    """
+    for name, imu in calibration.imus.items():
+        missing = next((triad for triad in triads if getattr(imu, triad) is None), None)
+        if missing is not None:
+            raise OptionError(
+                f"{format_name} needs {' and '.join(triads)}, and this calibration holds no {missing} of {name}. "
+                f"Convert to {otherwise}, or calibrate {missing} too."
+            )
+
+
 def into_frame(calibration: Calibration, frame: str, whose: str) -> tuple[Calibration, tuple[Loss, ...]]:
     """Return the calibration in the frame that a format prescribes, and what its reader has to know about it."""
     if calibration.frame == frame:
         return calibration, ()
     another = "another" if calibration.cameras else "a"  # those of the calibration are turned with it
-    turns = {name: frame_rotation(imu.accelerometer.sensitivity, frame) for name, imu in calibration.imus.items()}
+    turns = {
+        name: frame_rotation(imu.required_accelerometer.sensitivity, frame) for name, imu in calibration.imus.items()
+    }
     losses = tuple(
         Loss(
             what=f"body frame of {name}",
@@ -62,6 +87,16 @@ def uncertainty_loss(format_name: str) -> Loss:
         what="uncertainty and origin",
         why=f"{format_name} has no place for sigmas, covariance, verdict and provenance. Keep calibration.yaml.",
     )
+
+
+def magnetometer_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
+    """Say that a format has no place for magnetometers."""
+    for name, imu in calibration.imus.items():
+        if imu.magnetometer is not None:
+            yield Loss(
+                what=f"magnetometer of {name}",
+                why=f"{format_name} knows none. Use c-header or csv to write it too, or keep calibration.yaml.",
+            )
 
 
 def camera_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:

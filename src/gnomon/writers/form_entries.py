@@ -1,7 +1,8 @@
 """The scalars of each form of the sensor model, by the names that the documents give them.
 
 Every function takes a triad in the frame of its form: sensitivity (3, 3), bias (3,), for gyroscopes
-g_sensitivity (3, 3), and the unit of the samples. Entries that a form fixes (zeros, ones) are left out.
+g_sensitivity (3, 3), and the unit of the samples; for magnetometers that of the field too. Entries that a form fixes
+(zeros, ones) are left out.
 """
 
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from ..models.forms import (
     KrebsGyroscope,
     TedaldiAccelerometer,
     TedaldiGyroscope,
+    in_own_axes,
 )
 from ..models.frames import Floats
 from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
@@ -155,3 +157,19 @@ def kalibr_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Ent
     yield from _GYROSCOPE.matrix("A", form.A, per(unit, _FORCE))
     yield from _GYROSCOPE.matrix("AC", G, per(unit, _FORCE))
     yield from _GYROSCOPE.vector("bias", form.b, unit)
+
+
+def sensitivity_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
+    """Name sensitivity (soft iron) and bias (hard iron)."""
+    maker = _Maker(triad="magnetometer", si=field_unit)
+    yield from maker.matrix("sensitivity", S, per(unit, field_unit))
+    yield from maker.vector("bias", b, unit)
+
+
+def angrisano_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
+    """Document C, (1), (2): as the gyroscope, in a frame of its own, rotated by C_mb."""
+    maker = _Maker(triad="magnetometer", si=field_unit)
+    upper, C_mb = in_own_axes(S, AngrisanoAccelerometer.frame)
+    form = AngrisanoAccelerometer.from_sensor(upper, b)
+    yield from maker.corrected(form, _ANGRISANO_ANGLES, "a_", "k", unit)
+    yield from maker.matrix("C_mb", C_mb, "1")

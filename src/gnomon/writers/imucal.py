@@ -12,24 +12,30 @@ import numpy as np
 from ..calibration import Calibration, ImuCalibration
 from ..models.project_forms import ImucalAccelerometer, ImucalGyroscope
 from .calibration_file import FRAMES
-from .export import Export, Loss, camera_losses, uncertainty_loss
+from .export import Export, camera_losses, magnetometer_losses, require_triads, uncertainty_loss
 
 
 def export(calibration: Calibration) -> Export:
-    """Return `imu0.json` for each IMU that has a gyroscope; imucal knows no other."""
-    files: dict[str, str] = {}
-    losses: list[Loss] = []
-    for name, imu in calibration.imus.items():
-        if imu.gyroscope is None:
-            losses.append(Loss(what=name, why="imucal needs both triads; this IMU was calibrated without a gyroscope."))
-        else:
-            files[f"{name}.json"] = json.dumps(_document(imu, calibration.frame), indent=4) + "\n"
-    return Export(files=files, losses=(*camera_losses(calibration, "imucal"), *losses, uncertainty_loss("imucal")))
+    """Return `imu0.json` for each IMU.
+
+    Raises
+    ------
+    OptionError
+        If an IMU lacks the accelerometer or the gyroscope; imucal needs both.
+    """
+    require_triads(calibration, "imucal", "accelerometer", "gyroscope", otherwise="imu_tk, c-header or csv")
+    files = {
+        f"{name}.json": json.dumps(_document(imu, calibration.frame), indent=4) + "\n"
+        for name, imu in calibration.imus.items()
+    }
+    losses = (*camera_losses(calibration, "imucal"), *magnetometer_losses(calibration, "imucal"))
+    return Export(files=files, losses=(*losses, uncertainty_loss("imucal")))
 
 
 def _document(imu: ImuCalibration, frame: str) -> dict[str, Any]:
+    accelerometer = imu.required_accelerometer
     assert imu.gyroscope is not None
-    acc = ImucalAccelerometer.from_sensor(imu.accelerometer.sensitivity, imu.accelerometer.bias)
+    acc = ImucalAccelerometer.from_sensor(accelerometer.sensitivity, accelerometer.bias)
     per_degree = imu.gyroscope.sensitivity * (pi / 180)
     gyr = ImucalGyroscope.from_sensor(per_degree, imu.gyroscope.bias, imu.gyroscope.g_sensitivity)
     return {
@@ -37,7 +43,7 @@ def _document(imu: ImuCalibration, frame: str) -> dict[str, Any]:
         "_format_version": "2.0.0",
         "acc_unit": "m/s^2",
         "gyr_unit": "deg/s",
-        "from_acc_unit": _unit(imu.accelerometer.unit),
+        "from_acc_unit": _unit(accelerometer.unit),
         "from_gyr_unit": _unit(imu.gyroscope.unit),
         "comment": "Made by gnomon. acc = K_a R_a f + b_a; gyr = K_g R_g w + K_ga f + b_g, f in m/s^2, w in deg/s. "
         f"Body frame {frame}: {FRAMES.get(frame, FRAMES['user'])}.",

@@ -13,7 +13,7 @@ from ..calibration import Calibration, ImuCalibration
 from ..models.noise import ImuNoise
 from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ..recording import Floats
-from .export import Export, Loss, into_frame, numbers_text, uncertainty_loss
+from .export import Export, Loss, into_frame, magnetometer_losses, numbers_text, require_triads, uncertainty_loss
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
 from .kalibr_text import kalibr_yaml
 from .si_units import conversions, count_losses
@@ -75,12 +75,14 @@ def export(calibration: Calibration) -> Export:
     Raises
     ------
     OptionError
-        If the calibration cannot be brought into Kalibr's frame.
+        If an IMU has no accelerometer, which defines Kalibr's frame.
     """
+    require_triads(calibration, "kalibr", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
     found = list(losses)
     for name, imu in moved.imus.items():
         found.extend(_losses(name, imu))
+    found.extend(magnetometer_losses(moved, "kalibr"))
     missing = ", ".join((*ImuNoise.__slots__, "update_rate", "rostopic"))
     found.append(
         Loss(what="noise, rate and topic", why=f"a gnomon calibration does not hold {missing}; add them by hand.")
@@ -121,9 +123,9 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
 
 def kalibr_model(imu: ImuCalibration) -> KalibrModel:
     """Return an IMU in Kalibr's terms; it must be in body frame accel-x."""
+    sensor = imu.required_accelerometer
     factors = [conversion.factor for conversion in conversions(imu)]
-    accelerometer = KalibrAccelerometer.from_sensor(imu.accelerometer.sensitivity, imu.accelerometer.bias)
-    M_accel = accelerometer.M * factors[0]
+    M_accel = KalibrAccelerometer.from_sensor(sensor.sensitivity, sensor.bias).M * factors[0]
     ideal = _is_identity(M_accel)
     if imu.gyroscope is None:
         return KalibrModel(name="calibrated" if ideal else "scale-misalignment", M_accel=M_accel)

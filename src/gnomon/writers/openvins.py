@@ -16,7 +16,7 @@ from ..calibration import Calibration, CameraCalibration, ImuCalibration
 from ..errors import OptionError
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..models.noise import ImuNoise
-from .export import Export, Loss, into_frame, numbers_text, uncertainty_loss
+from .export import Export, Loss, into_frame, magnetometer_losses, numbers_text, require_triads, uncertainty_loss
 from .kalibr import StatedImu, stated_entry
 from .kalibr_camchain import camera_chain
 from .kalibr_text import kalibr_yaml
@@ -45,15 +45,16 @@ def export(calibration: Calibration) -> Export:
     Raises
     ------
     OptionError
-        If OpenVINS does not know the model of a camera.
+        If OpenVINS does not know the model of a camera, or an IMU has no accelerometer, which defines its frame.
     """
+    require_triads(calibration, "openvins", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, OpenVinsAccelerometer.frame, "OpenVINS'")
     name, imu = next(iter(moved.imus.items()))
     files = {IMU_FILE: imu_chain_text(imu)}
     if moved.cameras:
         files[CAMERA_FILE] = camera_chain_text(moved)
     found = (*losses, *_imu_losses(name, imu), *other_imu_losses(moved, "OpenVINS"), *_camera_losses(moved))
-    return Export(files=files, losses=(*found, uncertainty_loss("openvins")))
+    return Export(files=files, losses=(*found, *magnetometer_losses(moved, "OpenVINS"), uncertainty_loss("openvins")))
 
 
 def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None) -> str:
@@ -64,7 +65,7 @@ def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None) -> str:
     stated : noise, rate and topic; without them the file says that they have to be added
     """
     si, zero = si_imu(imu), np.zeros((3, 3))
-    acc = OpenVinsAccelerometer.from_sensor(si.accelerometer.sensitivity, si.accelerometer.bias)
+    acc = OpenVinsAccelerometer.from_sensor(si.required_accelerometer.sensitivity, si.required_accelerometer.bias)
     gyro = OpenVinsGyroscope(T=np.eye(3), R=np.eye(3), b=np.zeros(3), Tg=zero)
     if si.gyroscope is not None:
         gyro = OpenVinsGyroscope.from_sensor(si.gyroscope.sensitivity, si.gyroscope.bias, si.gyroscope.g_sensitivity)

@@ -21,7 +21,7 @@ def save_recording(recording: Recording, path: str | Path) -> tuple[Path, ...]:
     """Write a recording, and return the files that were written.
 
     NPZ holds any recording; its keys are documented in `gnomon.readers.npz`. CSV holds one IMU, with the units in its
-    header; where the triads have stamps of their own it is a pair of files, whose names end in -acc and -gyr.
+    header; triads with stamps of their own have files of their own, whose names end in -acc, -gyr and -mag.
 
     Parameters
     ----------
@@ -54,32 +54,39 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
     for name, imu in recording.imus.items():
         prefix = "" if name == "imu0" else f"{name}."
         shared = np.array_equal(imu.accelerometer.t_ns, imu.gyroscope.t_ns)
-        if shared:
+        if shared and len(imu.accelerometer):
             arrays[f"{prefix}t_ns"] = imu.accelerometer.t_ns
-        for quantity, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope)):
-            if not len(samples):
+        for quantity, samples in (
+            ("accelerometer", imu.accelerometer),
+            ("gyroscope", imu.gyroscope),
+            ("magnetometer", imu.magnetometer),
+        ):
+            if samples is None or not len(samples):
                 continue
             arrays[f"{prefix}{quantity}"] = samples.values
             arrays[f"{prefix}unit_{quantity}"] = np.array(samples.unit)
-            if not shared:
+            if not shared or not np.array_equal(samples.t_ns, imu.accelerometer.t_ns):
                 arrays[f"{prefix}t_{quantity}_ns"] = samples.t_ns
     return arrays
 
 
 def _save_csv(imu: ImuSamples, path: Path) -> tuple[Path, ...]:
-    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
-    if not len(gyroscope):
-        _write_table(path, (accelerometer,), "a")
-        return (path,)
-    if np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
-        _write_table(path, (accelerometer, gyroscope), "ag")
-        return (path,)
+    """Write triads that share their stamps into one file, others into files of their own."""
+    named = {"-acc": imu.accelerometer, "-gyr": imu.gyroscope, "-mag": imu.magnetometer}
+    there = {name: samples for name, samples in named.items() if samples is not None and len(samples)}
+    files: dict[str, list[TriadSamples]] = {}
+    for name, samples in there.items():
+        mate = next((key for key, group in files.items() if np.array_equal(group[0].t_ns, samples.t_ns)), name)
+        files.setdefault(mate, []).append(samples)
     suffix = "".join(path.suffixes[-2:]) if path.name.lower().endswith(".gz") else path.suffix
     stem = path.name.removesuffix(suffix)
-    pair = path.with_name(f"{stem}-acc{suffix}"), path.with_name(f"{stem}-gyr{suffix}")
-    _write_table(pair[0], (accelerometer,), "a")
-    _write_table(pair[1], (gyroscope,), "g")
-    return pair
+    letters = {id(samples): name[1] for name, samples in there.items()}
+    written: list[Path] = []
+    for name, group in files.items():
+        one = path if len(files) == 1 else path.with_name(f"{stem}{name}{suffix}")
+        _write_table(one, group, "".join(letters[id(samples)] for samples in group))
+        written.append(one)
+    return tuple(written)
 
 
 def _write_table(path: Path, triads: Sequence[TriadSamples], letters: str) -> None:

@@ -51,7 +51,7 @@ class Conversion:
 
 
 def conversions(imu: ImuCalibration) -> list[Conversion]:
-    """Return the conversion of each triad that there is, the accelerometer first."""
+    """Return the conversions of accelerometer and gyroscope, as far as there are such, in this order."""
     return [_conversion(triad) for triad in (imu.accelerometer, imu.gyroscope) if triad is not None]
 
 
@@ -71,11 +71,16 @@ def _conversion(triad: AccelerometerCalibration | GyroscopeCalibration) -> Conve
 
 
 def si_imu(imu: ImuCalibration) -> ImuCalibration:
-    """Return the IMU for samples that were converted."""
+    """Return accelerometer and gyroscope for samples that were converted.
+
+    Raises
+    ------
+    OptionError
+        If there is no accelerometer.
+    """
+    sensor = imu.required_accelerometer
     acc, *others = conversions(imu)
-    accelerometer = AccelerometerCalibration(
-        sensitivity=imu.accelerometer.sensitivity * acc.factor, bias=acc.bias_si, unit=acc.si
-    )
+    accelerometer = AccelerometerCalibration(sensitivity=sensor.sensitivity * acc.factor, bias=acc.bias_si, unit=acc.si)
     if imu.gyroscope is None:
         return ImuCalibration(accelerometer=accelerometer)
     gyro = others[0]

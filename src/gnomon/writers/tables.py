@@ -6,42 +6,78 @@ from math import floor, isfinite, log10
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration, CameraImuFit, ImuCalibration, parameters
+from ..calibration import Calibration, CameraImuFit, ImuCalibration, parameters
 from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from . import form_entries
 from .camera_entries import EQUATION, camera_entries
+from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 from .form_entries import Entry
 
 _Entries = Callable[..., Iterator[Entry]]
-_FORMS: dict[str, tuple[str | None, _Entries, _Entries]] = {
-    "sensitivity": (None, form_entries.sensitivity_accelerometer, form_entries.sensitivity_gyroscope),
-    "tedaldi": ("accel-z", form_entries.tedaldi_accelerometer, form_entries.tedaldi_gyroscope),
-    "krebs": ("accel-x", form_entries.krebs_accelerometer, form_entries.krebs_gyroscope),
-    "angrisano": ("accel-z", form_entries.angrisano_accelerometer, form_entries.angrisano_gyroscope),
-    "kalibr": ("accel-x", form_entries.kalibr_accelerometer, form_entries.kalibr_gyroscope),
+_FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
+    "sensitivity": (
+        None,
+        form_entries.sensitivity_accelerometer,
+        form_entries.sensitivity_gyroscope,
+        form_entries.sensitivity_magnetometer,
+    ),
+    "tedaldi": (
+        "accel-z",
+        form_entries.tedaldi_accelerometer,
+        form_entries.tedaldi_gyroscope,
+        form_entries.sensitivity_magnetometer,
+    ),
+    "krebs": (
+        "accel-x",
+        form_entries.krebs_accelerometer,
+        form_entries.krebs_gyroscope,
+        form_entries.sensitivity_magnetometer,
+    ),
+    "angrisano": (
+        "accel-z",
+        form_entries.angrisano_accelerometer,
+        form_entries.angrisano_gyroscope,
+        form_entries.angrisano_magnetometer,
+    ),
+    "kalibr": (
+        "accel-x",
+        form_entries.kalibr_accelerometer,
+        form_entries.kalibr_gyroscope,
+        form_entries.sensitivity_magnetometer,
+    ),
 }
-"""Form -> the frame it lives in (None: any), and what it consists of."""
+"""Form -> the frame of its accelerometer (None: any), and what each triad consists of."""
 
+_TRIADS = ("accelerometer", "gyroscope", "magnetometer")
+_MAGNETOMETER = "measured = sensitivity m + bias; the sensitivity holds soft iron, the bias hard iron"
 _EQUATIONS = {
-    "sensitivity": ("measured = sensitivity f + bias", "measured = sensitivity w + bias + g_sensitivity f"),
+    "sensitivity": (
+        "measured = sensitivity f + bias",
+        "measured = sensitivity w + bias + g_sensitivity f",
+        _MAGNETOMETER,
+    ),
     "tedaldi": (
         "document A: f = T K (measured + b), T = [1 -yz zy; 0 1 -zx; 0 0 1]",
         "document A: w = T K (measured + b - B f), T = [1 -yz zy; xz 1 -zx; -xy yx 1]",
+        _MAGNETOMETER,
     ),
     "krebs": (
         "document B: measured = S M f + b, M = [1 0 0; yz 1 0; zy zx 1]",
         "document B, ch. 3: measured = S M C_bg' w + B C_bg' f + b (reading B1); in ch. 4, B' f in place of B C_bg' f "
         "(reading B2); q_bg is the Hamilton quaternion of C_bg",
+        _MAGNETOMETER,
     ),
     "angrisano": (
         "document C: f = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1]",
         "document C: C_gb w = T K (measured - b - B f), T = [1 az ay; 0 1 ax; 0 0 1], in the gyroscope's own frame",
+        "document C: C_mb m = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1], in the magnetometer's own frame",
     ),
     "kalibr": (
         "Kalibr: measured = M f + bias",
         "Kalibr: measured = M C_gyro_i w + A C_gyro_i f + bias; AC = A C_gyro_i. Of document B's B_g, A is reading B1, "
         "AC reading B2",
+        _MAGNETOMETER,
     ),
 }
 
@@ -81,12 +117,14 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
     """
     if form not in _FORMS:
         raise OptionError(f'"{form}" is no form of the sensor model. Choose one of: {", ".join(_FORMS)}.')
-    frame = _FORMS[form][0] or calibration.frame
+    frame = calibration.frame
     tables: list[Table] = []
     for name, imu in calibration.imus.items():
+        if imu.accelerometer is not None:  # which defines the frames of the forms; other triads stay in theirs
+            frame = _FORMS[form][0] or calibration.frame
         paths = [path for path, _ in parameters({name: imu})]
         entries, sigmas = entries_with_sigmas(imu, calibration.covariance(*paths), form)
-        for triad, note in zip(("accelerometer", "gyroscope"), _EQUATIONS[form], strict=True):
+        for triad, note in zip(_TRIADS, _EQUATIONS[form], strict=True):
             rows = tuple(
                 Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
                 for entry, sigma in zip(entries, sigmas, strict=True)
@@ -142,16 +180,33 @@ def _steps(imu: ImuCalibration) -> Iterator[float]:
 
 
 def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[Entry]:
-    frame, accelerometer, gyroscope = _FORMS[form]
-    S, b = x[:9].reshape(3, 3), x[9:12]
-    turn = np.eye(3) if frame is None else frame_rotation(S, frame)
-    moved = S @ turn.T
-    if frame is not None:  # exactly, not to rounding
-        moved = np.tril(moved) if frame == "accel-x" else np.triu(moved)
-    yield from accelerometer(moved, b, imu.accelerometer.unit)
+    frame, accelerometer, gyroscope, magnetometer = _FORMS[form]
+    shaped = _shaped(x, imu)
+    turn = np.eye(3)
+    if imu.accelerometer is not None and frame is not None:
+        turn = frame_rotation(shaped["accelerometer.sensitivity"], frame)
+    turned = {path: value @ turn.T if value.ndim == 2 else value for path, value in shaped.items()}
+    if imu.accelerometer is not None:
+        matrix = turned["accelerometer.sensitivity"]
+        if frame is not None:  # exactly, not to rounding
+            matrix = np.tril(matrix) if frame == "accel-x" else np.triu(matrix)
+        yield from accelerometer(matrix, turned["accelerometer.bias"], imu.accelerometer.unit)
     if imu.gyroscope is not None:
-        R, G = x[12:21].reshape(3, 3), x[24:33].reshape(3, 3)
-        yield from gyroscope(R @ turn.T, x[21:24], G @ turn.T, imu.gyroscope.unit)
+        names = ("gyroscope.sensitivity", "gyroscope.bias", "gyroscope.g_sensitivity")
+        yield from gyroscope(*(turned[name] for name in names), imu.gyroscope.unit)
+    if imu.magnetometer is not None:
+        names = ("magnetometer.sensitivity", "magnetometer.bias")
+        yield from magnetometer(*(turned[name] for name in names), imu.magnetometer.unit, imu.magnetometer.field_unit)
+
+
+def _shaped(x: Floats, imu: ImuCalibration) -> dict[str, Floats]:
+    """Return the scalars (n,) of an IMU as its parameters, "gyroscope.bias" -> (3,)."""
+    found: dict[str, Floats] = {}
+    start = 0
+    for path, value in parameters({"": imu}):
+        found[path.removeprefix(".")] = x[start : start + value.size].reshape(value.shape)
+        start += value.size
+    return found
 
 
 def value_text(value: float, sigma: float) -> str:
@@ -182,20 +237,24 @@ def summary_table(calibration: Calibration) -> Table:
     rows = [
         Row(name="verdict", value=calibration.verdict, unit=""),
         Row(name="body frame", value=calibration.frame, unit=""),
-        Row(name=f"gravity ({gravity.source})", value=value_text(gravity.value, gravity.sigma), unit="m/s^2"),
-        Row(name="gyroscope model" if camera_imu is None else "IMU model", value=assessment.model, unit=""),
-        *(_multi_position_rows(assessment) if camera_imu is None else _camera_imu_rows(camera_imu)),
     ]
+    if rests_on_gravity(calibration):
+        value = value_text(gravity.value, gravity.sigma)
+        rows.append(Row(name=f"gravity ({gravity.source})", value=value, unit="m/s^2"))
+    if assessment.model != "none":
+        rows.append(Row(name=f"{modelled_thing(calibration)} model", value=assessment.model, unit=""))
+    rows += _magnitude_rows(calibration) if camera_imu is None else _camera_imu_rows(camera_imu)
     return Table(title="calibration", note=f"gnomon {calibration.provenance.gnomon_version}", rows=tuple(rows))
 
 
-def _multi_position_rows(assessment: Assessment) -> Iterator[Row]:
-    holdout = assessment.holdout
+def _magnitude_rows(calibration: Calibration) -> Iterator[Row]:
+    assessment = calibration.assessment
+    for _, compared, rms, unit in held_out_errors(calibration):
+        yield Row(name=f"held-out {compared}, rms", value=_known(rms), unit=unit)
     used, found = assessment.intervals_used, assessment.intervals_found
-    yield Row(name="held-out |f| - g, rms", value=_known(holdout.accelerometer_rms), unit="m/s^2")
-    yield Row(name="held-out rotations, rms", value=_known(holdout.rotation_rms), unit="rad")
-    yield Row(name="static intervals used", value=f"{used} of {found}", unit="")
-    yield Row(name="rotations used", value=f"{assessment.rotations_used} of {assessment.rotations_found}", unit="")
+    yield Row(name=f"{counted_things(calibration)} used", value=f"{used} of {found}", unit="")
+    if assessment.rotations_found:
+        yield Row(name="rotations used", value=f"{assessment.rotations_used} of {assessment.rotations_found}", unit="")
 
 
 def _camera_imu_rows(fit: CameraImuFit) -> Iterator[Row]:

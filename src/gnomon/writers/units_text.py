@@ -25,6 +25,9 @@ def parameter_unit(calibration: Calibration, path: str) -> str:
         return _CAMERA[rest]
     triad, parameter = rest.split(".")
     imu = calibration.imus[name]
+    if triad == "magnetometer":
+        assert imu.magnetometer is not None
+        return imu.magnetometer.unit if parameter == "bias" else per(imu.magnetometer.unit, imu.magnetometer.field_unit)
     sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
     assert sensor is not None
     if parameter == "bias":

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ...errors import OptionError
 from ...options import CameraImuOptions, stated_prior
-from .parameters import Block, Parameters, Status, blocks
+from .parameters import Block, Parameters, Status, blocks, known_beforehand
 
 _MODEL_BLOCKS = {
     "basic": (),
@@ -48,8 +48,9 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
         status |= dict.fromkeys(block.scalars(), kind)
     stated: dict[str, str] = {}
     sigma: dict[str, float] = {}
-    for camera in start.cameras:  # what is known with an uncertainty is estimated along
-        sigma |= camera.lens_scalars()
+    for names, size, _ in known_beforehand(start):  # estimated along, of an IMU what the model has
+        known = zip(names, size.tolist(), strict=True)
+        sigma |= {name: value for name, value in known if status[name] == "estimated" or not name.startswith("imu")}
     status |= dict.fromkeys(sigma, "prior")
     for option, names in (("free", options.free), ("fix", options.fix)):
         for name in names:

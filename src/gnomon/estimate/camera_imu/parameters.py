@@ -4,7 +4,7 @@ Values are in `Parameters`; `Layout` gives each scalar that is estimated, or who
 the border of the normal equations.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -31,6 +31,8 @@ class ImuParameters:
     M_a, M_g : (3,) misalignment yz, zy, zx
     C_bg : (3, 3) rotation from the gyroscope's frame to the body
     B_g : (3, 3) influence of the specific force, body frame, on the gyroscope [rad/s per m/s^2]
+    covariance : (24, 24) of S_a, M_a, S_g, M_g, q_bg (small rotation on the right of C_bg) and B_g as they were known
+        beforehand, zero where they were not; or None
     """
 
     S_a: Floats
@@ -39,6 +41,7 @@ class ImuParameters:
     M_g: Floats
     C_bg: Floats
     B_g: Floats
+    covariance: Floats | None = None
 
     @classmethod
     def ideal(cls) -> "ImuParameters":
@@ -76,13 +79,6 @@ class CameraParameters:
     time_shift_s: float
     camera: Camera
     lens_covariance: Floats | None = None
-
-    def lens_scalars(self) -> dict[str, float]:
-        """Return the scalars of the lens that are known with an uncertainty, and their standard deviations."""
-        if self.lens_covariance is None:
-            return {}
-        sigma = np.sqrt(np.diag(self.lens_covariance)).tolist()
-        return {name: value for name, value in zip(self.lens_names(), sigma, strict=True) if value > 0}
 
     def lens_names(self) -> list[str]:
         """Return the names of `camera.parameters`."""
@@ -172,6 +168,8 @@ _IMU_BLOCKS = (
     ("B_g", 9, 0.02, "rad/s per m/s^2"),
 )
 
+_IMU_SCALARS = tuple(f"{name}[{i}]" for name, size, _, _ in _IMU_BLOCKS for i in range(size))
+
 _LENS_SIGMA = {"projection": 0.1, "focal": 20.0, "principal": 20.0, "distortion": 0.1}
 
 
@@ -203,6 +201,18 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
                 Block(name=f"{name}.distortion_coeffs", size=len(sigmas) - count, weak_sigma=sigmas[count:], unit="")
             )
     return tuple(found)
+
+
+def known_beforehand(parameters: Parameters) -> Iterator[tuple[list[str], Floats, Floats]]:
+    """Yield what is known of each sensor with an uncertainty: names (k), sigmas (k,) and correlation (k, k)."""
+    sensors = [([f"imu{i}.{name}" for name in _IMU_SCALARS], imu.covariance) for i, imu in enumerate(parameters.imus)]
+    sensors += [(entry.lens_names(), entry.lens_covariance) for entry in parameters.cameras]
+    for names, covariance in sensors:
+        if covariance is not None:
+            sigma = np.sqrt(np.diag(covariance))
+            known = np.flatnonzero(sigma)
+            size = sigma[known]
+            yield [names[i] for i in known], size, covariance[np.ix_(known, known)] / np.outer(size, size)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -317,18 +327,13 @@ def layout(
 
 
 def _information(start: Parameters, names: list[str], sigma: Floats) -> Floats:
-    """Return the inverse of the priors' covariance (p, p): what is known of a lens comes with its correlations."""
+    """Return the inverse of the priors' covariance (p, p): what is known beforehand comes with its correlations."""
     information = np.diag(np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0)
     column = {name: i for i, name in enumerate(names)}
-    for entry in start.cameras:
-        known, order = entry.lens_scalars(), entry.lens_names()
-        rows = [order.index(name) for name in known]
-        if not rows:
-            continue
-        assert entry.lens_covariance is not None
-        whole = np.linalg.inv(entry.lens_covariance[np.ix_(rows, rows)])
-        kept = [i for i, (name, value) in enumerate(known.items()) if name in column and sigma[column[name]] == value]
-        at = [column[order[rows[i]]] for i in kept]
+    for known, size, correlation in known_beforehand(start):
+        whole = np.linalg.inv(correlation) / np.outer(size, size)
+        kept = [i for i, name in enumerate(known) if name in column and sigma[column[name]] == size[i]]
+        at = [column[known[i]] for i in kept]
         information[np.ix_(at, at)] = whole[np.ix_(kept, kept)]
     return information
 

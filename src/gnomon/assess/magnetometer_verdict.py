@@ -1,0 +1,317 @@
+"""Verdict and advice on a magnetometer's calibration: what to trust, what to do next."""
+
+import numpy as np
+
+from ..calibration import Assessment, Holdout
+from ..estimate.blocks import FEWEST_BLOCKS
+from ..evidence import NAMES, TRIADS, Evidence
+from ..findings import Finding, Severity
+from ..recording import Floats
+from ..units import MAGNETOMETER_UNITS_UT
+from .imu_verdict import convergence_findings
+from .magnetometer_tables import FieldEvidence, Strays, strays
+from .prior_findings import prior_findings
+from .verdict import verdict_of, worst_first
+
+_COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
+_COVER_WARN = 0.7
+_SIGMA_WARN, _SIGMA_FAIL = 0.01, 0.05  # of the field
+_UNEXPLAINED_WARN, _UNEXPLAINED_FAIL = 0.03, 0.15
+_ALIGNED_WARN_RAD = 0.02
+_EARTH_UT = (22.0, 67.0)
+_STRAY_WARN = 0.1
+_MOST_NAMED = 5
+
+
+def assess_field(
+    noticed: tuple[Finding, ...], evidence: FieldEvidence, known: Evidence, beside_accelerometer: bool
+) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    noticed : what was found while the recording was checked
+    evidence : what the calibration was made of
+    known : what was known beforehand
+    beside_accelerometer : whether there was an accelerometer that could be used
+    """
+    fit = evidence.fit
+    found = strays(evidence)
+    findings = [
+        *noticed,
+        *_holdout_findings(evidence),
+        *_uncertainty_findings(evidence),
+        *_coverage_findings(evidence),
+        *_stray_findings(evidence, found),
+        *_correlation_findings(evidence),
+        *_strength_findings(evidence),
+        *_alignment_findings(evidence, beside_accelerometer),
+        *_held_findings(evidence),
+        *_prior_findings(evidence, known),
+        *convergence_findings(fit.iron.converged, fit.iron.iterations),
+    ]
+    ordered = worst_first(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model=fit.model,
+        holdout=Holdout(field_rms=fit.holdout_rms / evidence.strength),
+        intervals_found=len(fit.used),
+        intervals_used=int(fit.used.sum()),
+        held_by_prior=_held(evidence),
+    )
+
+
+def _graded(value: float, warn: float, fail: float) -> Severity:
+    return "problem" if not value <= fail else "warning" if value > warn else "good"
+
+
+def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:
+    fit, field = evidence.fit, evidence.strength
+    noise = float(np.sqrt(np.mean((fit.sigma**2 - fit.iron.extra**2)[fit.used]))) / field
+    total = fit.holdout_rms / field
+    unexplained = float(np.sqrt(max(total**2 - noise**2, 0.0)))
+    severity = _graded(unexplained, _UNEXPLAINED_WARN, _UNEXPLAINED_FAIL)
+    return [
+        Finding(
+            severity=severity,
+            code="holdout-magnetometer",
+            message=f"Stretches that were left out show the strength of the field to {100 * total:.2g} % rms, of which "
+            f"the sensor's noise makes {100 * noise:.2g} %.",
+            consequence="" if severity == "good" else "The field differs from place to place, or the sensor bends it.",
+            cure=""
+            if severity == "good"
+            else "Record outdoors or in the middle of a room, away from iron and cables; turn the sensor in one place.",
+        )
+    ]
+
+
+def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
+    sigma = np.sqrt(np.diag(evidence.covariance)[-12:])
+    # A common rotation of all axes is no matter of this; it is judged with the accelerometer.
+    basis = evidence.fit.iron.basis[:9]
+    own = np.sqrt(np.einsum("ij,jk,ik->i", basis, evidence.fit.covariance, basis))
+    by_axis = own.reshape(3, 3) / rows[:, None]
+    scale, angle = float(np.diag(by_axis).max()), float((by_axis - np.diag(np.diag(by_axis))).max())
+    offset = float((sigma[9:] / rows).max()) / evidence.strength
+    severity = _graded(max(scale, angle, offset), _SIGMA_WARN, _SIGMA_FAIL)
+    return [
+        Finding(
+            severity=severity,
+            code="uncertainty-magnetometer",
+            message=f"Hard iron is known to {100 * offset:.2g} % of the field, soft iron to {100 * scale:.2g} % "
+            f"(scales) and {1e3 * angle:.2g} mrad (axes; 1 sigma, worst axis).",
+            consequence="" if severity == "good" else "A heading from it errs by as much.",
+            cure="" if severity == "good" else _missing(evidence)[0] or "Record longer, in one place away from iron.",
+        )
+    ]
+
+
+def sphere_points(count: int) -> Floats:
+    """Return points spread evenly over the sphere, (count, 3), by a Fibonacci lattice."""
+    k = np.arange(count)
+    z, longitude = 1 - (2 * k + 1) / count, np.pi * (1 + np.sqrt(5)) * k
+    across = np.sqrt(1 - z * z)
+    return np.column_stack([across * np.cos(longitude), across * np.sin(longitude), z])
+
+
+def coverage(direction: Floats) -> tuple[float, Floats]:
+    """Return which share of the sphere lies within 20 deg of some direction (n, 3), and the emptiest point (3,)."""
+    points = sphere_points(_COVER_POINTS)
+    nearest = np.max(points @ direction.T, axis=1)
+    return float(np.mean(nearest > np.cos(_COVER_RAD))), points[np.argmin(nearest)]
+
+
+def _missing(evidence: FieldEvidence) -> tuple[str, float]:
+    """Return what to do about the largest hole, if there is one, and the share of the sphere that is covered."""
+    share, hole = coverage(evidence.direction[evidence.fit.used])
+    if share > 0.95:
+        return "", share
+    axes = [f"{'-' if value < 0 else ''}{axis}" for axis, value in zip("xyz", hole, strict=True) if abs(value) > 0.5]
+    dip = evidence.dip.dip_rad if evidence.dip is not None else float("nan")
+    where = " (north and steeply down, in the northern hemisphere)" if not np.isfinite(dip) or dip > 0.7 else ""
+    return f"Turn the sensor until {' and '.join(axes)} point{'s' * (len(axes) == 1)} along the field{where}.", share
+
+
+def _coverage_findings(evidence: FieldEvidence) -> list[Finding]:
+    cure, share = _missing(evidence)
+    severity: Severity = "warning" if share < _COVER_WARN else "good"
+    return [
+        Finding(
+            severity=severity,
+            code="magnetometer-coverage",
+            message=f"The field was seen from {100 * share:.0f} % of all directions.",
+            consequence="" if severity == "good" else "Elsewhere the calibration is extrapolated.",
+            cure="" if severity == "good" else cure,
+        )
+    ]
+
+
+def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
+    findings: list[Finding] = []
+    if len(found.stretches):
+        named = ", ".join(f"{low:.1f}-{high:.1f} s" for low, high in found.stretches[:_MOST_NAMED])
+        more = f" and {len(found.stretches) - _MOST_NAMED} more" if len(found.stretches) > _MOST_NAMED else ""
+        share = float(np.sum(found.stretches[:, 1] - found.stretches[:, 0])) / float(np.ptp(evidence.t_s))
+        findings.append(
+            Finding(
+                severity="warning" if share > _STRAY_WARN else "info",
+                code="magnetometer-disturbed",
+                message=f"The field has another strength at {named}{more} ({100 * share:.2g} % of the time).",
+                consequence="These stretches are not used; nearby ones may be disturbed a little.",
+                cure="Keep away from iron, magnets and currents, and from the table.",
+            )
+        )
+    if found.single:
+        share = found.single / len(evidence.t_s)
+        findings.append(
+            Finding(
+                severity="warning" if share > _STRAY_WARN else "info",
+                code="magnetometer-outliers",
+                message=f"{found.single} single samples ({100 * share:.2g} %) lie far off and are not used.",
+                consequence="",
+                cure="Check the bus and the reading of the sensor." if share > _STRAY_WARN else "",
+            )
+        )
+    return findings
+
+
+def _correlation_findings(evidence: FieldEvidence) -> list[Finding]:
+    fit = evidence.fit
+    findings = [
+        Finding(
+            severity="info" if fit.sigma_factor > 2 else "good",
+            code="magnetometer-correlated",
+            message=f"Errors of the strength are correlated in time: sigmas come from blocks of "
+            f"{fit.blocks.length_s:.1f} s and are {fit.sigma_factor:.1f} times those of independent errors.",
+        )
+    ]
+    if not fit.blocks.long_enough:
+        findings.append(
+            Finding(
+                severity="info",
+                code="magnetometer-short",
+                message=f"Errors are correlated for so long that the recording holds hardly {FEWEST_BLOCKS} "
+                "independent stretches.",
+                consequence="The sigmas themselves are known to some 20 % only, and may be too small.",
+                cure="Record for two or three minutes.",
+            )
+        )
+    return findings
+
+
+def _strength_findings(evidence: FieldEvidence) -> list[Finding]:
+    """Say how strong the field is by the unit of the recording, and whether that can be."""
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    factor = MAGNETOMETER_UNITS_UT.get(evidence.unit)
+    if factor is None:
+        return []
+    scale = float(np.abs(np.linalg.det(magnetometer.sensitivity))) ** (1 / 3)
+    shown = scale * evidence.strength * factor
+    likely = _EARTH_UT[0] < shown < _EARTH_UT[1]
+    stated = "" if evidence.field is None else f"; {evidence.field:.3g} uT was stated"
+    if not likely:
+        return [
+            Finding(
+                severity="warning",
+                code="magnetometer-field",
+                message=f"By its unit, {evidence.unit}, the sensor was in a field of {shown:.3g} uT; that of the earth "
+                f"is 22 to 67 uT{stated}.",
+                consequence="Either the unit is another one, or iron strengthened or weakened the field everywhere.",
+                cure="State the unit with --units, and record away from iron.",
+            )
+        ]
+    return [
+        Finding(
+            severity="info",
+            code="magnetometer-field",
+            message=f"By its unit, {evidence.unit}, the sensor was in a field of {shown:.3g} uT{stated}.",
+            cure="" if evidence.field is not None else "State its strength with --field to have the result in uT.",
+        )
+    ]
+
+
+def _alignment_findings(evidence: FieldEvidence, beside_accelerometer: bool) -> list[Finding]:
+    dip = evidence.dip
+    if not beside_accelerometer:
+        return [
+            Finding(
+                severity="info",
+                code="magnetometer-alone",
+                message="Without accelerometer the result is in the magnetometer's own frame, mag-x.",
+                consequence="Strengths alone do not tell how it stands to other sensors.",
+                cure="Record the accelerometer too, to have both in one frame.",
+            )
+        ]
+    if dip is None or evidence.imu.accelerometer is None:
+        return [
+            Finding(
+                severity="warning",
+                code="magnetometer-alignment",
+                message="How the magnetometer stands to the accelerometer cannot be told from this recording.",
+                consequence="The result is in the magnetometer's own frame, mag-x.",
+                cure="Turn the sensor through more attitudes, slowly, or pause in each of them for a second or two.",
+            )
+        ]
+    iron = evidence.fit.iron
+    words = f"The field dips by {np.degrees(dip.dip_rad):.2f} +- {np.degrees(evidence.dip_sigma_rad):.2f} deg"
+    sigma = _alignment_sigma(evidence)
+    if iron.in_own_frame:
+        words += f"; the magnetometer's frame is known in that of the accelerometer to {1e3 * sigma:.2g} mrad"
+    severity: Severity = "warning" if sigma > _ALIGNED_WARN_RAD else "info"
+    return [
+        Finding(
+            severity=severity,
+            code="magnetometer-alignment",
+            message=f"{words} (1 sigma).",
+            consequence="Both sensors are taken as right-handed. If the field dips the other way where you are, an "
+            "axis of one of them has the wrong sign, or the accelerometer shows -1 g up.",
+            cure="Pause in each attitude for a second or two, or give the accelerometer's calibration with --prior, to "
+            "know it more closely.",
+        )
+    ]
+
+
+def _alignment_sigma(evidence: FieldEvidence) -> float:
+    """Return the largest sigma of a direction of the sensitivity, rotation included [rad]."""
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
+    by_axis = np.sqrt(np.diag(evidence.covariance)[-12:-3]).reshape(3, 3) / rows[:, None]
+    return float((by_axis * ~np.eye(3, dtype=bool)).max())
+
+
+def _held(evidence: FieldEvidence) -> tuple[str, ...]:
+    at = TRIADS["magnetometer"]
+    held = evidence.fit.iron.held_by_prior
+    return tuple(name for name, flag in zip(NAMES[at.start : at.stop], held, strict=True) if flag)
+
+
+def _held_findings(evidence: FieldEvidence) -> list[Finding]:
+    held = _held(evidence)
+    if not held:
+        return []
+    return [
+        Finding(
+            severity="problem",
+            code="not-observable",
+            message=f"This recording does not determine {len(held)} of the numbers of the magnetometer.",
+            consequence="They are held by a weak assumption and must not be used as measured.",
+            cure=_missing(evidence)[0] or "Turn the sensor through all attitudes.",
+        )
+    ]
+
+
+def _prior_findings(evidence: FieldEvidence, known: Evidence) -> list[Finding]:
+    """Compare with the prior where both are in the frame of the result."""
+    values, covariance = np.zeros(len(NAMES)), np.eye(len(NAMES)) * 1e300
+    at, rest = TRIADS["magnetometer"], len(evidence.covariance)
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    values[at] = np.concatenate([magnetometer.sensitivity.ravel(), magnetometer.bias])
+    covariance[at, at] = evidence.covariance[rest - 12 :, rest - 12 :]
+    return prior_findings(known, values, covariance)

@@ -1,0 +1,339 @@
+"""Verdict and advice on a calibration from rests: what to trust, what to do next."""
+
+import numpy as np
+
+from ..calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
+from ..estimate.angrisano import AngrisanoFit
+from ..estimate.triad_poses import B_, S_
+from ..findings import Finding
+from ..parameters import element_names
+from ..recording import Floats
+from ..triad_diagnostics import PoseTable, TriadDiagnostics
+from ..units import ACCELEROMETER_UNITS_M_S2
+from .imu_tables import rms
+from .pose_tables import PoseEvidence, RestingGyroscope
+from .resting_gyroscope import gyroscope_findings
+from .triad_verdict import graded, redundancy_findings, relative_sigmas, scatter_findings
+from .verdict import SEVERITIES, gravity_findings, verdict_of, worst_first
+
+_AXES = "xyz"
+_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
+_ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
+_HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
+_DETERMINED = 9  # attitudes
+_UNIT_FACTOR = 1.5
+_NAMED = 4
+_OF_ROTATIONS = {"saturation", "gaps", "static-start", "time-rounded", "jitter", "gyroscope-missing"}
+
+
+def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Assessment:
+    """Judge a calibration of an accelerometer, and of a gyroscope at rest.
+
+    Parameters
+    ----------
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    """
+    record, gyroscope = diagnostics.triads["accelerometer"], evidence.gyroscope
+    table = record.poses
+    holdout = Holdout(accelerometer_rms=_holdout(table), rate_rms=_rate_holdout(gyroscope))
+    findings = [
+        *_noticed(evidence),
+        *_attitude_findings(evidence),
+        *scatter_findings(evidence.fit, record.noise_sigma, evidence.gravity.value, "m/s^2"),
+        *_holdout_findings(holdout.accelerometer_rms, evidence.gravity.value),
+        *_uncertainty_findings(evidence),
+        *_observability_findings(evidence),
+        *_stated_findings(evidence),
+        *_unit_findings(evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
+        *left_out_findings(table, evidence.left_out),
+        *gravity_findings(evidence.gravity),
+        *gyroscope_findings(gyroscope, evidence.no_gyroscope),
+        *_convergence(evidence),
+    ]
+    ordered = worst_first(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model=_model(gyroscope),
+        holdout=holdout,
+        intervals_found=len(table.used) + len(evidence.left_out),
+        intervals_used=int(table.used.sum()),
+        held_by_prior=_held(evidence),
+    )
+
+
+def assess_published(
+    noticed: tuple[Finding, ...],
+    left_out: tuple[tuple[str, str], ...],
+    *,
+    fit: AngrisanoFit,
+    sensor: AccelerometerCalibration,
+    diagnostics: TriadDiagnostics,
+    gravity: Gravity,
+) -> Assessment:
+    """Judge what document C's iteration came to."""
+    table = diagnostics.triads["accelerometer"].poses
+    holdout = Holdout(accelerometer_rms=_holdout(table))
+    findings = [
+        *(finding for finding in noticed if finding.severity != "good"),
+        _iteration_finding(fit),
+        *(_holdout_findings(holdout.accelerometer_rms, gravity.value) if fit.converged else ()),
+        *_unit_findings(sensor.sensitivity, sensor.unit),
+        *left_out_findings(table, left_out),
+        *gravity_findings(gravity),
+    ]
+    ordered = worst_first(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model="none",
+        holdout=holdout,
+        intervals_found=len(table.used) + len(left_out),
+        intervals_used=len(table.used),
+    )
+
+
+def _model(gyroscope: RestingGyroscope | None) -> str:
+    if gyroscope is None or gyroscope.sensitivity is None:
+        return "none"
+    return "g-sensitivity" if gyroscope.g_sensitivity.any() else "basic"
+
+
+def _holdout(table: PoseTable) -> float:
+    known = table.used & np.isfinite(table.error_holdout)
+    return rms(table.error_holdout[known])
+
+
+def _rate_holdout(gyroscope: RestingGyroscope | None) -> float:
+    if gyroscope is None or gyroscope.sensitivity is None:
+        return float("nan")
+    return rms(gyroscope.fit.holdout * gyroscope.unit_rad_s)
+
+
+def _noticed(evidence: PoseEvidence) -> list[Finding]:
+    """Return what the data doctor found, but for what concerns rotations."""
+    return [f for f in evidence.noticed if f.severity in ("warning", "info") and f.code not in _OF_ROTATIONS]
+
+
+def _attitude_findings(evidence: PoseEvidence) -> list[Finding]:
+    count, n = evidence.attitudes, len(evidence.poses)
+    message = f"{n} poses in {count} attitudes more than 10 deg apart."
+    if evidence.known.knows("imu0.accelerometer.sensitivity"):
+        return []
+    if evidence.stated is None and count < _DETERMINED:
+        return [
+            Finding(
+                severity="warning",
+                code="few-attitudes",
+                message=f"{message} They show the accelerometer's scales and bias, not the angles between its axes.",
+                consequence="The axes are taken as perpendicular, give or take 20 mrad; their sigmas say so.",
+                cure="Record 18 or more attitudes, all axes up and down and between, or give --prior.",
+            )
+        ]
+    return redundancy_findings(evidence.fit) or [Finding(severity="good", code="attitudes", message=message)]
+
+
+def _holdout_findings(holdout_m_s2: float, gravity_m_s2: float) -> list[Finding]:
+    if not np.isfinite(holdout_m_s2):
+        return []
+    grade = graded(holdout_m_s2, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
+    return [
+        Finding(
+            severity=grade,
+            code="holdout-accelerometer",
+            message=f"Poses that were left out show gravity to {1e3 * holdout_m_s2:.2f} mm/s^2 rms.",
+            consequence="" if grade == "good" else "The accelerometer does not show the same gravity in all attitudes.",
+            cure="" if grade == "good" else "Let the sensor lie on something in each pose, and check its range.",
+        )
+    ]
+
+
+def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
+    fit, gravity = evidence.fit, evidence.gravity
+    sigma = relative_sigmas(fit)
+    scale = float(np.sqrt(np.maximum(np.diag(sigma) ** 2 - (gravity.sigma / gravity.value) ** 2, 0)).max())
+    angle = float(sigma[~np.eye(3, dtype=bool)].max())
+    own_frame = evidence.stated is None
+    grade = graded(scale, _SCALE_WARN, _SCALE_FAIL)
+    if own_frame and evidence.attitudes >= _DETERMINED:  # few-attitudes says it of fewer, jig-alignment of known ones
+        of_angle = graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD)
+        grade = of_angle if SEVERITIES[of_angle] < SEVERITIES[grade] else grade
+    axes = "its axes" if own_frame else "its axes in the jig"
+    return [
+        Finding(
+            severity=grade,
+            code="uncertainty-accelerometer",
+            message=f"The accelerometer's scales are known to {100 * scale:.3f} % and {axes} to {1e3 * angle:.2f} mrad "
+            "(1 sigma, worst axis).",
+            consequence="" if grade == "good" else "That is coarser than such poses can give.",
+            cure="" if grade == "good" else missing_attitude(fit.direction[fit.used]),
+        )
+    ]
+
+
+def missing_attitude(direction: Floats) -> str:
+    """Name the attitude that is farthest from all that were recorded, as unit vectors (n, 3)."""
+    candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+    u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
+    nearest = (u @ direction.T).max(axis=1) - 1e-3 * np.count_nonzero(candidates == 0, axis=1)
+    best = candidates[np.argmin(nearest)]
+    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip(_AXES, best, strict=True) if value]
+    return f"Add poses with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
+
+
+def _observability_findings(evidence: PoseEvidence) -> list[Finding]:
+    held = evidence.fit.held_by_prior
+    groups = (("scales and axes", S_), ("bias", B_))
+    return [
+        Finding(
+            severity="problem",
+            code="not-observable",
+            message=f"These poses leave {int(held[part].sum())} of the numbers of the accelerometer's {what} open.",
+            consequence="They are held by a weak assumption and must not be used as measured.",
+            cure=missing_attitude(evidence.fit.direction[evidence.fit.used]),
+        )
+        for what, part in groups
+        if held[part].any()
+    ]
+
+
+def _stated_findings(evidence: PoseEvidence) -> list[Finding]:
+    """Judge the attitudes that were stated, and say how the sensor lies in the jig."""
+    stated = evidence.stated
+    if stated is None:
+        return []
+    findings: list[Finding] = []
+    for k in np.flatnonzero(stated.wrong)[:_NAMED]:
+        guess = f" It fits with {stated.guess[k]}." if stated.guess[k] else ""
+        findings.append(
+            Finding(
+                severity="warning",
+                code="attitude-misstated",
+                message=f"{evidence.poses.name[k]}: gravity is {np.degrees(stated.angle_rad[k]):.0f} deg away from the "
+                f"attitude that was stated.{guess}",
+                consequence="Only the magnitude of gravity is used there.",
+                cure="Correct ref_x ref_y ref_z of this pose: at rest, the axis that points up reads +g.",
+            )
+        )
+    if int(stated.wrong.sum()) > _NAMED:
+        names = ", ".join(evidence.poses.name[k] for k in np.flatnonzero(stated.wrong)[_NAMED:])
+        findings.append(
+            Finding(severity="warning", code="attitude-misstated", message=f"So do the attitudes of {names}.")
+        )
+    if stated.mirrored:
+        findings.append(
+            Finding(
+                severity="warning",
+                code="jig-mirrored",
+                message="The known attitudes fit only if the jig's axes are left-handed, seen from the sensor's axes.",
+                consequence="The calibration holds for data recorded the same way; an axis has a wrong sign somewhere.",
+                cure="Check the signs and the order of ref_x ref_y ref_z, and of the sensor's columns.",
+            )
+        )
+    return [*findings, _jig_finding(evidence)]
+
+
+def _jig_finding(evidence: PoseEvidence) -> Finding:
+    assert evidence.stated is not None
+    rows = evidence.fit.sensitivity / np.linalg.norm(evidence.fit.sensitivity, axis=1, keepdims=True)
+    along = np.argmax(np.abs(rows), axis=1)
+    words = [f"{_AXES[i]} along {'-' if rows[i, along[i]] < 0 else '+'}{_AXES[along[i]]}" for i in range(3)]
+    off = float(np.degrees(np.arccos(np.clip(np.abs(rows[np.arange(3), along]), 0, 1)).max()))
+    sigma = np.degrees(evidence.stated.sigma_rad)
+    return Finding(
+        severity="info",
+        code="jig-alignment",
+        message=f"In the jig the sensor lies with {', '.join(words)}, to within {off:.2g} deg; the known attitudes "
+        f"agree with each other to {sigma:.2g} deg about each axis.",
+        consequence="The body frame is that of the jig.",
+    )
+
+
+def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
+    """Warn where the scales are far from what the unit says; counts say nothing."""
+    nominal = ACCELEROMETER_UNITS_M_S2.get(unit)
+    ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
+    if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="unit",
+            message=f"The accelerometer's values are {ratio:.3g} times what {unit} would give.",
+            consequence="The calibration corrects it, but whoever expects that unit elsewhere will be misled.",
+            cure="State the unit of the recording with --units.",
+        )
+    ]
+
+
+def left_out_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -> list[Finding]:
+    """Name the poses that were not used, and why."""
+    named = [*left_out, *((table.name[k], table.reason[k]) for k in np.flatnonzero(~table.used))]
+    if not named:
+        return []
+    total = len(table.used) + len(left_out)
+    listed = "; ".join(f"{name} ({reason})" for name, reason in named[:_NAMED])
+    more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    return [
+        Finding(
+            severity="warning" if len(named) > 0.1 * total else "info",
+            code="poses-left-out",
+            message=f"{len(named)} of {total} poses left out: {listed}{more}.",
+            consequence="The rest is used.",
+            cure="Let go of the sensor before a pose counts, and let it lie still for some seconds.",
+        )
+    ]
+
+
+def _held(evidence: PoseEvidence) -> tuple[str, ...]:
+    """Return the YAML paths of scalars that an assumption holds, not the poses."""
+    names = [*element_names("imu0.accelerometer.sensitivity", (3, 3)), *element_names("imu0.accelerometer.bias", (3,))]
+    held = evidence.fit.held_by_prior[:12].copy()
+    if evidence.stated is None and evidence.attitudes < _DETERMINED:
+        held[[3, 6, 7]] |= not evidence.known.knows("imu0.accelerometer.sensitivity")
+    found = [name for name, flag in zip(names, held, strict=True) if flag]
+    gyroscope = evidence.gyroscope
+    if gyroscope is not None and gyroscope.sensitivity is not None and gyroscope.assumed:
+        found += element_names("imu0.gyroscope.sensitivity", (3, 3))
+    return tuple(found)
+
+
+def _convergence(evidence: PoseEvidence) -> list[Finding]:
+    if evidence.fit.converged:
+        return []
+    return [
+        Finding(
+            severity="problem",
+            code="not-converged",
+            message=f"The fit did not settle within {evidence.fit.iterations} steps.",
+            consequence="Its parameters are not a minimum.",
+            cure="Record again with more attitudes.",
+        )
+    ]
+
+
+def _iteration_finding(fit: AngrisanoFit) -> Finding:
+    """Say how document C's iteration ended."""
+    angles, bias, scale = fit.group_sigma
+    if fit.converged:
+        return Finding(
+            severity="good",
+            code="iteration",
+            message=f"The iteration of document C met its stop rule after {fit.iterations} steps; sigma of angles "
+            f"{1e3 * angles:.2g} mrad, biases {bias:.2g}, scale factors {scale:.2g} (rms of each group).",
+        )
+    ends = {
+        "mirrored": "an axis reversed; its sign was mended",
+        "wrong": f"a wrong minimum, which leaves {fit.residual_rms:.2g} m/s^2 unexplained in each pose",
+        "diverged": "nowhere: the equations became singular",
+        "not finished": "nowhere: the allowed number of steps is used up",
+    }
+    mended = fit.status == "mirrored"
+    return Finding(
+        severity="warning" if mended else "problem",
+        code="wrong-minimum",
+        message=f"The iteration of document C ended after {fit.iterations} steps at {ends[fit.status]}.",
+        consequence="" if mended else "Its parameters are no calibration (document C, Table 2 and Fig. 6).",
+        cure="Check --bits and --full-scale, or use the default preset, which needs no start.",
+    )

@@ -1,0 +1,78 @@
+"""What verdicts on calibrations from known magnitudes have in common: accelerometer poses, turntable, magnetometer."""
+
+import numpy as np
+
+from ..estimate.triad import TriadFit
+from ..estimate.triad_poses import S_
+from ..findings import Finding, Severity
+from ..recording import Floats
+
+_BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
+_SCATTER_WARN = 2e-3  # of the magnitude
+_FEW_REDUNDANT = 3
+
+
+def graded(value: float, warn: float, fail: float) -> Severity:
+    """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
+    return "problem" if not value <= fail else "warning" if value > warn else "good"
+
+
+def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
+    """Return the sigmas of the sensitivity's entries relative to its rows, (3, 3).
+
+    Where the common scale of all axes is unknown they are those at a given common scale, which is the cube root of the
+    determinant.
+
+    Parameters
+    ----------
+    fit : of one triad
+    covariance : (9, 9) of the sensitivity, where it is not that of the fit
+    """
+    given = fit.covariance[S_, S_] if covariance is None else covariance
+    if not fit.scale_known:
+        by_scale = np.linalg.inv(fit.sensitivity).T.ravel() / 3  # d log det^(1/3)
+        common = given @ by_scale
+        given = given - np.outer(common, common) / float(by_scale @ common)
+    sigma = np.sqrt(np.maximum(np.diag(given), 0.0)).reshape(3, 3)
+    return np.asarray(sigma / np.linalg.norm(fit.sensitivity, axis=1)[:, None], dtype=np.float64)
+
+
+def redundancy_findings(fit: TriadFit) -> list[Finding]:
+    """Say that there are hardly more poses than unknowns; nothing else shows errors."""
+    if fit.degrees_of_freedom >= _FEW_REDUNDANT:
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="few-redundant",
+            message=f"{int(fit.equations[fit.used].sum())} equations for {int(fit.free.sum())} unknowns leave "
+            f"{max(fit.degrees_of_freedom, 0):.0f} to show errors by.",
+            consequence="A pose that was touched bends the result and shows nowhere.",
+            cure="Record twice as many poses as there are unknowns.",
+        )
+    ]
+
+
+def scatter_findings(fit: TriadFit, noise_sigma: float, magnitude: float, unit: str) -> list[Finding]:
+    """Say that the residuals are larger than the noise at rest, and what that means.
+
+    Parameters
+    ----------
+    fit : of one triad
+    noise_sigma : typical sigma of a mean by the noise at rest [SI]
+    magnitude : typical magnitude [SI]
+    unit : of both
+    """
+    if not noise_sigma > 0 or fit.extra_sigma <= _BEYOND_NOISE * noise_sigma:
+        return []
+    return [
+        Finding(
+            severity="warning" if fit.extra_sigma > _SCATTER_WARN * magnitude else "info",
+            code="beyond-noise",
+            message=f"From pose to pose the measurements scatter by {fit.extra_sigma:.2g} {unit}, "
+            f"{fit.extra_sigma / noise_sigma:.0f} times the noise within a pose.",
+            consequence="All sigmas contain it.",
+            cure="The sensor moved in its poses, its bias wandered, or its response is not linear: let it warm up, and "
+            "let it lie on something.",
+        )
+    ]

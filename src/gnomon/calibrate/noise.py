@@ -1,0 +1,270 @@
+"""The noise of an IMU from a long recording at rest: Allan variance, fit, verdict.
+
+samples, block by block -> Allan sums and windows -> was it still? -> fit of every axis -> assess -> NoiseResult
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
+from math import nan, sqrt
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from .._version import __version__
+from ..assess.imu_tables import envelope
+from ..assess.noise_checks import check_length, check_samples, check_still
+from ..assess.noise_verdict import assess_noise
+from ..assess.verdict import verdict_of, worst_first
+from ..calibration import Provenance
+from ..detect.noise import averaging_time
+from ..detect.rest import RestTable, RestWatch
+from ..errors import RecordingError
+from ..estimate.allan import AllanSums, AllanVariance
+from ..estimate.allan_fit import AllanFit, AxisFit
+from ..estimate.allan_model import KINDS
+from ..findings import Finding
+from ..options import NoiseOptions
+from ..readers.files import file_source
+from ..readers.folder import recording_files
+from ..readers.recognise import gyroscope_unit
+from ..readers.sample_stream import SampleStream
+from ..readers.stream import open_stream, stream_of
+from ..recording import Floats, Recording, Source, TriadSamples
+from ..sensor_noise import SENSOR_UNITS, AllanTable, AxisNoise, Coefficient, NoiseResult, SensorNoise, TriadNoise
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
+
+Progress = Callable[[str], None]
+
+_FACTORS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
+_BLOCK_BYTES = 4 << 20
+_FILTERED_S = 0.5  # shorter averaging times may show the sensor's filter or vibration instead of its noise
+_T_INIT_S = (1.0, 225.0)  # averaging times of Fig. 3.2 of document A
+
+
+def identify_noise(
+    recording: Recording | str | Path | Sequence[str | Path],
+    options: NoiseOptions | None = None,
+    progress: Progress | None = None,
+    *,
+    columns: str | None = None,
+    rate_hz: float | None = None,
+    units: str | Units | None = None,
+) -> NoiseResult:
+    """Identify the noise of an IMU from a recording of some hours in which it was not touched.
+
+    Files are read block by block: the recording need not fit into memory.
+
+    Parameters
+    ----------
+    recording : a recording, or the path of one, or two paths (accelerometer, gyroscope)
+    options : see NoiseOptions
+    progress : called with a sentence at each step
+    columns, rate_hz, units : of files, as for `gnomon.read`
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, is too short, was moved, or is in counts of unknown size.
+    OptionError
+        If an option does not fit the recording.
+    """
+    options = options or NoiseOptions()
+    tell = progress or (lambda _: None)
+    stream, sources = _opened(recording, columns, rate_hz, Units.parse(units) if isinstance(units, str) else units)
+    tell("reading the recording")
+    with threadpool_limits(1, user_api="blas"):  # the axes are worked on side by side already
+        triads = _summed(stream, options)
+        curves = {name: triad.sums.variance(triad.table.rate_hz) for name, triad in triads.items()}
+    findings: list[Finding] = [note for triad in triads.values() for note in triad.notes]
+    for name, triad in triads.items():
+        check_length(triad.table, name)
+        findings += check_still(triad.table, name)
+        findings += check_samples(triad.table, triad.step, name)
+    tell("fitting the Allan variance")
+    fits = _fitted(curves)
+    noise = {name: _triad_noise(curve, fits[name]) for name, curve in curves.items()}
+    t_init_s = _t_init(curves["gyroscope"]) if "gyroscope" in curves else nan
+    findings += assess_noise(noise, t_init_s)
+    ordered = worst_first(findings)
+    stated = {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
+    return NoiseResult(
+        noise=SensorNoise(
+            accelerometer=noise.get("accelerometer"),
+            gyroscope=noise.get("gyroscope"),
+            t_init_s=t_init_s,
+            verdict=verdict_of(ordered),
+            findings=ordered,
+            provenance=Provenance(gnomon_version=__version__, method="noise", inputs=sources, options=stated),
+        ),
+        curves={name: _table(curve, noise[name], fits[name]) for name, curve in curves.items()},
+        signals={
+            name: envelope(triad.table.t_s, triad.table.mean, SENSOR_UNITS[name]) for name, triad in triads.items()
+        },
+        topic=options.topic,
+    )
+
+
+def _opened(
+    recording: Recording | str | Path | Sequence[str | Path],
+    columns: str | None,
+    rate_hz: float | None,
+    units: Units | None,
+) -> tuple[SampleStream, tuple[Source, ...]]:
+    if isinstance(recording, Recording):
+        return stream_of(next(iter(recording.imus.values())), 1 << 18), recording.sources
+    paths = (recording,) if isinstance(recording, str | Path) else tuple(recording)
+    stream = open_stream(
+        *paths,
+        expected=Units(),
+        units=units,
+        columns=columns,
+        rate_hz=rate_hz,
+        triads=tuple(SENSOR_UNITS),
+        block_bytes=_BLOCK_BYTES,
+    )
+    return stream, tuple(map(file_source, recording_files(paths)))
+
+
+class _Triad:
+    """Takes in the samples of one sensor, in SI units, between the start and the stop that were asked for."""
+
+    def __init__(self, name: str, options: NoiseOptions) -> None:
+        self.name = name
+        self.sums, self.watch = AllanSums(), RestWatch()
+        self.notes: list[Finding] = []
+        self.step = np.full(3, np.nan)
+        self._options = options
+        self._origin: int | None = None
+        self._factor = 1.0
+
+    def add(self, block: TriadSamples) -> bool:
+        """Take the next samples; return whether more are wanted."""
+        if not len(block):
+            return True
+        if self._origin is None:
+            self._origin = int(block.t_ns[0])
+            self._factor = self._unit(block)
+            self.step = _smallest_steps(block.values) * self._factor
+        t_s = (block.t_ns - self._origin) * 1e-9
+        stop_s = np.inf if self._options.stop_s is None else self._options.stop_s
+        kept = slice(*np.searchsorted(t_s, [self._options.start_s, stop_s]).tolist())
+        values = block.values[kept] * self._factor
+        self.watch.add(TriadSamples(t_ns=block.t_ns[kept], values=values, unit=SENSOR_UNITS[self.name]))
+        if self.watch.backward is not None:
+            raise RecordingError(
+                f"{self.name}: the stamps go backwards at sample {self.watch.backward}, so that the order of the "
+                "samples is not known. Sort them by their stamps, or cut the recording where the clock was set anew."
+            )
+        self.sums.add(values)
+        return bool(t_s[-1] < stop_s)
+
+    def _unit(self, block: TriadSamples) -> float:
+        """Return what the unit of the samples is in SI."""
+        unit, why = block.unit, ""
+        if self.name == "gyroscope" and unit == "count":
+            found = gyroscope_unit(block.values, block.t_ns, None)
+            unit, why = found.unit, f" ({found.reason}); state --units if that is wrong"
+        factor = _FACTORS[self.name][unit]
+        if factor is None:
+            raise RecordingError(
+                f"the {self.name} is in raw counts, but its noise is wanted in {SENSOR_UNITS[self.name]}. If it is in "
+                'another unit, state it, for example --units "g deg/s". If these are counts, calibrate the IMU first '
+                "(gnomon imu) and convert the samples with that (gnomon apply)."
+            )
+        self.notes.append(Finding(severity="info", code="assumed", message=f"{self.name} in {unit}{why}."))
+        return factor
+
+    @property
+    def table(self) -> RestTable:
+        """What the recording looks like."""
+        return self.watch.table()
+
+
+def _summed(stream: SampleStream, options: NoiseOptions) -> dict[str, _Triad]:
+    """Take in the blocks of all sensors by turns, so that none has to wait in memory for the other."""
+    blocks = {name: found for name in SENSOR_UNITS if (found := getattr(stream, name)) is not None}
+    triads = {name: _Triad(name, options) for name in blocks}
+    waiting: dict[str, Iterator[TriadSamples]] = dict(blocks)
+    while waiting:
+        for name, iterator in tuple(waiting.items()):
+            block = next(iterator, None)
+            if block is None or not triads[name].add(block):
+                del waiting[name]
+    if not any(triad.watch.samples for triad in triads.values()):
+        raise RecordingError(
+            f"no samples are left from {options.start_s:g} s on. State a smaller --start-s."
+            if options.start_s > 0
+            else "there are no samples in this recording. Was it copied completely?"
+        )
+    return {name: triad for name, triad in triads.items() if triad.watch.samples}
+
+
+def _smallest_steps(values: Floats) -> Floats:
+    """Return the smallest change of each axis from sample to sample, (3,); nan where it never changes."""
+    steps = np.abs(np.diff(values[:65_536], axis=0))
+    return np.array([axis[axis > 0].min(initial=np.inf) if axis.any() else np.nan for axis in steps.T])
+
+
+def _fitted(curves: dict[str, AllanVariance]) -> dict[str, tuple[AxisFit, ...]]:
+    """Fit every axis; sensors with as many samples share the covariance of the estimates."""
+    known: dict[int, AllanFit] = {}
+    fits: dict[str, tuple[AxisFit, ...]] = {}
+    for name, curve in curves.items():
+        if curve.samples not in known:
+            known[curve.samples] = AllanFit.of(curve.factors, curve.samples)
+        fit = known[curve.samples]
+        slopes = curve.slope / curve.rate_hz
+        optional = int(np.count_nonzero(curve.tau_s < _FILTERED_S))
+        fits[name] = tuple(fit.fit(curve.straight[:, i], float(slopes[i]), optional) for i in range(3))
+    return fits
+
+
+def _triad_noise(curve: AllanVariance, fits: tuple[AxisFit, ...]) -> TriadNoise:
+    x, y, z = (_axis_noise(fit, curve) for fit in fits)
+    tau_s = curve.tau_s
+    return TriadNoise(
+        rate_hz=curve.rate_hz, samples=curve.samples, tau_s=(float(tau_s[0]), float(tau_s[-1])), axes=(x, y, z)
+    )
+
+
+_POWERS = dict(zip(KINDS, (-1.0, -0.5, 0.0, 0.5), strict=True))
+"""A coefficient is the square root of theta, times this power of the rate."""
+
+
+def _axis_noise(fit: AxisFit, curve: AllanVariance) -> AxisNoise:
+    """Return the coefficients of one axis from a fit for a sample period of one."""
+    rate_hz = curve.rate_hz
+    found: dict[str, Coefficient] = {}
+    for i, kind in enumerate(KINDS):
+        scale = rate_hz ** _POWERS[kind]
+        if fit.theta[i] > 0:
+            value = sqrt(fit.theta[i])
+            found[kind] = Coefficient(value=scale * value, sigma=scale * float(fit.sigma[i]) / (2 * value))
+        else:
+            found[kind] = Coefficient(value=0.0, bound=scale * sqrt(fit.bound[i]))
+    slope, sigma = abs(fit.slope) * rate_hz, fit.slope_sigma * rate_hz
+    ramp = Coefficient(value=slope, sigma=sigma) if fit.ramp else Coefficient(value=0.0, bound=slope + 2 * sigma)
+    return AxisNoise(**found, rate_ramp=ramp, fitted_from_s=float(curve.tau_s[fit.first]), misfit=fit.misfit / 2)
+
+
+def _table(curve: AllanVariance, noise: TriadNoise, fits: tuple[AxisFit, ...]) -> AllanTable:
+    """Return the curve with intervals from the chi-squared law of as many degrees of freedom as its estimates have."""
+    from scipy.stats import chi2
+
+    deviation = np.sqrt(curve.variance)
+    freedom = 2 / np.stack([fit.scatter for fit in fits], axis=1) ** 2
+    return AllanTable(
+        tau_s=curve.tau_s,
+        deviation=deviation,
+        lower=deviation * np.sqrt(freedom / chi2.ppf(0.975, freedom)),
+        upper=deviation * np.sqrt(freedom / chi2.ppf(0.025, freedom)),
+        fitted=np.stack([axis.deviation(curve.tau_s) for axis in noise.axes], axis=1),
+    )
+
+
+def _t_init(curve: AllanVariance) -> float:
+    """Return how long a gyroscope should rest before a calibration by hand (document A, Eq. 3.17, Fig. 3.2) [s]."""
+    tau_s = curve.tau_s
+    used = (tau_s >= _T_INIT_S[0]) & (tau_s <= min(_T_INIT_S[1], curve.samples / curve.rate_hz / 9))
+    return averaging_time(tau_s[used], np.sqrt(curve.variance[used])) if used.any() else nan

@@ -1,0 +1,122 @@
+"""What `gnomon noise` and `gnomon simulate-noise` do."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from ..errors import OptionError
+from . import noise_command
+from .places import default_folder, result_folder
+from .results import UNUSABLE, USABLE, result_files, say_assumptions, say_files
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..sensor_noise import Coefficient, SensorNoise, TriadNoise
+
+NOISE_FILES = ("noise.yaml", "imu.yaml", "allan.csv", "report.html")
+"""The files of a result."""
+
+_LEGEND = """\
+N white noise, B bias instability (floor of the curve: 0.664 B), K random walk,
+Q quantisation, R rate ramp; +- standard deviation, < upper bound"""
+_VERDICTS = {
+    "pass": ("usable", "bold green"),
+    "warn": ("usable, with reservations", "bold yellow"),
+    "fail": ("do not use this noise", "bold red"),
+}
+
+
+def noise(command: noise_command.Noise, terminal: Terminal) -> int:
+    """Identify the noise of an IMU, write and say it, and return the exit code."""
+    from ..calibrate.noise import identify_noise
+    from ..report.noise import write_noise_report
+    from ..writers.noise_file import noise_document, save_noise_files
+
+    source = command.recording
+    folder = command.output or default_folder(source.paths)
+    with result_folder(folder, own=NOISE_FILES) as staging:
+        result = identify_noise(
+            source.paths,
+            command.options,
+            terminal.progress,
+            columns=source.columns,
+            rate_hz=source.rate,
+            units=source.units,
+        )
+        save_noise_files(result, staging)
+        if command.report:
+            terminal.progress("drawing the report")
+            write_noise_report(result, staging / "report.html")
+    terminal.close()
+    found = result.noise
+    assumptions = [finding.message for finding in found.findings if finding.code == "assumed"]
+    code = UNUSABLE if found.verdict == "fail" else USABLE
+    say_assumptions(assumptions, terminal)
+    _say(found, terminal)
+    say_files(folder, terminal, NOISE_FILES)
+    terminal.document(
+        {
+            "verdict": found.verdict,
+            "exit_code": code,
+            "assumptions": assumptions,
+            "files": result_files(folder, NOISE_FILES),
+            "noise": noise_document(found),
+        }
+    )
+    return code
+
+
+def _say(found: "SensorNoise", terminal: Terminal) -> None:
+    from . import summary
+
+    meaning, style = _VERDICTS[found.verdict]
+    terminal.say(f"{found.verdict}: {meaning}", style)
+    for sensor, triad in found.triads.items():
+        terminal.say("\n".join(_lines(sensor, triad)))
+    terminal.say(_LEGEND, "dim")
+    if lines := list(summary.advice(found.findings)):
+        terminal.say("\n" + "\n".join(lines))
+
+
+def _lines(sensor: str, triad: "TriadNoise") -> Iterator[str]:
+    """Yield the coefficients of a sensor, a line for each kind of noise, 80 columns wide."""
+    import numpy as np
+
+    from ..sensor_noise import COEFFICIENTS, SYMBOLS, UNITS
+    from .summary import common_decimals, common_power
+
+    yield f"\n{sensor:<15}{'x':<18}{'y':<18}z"
+    for name in COEFFICIENTS:
+        found = [axis.coefficients()[name] for axis in triad.axes]
+        values = np.array([one.most for one in found])
+        sigmas = np.array([one.sigma if one.found else one.bound / 10 for one in found])
+        power = common_power(values, sigmas)
+        decimals = min(common_decimals(sigmas / 10.0**power), 4)
+        cells = "".join(_cell(one, 10.0**-power, decimals) for one in found)
+        unit = f"10^{power} {UNITS[sensor][name]}" if power else UNITS[sensor][name]
+        yield f"  {SYMBOLS[name]}  {cells}{unit}"
+
+
+def _cell(found: "Coefficient", factor: float, decimals: int) -> str:
+    if not found.found:
+        return f"< {factor * found.bound:.{decimals}f}".ljust(18)
+    return f"{factor * found.value:.{decimals}f} +- {factor * found.sigma:.{decimals}f}".ljust(18)
+
+
+def simulate_noise(command: noise_command.SimulateNoise, terminal: Terminal) -> int:
+    """Write a recording of simulated noise, say where, and return the exit code."""
+    from ..sensor_noise import SENSOR_UNITS
+    from ..simulate.noise import noise_blocks
+    from ..writers.noise_recording import save_blocks
+
+    scenario = command.scenario
+    if command.output.suffix != ".npz":
+        raise OptionError(f"{command.output}: such long recordings are written as .npz. Name the file so.")
+    sensors: dict[str, Any] = {
+        sensor: (unit, noise_blocks(scenario, sensor, command.seed)) for sensor, unit in SENSOR_UNITS.items()
+    }
+    with result_folder(command.output.parent, own=()) as staging:
+        save_blocks(staging / command.output.name, sensors, samples=scenario.samples, rate_hz=scenario.rate_hz)
+    terminal.say(f"recording    {command.output}")
+    truth = {sensor: scenario.of(sensor) for sensor in SENSOR_UNITS}
+    terminal.document({"recording": str(command.output), "samples": scenario.samples, "truth": truth})
+    return USABLE

@@ -1,0 +1,86 @@
+"""What the command that simulates poses does."""
+
+from typing import TYPE_CHECKING
+
+from .places import result_folder
+from .poses_command import SimulatePoses
+from .results import USABLE
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..recording import Floats, Poses, Recording
+    from ..simulate.poses import PoseSimulation
+
+TRUTH = "truth.yaml"
+
+
+def simulate_poses(command: SimulatePoses, terminal: Terminal) -> int:
+    """Simulate poses, write them and their truth, and return the exit code."""
+    from ..simulate import simulate_poses
+    from ..writers import save
+    from ..writers.pose_files import save_pose_files, save_poses
+    from ..writers.recording_file import save_recording
+
+    path = command.output
+    as_file = path.suffix.lower() in {".csv", ".npz"}
+    folder = path.parent if as_file else path
+    with result_folder(folder, own=()) as staging:
+        simulation = simulate_poses(command.scenario, command.seed)
+        if path.suffix.lower() == ".csv":
+            save_poses(averages(simulation), staging / path.name)
+            files = [path]
+        elif path.suffix.lower() == ".npz":
+            files = [path.with_name(file.name) for file in save_recording(joined(simulation), staging / path.name)]
+        else:
+            files = [path / file.name for file in save_pose_files(simulation.poses, staging)]
+        save(simulation.truth, staging / TRUTH)
+    terminal.say(f"poses        {path}: {len(simulation.poses)}")
+    terminal.say(f"truth        {folder / TRUTH}")
+    terminal.document({"poses": [str(file) for file in files], "truth": str(folder / TRUTH)})
+    return USABLE
+
+
+def averages(simulation: "PoseSimulation") -> "Poses":
+    """Return the means of a simulation with what a person would know of them."""
+    import numpy as np
+
+    from ..recording import Poses
+
+    count = simulation.scenario.samples
+
+    def sigma(quantity: str) -> "Floats | None":
+        """Return the sigma of the means by the scatter of the samples; None where they do not scatter."""
+        values = np.array([getattr(samples, quantity).values for samples in simulation.poses])
+        found = values.std(axis=1, ddof=1) / np.sqrt(count) if count > 1 else np.zeros((len(values), 3))
+        return found if bool((found > 0).all()) else None
+
+    return Poses(
+        name=tuple(f"pose {k + 1}" for k in range(len(simulation.poses))),
+        accelerometer=simulation.accelerometer,
+        accelerometer_unit=simulation.poses[0].accelerometer.unit,
+        gyroscope=simulation.gyroscope,
+        gyroscope_unit=simulation.poses[0].gyroscope.unit,
+        accelerometer_sigma=sigma("accelerometer"),
+        gyroscope_sigma=sigma("gyroscope"),
+        samples=np.full(len(simulation.poses), count),
+        t_s=simulation.t_s,
+        specific_force=simulation.meant if simulation.scenario.known else None,
+    )
+
+
+def joined(simulation: "PoseSimulation") -> "Recording":
+    """Return the samples of all poses as one recording, without what happened between them."""
+    import numpy as np
+
+    from ..recording import ImuSamples, Recording, TriadSamples
+
+    def triad(quantity: str) -> TriadSamples:
+        parts = [getattr(samples, quantity) for samples in simulation.poses]
+        return TriadSamples(
+            t_ns=np.concatenate([part.t_ns for part in parts]),
+            values=np.concatenate([part.values for part in parts]),
+            unit=parts[0].unit,
+        )
+
+    samples = ImuSamples(accelerometer=triad("accelerometer"), gyroscope=triad("gyroscope"))
+    return Recording(imus={"imu0": samples})

@@ -1,0 +1,197 @@
+"""What the report of an identification of noise says: the page of page.py, filled from a NoiseResult."""
+
+from math import isfinite, sqrt
+from pathlib import Path
+
+from ..output import write_whole
+from ..sensor_noise import COEFFICIENTS, SENSOR_UNITS, SYMBOLS, UNITS, Coefficient, NoiseResult, TriadNoise
+from . import noise_figures
+from .noise_figures import AXES, COLORS
+from .numbers import number, quantity, with_sigma
+from .page import Code, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
+from .provenance import provenance_section
+
+_HEADLINES = {
+    "pass": "This noise is good to use.",
+    "warn": "This noise can be used, with the reservations below.",
+    "fail": "Do not use this noise.",
+}
+_MEANING = {
+    "white_noise": "scatter of the samples; falls as they are averaged for longer",
+    "bias_instability": "1/f noise: what no averaging takes away; the floor of the curve is 0.664 B",
+    "random_walk": "how the bias wanders off",
+    "quantisation": "rounding of integrated angles or velocities; falls fastest",
+    "rate_ramp": "an even drift, mostly of the temperature",
+}
+
+
+def write_noise_report(result: NoiseResult, path: str | Path) -> None:
+    """Write the report of an identification of noise as one HTML file that needs neither network nor other files.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    write_whole(path, render(noise_page(result)))
+
+
+def noise_page(result: NoiseResult) -> Page:
+    """Return the page of an identification of noise."""
+    noise = result.noise
+    names = ", ".join(source.name for source in noise.provenance.inputs) or "recording from memory"
+    sections = [_coefficients(result), *(_curves(result, sensor) for sensor in noise.triads)]
+    return Page(
+        title="Noise of an IMU",
+        subject=names,
+        verdict=noise.verdict,
+        headline=_HEADLINES[noise.verdict],
+        key_numbers=_key_numbers(result),
+        findings=tuple(typeset(finding) for finding in noise.findings if finding.code != "assumed"),
+        sections=(*sections, _conventions(), _use(), provenance_section(noise.provenance)),
+        footer=f"Made by gnomon {noise.provenance.gnomon_version}. This file needs no network and no other file.",
+    )
+
+
+def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
+    numbers: list[KeyNumber] = []
+    for sensor, triad in result.noise.triads.items():
+        unit = _pretty(UNITS[sensor]["white_noise"])
+        walk = _pretty(UNITS[sensor]["random_walk"])
+        scatter = quantity(triad.noise_density * sqrt(triad.rate_hz), _pretty(SENSOR_UNITS[sensor]))
+        bound = "" if triad.random_walk_found else "at most "
+        numbers += [
+            KeyNumber(
+                label=f"{sensor.capitalize()} white noise",
+                value=quantity(triad.noise_density, unit),
+                note=f"root mean square of the axes; {scatter} a sample",
+            ),
+            KeyNumber(
+                label=f"{sensor.capitalize()} random walk",
+                value=f"{bound}{quantity(triad.random_walk, walk)}",
+                note="of the axes that show one" if triad.random_walk_found else "none was seen",
+            ),
+        ]
+    triad = next(iter(result.noise.triads.values()))
+    numbers.append(
+        KeyNumber(
+            label="Recording",
+            value=f"{number(triad.duration_s / 3600, 3)} h",
+            note=f"at {number(triad.rate_hz, 5)} Hz; averaging times up to {number(triad.tau_s[1], 3)} s",
+        )
+    )
+    if isfinite(result.noise.t_init_s):
+        numbers.append(
+            KeyNumber(
+                label="Initial rest",
+                value=f"{number(result.noise.t_init_s, 3)} s",
+                note="advised T_init of a calibration by hand",
+            )
+        )
+    return tuple(numbers)
+
+
+def _coefficients(result: NoiseResult) -> Section:
+    tables = tuple(_table(sensor, triad) for sensor, triad in result.noise.triads.items())
+    return Section(
+        anchor="coefficients",
+        title="Coefficients",
+        lead="Each with its standard deviation. Where the recording does not show a kind of noise, an upper bound is "
+        "given instead (about 97 %).",
+        blocks=tables,
+    )
+
+
+def _table(sensor: str, triad: TriadNoise) -> Table:
+    rows = [
+        (
+            f"{name.replace('_', ' ')} {SYMBOLS[name]}",
+            *(_text(axis.coefficients()[name]) for axis in triad.axes),
+            _pretty(UNITS[sensor][name]),
+        )
+        for name in COEFFICIENTS
+    ]
+    misfit = ("misfit of the curve", *(f"{number(100 * axis.misfit, 2)} %" for axis in triad.axes), "")
+    return Table(title=sensor.capitalize(), head=("", *AXES, "unit"), rows=(*rows, misfit), dense=True)
+
+
+def _text(found: Coefficient) -> str:
+    if not found.found:
+        return f"< {number(found.bound, 2)}"
+    value, sigma = with_sigma(found.value, found.sigma)
+    return f"{value} ± {sigma}"
+
+
+def _curves(result: NoiseResult, sensor: str) -> Section:
+    noise, curve, unit = result.noise.triads[sensor], result.curves[sensor], _pretty(SENSOR_UNITS[sensor])
+    t_init_s = result.noise.t_init_s if sensor == "gyroscope" else float("nan")
+    legend = [Legend(mark="line", color=axis, label=axis) for axis in AXES]
+    legend += [
+        Legend(mark="band", color="before", label="95 % interval"),
+        Legend(mark="dash", color="ink", label="noise that was found"),
+    ]
+    if isfinite(t_init_s):
+        legend.append(Legend(mark="dash", color="accent", label=f"advised T_init {number(t_init_s, 3)} s"))
+    kinds = [kind for kind in COEFFICIENTS if any(axis.coefficients()[kind].found for axis in noise.axes)]
+    blocks = [
+        Figure(
+            title="Allan deviation",
+            svg=noise_figures.allan(sensor, unit, curve, noise, t_init_s),
+            legend=tuple(legend),
+            caption="How far means over neighbouring stretches differ, by the length of the stretch (overlapping "
+            "estimate). Long averaging times rest on few independent stretches, hence the wide interval.",
+        ),
+        Figure(
+            title="What it is made of",
+            svg=noise_figures.parts(sensor, unit, curve, noise.axes),
+            legend=(
+                *(Legend(mark="line", color=COLORS[kind], label=kind.replace("_", " ")) for kind in kinds),
+                Legend(mark="dot", color="ink", label="observed"),
+                Legend(mark="dash", color="ink", label="all together"),
+            ),
+        ),
+    ]
+    if sensor in result.signals:
+        blocks.append(
+            Figure(
+                title="Over time",
+                svg=noise_figures.means(sensor, unit, result.signals[sensor]),
+                legend=tuple(legend[:3]),
+                caption="Means of about a second, about their median: what moved or warmed the sensor shows here.",
+            )
+        )
+    return Section(anchor=sensor, title=sensor.capitalize(), blocks=tuple(blocks))
+
+
+def _conventions() -> Section:
+    points = [f"{name.replace('_', ' ')} {SYMBOLS[name]}: {_MEANING[name]}." for name in COEFFICIENTS]
+    points += [
+        "The Allan variance is 3 Q²/τ² + N²/τ + (2 ln 2/π) B² + K² τ/3 + R² τ²/2 (IEEE 952).",
+        "Densities are of continuous time and do not depend on the sample rate. One sample scatters by N √rate, and "
+        "from one sample to the next the bias walks by K/√rate.",
+        "The fit knows how estimates at different averaging times scatter together. An even drift is taken out first.",
+        "imu.yaml has one number for three axes: the root of their mean square; of the random walk that of the axes "
+        "that show one, or of the upper bounds where none does.",
+    ]
+    prose = Prose(lines=tuple(points), points=True)
+    return Section(anchor="conventions", title="What the numbers mean", blocks=(prose,))
+
+
+def _use() -> Section:
+    return Section(
+        anchor="use",
+        title="How to use it",
+        blocks=(
+            Code(title="On the command line", text="gnomon camera-imu RECORDING --imu imu.yaml"),
+            Code(
+                title="In Python",
+                text='import gnomon\n\nnoise = gnomon.load_noise("noise.yaml")\n'
+                "noise.gyroscope.axes[0].white_noise.value  # rad/s/√Hz\n"
+                "noise.imu_noise()  # one number for three axes, as in imu.yaml",
+            ),
+        ),
+    )
+
+
+def _pretty(unit: str) -> str:
+    return unit.replace("^2", "²").replace("^3", "³").replace("sqrt(Hz)", "√Hz")

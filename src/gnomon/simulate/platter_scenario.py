@@ -1,0 +1,113 @@
+"""What a simulated webcam sees of a turning platter; `gnomon simulate-platter-video` is made from this class."""
+
+from dataclasses import dataclass
+from math import pi
+from typing import Literal
+
+from ..errors import OptionError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlatterScenario:
+    """A webcam that looks at a turning platter, as in the gyroscope experiment of document C (fig. 7)."""
+
+    rate_rad_s: float = 2 * pi * 16 / 60
+    """Rate of the platter in rad/s; negative turns the other way."""
+
+    duration_s: float = 60.0
+    """Length of the video in seconds."""
+
+    frame_rate_hz: float = 15.0
+    """Frames in a second."""
+
+    width: int = 640
+    """Pixels of a row."""
+
+    height: int = 480
+    """Rows of an image."""
+
+    exposure_s: float = 0.03
+    """For so long a frame is exposed, in seconds; the platter blurs meanwhile."""
+
+    jitter_s: float = 0.003
+    """Standard deviation of the instants of the frames about even ones, in seconds."""
+
+    stamps: Literal["true", "nominal"] = "true"
+    """true: the video states the instant of each frame. nominal: it states even ones at the nominal frame rate."""
+
+    clock_error: float = 0.0
+    """By this share the camera is faster than its nominal frame rate."""
+
+    dropped: float = 0.0
+    """Share of frames that are missing; in a video with nominal stamps nothing tells where."""
+
+    noise_grey: float = 3.0
+    """Standard deviation of a pixel's noise in grey levels."""
+
+    flicker: float = 0.01
+    """Share by which the brightness varies, by lamps and by the camera's exposure control."""
+
+    start_s: float = 0.0
+    """The platter begins to turn after so many seconds."""
+
+    spin_up_s: float = 0.0
+    """Time constant with which it reaches its speed, in seconds."""
+
+    stop_s: float | None = None
+    """After so many seconds the motor is switched off; never where it is not given."""
+
+    spin_down_s: float = 2.0
+    """Time constant with which it comes to rest, in seconds."""
+
+    wow: float = 0.001
+    """Share by which the speed swings with a period of 1.7 turns."""
+
+    drift: float = 0.0
+    """Share by which the speed rises over the video."""
+
+    flutter: float = 0.0
+    """Random walk of the phase by irregular speed, in rad after one second."""
+
+    texture: float = 1.0
+    """Contrast of the print on the label; 0 is a plain one."""
+
+    symmetry: int = 1
+    """The print looks the same after a turn by 1/symmetry."""
+
+    mark: bool = True
+    """Whether a mark is drawn on the platter."""
+
+    sensor: bool = True
+    """Whether the sensor lies on the platter."""
+
+    tilt_deg: float = 30.0
+    """Angle of the camera's axis to the platter's in degrees."""
+
+    radius: float = 0.8
+    """Radius of the platter in the image, in halves of the image's height."""
+
+    offset: tuple[float, float] = (0.0, 0.0)
+    """Where the platter's centre is seen, to the right and down from the image's, in halves of its height."""
+
+    hidden: tuple[tuple[float, float], ...] = ()
+    """From when to when a hand is before the platter, in seconds."""
+
+    background: float = 0.0
+    """How much something in the background moves; 1 is a person walking about."""
+
+    motion: Literal["turn", "swing", "blink"] = "turn"
+    """What the platter does; swing and blink are periodic, too, but have no rate."""
+
+    def __post_init__(self) -> None:
+        for name in ("duration_s", "frame_rate_hz", "width", "height", "radius"):
+            if not getattr(self, name) > 0:
+                raise OptionError(f"{name} {getattr(self, name)!r} must be positive.")
+        for name in ("exposure_s", "jitter_s", "noise_grey", "spin_up_s", "spin_down_s", "flutter", "background"):
+            if not getattr(self, name) >= 0:
+                raise OptionError(f"{name} {getattr(self, name)!r} must not be negative.")
+        if self.symmetry < 1:
+            raise OptionError(f"symmetry {self.symmetry} must be at least 1.")
+        if not 0 <= self.dropped < 1:
+            raise OptionError(f"dropped {self.dropped!r} must be at least 0 and less than 1.")
+        if not abs(self.tilt_deg) < 80:
+            raise OptionError(f"tilt_deg {self.tilt_deg!r} must be between -80 and 80.")

@@ -1,0 +1,136 @@
+"""Every command that README, tutorial and how-to show does what they say."""
+
+import contextlib
+import io
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import gnomon
+from docs_pages import DOCS, ROOT, shell_commands, text
+from gnomon.cli import main
+from gnomon.writers.kalibr_text import kalibr_yaml
+
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+RIG = shlex.split("--duration-s 10 --camera-rate-hz 5 --imu-rate-hz 100 --target-cols 3 --target-rows 3")
+"""Options of a small simulated rig."""
+SIX = shlex.split("simulate-poses -o six.npz --attitudes seven --samples 1000 --sensor drawn --units si")
+"""A static experiment."""
+DISC = shlex.split("--steady-s 8 --rest-s 2 --handling-s 2 --gyroscope-range 10 --sensor-seed 1")
+PLATTER = shlex.split("--rate-rad-s 3.4903 --duration-s 15 --width 320 --height 240")
+"""Options of a small simulated turntable at 33.33 rpm, and of a video of it."""
+
+
+def run(arguments):
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as errors:
+        code = main(arguments)
+    assert code == 0, f"gnomon {shlex.join(arguments)}: exit code {code}: {errors.getvalue()}"
+
+
+def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    commands = list(shell_commands(DOCS / "tutorial.md"))
+    alone = ["simulate", "check", "imu", "show", "apply", "convert"]
+    with_cameras = ["simulate-camera-imu", "check", "camera-imu", "show", "convert", "apply", "convert"]
+    turned = ["simulate-turntable", "simulate-platter-video", "rate", "turntable"]
+    at_rest = ["simulate-noise", "noise", "camera-imu"]
+    assert [words[0] for words in commands] == alone + with_cameras + turned + at_rest
+    for words in commands:
+        run(words)
+    for part in ("first/result", "second/result", "third/result", "third/noise"):
+        assert (tmp_path / part / "report.html").exists()
+    files = re.findall(r"^\| `([\w.-]+)` \|", text("tutorial.md"), re.MULTILINE)
+    assert {name for name in files if not (tmp_path / "second" / "result" / name).exists()} == set()
+    header = text("tutorial.md").split("```text\n")[1].split("\n")[0]
+    rows = np.loadtxt("first/recording.csv", delimiter=",", skiprows=1)
+    rows[:, 0] //= 1000
+    Path("mine.csv").write_text(header + "\n", encoding="utf-8")
+    with Path("mine.csv").open("a", encoding="utf-8") as file:
+        np.savetxt(file, rows, fmt="%d", delimiter=",")
+    assert gnomon.read("mine.csv").imus["imu0"].gyroscope.rate_hz == pytest.approx(100)
+
+
+def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, seed in (("log.csv", 1), ("flight.csv", 2)):
+        run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
+    run(["simulate-camera-imu", "-o", "rig", "--images", *RIG])
+    run(["convert", "rig", "--to", "ros1", "-o", "rig.bag"])
+    for name in ("camchain.yaml", "imu.yaml", "target.yaml"):
+        shutil.copy(f"rig/{name}", name)
+    make_single_sensors()
+    page = ROOT / "README.md"
+    commands = list(shell_commands(page))
+    alone, calibrated = ["check", "imu", "show", "apply", "convert"], ["camera-imu", "show", "camera-imu", "camera-imu"]
+    with_cameras = ["camera-imu", "check", *calibrated, "convert", "convert", "simulate-camera-imu"]
+    single = ["imu", "turntable", "rate", "noise", "magnetometer", "imu"]
+    assert [words[0] for words in commands] == alone + with_cameras + single
+    for words in commands:
+        once = words[:2] == ["camera-imu", "rig"] and "-o" not in words
+        run(words + ["--no-report"] * (words[0] == "camera-imu" and not once))
+    for block in PYTHON.findall(page.read_text(encoding="utf-8")):
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(compile(block, "README.md", "exec"), {})
+    for report in ("report.html", "rig-gnomon/report.html"):
+        assert (tmp_path / report).exists()
+
+
+def make_single_sensors():
+    """Make small recordings of single sensors in the working folder, by the names that the documentation uses."""
+    run(["simulate-poses", "-o", "poses.csv", "--sensor", "drawn", "--units", "g deg/s"])
+    run(["simulate-turntable", "-o", "disc", *DISC, "--rpm", "33.33"])
+    run(["simulate-platter-video", "-o", "platter.mkv", *PLATTER])
+    run(["simulate-noise", "-o", "rest.npz", "--duration-s", "2400"])
+    run(["simulate-magnetometer", "-o", "turned.npz", "--rests", "12"])
+
+
+def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    section = text("how-to.md").split("## By task: one sensor at a time")[1].split("\n## ")[0]
+    (tmp_path / "section.md").write_text(section, encoding="utf-8")
+    make_single_sensors()
+    run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
+    run(["simulate-poses", "-o", "poses", "--sensor", "drawn", "--units", "si"])
+    run(["simulate-poses", "-o", "faces", "--attitudes", "six", "--sensor", "drawn", "--units", "si"])
+    faces = sorted(Path("faces").glob("pose*.csv"))
+    for face, name in zip(faces, ("flat", "left", "right", "up", "down", "over"), strict=True):
+        shutil.copy(face, f"{name}.csv")
+    table = np.genfromtxt("poses.csv", delimiter=",", skip_header=1)
+    np.savetxt("poses.txt", table[:, 2:5])
+    run(["simulate-poses", "-o", "known.csv", "--known", "--sensor", "drawn", "--units", "si"])
+    run(["simulate-poses", "-o", "counts.csv"])
+    run(SIX)
+    for name, rpm in (("slow", "16"), ("fast", "33.33")):
+        run(["simulate-turntable", "-o", name, *DISC, "--rpm", rpm])
+        shutil.copy(f"{name}/recording.npz", f"{name}.csv")  # what a file is follows from its content
+    for copy, name in (("session.csv", "fast.csv"), ("rest.csv", "rest.npz"), ("night.csv", "rest.npz")):
+        shutil.copy(name, copy)
+    shutil.copy("turned.npz", "turned.csv")
+    shown = {"show", "rate"}
+    commands = [words for words in shell_commands(tmp_path / "section.md") if words[0] not in {"camera-imu", "study"}]
+    assert {"imu", "turntable", "noise", "magnetometer", *shown} < {words[0] for words in commands}
+    for words in commands:
+        if not words[0].startswith("simulate"):
+            run(words if words[0] in shown else [*words, "--no-report"])
+
+
+def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
+    assert len(commands) > 5
+    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
+    chain = yaml.safe_load(Path("rig/camchain.yaml").read_text(encoding="utf-8"))
+    truth = gnomon.load("rig/truth.yaml").cameras["cam0"]
+    chain["cam0"] |= {"T_cam_imu": truth.T_cam_imu, "timeshift_cam_imu": truth.time_shift_cam_imu}
+    Path("rig/camchain.yaml").write_text(kalibr_yaml(chain), encoding="utf-8")  # what --fix and --prior hold
+    run(SIX)
+    run(["imu", "six.npz", "--model", "static"])
+    Path("rest-gnomon").mkdir()
+    shutil.copy("rig/imu.yaml", "rest-gnomon/imu.yaml")
+    for number, words in enumerate(commands):
+        run([*words, "--no-report", "-o", f"result-{number}"])
