@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         ImuCalibration,
         MagnetometerCalibration,
     )
+    from .detect.platter_rate import PlatterRate
     from .diagnostics import Result
     from .findings import Finding
     from .models.camera import Camera
@@ -62,11 +63,15 @@ if TYPE_CHECKING:
     from .readers.foreign import ForeignCalibration
     from .readers.foreign_files import load_foreign
     from .readers.noise_file import load_noise
+    from .readers.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
+    from .report.noise import write_noise_report
+    from .sensor_noise import NoiseResult, SensorNoise
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers import Loss, convert, save, save_camera_imu_files
+    from .writers.noise_file import save_noise
 
 _HOMES = {
     "AccelerometerCalibration": "calibration",
@@ -111,6 +116,12 @@ _HOMES = {
     "rate_from_video": "calibrate",
     "load_noise": "readers.noise_file",
     "NoiseOptions": "options",
+    "NoiseResult": "sensor_noise",
+    "SensorNoise": "sensor_noise",
+    "PlatterRate": "detect.platter_rate",
+    "read_turntable": "readers.turntable_files",
+    "write_noise_report": "report.noise",
+    "save_noise": "writers.noise_file",
 }
 
 __all__ = [
@@ -138,14 +149,17 @@ __all__ = [
     "MagnetometerCalibration",
     "MagnetometerOptions",
     "NoiseOptions",
+    "NoiseResult",
     "OptionError",
     "OutputError",
+    "PlatterRate",
     "PoseScenario",
     "Poses",
     "Recording",
     "RecordingError",
     "Result",
     "Scenario",
+    "SensorNoise",
     "SolveError",
     "StatedRate",
     "Target",
@@ -167,13 +181,16 @@ __all__ = [
     "rate_from_video",
     "read",
     "read_camera_imu",
+    "read_turntable",
     "save",
     "save_camera_imu_files",
+    "save_noise",
     "simulate",
     "simulate_camera_imu",
     "simulate_magnetometer",
     "simulate_poses",
     "simulate_turntable",
+    "write_noise_report",
     "write_report",
 ]
 

@@ -113,7 +113,8 @@ def test_a_truncated_video_is_used_with_a_warning(video, tmp_path, capfd):
 
 
 def test_places_that_cannot_be_written(tmp_path, capfd):
-    for name, code, words in (("a.gif", USAGE, "found .gif"), ("nowhere/a.mkv", BAD_INPUT, "cannot be written")):
+    (tmp_path / "file").write_text("")
+    for name, code, words in (("a.gif", USAGE, "found .gif"), ("file/a.mkv", BAD_INPUT, "file")):
         assert main(["simulate-platter-video", "-o", str(tmp_path / name), *SMALL, "--duration-s", "1"]) == code
         assert words in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == []

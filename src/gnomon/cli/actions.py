@@ -11,7 +11,7 @@ from .check_actions import check
 from .command_parts import PosesInput
 from .convert_actions import convert
 from .magnetometer_actions import magnetometer, simulate_magnetometer
-from .noise_actions import noise, simulate_noise
+from .noise_actions import noise, show_noise, simulate_noise
 from .places import RESULT_FILES, default_folder, result_folder
 from .platter_actions import rate, simulate_platter_video
 from .poses_actions import simulate_poses
@@ -79,10 +79,13 @@ def _read(source: PosesInput) -> "Recording":
 def _show(command: commands.Show, terminal: Terminal) -> int:
     from ..readers import load
     from ..readers.foreign_files import is_own
+    from ..readers.noise_file import is_noise
     from ..writers.tables import form_tables, summary_table
 
     if not is_own(command.calibration):
         return _show_foreign(command, terminal)
+    if is_noise(command.calibration):
+        return show_noise(command.calibration, terminal)
     calibration = load(command.calibration)
     _say_tables((summary_table(calibration), *form_tables(calibration, command.form)), terminal)
     from . import summary

@@ -121,8 +121,8 @@ class Show:
     """Show a calibration as tables with standard deviations; files of other projects without."""
 
     calibration: CalibrationPath
-    """A calibration.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and results-imucam.txt,
-    OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
+    """A calibration.yaml, a noise.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and
+    results-imucam.txt, OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
     form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
     """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
     json: Annotated[bool, Switch] = False

@@ -1,6 +1,7 @@
 """What `gnomon noise` and `gnomon simulate-noise` do."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError
@@ -63,6 +64,17 @@ def noise(command: noise_command.Noise, terminal: Terminal) -> int:
         }
     )
     return code
+
+
+def show_noise(path: Path, terminal: Terminal) -> int:
+    """Show a noise.yaml."""
+    from ..readers.noise_file import load_noise
+    from ..writers.noise_file import noise_document
+
+    found = load_noise(path)
+    _say(found, terminal)
+    terminal.document(noise_document(found))
+    return USABLE
 
 
 def _say(found: "SensorNoise", terminal: Terminal) -> None:

@@ -4,6 +4,7 @@ from dataclasses import asdict
 from math import degrees, pi
 from typing import TYPE_CHECKING, Any
 
+from .places import result_folder
 from .platter_command import Rate, SimulatePlatterVideo
 from .results import USABLE
 from .terminal import Terminal
@@ -71,7 +72,9 @@ def simulate_platter_video(command: SimulatePlatterVideo, terminal: Terminal) ->
 
     terminal.progress("drawing the frames")
     video = simulated(command.scenario, command.seed)
-    frames = save_video(command.output, video.images(), video.t_ns, rate_hz=command.scenario.frame_rate_hz)
+    with result_folder(command.output.parent, own=()) as staging:
+        path = staging / command.output.name
+        frames = save_video(path, video.images(), video.t_ns, rate_hz=command.scenario.frame_rate_hz)
     terminal.close()
     start, stop = video.steady_s
     terminal.say(f"video         {command.output}, {frames} frames")

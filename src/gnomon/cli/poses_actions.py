@@ -34,7 +34,7 @@ def simulate_poses(command: SimulatePoses, terminal: Terminal) -> int:
         else:
             files = [path / file.name for file in save_pose_files(simulation.poses, staging)]
         save(simulation.truth, staging / TRUTH)
-    terminal.say(f"poses        {path}: {len(simulation.poses)}")
+    terminal.say(f"poses        {len(simulation.poses)} in {path}")
     terminal.say(f"truth        {folder / TRUTH}")
     terminal.document({"poses": [str(file) for file in files], "truth": str(folder / TRUTH)})
     return USABLE

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from ..models.noise import ImuNoise
     from ..recording import Recording, Source
 
-_NOISE_SCHEMA = "gnomon-noise/"
-
 
 @dataclass(frozen=True, kw_only=True)
 class PriorFiles:
@@ -82,11 +80,9 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
 def _noise(path: Path) -> "ImuNoise | None":
     """Return the noise that a file states, or None where it is no such file."""
     from ..readers.foreign_files import is_own
-    from ..readers.structured import read_text
+    from ..readers.noise_file import is_noise, load_noise
 
-    if _NOISE_SCHEMA in read_text(path)[:4000]:
-        from ..readers.noise_file import load_noise
-
+    if is_noise(path):
         return load_noise(path).imu_noise()
     if is_own(path):
         return None

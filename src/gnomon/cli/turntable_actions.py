@@ -71,7 +71,7 @@ def _read(command: Turntable, groups: Sequence[tuple[Path, ...]], terminal: Term
     for k, files in enumerate(groups):
         terminal.progress(f"reading recording {k + 1} of {len(groups)}" if len(groups) > 1 else "reading the recording")
         recordings.append(
-            read_turntable(files, columns=command.columns, rate_hz=command.sample_rate, units=command.units)
+            read_turntable(*files, columns=command.columns, rate_hz=command.sample_rate, units=command.units)
         )
     return recordings
 

@@ -1,5 +1,6 @@
 """gnomon's file of the noise of an IMU, schema "gnomon-noise/1"; written by `writers.noise_file`."""
 
+import re
 from os import PathLike
 from typing import cast
 
@@ -7,12 +8,17 @@ from ..calibration import Verdict
 from ..errors import FormatError
 from ..sensor_noise import COEFFICIENTS, UNITS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 from .calibration_file import finding_entry, provenance_entry
-from .structured import Node, read_yaml
+from .structured import Node, read_text, read_yaml
 
 NOISE_SCHEMA = "gnomon-noise/1"
 AXES = ("x", "y", "z")
 _VERDICTS = ("pass", "warn", "fail")
 _PER_SAMPLE = ("white_noise_per_sample", "random_walk_per_sample")
+
+
+def is_noise(path: str | PathLike[str]) -> bool:
+    """Return whether a file says that it is gnomon's own file of noise."""
+    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_text(path)) is not None
 
 
 def load_noise(path: str | PathLike[str]) -> SensorNoise:

@@ -45,17 +45,16 @@ def turntable_files(paths: Sequence[str | Path]) -> tuple[tuple[Path, ...], ...]
 
 
 def read_turntable(
-    files: Sequence[Path],
-    *,
+    *paths: str | Path,
     columns: str | None = None,
     rate_hz: float | None = None,
     units: str | Units | None = None,
 ) -> Recording:
-    """Read one recording; see `readers.read` for the options.
+    """Read one recording, of which the gyroscope may be alone; see `gnomon.read` for the options.
 
     Parameters
     ----------
-    files : one, or an accelerometer's and a gyroscope's, from `turntable_files`
+    paths : one file, or an accelerometer's and a gyroscope's
 
     Raises
     ------
@@ -64,6 +63,7 @@ def read_turntable(
     OptionError
         If an option does not fit the recording.
     """
+    files = [Path(path) for path in paths]
     alone = _gyroscope_alone(files[0], columns, rate_hz, units) if len(files) == 1 else None
     found = alone or read_recognising(WITH_RESTS, *files, columns=columns, rate_hz=rate_hz, units=units)
     if not any(len(imu.gyroscope) for imu in found.imus.values()):

@@ -28,7 +28,7 @@ def use_section(calibration: Calibration) -> Section:
                 title="In Python" if len(imus) == 1 else f"In Python, {name}",
                 text="import gnomon\n\n"
                 'calibration = gnomon.load("calibration.yaml")\n'
-                f'samples = gnomon.read("RECORDING").imus[{name!r}]\n'
+                f'samples = gnomon.{_reader(imu)}("RECORDING").imus[{name!r}]\n'
                 f"calibrated = calibration.imus[{name!r}].apply(samples)\n"
                 f"# {_units(imu)}, in the body frame",
             )
@@ -42,6 +42,11 @@ def use_section(calibration: Calibration) -> Section:
         lead=f"The calibration maps what the sensor reads to {listed} in the body frame.",
         blocks=tuple(blocks),
     )
+
+
+def _reader(imu: ImuCalibration) -> str:
+    alone = imu.accelerometer is None and imu.magnetometer is None
+    return "read_turntable" if alone else "read"
 
 
 def _units(imu: ImuCalibration) -> str:
