@@ -24,8 +24,9 @@ help:
 demo: install
 	@$(BIN)/gnomon demo
 
+# A process for each core; the tests of one file stay together, since they share what they prepare.
 test: dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 check: dev
 	$(BIN)/ruff check
@@ -41,6 +42,8 @@ bench: dev
 	$(BIN)/python benchmarks/imu.py
 	$(BIN)/python benchmarks/camera_imu.py
 	$(BIN)/python benchmarks/images.py --quick
+	$(BIN)/python benchmarks/noise.py --quick
+	$(BIN)/python benchmarks/platter_rate.py
 
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed

@@ -117,4 +117,4 @@ def test_places_that_cannot_be_written(tmp_path, capfd):
     for name, code, words in (("a.gif", USAGE, "found .gif"), ("file/a.mkv", BAD_INPUT, "file")):
         assert main(["simulate-platter-video", "-o", str(tmp_path / name), *SMALL, "--duration-s", "1"]) == code
         assert words in capfd.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [tmp_path / "file"]

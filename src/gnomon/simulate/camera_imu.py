@@ -36,6 +36,7 @@ from .camera_imu_rig import (
 )
 from .camera_imu_scenario import CameraImuScenario
 from .trajectory import exponential
+from .truth import changed_options
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -313,12 +314,7 @@ def _truth(
     frames: Mapping[str, CameraTruth],
 ) -> Calibration:
     names = covariance_names(imus, cameras)
-    defaults = CameraImuScenario()
-    options = {
-        option.name: str(getattr(scenario, option.name))
-        for option in fields(CameraImuScenario)
-        if getattr(scenario, option.name) != getattr(defaults, option.name)
-    }
+    options = changed_options(scenario)
     counts = {name: len(truth.exposure_s) for name, truth in frames.items()}
     return Calibration(
         imus=imus,

@@ -1,26 +1,21 @@
 """The simulation of an IMU, from the drawing of its parameters to the recorded numbers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from .._version import __version__
 from ..calibration import (
     Assessment,
     Calibration,
-    Covariance,
-    Gravity,
-    Holdout,
     ImuCalibration,
-    Provenance,
-    covariance_names,
 )
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from .scenario import Scenario
 from .sensor import Converter, converters, drawn_imu
 from .thesis import ThesisMotions, thesis_motions
 from .trajectory import Motions, hand_motions
+from .truth import true_calibration
 
 EARTH_RATE_RAD_S = 7.292115e-5
 """WGS 84."""
@@ -144,29 +139,14 @@ def _earth_rate(scenario: Scenario) -> Floats:
 
 
 def _truth(scenario: Scenario, seed: int, imu: ImuCalibration) -> Calibration:
-    imus = {"imu0": imu}
-    names = covariance_names(imus)
-    defaults = Scenario()
-    options = {
-        option.name: str(getattr(scenario, option.name))
-        for option in fields(Scenario)
-        if getattr(scenario, option.name) != getattr(defaults, option.name)
-    }
-    drawn = Calibration(
-        imus=imus,
-        frame="accel-z",
-        gravity=Gravity(value=scenario.gravity, sigma=0.0, source="simulation"),
-        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
-        assessment=Assessment(
-            verdict="pass",
-            findings=(),
-            holdout=Holdout(accelerometer_rms=float("nan")),
-            intervals_found=scenario.intervals,
-            intervals_used=scenario.intervals,
-            rotations_found=scenario.intervals - 1,
-            rotations_used=scenario.intervals - 1,
-            model="g-sensitivity" if scenario.g_sensitivity else "basic",
-        ),
-        provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
+    assessment = Assessment(
+        verdict="pass",
+        findings=(),
+        intervals_found=scenario.intervals,
+        intervals_used=scenario.intervals,
+        rotations_found=scenario.intervals - 1,
+        rotations_used=scenario.intervals - 1,
+        model="g-sensitivity" if scenario.g_sensitivity else "basic",
     )
+    drawn = true_calibration(imu, scenario, seed, frame="accel-z", gravity_m_s2=scenario.gravity, assessment=assessment)
     return drawn.in_frame("accel-x")

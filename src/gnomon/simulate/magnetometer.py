@@ -1,21 +1,16 @@
 """The simulation of a magnetometer that a hand turns over the sphere."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
-from .._version import __version__
 from ..calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
-    Covariance,
-    Gravity,
     GyroscopeCalibration,
     ImuCalibration,
     MagnetometerCalibration,
-    Provenance,
-    covariance_names,
 )
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.frames import frame_rotation
@@ -25,6 +20,7 @@ from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
 from .field_scenario import FieldScenario
 from .scenario import Scenario
 from .sensor import Converter, converters, drawn_imu
+from .truth import true_calibration
 
 _LIKE = Scenario(accelerometer_misalignment=0.005, accelerometer_scale=(0.995, 1.005), gyroscope_scale=(0.98, 1.02))
 _RATES = {"sphere": (0.83, 0.47, 0.59), "one-axis": (0.0, 0.0, 0.9), "still": (0.0, 0.0, 0.0)}
@@ -203,16 +199,12 @@ def _truth(scenario: FieldScenario, seed: int, imu: ImuCalibration) -> Calibrati
         imu = rotated(imu, frame_rotation(magnetometer.sensitivity, "accel-x"))
         magnetometer = imu.magnetometer
     kept: GyroscopeCalibration | None = gyroscope if scenario.gyroscope else None
-    imus = {"imu0": ImuCalibration(accelerometer=accelerometer, gyroscope=kept, magnetometer=magnetometer)}
-    names = covariance_names(imus)
-    options = {"field": str(scenario.field), "dip_deg": str(scenario.dip_deg)} | {
-        f.name: str(getattr(scenario, f.name)) for f in fields(scenario) if getattr(scenario, f.name) != f.default
-    }
-    return Calibration(
-        imus=imus,
+    return true_calibration(
+        ImuCalibration(accelerometer=accelerometer, gyroscope=kept, magnetometer=magnetometer),
+        scenario,
+        seed,
         frame=frame,
-        gravity=Gravity(value=STANDARD_GRAVITY_M_S2, sigma=0.0, source="simulation"),
-        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
+        gravity_m_s2=STANDARD_GRAVITY_M_S2,
         assessment=Assessment(verdict="pass", findings=(), model="full" if scenario.soft_iron else "hard-iron"),
-        provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
+        also={"field": str(scenario.field), "dip_deg": str(scenario.dip_deg)},
     )

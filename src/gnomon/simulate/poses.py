@@ -1,21 +1,16 @@
 """The simulation of a sensor at rest in many attitudes: samples of each pose, their means, and the truth."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from .._version import __version__
 from ..calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
-    Covariance,
-    Gravity,
     GyroscopeCalibration,
     ImuCalibration,
-    Provenance,
-    covariance_names,
 )
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.angrisano import AngrisanoTriad
@@ -25,6 +20,7 @@ from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from .pose_scenario import PoseScenario
 from .scenario import Scenario
 from .sensor import Converter, drawn_imu
+from .truth import true_calibration
 
 TABLE_1 = AngrisanoTriad(
     angles=np.array([-0.0135, -0.0036, 0.0005]),
@@ -180,26 +176,12 @@ def _samples(t_s: Floats, a: Floats, w: Floats, unit_a: str, unit_w: str) -> Imu
 
 
 def _truth(scenario: PoseScenario, seed: int, imu: ImuCalibration) -> Calibration:
-    imus = {"imu0": imu}
-    names = covariance_names(imus)
-    defaults = PoseScenario()
-    options = {
-        option.name: str(getattr(scenario, option.name))
-        for option in fields(PoseScenario)
-        if getattr(scenario, option.name) != getattr(defaults, option.name)
-    }
     poses = len(directions(scenario))
-    return Calibration(
-        imus=imus,
-        frame="accel-z",
-        gravity=Gravity(value=scenario.gravity, sigma=0.0, source="simulation"),
-        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
-        assessment=Assessment(
-            verdict="pass",
-            findings=(),
-            intervals_found=poses,
-            intervals_used=poses,
-            model="g-sensitivity" if any(scenario.g_sensitivity) else "basic",
-        ),
-        provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
+    assessment = Assessment(
+        verdict="pass",
+        findings=(),
+        intervals_found=poses,
+        intervals_used=poses,
+        model="g-sensitivity" if any(scenario.g_sensitivity) else "basic",
     )
+    return true_calibration(imu, scenario, seed, frame="accel-z", gravity_m_s2=scenario.gravity, assessment=assessment)

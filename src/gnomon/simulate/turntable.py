@@ -1,18 +1,13 @@
 """The simulation of a sensor on a turntable: rests, spin-up, steady turning, handling, and the truth."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .._version import __version__
 from ..calibration import (
     Assessment,
     Calibration,
-    Covariance,
-    Gravity,
     ImuCalibration,
-    Provenance,
-    covariance_names,
 )
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.frames import frame_rotation
@@ -23,6 +18,7 @@ from .pose_scenario import PoseScenario
 from .poses import directions
 from .scenario import Scenario
 from .sensor import converters, drawn_imu
+from .truth import true_calibration
 from .turntable_scenario import TurntableScenario
 
 RPM = 2 * np.pi / 60
@@ -240,25 +236,14 @@ def _truth(scenario: TurntableScenario, seed: int, imu: ImuCalibration) -> tuple
         assert turned.gyroscope is not None
         lower = replace(turned.gyroscope, sensitivity=np.tril(turned.gyroscope.sensitivity))
         known, frame = ImuCalibration(gyroscope=lower), "gyro-x"
-    imus = {"imu0": known}
-    names = covariance_names(imus)
-    defaults = TurntableScenario()
-    options = {
-        option.name: str(getattr(scenario, option.name))
-        for option in fields(TurntableScenario)
-        if getattr(scenario, option.name) != getattr(defaults, option.name)
-    }
-    return imu, Calibration(
-        imus=imus,
-        frame=frame,
-        gravity=Gravity(value=scenario.gravity, sigma=0.0, source="simulation"),
-        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
-        assessment=Assessment(
-            verdict="pass",
-            findings=(),
-            intervals_found=scenario.poses * (len(scenario.rpm) + 2),
-            intervals_used=scenario.poses * (len(scenario.rpm) + 2),
-            model="g-sensitivity" if scenario.g_sensitivity else "basic",
-        ),
-        provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
+    parts = scenario.poses * (len(scenario.rpm) + 2)
+    assessment = Assessment(
+        verdict="pass",
+        findings=(),
+        intervals_found=parts,
+        intervals_used=parts,
+        model="g-sensitivity" if scenario.g_sensitivity else "basic",
+    )
+    return imu, true_calibration(
+        known, scenario, seed, frame=frame, gravity_m_s2=scenario.gravity, assessment=assessment
     )

@@ -1,0 +1,57 @@
+"""The calibration that is exactly true of a simulated recording."""
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._version import __version__
+from ..calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance, covariance_names
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+
+def true_calibration(
+    imu: ImuCalibration,
+    scenario: "DataclassInstance",
+    seed: int,
+    *,
+    frame: str,
+    gravity_m_s2: float,
+    assessment: Assessment,
+    also: Mapping[str, str] | None = None,
+) -> Calibration:
+    """Return what is true of one IMU, with zero covariance.
+
+    Parameters
+    ----------
+    scenario : what was simulated; its options that differ from their default go into the provenance
+    also : options that go there besides
+    """
+    imus = {"imu0": imu}
+    names = covariance_names(imus)
+    return Calibration(
+        imus=imus,
+        frame=frame,
+        gravity=Gravity(value=gravity_m_s2, sigma=0.0, source="simulation"),
+        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
+        assessment=assessment,
+        provenance=Provenance(
+            gnomon_version=__version__,
+            method="simulation",
+            options={**(also or {}), **changed_options(scenario)},
+            seed=seed,
+        ),
+    )
+
+
+def changed_options(scenario: "DataclassInstance") -> dict[str, str]:
+    """Return the options of a scenario that differ from their default, as text."""
+    defaults = type(scenario)()
+    return {
+        option.name: str(getattr(scenario, option.name))
+        for option in fields(scenario)
+        if getattr(scenario, option.name) != getattr(defaults, option.name)
+    }
