@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..recording import Floats, Integers
+from .allan_products import product_sums
 
 _SHORT = 12
 """Averaging times below 2^12 samples are summed up as the samples come, longer ones from d_m of 2^12 samples."""
@@ -23,6 +24,7 @@ _HALO = 1 << _SHORT
 _CHUNK = 1 << 18
 _KEPT = 1 << 22  # values of d_m kept of each axis; of longer recordings every second, fourth, ... one
 _PIECE = 1 << 15
+_ROUNDING = 1e-7  # relative, that is let pass
 _EXACT = 0.3  # share of the squares that must remain in the differences, for single precision to suffice
 
 
@@ -55,6 +57,16 @@ class AllanVariance:
 
 def overlapping_allan(values: Floats, rate_hz: float) -> AllanVariance:
     """Return the overlapping Allan variances of samples (n, 3) for averaging times of 1, 2, 4, ... samples to n / 3."""
+    n = len(values)
+    if _CHUNK <= n <= _KEPT:
+        levels = _levels(n)
+        found = product_sums(values, levels)
+        if max(axis.rounding for axis in found) < _ROUNDING:
+            line = np.array([axis.slope for axis in found]) * 4.0 ** np.arange(levels)[:, None]
+            means = np.stack([axis.means for axis in found], axis=1)
+            totals = np.stack([axis.totals for axis in found], axis=1)
+            straight = np.maximum(means - 2 * line * totals + line**2, 0.0)
+            return _published(n, rate_hz, means, straight, line[0])
     sums = AllanSums()
     sums.add(values)
     return sums.variance(rate_hz)
@@ -102,18 +114,28 @@ class AllanSums:
 
     def variance(self, rate_hz: float) -> AllanVariance:
         """Return the variances over all samples so far, at most a third of them averaged; ends the summation."""
-        levels = int(log2(self.samples / 3)) + 1 if self.samples >= 3 else 0
-        factors = 1 << np.arange(levels, dtype=np.int64)
+        levels = _levels(self.samples)
         found = self._each(lambda axis, values: axis.finished(values, levels), self._waiting)
         squares, straight = (np.stack([one[i] for one in found], axis=1) for i in range(2))
-        return AllanVariance(
-            rate_hz=rate_hz,
-            samples=self.samples,
-            factors=factors,
-            variance=squares / (2.0 * factors**2)[:, None],
-            straight=straight / (2.0 * factors**2)[:, None],
-            slope=np.array([one[2] for one in found]) * rate_hz,
-        )
+        return _published(self.samples, rate_hz, squares, straight, np.array([one[2] for one in found]))
+
+
+def _levels(samples: int) -> int:
+    """Return the number of averaging times 1, 2, 4, ... up to a third of the samples."""
+    return int(log2(samples / 3)) + 1 if samples >= 3 else 0
+
+
+def _published(samples: int, rate_hz: float, means: Floats, straight: Floats, slope: Floats) -> AllanVariance:
+    """Return variances of mean squares (k, 3) of z_m, and of a slope (3,) [unit a sample]."""
+    factors = 1 << np.arange(len(means), dtype=np.int64)
+    return AllanVariance(
+        rate_hz=rate_hz,
+        samples=samples,
+        factors=factors,
+        variance=means / (2.0 * factors**2)[:, None],
+        straight=straight / (2.0 * factors**2)[:, None],
+        slope=slope * rate_hz,
+    )
 
 
 class _Axis:
