@@ -53,7 +53,7 @@ class TurntableOptions:
     """Parameters to estimate that are fixed otherwise, such as rate.scale."""
 
     prior: tuple[str, ...] = ()
-    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.gyroscope.bias=0.01."""
+    """What is known beforehand: a calibration.yaml, a noise.yaml, or NAME=SIGMA, such as imu0.gyroscope.bias=0.01."""
 
     accelerometer_range: float | None = None
     """Full scale of the accelerometer, in the recording's unit; samples at or beyond it are masked."""
@@ -89,6 +89,9 @@ class MagnetometerOptions:
 
     fix: tuple[str, ...] = ()
     """Parameters that keep their prior value, such as imu0.magnetometer.bias."""
+
+    free: tuple[str, ...] = ()
+    """Parameters of which a prior calibration is not asked, such as imu0.accelerometer."""
 
     prior: tuple[str, ...] = ()
     """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.magnetometer.bias=5."""

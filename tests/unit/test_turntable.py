@@ -1,8 +1,11 @@
 """The gyroscope on a turntable: steady parts, their speeds, the platter's axis, the drift, and what is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gnomon import ImuNoise
 from gnomon.calibrate.turntable import calibrate_turntable
 from gnomon.detect.saturation import saturated
 from gnomon.detect.steady import find_steady, largest_rate
@@ -116,6 +119,9 @@ def test_drift_is_followed_where_the_rests_show_it_and_nowhere_else():
     noise = np.full((54, 3), 3e-4**2)
     white = 3e-4 * rng.standard_normal((54, 3))
     assert drift_at(t, white, noise, at_rest) is None
+    stayed = drift_at(t, white, noise, at_rest, stated=1e-16)  # a walk of 4e-7 over the session: no drift to speak of
+    assert stayed is not None
+    assert np.abs(stayed[0]).max() < 1e-5
     ramp = 0.01 * (t / 1500 - 0.5)[:, None]
     drift, variance = drift_at(t, white + ramp, noise, at_rest)
     expected = ramp - ramp[at_rest].mean()
@@ -198,6 +204,44 @@ def test_a_prior_calibration_counts():
     path = "imu0.gyroscope.sensitivity"
     assert np.all(both.sigma(path).diagonal() < 0.3 * alone.sigma(path).diagonal())
     assert np.all(np.abs(both.parameter(path) - simulation.truth.parameter(path)) < 4.5 * both.sigma(path))
+
+
+def test_what_is_stated_by_name_counts_and_a_contradiction_is_named():
+    scenario = TurntableScenario(**QUICK, sensor_seed=1)
+    simulation = simulate_turntable(scenario, 2)
+    bias = simulation.truth.parameter("imu0.gyroscope.bias")
+
+    def told(**options):
+        options = TurntableOptions(gravity=9.80665, **options)
+        return calibrate_turntable(simulation.recordings, [stated(16)], options)
+
+    loose = told(prior=("imu0.gyroscope.bias=0.02",))
+    assert {"prior-used"} == codes(loose).keys() & {"prior-used", "prior-disagrees"}
+    held = told(fix=("imu0.gyroscope.bias",))
+    assert not held.calibration.parameter("imu0.gyroscope.bias").any()
+    assert not held.calibration.sigma("imu0.gyroscope.bias").any()
+    tight = told(prior=("imu0.gyroscope.bias=1e-6",))
+    assert np.abs(bias).max() > 1e-3
+    assert "imu0.gyroscope.bias" in codes(tight)["prior-disagrees"].message
+
+
+def test_a_stated_random_walk_is_reckoned_with():
+    scenario = TurntableScenario(**QUICK, sensor_seed=1)
+    simulation = simulate_turntable(scenario, 2)
+    noise = ImuNoise(
+        accelerometer_noise_density=1e-3,
+        accelerometer_random_walk=1e-4,
+        gyroscope_noise_density=1e-3,
+        gyroscope_random_walk=1e-4,
+    )
+    samples = simulation.recordings[0].imus["imu0"]
+    noted = replace(simulation.recordings[0], imus={"imu0": replace(samples, noise=noise)})
+    options = TurntableOptions(gravity=9.80665)
+    with_walk = calibrate_turntable([noted], [stated(16)], options).calibration
+    without = calibrate_turntable(simulation.recordings, [stated(16)], options).calibration
+    assert np.all(with_walk.sigma("imu0.gyroscope.bias") > 1.2 * without.sigma("imu0.gyroscope.bias"))
+    difference = with_walk.parameter("imu0.gyroscope.bias") - without.parameter("imu0.gyroscope.bias")
+    assert np.all(np.abs(difference) < 3 * with_walk.sigma("imu0.gyroscope.bias"))
 
 
 BAD = [

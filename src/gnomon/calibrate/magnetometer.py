@@ -118,7 +118,7 @@ def _known(prepared: PreparedField, options: MagnetometerOptions, prior: Priors)
     units = {"magnetometer": prepared.magnetometer.unit}
     if prepared.accelerometer is not None:
         units["accelerometer"] = prepared.accelerometer.unit
-    return known_beforehand(prior, options, units)
+    return known_beforehand(prior, options, units, free=options.free)
 
 
 def _choose_model(

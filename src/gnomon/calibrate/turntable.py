@@ -33,6 +33,7 @@ from ..findings import Finding
 from ..recording import Recording
 from ..triad_diagnostics import PeriodCurve
 from ..triad_options import StatedRate, TurntableOptions
+from ..units import GYROSCOPE_UNITS_RAD_S
 from .preparation import local_gravity, stated_options
 from .turntable_preparation import prepare_turntable
 
@@ -80,6 +81,7 @@ def calibrate_turntable(
     unknown_scale, free = RATE_SCALE in options.free, tuple(name for name in options.free if name != RATE_SCALE)
     tell("finding the steady parts")
     prepared = prepare_turntable(recordings, rates, rate_of, options)
+    prepared = replace(prepared, data=replace(prepared.data, walk=_known_walk(recordings, prepared)))
     gravity = local_gravity(options)
     known = known_beforehand(prior, options, _units(prepared), free=free, gravity=gravity)
     tell(f"fitting {len(prepared.names)} steady parts")
@@ -145,6 +147,13 @@ def _refuse_one_orientation(parts: TurntableParts) -> None:
 
 def _why(parts: TurntableParts) -> str:
     return "; ".join(f"{name} ({why})" for name, why in parts.left_out[:4]) or "none"
+
+
+def _known_walk(recordings: Sequence[Recording], parts: TurntableParts) -> float | None:
+    """Return the random walk of the gyroscope's bias [unit^2/s], where it was stated; None for counts."""
+    noise = next((imu.noise for recording in recordings for imu in recording.imus.values()), None)
+    factor = GYROSCOPE_UNITS_RAD_S[parts.gyroscope_unit]
+    return None if noise is None or factor is None else (noise.gyroscope_random_walk / factor) ** 2
 
 
 def _units(parts: TurntableParts) -> dict[str, str]:

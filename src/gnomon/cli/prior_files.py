@@ -31,10 +31,15 @@ class PriorFiles:
 
     def known_of(self, recording: "Recording") -> "Recording":
         """Return the recording with the IMU's noise, and with the files among its sources."""
-        imus = recording.imus
-        if self.noise is not None:
-            imus = {name: replace(samples, noise=self.noise) for name, samples in imus.items()}
-        return replace(recording, imus=imus, sources=(*recording.sources, *self.sources))
+        known = self.noted_in(recording)
+        return replace(known, sources=(*known.sources, *self.sources))
+
+    def noted_in(self, recording: "Recording") -> "Recording":
+        """Return the recording with the IMU's noise, where a file states it."""
+        if self.noise is None:
+            return recording
+        imus = {name: replace(samples, noise=self.noise) for name, samples in recording.imus.items()}
+        return replace(recording, imus=imus)
 
 
 def read_priors(prior: tuple[str, ...]) -> PriorFiles:

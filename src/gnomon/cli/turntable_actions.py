@@ -42,7 +42,7 @@ def turntable(command: Turntable, terminal: Terminal) -> int:
     with result_folder(folder) as staging:
         known = read_priors(command.options.prior)
         rates, rate_of, videos, noticed = _rates(command, groups, terminal)
-        recordings = _read(command, groups, terminal)
+        recordings = [known.noted_in(recording) for recording in _read(command, groups, terminal)]
         first = recordings[0]
         recordings[0] = replace(first, sources=(*first.sources, *known.sources), findings=(*first.findings, *noticed))
         assumptions = _assumptions(recordings)

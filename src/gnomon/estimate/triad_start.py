@@ -92,7 +92,7 @@ def first_fit(
     size, best = min(tried, key=_size)
     if robust and size > _EXPLAINED * _noise_size(sample, best.theta):
         for theta in subset_starts(sample, best.theta):
-            tried += _tried(sample, theta, concentrated)
+            tried += _tried(sample, np.where(sample.free, theta, best.theta), concentrated)
     return min(tried, key=_size)[1]
 
 

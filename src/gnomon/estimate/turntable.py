@@ -15,7 +15,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, Integers
 from .triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from .turntable_axis import AxisInSensor
-from .turntable_drift import drift_at
+from .turntable_drift import drift_at, shown_density
 from .turntable_parts import TurntableData
 
 Sense = Literal["clockwise", "counterclockwise"]
@@ -137,7 +137,7 @@ def fit_turntable(
     if accelerometer is None:
         poses = magnitude_poses(data, latitude_deg)
         drift = np.zeros_like(data.measured)
-        poses, fit, drift, drifts = _fit_with_drift(poses, data.t_s, unknown_scale, prior, g_sensitivity=False)
+        poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=False)
         nobody = np.zeros(len(data.t_s), dtype=bool)
         return TurntableFit(
             poses=poses,
@@ -151,7 +151,7 @@ def fit_turntable(
         )
     clockwise = senses(data, accelerometer, sense)
     poses = directed_poses(data, accelerometer, _theta(accelerometer), clockwise, latitude_deg)
-    poses, fit, drift, drifts = _fit_with_drift(poses, data.t_s, unknown_scale, prior, g_sensitivity=g_sensitivity)
+    poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=g_sensitivity)
 
     def at(theta: Floats) -> TriadPoses:
         return directed_poses(data, accelerometer, theta, clockwise, latitude_deg)
@@ -263,7 +263,7 @@ def _group_sigmas(data: TurntableData, latitude_deg: float | None, *, earth_know
 
 
 def _fit_with_drift(
-    poses: TriadPoses, t_s: Floats, unknown_scale: bool, prior: TriadPrior | None, *, g_sensitivity: bool
+    poses: TriadPoses, data: TurntableData, unknown_scale: bool, prior: TriadPrior | None, *, g_sensitivity: bool
 ) -> tuple[TriadPoses, TriadFit, Floats, bool]:
     """Fit, look whether the residuals at rest follow each other in time, and fit without that drift."""
     fit = fit_triad(poses, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale, prior=prior)
@@ -272,13 +272,14 @@ def _fit_with_drift(
     if poses.force is not None:
         residual = residual - poses.force @ fit.g_sensitivity.T
     noise = poses.variance + (poses.magnitude_sigma**2)[:, None] * np.sum(fit.sensitivity**2, axis=1)
-    found = drift_at(t_s, residual, noise, at_rest)
+    found = drift_at(data.t_s, residual, noise, at_rest, data.walk)
+    shows = found is not None and (data.walk is None or shown_density(data.t_s, residual, noise, at_rest) is not None)
     if found is None:
         return poses, fit, np.zeros_like(poses.measured), False
     drift, variance = found
     poses = replace(poses, measured=poses.measured - drift, variance=poses.variance + variance)
     fit = fit_triad(poses, g_sensitivity=g_sensitivity, unknown_scale=unknown_scale, prior=prior)
-    return poses, fit, drift, True
+    return poses, fit, drift, shows
 
 
 def _joint_covariance(

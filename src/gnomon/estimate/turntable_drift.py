@@ -9,10 +9,13 @@ from .drift import walk_density
 _SIGMAS = 3.0
 
 
-def drift_at(t_s: Floats, residual: Floats, noise: Floats, at_rest: Booleans) -> tuple[Floats, Floats] | None:
+def drift_at(
+    t_s: Floats, residual: Floats, noise: Floats, at_rest: Booleans, stated: float | None = None
+) -> tuple[Floats, Floats] | None:
     """Return drift (n, 3) [unit], of mean zero at the rests, and its variance (n, 3), or None where the bias stays.
 
-    A random walk, whose density the residuals at rest show, is predicted at all parts from the rests.
+    A random walk, whose density was stated or is shown by the residuals at rest, is predicted at all parts from the
+    rests.
 
     Parameters
     ----------
@@ -20,12 +23,10 @@ def drift_at(t_s: Floats, residual: Floats, noise: Floats, at_rest: Booleans) ->
     residual : (n, 3) measured minus bias; counts at rest alone [unit]
     noise : (n, 3) variance of each mean [unit^2]
     at_rest : (n,) bool
+    stated : density of the random walk, where it was stated [unit^2/s]
     """
-    squares = residual[at_rest] ** 2 / noise[at_rest]
-    if np.sum(squares) <= squares.size + _SIGMAS * np.sqrt(2 * squares.size):
-        return None  # noise explains what the rests differ by
-    density = walk_density(t_s, residual, at_rest)
-    if density is None:
+    density = shown_density(t_s, residual, noise, at_rest) if stated is None else np.full(3, stated)
+    if density is None or not at_rest.any():
         return None
     start = float(t_s[at_rest].min())
     t = t_s - start
@@ -43,3 +44,11 @@ def drift_at(t_s: Floats, residual: Floats, noise: Floats, at_rest: Booleans) ->
         own = density[axis] * np.abs(t) + offset
         variance[:, axis] = np.maximum(own - np.einsum("ij,ij->i", gain, walk + offset), 0.0)
     return drift, variance
+
+
+def shown_density(t_s: Floats, residual: Floats, noise: Floats, at_rest: Booleans) -> Floats | None:
+    """Return the density (3,) of the random walk that the rests show, or None where noise explains them."""
+    squares = residual[at_rest] ** 2 / noise[at_rest]
+    if np.sum(squares) <= squares.size + _SIGMAS * np.sqrt(2 * squares.size):
+        return None
+    return walk_density(t_s, residual, at_rest)

@@ -23,6 +23,7 @@ class TurntableData:
     pose : (n,) index of the attitude
     force : (n, 3) mean of the accelerometer in each part [unit]; None without accelerometer
     axes : of each attitude; empty without accelerometer
+    walk : random walk of the bias [unit^2/s], where it was stated; otherwise the rests tell whether it wanders
     """
 
     measured: Floats
@@ -35,6 +36,7 @@ class TurntableData:
     pose: Integers
     force: Floats | None
     axes: tuple[AxisInSensor, ...]
+    walk: float | None = None
 
     @property
     def rate(self) -> Floats:
