@@ -98,3 +98,14 @@ def test_an_empty_file_among_the_poses_is_named(good_table, run, tmp_path, names
     assert code == 3
     assert "4.csv" in err
     assert names(tmp_path) == before
+
+
+def test_an_npz_file_among_the_poses_is_named(run, tmp_path, names):
+    text = as_csv(np.column_stack([np.arange(50) / 50, np.full((50, 3), 5.6)]))
+    for name in ("a.csv", "c.csv"):
+        (tmp_path / name).write_text(text)
+    np.savez(tmp_path / "b.npz", x=np.zeros(3))
+    code, _, err = run("imu", *(tmp_path / name for name in ("a.csv", "b.npz", "c.csv")), "-o", tmp_path / "out")
+    assert code == 3
+    assert "b.npz: files of one pose each are read as tables of text" in err
+    assert "out" not in names(tmp_path)

@@ -57,6 +57,7 @@ def _read_poses(
     several = pose_files(paths)
     if several is not None:
         stated, notes = _stated(units, rate_hz), list[str]()
+        _refuse_npz(several)
         texts = [read_text(path) for path in several]
         table, pieces, said = joined(
             [read_table(text, columns, rate_hz, stated) for text in texts], [path.name for path in several]
@@ -105,6 +106,16 @@ def read_recognising(
         sources=tuple(text.source for text in texts),
         assumptions=tuple(notes),
     )
+
+
+def _refuse_npz(files: list[Path]) -> None:
+    """Refuse NPZ files among files of one pose each."""
+    for path in files:
+        if path.is_file() and first_bytes(path).startswith(NPZ_MAGIC):
+            raise RecordingError(
+                f"{path.name}: files of one pose each are read as tables of text, and this is an NPZ file. "
+                "Give one NPZ file with all poses in it, or export each pose as CSV."
+            )
 
 
 def _read_npz(
