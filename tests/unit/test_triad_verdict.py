@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnomon.assess.triad_verdict import graded, redundancy_findings, relative_sigmas, scatter_findings
+from gnomon.assess.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
+from gnomon.assess.verdict import graded
 from gnomon.estimate.triad import fit_triad
 from gnomon.estimate.triad_poses import TriadPoses
 

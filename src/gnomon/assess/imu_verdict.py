@@ -13,7 +13,7 @@ from ..options import ImuOptions
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .imu_tables import ImuEvidence, interval_numbers
-from .verdict import SEVERITIES, gravity_findings, verdict_of, worst_first
+from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 
 _AXES = "xyz"
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
@@ -96,18 +96,13 @@ def convergence_findings(converged: bool, iterations: int | None = None) -> list
     ]
 
 
-def _graded(value: float, warn: float, fail: float) -> str:
-    """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
-    return "problem" if not value <= fail else "warning" if value > warn else "good"
-
-
 def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
     """Judge the errors on data that the fit had not seen."""
-    still = _graded(holdout.accelerometer_rms, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
-    turned = _graded(holdout.rotation_rms, _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD)
+    still = graded(holdout.accelerometer_rms, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
+    turned = graded(holdout.rotation_rms, _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD)
     return [
         Finding(
-            severity=still,  # pyright: ignore[reportArgumentType]
+            severity=still,
             code="holdout-accelerometer",
             message="Static intervals that were left out show gravity to "
             f"{1e3 * holdout.accelerometer_rms:.2f} mm/s^2 rms.",
@@ -115,7 +110,7 @@ def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
             cure="" if still == "good" else "Hold the sensor stiller, better lying on something, and check its range.",
         ),
         Finding(
-            severity=turned,  # pyright: ignore[reportArgumentType]
+            severity=turned,
             code="holdout-rotation",
             message="Rotations that were left out end within "
             f"{1e3 * holdout.rotation_rms:.2f} mrad rms of the measured gravity.",
@@ -147,11 +142,11 @@ def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Findi
     )
     findings: list[Finding] = []
     for triad, scale, angle, cure in rows:
-        grades = (_graded(scale, _SCALE_WARN, _SCALE_FAIL), _graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
+        grades = (graded(scale, _SCALE_WARN, _SCALE_FAIL), graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
         severity = min(grades, key=SEVERITIES.__getitem__)
         findings.append(
             Finding(
-                severity=severity,  # pyright: ignore[reportArgumentType]
+                severity=severity,
                 code=f"uncertainty-{triad}",
                 message=f"The {triad}'s scales are known to {100 * scale:.3f} % and its axes to {1e3 * angle:.2f} mrad "
                 "(1 sigma, worst axis).",

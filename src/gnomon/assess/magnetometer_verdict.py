@@ -11,7 +11,7 @@ from ..units import MAGNETOMETER_UNITS_UT
 from .imu_verdict import convergence_findings
 from .magnetometer_tables import FieldEvidence, Strays, strays
 from .prior_findings import prior_findings
-from .verdict import verdict_of, worst_first
+from .verdict import graded, verdict_of, worst_first
 
 _COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
 _COVER_WARN = 0.7
@@ -62,16 +62,12 @@ def assess_field(
     )
 
 
-def _graded(value: float, warn: float, fail: float) -> Severity:
-    return "problem" if not value <= fail else "warning" if value > warn else "good"
-
-
 def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:
     fit, field = evidence.fit, evidence.strength
     noise = float(np.sqrt(np.mean((fit.sigma**2 - fit.iron.extra**2)[fit.used]))) / field
     total = fit.holdout_rms / field
     unexplained = float(np.sqrt(max(total**2 - noise**2, 0.0)))
-    severity = _graded(unexplained, _UNEXPLAINED_WARN, _UNEXPLAINED_FAIL)
+    severity = graded(unexplained, _UNEXPLAINED_WARN, _UNEXPLAINED_FAIL)
     return [
         Finding(
             severity=severity,
@@ -97,7 +93,7 @@ def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
     by_axis = own.reshape(3, 3) / rows[:, None]
     scale, angle = float(np.diag(by_axis).max()), float((by_axis - np.diag(np.diag(by_axis))).max())
     offset = float((sigma[9:] / rows).max()) / evidence.strength
-    severity = _graded(max(scale, angle, offset), _SIGMA_WARN, _SIGMA_FAIL)
+    severity = graded(max(scale, angle, offset), _SIGMA_WARN, _SIGMA_FAIL)
     return [
         Finding(
             severity=severity,

@@ -13,8 +13,8 @@ from ..units import ACCELEROMETER_UNITS_M_S2
 from .imu_tables import rms
 from .pose_tables import PoseEvidence, RestingGyroscope
 from .resting_gyroscope import gyroscope_findings
-from .triad_verdict import graded, redundancy_findings, relative_sigmas, scatter_findings
-from .verdict import SEVERITIES, gravity_findings, verdict_of, worst_first
+from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
+from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 
 _AXES = "xyz"
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart

@@ -4,17 +4,12 @@ import numpy as np
 
 from ..estimate.triad import TriadFit
 from ..estimate.triad_poses import S_
-from ..findings import Finding, Severity
+from ..findings import Finding
 from ..recording import Floats
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
 _SCATTER_WARN = 2e-3  # of the magnitude
 _FEW_REDUNDANT = 3
-
-
-def graded(value: float, warn: float, fail: float) -> Severity:
-    """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
-    return "problem" if not value <= fail else "warning" if value > warn else "good"
 
 
 def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:

@@ -12,9 +12,9 @@ from ..triad_diagnostics import TriadDiagnostics
 from ..triad_options import TurntableOptions
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .imu_verdict import axis_findings, convergence_findings
-from .triad_verdict import graded, redundancy_findings, relative_sigmas
+from .triad_verdict import redundancy_findings, relative_sigmas
 from .turntable_tables import TurntableEvidence, holdout_rms
-from .verdict import SEVERITIES, gravity_findings, verdict_of, worst_first
+from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 
 _RATE_WORTH = 2e-4  # what a video gives
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, with that of the rates

@@ -1,7 +1,7 @@
 """What verdicts on calibrations of any kind have in common."""
 
 from ..calibration import Gravity, Verdict
-from ..findings import Finding
+from ..findings import Finding, Severity
 
 SEVERITIES = {"problem": 0, "warning": 1, "info": 2, "good": 3}
 """The worst first."""
@@ -11,6 +11,11 @@ def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
     """Return fail where a problem was found, warn where a warning was, else pass."""
     severities = {finding.severity for finding in findings}
     return "fail" if "problem" in severities else "warn" if "warning" in severities else "pass"
+
+
+def graded(value: float, warn: float, fail: float) -> Severity:
+    """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
+    return "problem" if not value <= fail else "warning" if value > warn else "good"
 
 
 def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:

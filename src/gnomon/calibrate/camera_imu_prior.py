@@ -65,6 +65,7 @@ def _letters(x: Floats) -> tuple[ImuParameters, Callable[[Floats], Floats]]:
     """Return the IMU of scalars x (45,), and the function that gives the 24 letters of others near it."""
 
     def imu(y: Floats) -> ImuParameters:
+        """Return the IMU of scalars (45,)."""
         accelerometer = KrebsAccelerometer.from_sensor(np.tril(y[:9].reshape(3, 3)), y[9:12])
         gyroscope = KrebsGyroscope.from_sensor(y[_S_G].reshape(3, 3), np.zeros(3), np.zeros((3, 3)))
         return ImuParameters(

@@ -23,6 +23,7 @@ def knowledge(
         return None
 
     def at(state: State) -> tuple[Floats, Floats]:
+        """Return precision (30, 30) and information (30,) of theta at a state."""
         values, jacobian = sensor_scalars(
             state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
         )

@@ -201,6 +201,7 @@ def _choose_model(
     beforehand = known.triad_prior("gyroscope", own_frame=alone)
 
     def fitted(*, g_sensitivity: bool) -> TurntableFit:
+        """Return the fit of one model."""
         return fit_turntable(
             parts.data,
             accelerometer,

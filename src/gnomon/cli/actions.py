@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import commands
@@ -21,10 +20,8 @@ from .results import (
     calibration_document,
     exit_code,
     result_document,
-    say_advice,
     say_assumptions,
-    say_files,
-    say_verdict,
+    say_result,
     write_result,
 )
 from .study_actions import study
@@ -32,7 +29,6 @@ from .terminal import Terminal
 from .turntable_actions import simulate_turntable, turntable
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
     from ..recording import Recording
     from ..writers.tables import Table
 
@@ -41,6 +37,7 @@ DEMO_RECORDING, TRUTH = "recording.npz", "truth.yaml"
 
 def _imu(command: commands.Imu, terminal: Terminal) -> int:
     from ..calibrate import calibrate_imu
+    from . import summary
 
     folder = command.output or default_folder(command.recording.paths)
     with result_folder(folder) as staging:
@@ -53,21 +50,9 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
         result = calibrate_imu(recording, options, progress=terminal.progress, prior=known.calibrations)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
-    _say_result(result.calibration, folder, terminal, parameters=True)
+    say_result(result.calibration, summary.facts(result.calibration), folder, terminal)
     terminal.document(result_document(result.calibration, folder, recording.assumptions))
     return exit_code(result.calibration)
-
-
-def _say_result(calibration: "Calibration", folder: Path, terminal: Terminal, *, parameters: bool) -> None:
-    from . import summary
-
-    say_verdict(calibration, terminal)
-    terminal.say("\n".join(summary.facts(calibration)))
-    say_advice(calibration, terminal)
-    if parameters:
-        terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
-        terminal.say("\n".join(summary.parameter_lines(calibration)))
-    say_files(folder, terminal)
 
 
 def _read(source: PosesInput) -> "Recording":
@@ -163,6 +148,7 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
     from ..simulate import simulate
     from ..writers import save
     from ..writers.recording_file import save_recording
+    from . import summary
     from .comparison import comparison_document, comparison_sentence, comparison_table
 
     with result_folder(command.output, own=(*RESULT_FILES, DEMO_RECORDING, TRUTH)) as staging:
@@ -178,7 +164,7 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
     if not command.json:
         terminal.draw(comparison_table(result.calibration, truth))
         terminal.say(comparison_sentence(result.calibration, truth))
-    _say_result(result.calibration, command.output, terminal, parameters=False)
+    say_result(result.calibration, summary.facts(result.calibration), command.output, terminal, parameters=False)
     document = result_document(result.calibration, command.output, recording.assumptions)
     terminal.document({**document, "comparison": comparison_document(result.calibration, truth)})
     return exit_code(result.calibration)

@@ -1,7 +1,6 @@
 """What the commands for a magnetometer do."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .magnetometer_command import Magnetometer, SimulateMagnetometer
@@ -11,16 +10,14 @@ from .results import (
     USABLE,
     exit_code,
     result_document,
-    say_advice,
     say_assumptions,
-    say_files,
-    say_verdict,
+    say_result,
     write_result,
 )
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..diagnostics import Result
+    pass
 
 TRUTH = "truth.yaml"
 
@@ -29,6 +26,8 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
     """Calibrate, write the folder of the result, and return the exit code."""
     from ..calibrate.magnetometer import calibrate_magnetometer
     from ..readers import read
+    from ..triad_diagnostics import TriadDiagnostics
+    from .magnetometer_summary import facts
 
     source = command.recording
     folder = command.output or default_folder(source.paths)
@@ -43,24 +42,10 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
         result = calibrate_magnetometer(recording, options, progress=terminal.progress, prior=known.calibrations)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
-    _say_result(result, folder, terminal)
+    assert isinstance(result.diagnostics, TriadDiagnostics)
+    say_result(result.calibration, facts(result.calibration, result.diagnostics), folder, terminal)
     terminal.document(result_document(result.calibration, folder, recording.assumptions))
     return exit_code(result.calibration)
-
-
-def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
-    from ..triad_diagnostics import TriadDiagnostics
-    from . import summary
-    from .magnetometer_summary import facts
-
-    diagnostics = result.diagnostics
-    assert isinstance(diagnostics, TriadDiagnostics)
-    say_verdict(result.calibration, terminal)
-    terminal.say("\n".join(facts(result.calibration, diagnostics)))
-    say_advice(result.calibration, terminal)
-    terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
-    terminal.say("\n".join(summary.parameter_lines(result.calibration)))
-    say_files(folder, terminal)
 
 
 def simulate_magnetometer(command: SimulateMagnetometer, terminal: Terminal) -> int:

@@ -1,6 +1,6 @@
 """What commands that calibrate have in common: their files, their document for programs, their exit codes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +56,21 @@ def say_advice(calibration: "Calibration", terminal: Terminal) -> None:
 
     if lines := list(summary.advice(calibration.assessment.findings)):
         terminal.say("\n" + "\n".join(lines))
+
+
+def say_result(
+    calibration: "Calibration", facts: Iterable[str], folder: Path, terminal: Terminal, *, parameters: bool = True
+) -> None:
+    """Say a result on one screen: verdict, what it rests on, advice, parameters, files."""
+    from . import summary
+
+    say_verdict(calibration, terminal)
+    terminal.say("\n".join(facts))
+    say_advice(calibration, terminal)
+    if parameters:
+        terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
+        terminal.say("\n".join(summary.parameter_lines(calibration)))
+    say_files(folder, terminal)
 
 
 def say_files(folder: Path, terminal: Terminal, names: Sequence[str] = RESULT_FILES) -> None:

@@ -1,6 +1,6 @@
 """What the commands for a gyroscope on a turntable do."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,10 +12,8 @@ from .results import (
     USABLE,
     exit_code,
     result_document,
-    say_advice,
     say_assumptions,
-    say_files,
-    say_verdict,
+    say_result,
     write_result,
 )
 from .terminal import Terminal
@@ -59,7 +57,7 @@ def turntable(command: Turntable, terminal: Terminal) -> int:
         )
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
-    _say_result(result, folder, terminal)
+    say_result(result.calibration, _facts(result), folder, terminal)
     terminal.document(result_document(result.calibration, folder, assumptions))
     return exit_code(result.calibration)
 
@@ -142,23 +140,19 @@ def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
     )
 
 
-def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
+def _facts(result: "Result") -> Iterator[str]:
+    """Yield lines on what the calibration rests on, and the speeds."""
     from ..triad_diagnostics import TriadDiagnostics
     from . import summary
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, TriadDiagnostics)
-    say_verdict(result.calibration, terminal)
-    terminal.say("\n".join(summary.facts(result.calibration)))
+    yield from summary.facts(result.calibration)
     for rate in diagnostics.rates:
         if rate.stated:
             turns = f", {rate.turns:.0f} turns seen" if rate.turns == rate.turns else ""
             speed = f"{rate.stated:.6g} +- {rate.stated_sigma:.2g} rad/s"
-            terminal.say(f"  {'speed':<18} {rate.name}: {speed} in {rate.parts} parts{turns}")
-    say_advice(result.calibration, terminal)
-    terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
-    terminal.say("\n".join(summary.parameter_lines(result.calibration)))
-    say_files(folder, terminal)
+            yield f"  {'speed':<18} {rate.name}: {speed} in {rate.parts} parts{turns}"
 
 
 def simulate_turntable(command: SimulateTurntable, terminal: Terminal) -> int:

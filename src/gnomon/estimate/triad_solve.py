@@ -65,6 +65,7 @@ def minimise(problem: TriadProblem, theta: Floats, noise: Noise, weight: Floats,
     free = problem.free
 
     def residuals(x: Floats) -> tuple[Floats, Floats]:
+        """Return weighted residuals (r,) and their derivatives (r, f) by the free parameters."""
         full = theta.copy()
         full[free] = x
         try:

@@ -84,6 +84,7 @@ def fit_accelerometer(
     attitude = np.flatnonzero(usable)
 
     def fitted(tilt: float) -> tuple[TriadPoses, TriadFit]:
+        """Return poses and fit with the platter tilted [rad]: turning, its mean is shorter than gravity."""
         turning = np.array([axis.rate > 0 for axis in axes])
         poses = TriadPoses.of(
             upright[usable],
