@@ -6,7 +6,7 @@ The sensors themselves are described in `sensors`, the names of their scalars in
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .sensors import (
     interpolate_triad,
     rotated,
 )
+from .trust import TrustNote, Verdict
 
 __all__ = [
     "AccelerometerCalibration",
@@ -37,6 +38,7 @@ __all__ = [
     "ImuCalibration",
     "MagnetometerCalibration",
     "Provenance",
+    "TrustNote",
     "Verdict",
     "covariance_names",
     "element_names",
@@ -44,8 +46,6 @@ __all__ = [
     "parameters",
     "rotated",
 ]
-
-Verdict = Literal["pass", "warn", "fail"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,6 +130,7 @@ class Assessment:
     intervals_found, intervals_used, rotations_found, rotations_used : counts, of a multi-position recording
     held_by_prior : names of parameters that the recording does not determine
     camera_imu : what a camera-IMU calibration rests on; None for an IMU alone
+    trust : where the uncertainty comes from, how parts of the recording agree, and what a use needs
     """
 
     verdict: Verdict
@@ -142,6 +143,7 @@ class Assessment:
     rotations_used: int = 0
     held_by_prior: tuple[str, ...] = ()
     camera_imu: CameraImuFit | None = None
+    trust: TrustNote = field(default_factory=TrustNote)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ import numpy as np
 from .calibration import Calibration
 from .recording import Floats, FrameQuality
 from .triad_diagnostics import TriadDiagnostics
+from .trust import Trust
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,6 +148,7 @@ class ImuDiagnostics:
     Attributes
     ----------
     noise : name -> value: "accelerometer.density" [m/s^2/sqrt(Hz)], "gyroscope.density" [rad/s/sqrt(Hz)], and the like
+    trust : what the recording tells of its own calibration's uncertainty
     """
 
     accelerometer: SignalEnvelope
@@ -157,6 +159,7 @@ class ImuDiagnostics:
     allan: AllanCurve | None
     trials: tuple[ModelTrial, ...]
     noise: dict[str, float]
+    trust: Trust | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -335,6 +338,7 @@ class CameraImuDiagnostics:
     segments : number of pieces of the trajectory
     baselines : "cam1_cam0" -> (4, 4) T_cam1_cam0
     initial_time_shift_s : "cam0" -> time shift found before the batch estimation
+    trust : what the recording tells of its own calibration's uncertainty
     """
 
     signals: dict[str, SignalFit]
@@ -353,6 +357,7 @@ class CameraImuDiagnostics:
     segments: int
     baselines: dict[str, Floats]
     initial_time_shift_s: dict[str, float]
+    trust: Trust | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 
 from .calibration import Gravity
 from .recording import Floats
+from .trust import Trust
 
 TriadKind = Literal["poses", "turntable", "magnetometer"]
 
@@ -179,6 +180,7 @@ class TriadDiagnostics:
     dip : of a magnetometer with accelerometer
     trials : models that were compared
     noise : name -> value, as in ImuDiagnostics
+    trust : what the recording tells of its own calibration's uncertainty
     """
 
     kind: TriadKind
@@ -190,3 +192,4 @@ class TriadDiagnostics:
     dip: DipTable | None = None
     trials: tuple[TriadTrial, ...] = ()
     noise: dict[str, float] = field(default_factory=dict[str, float])
+    trust: Trust | None = None
