@@ -56,6 +56,16 @@ class ClusterSums:
             information=np.tensordot(one, self.information, axes=1),
         )
 
+    def moved(self, step: Floats) -> tuple["ClusterSums", Floats]:
+        """Return the sums at other values, a step (p,) away, and by how much the cost of each stretch grows, (c,)."""
+        towards = self.information @ step
+        moved = replace(
+            self,
+            pull=self.pull - towards,
+            prior_pull=self.prior_pull - self.prior_information @ step,
+        )
+        return moved, (towards / 2 - self.pull) @ step
+
     def of_parameters(self, index: Integers) -> "ClusterSums":
         """Return the sums with only some parameters, the others held."""
         return ClusterSums(
@@ -84,6 +94,11 @@ def jackknife_covariance(sums: ClusterSums) -> Floats:
     moves, count = left_out(sums), len(sums)
     total = _inverse(sums.total)
     return (count - 1) / count * moves.T @ moves + total @ sums.prior_information @ total
+
+
+def whole_estimate(sums: ClusterSums) -> tuple[Floats, Floats]:
+    """Return the step (p,) to the minimum of all stretches and the prior, and the inverse information (p, p)."""
+    return _solved(sums.total, sums.pull.sum(axis=0) + sums.prior_pull), _inverse(sums.total)
 
 
 def part_estimates(sums: ClusterSums, part: Integers) -> tuple[Floats, Floats]:

@@ -13,6 +13,7 @@ from .camera_imu_quality import images_section
 from .numbers import MISSING, number, with_sigma
 from .page import Code, KeyNumber, Page, Prose, Section, typeset
 from .provenance import provenance_section
+from .trust_section import trust_section
 from .wording import FRAMES, HEADLINES, gravity_text, matrix_text
 
 _MODELS = {
@@ -30,6 +31,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
     parts = (
         sections.cameras_section(calibration, diagnostics),
         sections.imu_section(calibration),
+        trust_section(calibration.assessment, diagnostics.trust),
         evidence.fit_section(diagnostics),
         evidence.residuals_section(diagnostics, views),
         images_section(diagnostics),

@@ -10,6 +10,7 @@ from .imu_parameters import parameter_groups
 from .numbers import number, quantity
 from .page import KeyNumber, Page, Parameters, Prose, Section, typeset
 from .provenance import provenance_section
+from .trust_section import trust_section
 from .usage import use_section
 from .wording import FRAMES, HEADLINES, gravity_text
 
@@ -25,6 +26,7 @@ def imu_page(calibration: Calibration, diagnostics: ImuDiagnostics) -> Page:
     names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     sections = (
         _parameters(calibration),
+        trust_section(calibration.assessment, diagnostics.trust),
         imu_sections.recording_section(diagnostics),
         imu_sections.rest_section(diagnostics),
         imu_sections.attitudes_section(diagnostics.intervals),

@@ -11,6 +11,7 @@ from .magnitude_units import shown
 from .numbers import fixed, number, quantity
 from .page import KeyNumber, Page, Parameters, Prose, Section, typeset
 from .provenance import provenance_section
+from .trust_section import trust_section
 from .usage import use_section
 from .wording import FRAMES, HEADLINES, gravity_text
 
@@ -28,6 +29,7 @@ def triad_page(calibration: Calibration, diagnostics: TriadDiagnostics) -> Page:
     names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     sections = (
         _parameters(calibration),
+        trust_section(calibration.assessment, diagnostics.trust),
         triad_sections.rates_section(diagnostics),
         triad_sections.directions_section(diagnostics),
         *(

@@ -1,0 +1,171 @@
+"""The section that says how far a calibration can be trusted, the same for every kind of calibration."""
+
+from math import isfinite
+
+import numpy as np
+
+from ..calibration import Assessment
+from ..trust import ModelStep, Need, Splits, Trust, WeakDirection
+from .numbers import MISSING, number
+from .page import Block, Figure, Legend, Prose, Section, Table
+from .trust_figure import agreement
+
+_OPEN = 2.0
+"""Sigmas that are larger than the ordinary ones by more than this say that the model is incomplete."""
+
+_SHOWN = 3
+"""Blocks that one model step is said to have moved."""
+
+_VERDICTS = {"pass": "enough", "warn": "not quite", "fail": "not enough"}
+
+
+def trust_section(assessment: Assessment, trust: Trust | None) -> Section | None:
+    """Return what the recording tells of its own calibration; None without anything."""
+    blocks: list[Block] = []
+    note = assessment.trust
+    if note.needs:
+        blocks.append(_needs(note.use, note.needs))
+    if trust is not None:
+        blocks.append(_origin(trust))
+        if trust.splits is not None:
+            blocks += _splits(trust.splits)
+        if trust.models:
+            blocks.append(_models(trust.models))
+        if trust.weak:
+            blocks.append(_weak(trust.weak))
+    if not blocks:
+        return None
+    return Section(
+        anchor="trust",
+        title="Can it be trusted?",
+        lead="What the recording tells of its own calibration: whether it is good enough for its use, how the standard "
+        "deviations were found, and whether parts of the recording, each calibrated for itself, agree within them.",
+        blocks=tuple(blocks),
+    )
+
+
+def _needs(use: str, needs: tuple[Need, ...]) -> Table:
+    rows = tuple(
+        (
+            need.block,
+            f"{number(need.sigma, 2)}\u00a0{need.unit}".strip(),
+            f"{number(need.needed, 2)}\u00a0{need.unit}".strip(),
+            _VERDICTS[need.verdict],
+            need.cure,
+        )
+        for need in needs
+    )
+    return Table(
+        title=f"What {use} needs" if use else "What is needed",
+        head=("", "σ of this calibration", "needed", "", "what to do"),
+        rows=rows,
+        faint=frozenset(i for i, need in enumerate(needs) if need.verdict == "pass"),
+        prose=True,
+    )
+
+
+def _origin(trust: Trust) -> Prose:
+    """Say where the standard deviations come from."""
+    if trust.clusters is None:
+        return Prose(lines=("The standard deviations hold if all errors are independent of each other.",))
+    clusters = trust.clusters
+    text = (
+        f"The standard deviations come from leaving out each of {clusters.count} clusters of "
+        f"{number(clusters.length_s, 3)}\u00a0s in turn (cluster-robust, CR3), so that errors which last for seconds "
+        "count as what they are."
+    )
+    known = [ratio for ratio in trust.ratios if isfinite(ratio.ratio)]
+    if not known:
+        return Prose(lines=(text,))
+    usual = float(np.median([ratio.ratio for ratio in known]))
+    text += f" They are {number(usual, 2)} times those for independent errors (median of the blocks)"
+    wide = sorted((r for r in known if r.ratio > _OPEN), key=lambda r: -r.ratio)[:_SHOWN]
+    if not wide:
+        return Prose(lines=(f"{text}: the model explains the recording.",))
+    names = ", ".join(f"{ratio.block} ({number(ratio.ratio, 2)} times)" for ratio in wide)
+    return Prose(lines=(f"{text}. Most: {names}. There the model lacks something that the recording shows.",))
+
+
+def _splits(splits: Splits) -> list[Block]:
+    cut = " and ".join(splits.splits)
+    rows = tuple(
+        (
+            block.block,
+            str(block.comparisons),
+            number(block.z_rms, 2, trim=False),
+            number(block.z_rms_ordinary, 2, trim=False),
+            f"{number(block.largest, 2, trim=False)} {block.where}".strip(),
+        )
+        for block in splits.blocks
+    )
+    pooled = ("all together", str(sum(b.comparisons for b in splits.blocks)))
+    pooled += (number(splits.z_rms, 2, trim=False), number(splits.z_rms_ordinary, 2, trim=False))
+    pooled += (f"limit {number(splits.limit, 2)}" if isfinite(splits.limit) else MISSING,)
+    return [
+        Figure(
+            title="Do parts of the recording agree?",
+            svg=agreement(splits),
+            legend=(
+                Legend(mark="dot", color="after", label="published σ"),
+                Legend(mark="ring", color="before", label="σ for independent errors"),
+                Legend(mark="dash", color="accent", label="as expected"),
+            ),
+            caption=f"The recording was cut into {cut}, each part calibrated for itself. z is the difference of two "
+            "parts over its standard deviation; its rms is 1 where the standard deviations are right.",
+        ),
+        Table(
+            title=f"Differences of {cut} over their standard deviation",
+            head=("", "differences", "z rms", "z rms, independent errors", "largest |z|"),
+            rows=(*rows, pooled),
+            marked=len(rows),
+            caption="The limit is what right standard deviations exceed in one of a hundred recordings. Errors that "
+            "all parts share, as those of a wrong lens, do not show here.",
+        ),
+    ]
+
+
+def _models(models: tuple[ModelStep, ...]) -> Table:
+    rows = tuple(
+        (
+            step.name,
+            str(step.parameters),
+            f"{number(step.gain, 4)} ± {number(step.gain_sigma, 2)}" if isfinite(step.gain) else MISSING,
+            number(step.needed, 3),
+            _decision(step),
+            "; ".join(
+                f"{change.block} {number(change.change, 2)}\u00a0{change.unit} ({number(change.sigmas, 2)} σ)"
+                for change in step.changes[:_SHOWN]
+            )
+            or MISSING,
+        )
+        for step in models
+    )
+    return Table(
+        title="What the model holds, by evidence",
+        head=("block", "parameters", "gain on unseen data", "needed", "in the model", "what it moves most"),
+        rows=rows,
+        faint=frozenset(i for i, step in enumerate(models) if not step.used),
+        caption="Each block is judged by the log-likelihood of clusters of time that were left out of the estimate, "
+        "beyond the model of the blocks used before it. What is needed grows with the number of blocks tried.",
+    )
+
+
+def _decision(step: ModelStep) -> str:
+    return ("yes" if step.used else "no") + (", as stated" if step.forced else "")
+
+
+def _weak(weak: tuple[WeakDirection, ...]) -> Table:
+    return Table(
+        title="What the recording hardly determines",
+        head=("", "determined", "held by", "what to do"),
+        rows=tuple(
+            (
+                direction.words,
+                f"{number(100 * direction.determined, 2)}\u00a0%",
+                "an assumption" if direction.held else "the recording",
+                direction.cure,
+            )
+            for direction in weak
+        ),
+        prose=True,
+    )

@@ -1,0 +1,117 @@
+"""What the report says of the trust that a calibration deserves."""
+
+import re
+
+import numpy as np
+import pytest
+
+from gnomon.calibration import Assessment
+from gnomon.report.page import Figure, Prose, Table
+from gnomon.report.trust_section import trust_section
+from gnomon.trust import (
+    BlockAgreement,
+    BlockChange,
+    Clusters,
+    ModelStep,
+    Need,
+    SigmaRatio,
+    Splits,
+    Trust,
+    TrustNote,
+    WeakDirection,
+)
+
+_NEED = Need(block="rotation of cam0", sigma=0.31, needed=0.1, unit="deg", verdict="fail", cure="Turn about x.")
+_STEP = ModelStep(
+    name="lever arms",
+    parameters=6,
+    gain=412.3,
+    gain_sigma=31.0,
+    needed=88.0,
+    used=True,
+    changes=(BlockChange(block="imu0.M_a", change=5.1e-3, unit="rad", sigmas=7.2),),
+)
+
+
+def _trust() -> Trust:
+    blocks = (
+        BlockAgreement(
+            block="cam0.T_cam_imu.translation",
+            comparisons=12,
+            z_rms=1.21,
+            z_rms_ordinary=6.8,
+            largest=2.4,
+            where="[2], halves",
+        ),
+        BlockAgreement(
+            block="imu0.gyroscope.sensitivity",
+            comparisons=36,
+            z_rms=0.97,
+            z_rms_ordinary=5.1,
+            largest=2.2,
+            where="[0,1], thirds",
+        ),
+    )
+    return Trust(
+        clusters=Clusters(count=24, length_s=2.0, memory_s=0.7),
+        names=("imu0.accelerometer.bias[0]",),
+        ordinary_sigma=np.array([1e-3]),
+        sigma=np.array([4e-3]),
+        ratios=(SigmaRatio(block="imu0.accelerometer.bias", ratio=4.0), SigmaRatio(block="imu0.gyroscope", ratio=1.1)),
+        splits=Splits(splits=("halves", "thirds"), blocks=blocks, z_rms=1.04, z_rms_ordinary=5.5, limit=1.38),
+        models=(_STEP, ModelStep(name="board", parameters=425, gain=1.2, gain_sigma=3.0, needed=9.0, used=False)),
+        weak=(
+            WeakDirection(
+                shares=(("cam0.T_cam_imu.translation[2]", 0.98),),
+                determined=0.2,
+                words="The translation of cam0 along its optical axis is hardly determined.",
+                cure="Shake the rig towards the board and back.",
+                held=True,
+            ),
+        ),
+    )
+
+
+def _assessment(**note: object) -> Assessment:
+    return Assessment(verdict="pass", findings=(), model="full", trust=TrustNote(**note))  # type: ignore[arg-type]
+
+
+def test_nothing_known_makes_no_section() -> None:
+    assert trust_section(_assessment(), None) is None
+
+
+def test_all_that_is_known_is_said() -> None:
+    section = trust_section(_assessment(use="vio", needs=(_NEED,)), _trust())
+    assert section is not None
+    tables = {block.title: block for block in section.blocks if isinstance(block, Table)}
+    needs = tables["What vio needs"]
+    assert needs.rows[0][0] == "rotation of cam0"
+    assert needs.rows[0][3] == "not enough"
+    splits = next(table for title, table in tables.items() if title.startswith("Differences"))
+    assert splits.rows[-1][:4] == ("all together", "48", "1.0", "5.5")
+    models = tables["What the model holds, by evidence"]
+    assert models.rows[0][4] == "yes"
+    assert models.faint == {1}
+    prose = next(block for block in section.blocks if isinstance(block, Prose))
+    assert "24 clusters" in prose.lines[0]
+    assert "imu0.accelerometer.bias (4 times)" in prose.lines[0]
+    assert "imu0.gyroscope (" not in prose.lines[0]
+
+
+def test_the_figure_has_a_row_for_every_block_and_places_larger_z_farther_right() -> None:
+    section = trust_section(_assessment(), _trust())
+    assert section is not None
+    figure = next(block for block in section.blocks if isinstance(block, Figure))
+    assert "cam0.T_cam_imu.translation" in figure.svg
+    paths = re.findall(r'd="((?:M[\d. -]+h0)+)"', figure.svg)
+    ordinary, robust = ([float(x) for x in re.findall(r"M([\d.-]+) ", path)] for path in (paths[0], paths[-1]))
+    assert all(a > b for a, b in zip(ordinary, robust, strict=True))
+
+
+@pytest.mark.parametrize("clusters", [None, Clusters(count=24, length_s=2.0, memory_s=0.7)])
+def test_where_sigmas_come_from_is_always_said(clusters: Clusters | None) -> None:
+    trust = Trust(clusters=clusters, names=(), ordinary_sigma=np.empty(0), sigma=np.empty(0))
+    section = trust_section(_assessment(), trust)
+    assert section is not None
+    assert isinstance(section.blocks[0], Prose)
+    assert section.blocks[0].lines[0].startswith("The standard deviations")
