@@ -117,7 +117,6 @@ def _splits(splits: Splits) -> list[Block]:
             title=f"Differences of {cut} over their standard deviation",
             head=("", "differences", "z rms", "z rms, independent errors", "largest |z|"),
             rows=(*rows, pooled),
-            marked=len(rows),
             caption="The limit is what right standard deviations exceed in one of a hundred recordings. Errors that "
             "all parts share, as those of a wrong lens, do not show here.",
         ),
@@ -155,17 +154,14 @@ def _decision(step: ModelStep) -> str:
 
 
 def _weak(weak: tuple[WeakDirection, ...]) -> Table:
+    def held(direction: WeakDirection) -> str:
+        return (
+            "held by an assumption" if direction.held else f"{number(100 * direction.determined, 2)}\u00a0% determined"
+        )
+
     return Table(
         title="What the recording hardly determines",
-        head=("", "determined", "held by", "what to do"),
-        rows=tuple(
-            (
-                direction.words,
-                f"{number(100 * direction.determined, 2)}\u00a0%",
-                "an assumption" if direction.held else "the recording",
-                direction.cure,
-            )
-            for direction in weak
-        ),
+        head=("how far", "what", "what to do"),
+        rows=tuple((held(direction), direction.words, direction.cure) for direction in weak),
         prose=True,
     )
