@@ -1,11 +1,13 @@
 """What the report says of the trust that a calibration deserves."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gnomon.calibration import Assessment
+from gnomon.cli.summary import trust_facts
 from gnomon.report.page import Figure, Prose, Table
 from gnomon.report.trust_section import trust_section
 from gnomon.trust import (
@@ -20,6 +22,7 @@ from gnomon.trust import (
     TrustNote,
     WeakDirection,
 )
+from gnomon.writers.diagnostics_file import diagnostic_arrays
 
 _NEED = Need(block="rotation of cam0", sigma=0.31, needed=0.1, unit="deg", verdict="fail", cure="Turn about x.")
 _STEP = ModelStep(
@@ -115,3 +118,34 @@ def test_where_sigmas_come_from_is_always_said(clusters: Clusters | None) -> Non
     assert section is not None
     assert isinstance(section.blocks[0], Prose)
     assert section.blocks[0].lines[0].startswith("The standard deviations")
+
+
+def test_diagnostics_keep_all_of_it_without_pickle(tmp_path: Path) -> None:
+    with np.load(_saved(tmp_path), allow_pickle=False) as arrays:
+        found = {key: arrays[key] for key in arrays.files}
+    assert found["clusters.count"] == 24
+    assert found["splits.blocks.z_rms"].tolist() == [1.21, 0.97]
+    assert found["models.0.changes.block"].tolist() == ["imu0.M_a"]
+    assert found["weak.0.shares"].tolist() == [["cam0.T_cam_imu.translation[2]", "0.98"]]
+
+
+def _saved(folder: Path) -> Path:
+    np.savez(folder / "trust.npz", **dict(diagnostic_arrays(_trust())))
+    return folder / "trust.npz"
+
+
+def test_the_terminal_says_where_sigmas_come_from_and_what_a_use_lacks() -> None:
+    note = TrustNote(
+        covariance="cluster-robust",
+        clusters=24,
+        cluster_s=2.0,
+        sigma_ratio={"imu0.accelerometer.bias": 4.0, "imu0.gyroscope": 1.0},
+        split_z=1.04,
+        added=("lever arms",),
+        use="vio",
+        needs=(_NEED,),
+    )
+    lines = list(trust_facts(note))
+    assert any("24 clusters of 2 s, 2.5 x those of white noise" in line for line in lines)
+    assert any("1 of 1 needs not met" in line for line in lines)
+    assert list(trust_facts(TrustNote())) == []

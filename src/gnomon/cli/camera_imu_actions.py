@@ -134,10 +134,10 @@ def refuse_overwriting(folder: Path, recording: Path, inputs: dict[str, Any]) ->
 
 def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
     from .camera_imu_summary import camera_lines, facts
-    from .summary import parameter_lines
+    from .summary import parameter_lines, trust_facts
 
     say_verdict(result.calibration, terminal)
-    terminal.say("\n".join(facts(result)))
+    terminal.say("\n".join([*facts(result), *trust_facts(result.calibration.assessment.trust)]))
     say_advice(result.calibration, terminal)
     terminal.say("\nestimate +- standard deviation\n" + "\n".join(camera_lines(result.calibration)))
     terminal.say("\nIMU; rows: sensor axes, columns: body axes")

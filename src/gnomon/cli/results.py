@@ -65,7 +65,7 @@ def say_result(
     from . import summary
 
     say_verdict(calibration, terminal)
-    terminal.say("\n".join(facts))
+    terminal.say("\n".join([*facts, *summary.trust_facts(calibration.assessment.trust)]))
     say_advice(calibration, terminal)
     if parameters:
         terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")

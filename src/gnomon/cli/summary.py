@@ -9,6 +9,7 @@ import numpy as np
 from ..calibration import Calibration, parameters
 from ..findings import Finding
 from ..recording import Floats
+from ..trust import TrustNote
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 from ..writers.units_text import parameter_unit
 
@@ -39,6 +40,22 @@ def facts(calibration: Calibration) -> Iterator[str]:
         yield f"  body frame         {calibration.frame}"
     else:
         yield f"  model, body frame  {found.model}, {calibration.frame}"
+
+
+def trust_facts(note: TrustNote) -> Iterator[str]:
+    """Yield lines on where the standard deviations come from, whether parts agree, and what a use needs."""
+    if note.covariance == "cluster-robust":
+        ratios = [ratio for ratio in note.sigma_ratio.values() if math.isfinite(ratio)]
+        times = f", {np.median(ratios):.2g} x those of white noise" if ratios else ""
+        yield f"  sigmas             from {note.clusters} clusters of {note.cluster_s:.3g} s{times}"
+    if math.isfinite(note.split_z):
+        yield f"  halves and thirds  differ by {note.split_z:.2g} of their sigmas (rms)"
+    if note.added:
+        yield f"  added by evidence  {', '.join(note.added)}"
+    if note.use and note.needs:
+        short = [need.block for need in note.needs if need.verdict != "pass"]
+        words = f"{len(short)} of {len(note.needs)} needs not met" if short else f"all {len(note.needs)} needs met"
+        yield f"  {'for ' + note.use:<18} {words}"
 
 
 def advice(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:

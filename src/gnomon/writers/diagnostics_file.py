@@ -1,8 +1,8 @@
 """How a result came about, as an NPZ file: every field of `gnomon.diagnostics` under its path.
 
 The key of an array is the path of its field, such as "intervals.start_s"; what a result does not have has no key.
-A list of candidates is one array for each field, such as "trials.rotation_rms"; a list of curves is counted, such as
-"videos.0.period_s".
+A list of candidates is one array for each field, such as "trials.rotation_rms"; a list of what holds lists itself is
+counted, such as "videos.0.period_s".
 """
 
 import io
@@ -62,7 +62,7 @@ def diagnostic_arrays(node: Any, path: str = "") -> Iterator[tuple[str, NDArray[
         for key, value in node.items():  # pyright: ignore[reportUnknownVariableType]
             yield from diagnostic_arrays(value, _joined(path, str(key)))
     elif isinstance(node, tuple) and node and is_dataclass(node[0]):
-        if any(isinstance(getattr(node[0], entry.name), np.ndarray) for entry in fields(node[0])):
+        if any(isinstance(getattr(node[0], entry.name), np.ndarray | tuple) for entry in fields(node[0])):
             for i, item in enumerate(node):  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
                 yield from diagnostic_arrays(item, _joined(path, str(i)))
             return
