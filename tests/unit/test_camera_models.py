@@ -22,6 +22,7 @@ SHAPES = {
 COEFFS = {
     "none": [()],
     "radtan": [(-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05), (-0.4, 0.1, -0.01, 0.02), (0.0, 0.0, 0.0, 0.0)],
+    "radtan5": [(-0.3253, 0.1564, 8.3e-05, 1.42e-04, -0.0431), (0.1, -0.2, 0.01, 0.02, 0.3), (0.0,) * 5],
     "equidistant": [(-0.0128, 0.0026, -0.0022, 0.00022), (0.1, -0.2, 0.05, -0.01), (0.0, 0.0, 0.0, 0.0)],
     "fov": [(0.93,), (1e-3,), (2.6,), (0.199,), (0.201,)],
 }
@@ -74,8 +75,8 @@ def reference(cam, parameters, point):
     r = mp.sqrt(r2)
     if cam.distortion == "none":
         dx, dy = mx, my
-    elif cam.distortion == "radtan":
-        radial = 1 + k[0] * r2 + k[1] * r2**2
+    elif cam.distortion in {"radtan", "radtan5"}:
+        radial = 1 + k[0] * r2 + k[1] * r2**2 + (k[4] * r2**3 if len(k) > 4 else 0)
         dx = mx * radial + 2 * k[2] * mx * my + k[3] * (r2 + 2 * mx**2)
         dy = my * radial + 2 * k[3] * mx * my + k[2] * (r2 + 2 * my**2)
     else:
@@ -205,7 +206,7 @@ def test_domain_is_the_widest_cone_that_is_one_to_one(projection, distortion):
             further = [exact([mp.sin(angle), 0, mp.cos(angle)]) for angle in (theta[seen] + 1e-3, theta[seen] + 1.1e-3)]
             parameters = exact(cam.parameters)
             here, there = (reference(cam, parameters, point)[0] for point in further)
-            tangential = distortion == "radtan" and cam.distortion_coeffs[2:].any() and cam.distortion_limit < 1e20
+            tangential = distortion.startswith("radtan") and cam.distortion_coeffs[2:].any() and cam.distortion_limit < 1e20
             assert here - parameters[-len(cam.distortion_coeffs) - 2] < 0 or there < here or tangential
 
 
@@ -233,9 +234,25 @@ def test_radtan_without_a_fold_has_no_limit():
     assert cam.project(np.array([[100.0, 0, 1]])).valid[0]
 
 
-@pytest.mark.parametrize("coeffs", [(-0.3, 0.05, 0.02, -0.03), (0.2, -0.3, -0.05, 0.01), (0, 0, 0.1, 0.1)])
+def test_radtan_gains_a_third_coefficient_that_does_nothing():
+    cam = camera(distortion="radtan", coeffs=(-0.3, 0.05, 0.02, -0.03))
+    more = cam.with_k3()
+    assert more.distortion == "radtan5"
+    assert more.parameter_symbols[-1] == "k3"
+    assert more.distortion_limit == pytest.approx(cam.distortion_limit, rel=1e-12)
+    points = np.random.default_rng(0).normal(0, 0.3, (20, 3)) + [0, 0, 1]
+    np.testing.assert_allclose(more.project(points).pixels, cam.project(points).pixels, rtol=1e-14)
+    fisheye = camera(distortion="equidistant")
+    assert more.with_k3() is more
+    assert fisheye.with_k3() is fisheye
+
+
+@pytest.mark.parametrize(
+    "coeffs",
+    [(-0.3, 0.05, 0.02, -0.03), (0.2, -0.3, -0.05, 0.01), (0, 0, 0.1, 0.1), (-0.33, 0.16, 0.01, 0.01, -0.043)],
+)
 def test_radtan_with_a_tangential_part_is_one_to_one_up_to_its_limit(coeffs):
-    cam = camera(distortion="radtan", coeffs=coeffs)
+    cam = camera(distortion="radtan" if len(coeffs) == 4 else "radtan5", coeffs=coeffs)
     radius, phi = np.meshgrid(np.linspace(0, 1, 60, endpoint=False), np.linspace(0, 2 * np.pi, 90))
     points = cam.distortion_limit * (radius * np.array([np.cos(phi), np.sin(phi)])).reshape(2, -1)
     image = cam.project(np.vstack([points, np.ones(points.shape[1])]).T)
@@ -443,7 +460,7 @@ def test_no_points_and_no_pixels():
     ("changed", "message"),
     [
         ({"projection": "fisheye"}, "no projection 'fisheye'; it must be one of pinhole, omni, eucm, ds"),
-        ({"distortion": "equi"}, "no distortion 'equi'; it must be one of none, radtan, equidistant, fov"),
+        ({"distortion": "equi"}, "no distortion 'equi'; it must be one of none, radtan, radtan5, equidistant, fov"),
         ({"intrinsics": [1, 2, 3]}, r"pinhole takes 4 intrinsics \(fu fv pu pv\); found 3"),
         ({"projection": "ds"}, r"ds takes 6 intrinsics \(xi alpha fu fv pu pv\); found 4"),
         ({"intrinsics": ["a", 1, 2, 3]}, "intrinsics of pinhole must be numbers"),

@@ -101,7 +101,7 @@ def calibration(tmp_path, random_calibration):
     return tmp_path / "calibration.yaml"
 
 
-@pytest.mark.parametrize("to", ["euroc", "ros1", "ros2", "mcap"])
+@pytest.mark.parametrize("to", ["euroc", "ros1", "mcap"])
 def test_a_calibration_is_no_recording(calibration, to):
     code, _, err = run("convert", calibration, "--to", to)
     assert code == 2

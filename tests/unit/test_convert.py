@@ -13,6 +13,7 @@ import yaml
 import gnomon
 from gnomon.calibration import ImuCalibration
 from gnomon.errors import FormatError, OptionError, OutputError
+from gnomon.readers.foreign_files import load_foreign
 from gnomon.readers.imu_tk_calib import read_imu_tk
 from gnomon.readers.imucal_json import read_imucal
 from gnomon.readers.kalibr_imu import read_kalibr
@@ -47,8 +48,15 @@ def test_imu_tk(random_calibration, tmp_path, frame):
     assert "g-sensitivity of imu0 (up to" in said(losses)
     assert ("body frame of imu0 (turned by" in said(losses)) == (frame != "accel-z")
     assert "R_new_old" in said(losses) or frame == "accel-z"
-    numbers = (tmp_path / "imu0_acc.calib").read_text().split()
+    numbers, *comments = (tmp_path / "imu0_acc.calib").read_text().split("#")
+    numbers = numbers.split()
     assert len(numbers) == 21
+    assert "value [m/s^2] = T K (sample [count] - B)" in comments[0]
+    gyroscope = load_foreign(tmp_path / "imu0_gyro.calib").imus["imu0"]  # told by the comment, not by the order
+    assert gyroscope.accelerometer is None
+    assert gyroscope.gyroscope.unit == "count"
+    both = load_foreign(tmp_path / "imu0_gyro.calib", tmp_path / "imu0_acc.calib").imus["imu0"]
+    agrees(both, read.imus["imu0"])
     assert [float(x) for x in numbers[:9:4]] == [1, 1, 1]
     assert [numbers[i] for i in (3, 6, 7)] == ["0.0"] * 3
 
@@ -189,9 +197,12 @@ def test_c_header_compiles_and_agrees(random_calibration, tmp_path, gyroscope, s
             assert np.abs(w - exact.gyroscope.values[i]).max() <= 2e-6 * np.abs(exact.gyroscope.values[i]).max()
 
 
+OF_CAMERAS = ("vins-fusion", "orb-slam3", "okvis", "ros2")
+
+
 @pytest.mark.parametrize("to", FORMATS)
-def test_every_format_states_losses_and_gives_the_same_bytes(random_calibration, tmp_path, to):
-    calibration = random_calibration(8)
+def test_every_format_states_losses_and_gives_the_same_bytes(random_calibration, camera_calibration, tmp_path, to):
+    calibration = camera_calibration(8, cameras=1) if to in OF_CAMERAS else random_calibration(8)
     losses = gnomon.convert(calibration, to, tmp_path / "new" / "folder")
     assert all(isinstance(loss, gnomon.Loss) and loss.what and loss.why for loss in losses)
     assert any("calibration.yaml" in loss.why for loss in losses)
@@ -201,7 +212,7 @@ def test_every_format_states_losses_and_gives_the_same_bytes(random_calibration,
     assert set(before) == set(exported(calibration, to).files)
 
 
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", [name for name in FORMATS if name not in OF_CAMERAS])
 def test_accelerometer_alone(random_calibration, tmp_path, to):
     calibration = random_calibration(9, gyroscope=False, units=("m/s^2", "rad/s"))
     if to == "imucal":

@@ -420,7 +420,7 @@ def test_bad_basalt(tmp_path, changes, message):
 def test_radtan_of_eight_coefficients(tmp_path):
     own = dict.fromkeys(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), 0.1)
     lens = [{"camera_type": "pinhole-radtan8", "intrinsics": {"fx": 400, "fy": 400, "cx": 320, "cy": 240, **own}}]
-    with pytest.raises(FormatError, match="k3 to k6 are not all zero"):
+    with pytest.raises(FormatError, match="k4 to k6 are not all zero"):
         load_foreign(basalt_file(tmp_path, intrinsics=lens))
 
 

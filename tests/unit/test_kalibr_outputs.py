@@ -37,27 +37,19 @@ SAMPLES = [
 NUMBER = re.compile(r"-?\d+\.\d*(?:e[-+]\d+)?")
 
 
-def without_size_effect(text):
-    """Kalibr's third model has lever arms, which gnomon has not."""
-    text = re.sub(r"^ *r[xyz]_i \[m\]:\n.*\n", "", text.replace("-size-effect", ""), flags=re.MULTILINE)
-    return re.sub(r"^ *r[xyz]_i: .*\n", "", text, flags=re.MULTILINE)
-
-
 def own_lines(text):
     return [line for line in text.splitlines() if not line.startswith("#")]
 
 
 @pytest.fixture(params=SAMPLES, ids=lambda name: name.replace("/kalibr", ""))
-def sample(request, real_data, tmp_path):
+def sample(request, real_data):
     """A folder that Kalibr wrote: its files, and a calibration with the numbers in them."""
     folder = real_data("rendered-camimu") / request.param
     texts = {
         name: (folder / f"data-{name}").read_text()
         for name in ("camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
     }
-    plain = tmp_path / "imu.yaml"
-    plain.write_text(without_size_effect(texts["imu.yaml"]))
-    imus = read_kalibr(plain).imus
+    imus = read_kalibr(folder / "data-imu.yaml").imus
     cameras = {
         name: CameraCalibration(
             T_cam_imu=np.array(yaml.safe_load(texts["camchain-imucam.yaml"])[name]["T_cam_imu"]),
@@ -97,7 +89,7 @@ def test_camchain_is_kalibrs(sample):
 
 def test_imu_yaml_is_kalibrs(sample):
     texts, calibration, _, inputs = sample
-    ours, theirs = own_lines(imu_text(calibration, stated(inputs))), without_size_effect(texts["imu.yaml"]).splitlines()
+    ours, theirs = own_lines(imu_text(calibration, stated(inputs))), texts["imu.yaml"].splitlines()
     assert len(ours) == len(theirs)
     for line, expected in zip(ours, theirs, strict=True):
         # What passes through M and C of the gyroscope may be rounded.
@@ -121,7 +113,7 @@ def statistics_of(text):
 
 def test_results_are_laid_out_as_kalibrs(sample):
     texts, calibration, target, inputs = sample
-    theirs = without_size_effect(texts["results-imucam.txt"])
+    theirs = texts["results-imucam.txt"]
     gravity = np.array(re.search(r"Gravity vector.*\n\[(.*)\]", theirs)[1].split(), dtype=float)
     results = KalibrResults(
         calibration=calibration,
@@ -373,6 +365,10 @@ def test_csv_lists_the_cameras(camera_calibration, tmp_path):
     assert '"cam2.intrinsics[1]",540.5,0.0,px' in text.splitlines()
     read = read_parameter_csv(tmp_path / "calibration.csv")
     assert list(read.imus) == ["imu0"]
+    assert list(read.cameras) == ["cam0", "cam1", "cam2"]
+    older = [line for line in text.splitlines() if ".resolution" not in line]
+    (tmp_path / "calibration.csv").write_text("\n".join(older))
+    read = read_parameter_csv(tmp_path / "calibration.csv")
     assert read.notes == ("cam0 was passed over.", "cam1 was passed over.", "cam2 was passed over.")
 
 

@@ -4,41 +4,88 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
-from ..errors import OptionError, OutputError
+from ..errors import GnomonError, OptionError, OutputError
 from . import commands
 from .results import USABLE, say_assumptions
 from .terminal import Terminal
 from .topics import topics_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..images import ImageRecording
+    from ..writers.context import StatedImu
 
 _HEAD = 4096
+_NOISE_FILES = ("imu.yaml", "noise.yaml")
+"""Where the noise of an IMU stands in the folder of a result, those that are looked for first before the others."""
 
 
 def convert(command: commands.Convert, terminal: Terminal) -> int:
     """Write the calibration or the recording in another format, and return the exit code."""
-    if command.to in get_args(commands.RecordingForm):
+    of_recordings, of_calibrations = get_args(commands.RecordingForm), get_args(commands.CalibrationForm)
+    if command.to in of_recordings and (command.to not in of_calibrations or not _is_text(command.path)):
         return _convert_recording(command, terminal)
     return _convert_calibration(command, terminal)
 
 
 def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
     from ..readers import load
-    from ..writers import convert as write
+    from ..readers.foreign_files import is_own, load_foreign
+    from ..writers.conversion import convert as write
     from ..writers.conversion import exported
 
     _refuse_recording(command)
-    calibration = load(command.path)
+    if is_own(command.path):
+        if len(command.paths) > 1:
+            raise OptionError(f"{command.paths[1]}: of gnomon's own calibrations one at a time is converted.")
+        calibration, notes = load(command.path), []
+    else:
+        calibration = load_foreign(*command.paths)
+        notes = list(calibration.notes)
+    imu, said = _noise(command)
     folder = command.output or command.path.parent / command.to
-    losses = write(calibration, command.to, folder)
-    files = [str(folder / name) for name in exported(calibration, command.to).files]
+    paths = [folder / name for name in exported(calibration, command.to, imu=imu).files]
+    _spare_inputs(command, paths)
+    losses = write(calibration, command.to, folder, imu=imu)
+    files = [str(path) for path in paths]
+    for note in (*notes, *said):
+        terminal.say(f"note:    {note}")
     for name in files:
         terminal.say(f"written: {name}")
     for loss in losses:
         terminal.say(f"lost:    {loss}")
-    terminal.document({"files": files, "losses": [asdict(loss) for loss in losses]})
+    terminal.document({"files": files, "notes": [*notes, *said], "losses": [asdict(loss) for loss in losses]})
     return USABLE
+
+
+def _spare_inputs(command: commands.Convert, paths: list[Path]) -> None:
+    """Refuse to write over what is converted."""
+    inputs = {path.resolve() for path in command.paths}
+    for path in paths:
+        if path.resolve() in inputs:
+            raise OutputError(f"{path}: this file is converted, and would be replaced. Choose another place with -o.")
+
+
+def _noise(command: commands.Convert) -> tuple["Mapping[str, StatedImu] | None", list[str]]:
+    """Return noise and rate from the file that is given, or that lies beside the calibration, and what to say of it."""
+    from ..writers.conversion import WITH_NOISE, stated_imus
+
+    if command.imu is not None:
+        if command.to not in WITH_NOISE:
+            raise OptionError(f"--imu: {command.to} has no place for noise. Those that have are {_listed(WITH_NOISE)}.")
+        return stated_imus(command.imu), []
+    if command.to not in WITH_NOISE:
+        return None, []
+    for name in _NOISE_FILES:
+        path = command.path.parent / name
+        if not path.is_file() or path in command.paths:
+            continue
+        try:
+            return stated_imus(path), [f"noise and rate are taken from {path}."]
+        except GnomonError as error:
+            return None, [f"{path} beside the calibration was not used: {error}"]
+    return None, []
 
 
 def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
@@ -132,6 +179,10 @@ def _refuse_calibration(command: commands.Convert) -> None:
             f"{command.path}: this is a calibration, and {command.to} is a format of recordings. Calibrations are "
             f"written --to {_listed(get_args(commands.CalibrationForm))}."
         )
+    if len(command.paths) > 1:
+        raise OptionError(f"{command.paths[1]}: of recordings one at a time is converted.")
+    if command.imu is not None:
+        raise OptionError(f"--imu is of calibrations; {command.to} is a format of recordings.")
 
 
 def _is_calibration(path: Path) -> bool:
@@ -139,7 +190,15 @@ def _is_calibration(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         head = file.read(_HEAD)
-    return b"schema:" in head and b"gnomon/" in head
+    return b"schema" in head and b"gnomon/" in head
+
+
+def _is_text(path: Path) -> bool:
+    """Return whether a path is a text file, as a calibration is and a recording of images is not."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b"\0" not in file.read(_HEAD)
 
 
 def _listed(names: tuple[str, ...]) -> str:

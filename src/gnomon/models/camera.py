@@ -53,8 +53,8 @@ class Camera:
     ----------
     projection : "pinhole", "omni", "eucm" or "ds"
     intrinsics : pinhole (fu fv pu pv), omni (xi fu fv pu pv), eucm (alpha beta fu fv pu pv), ds (xi alpha fu fv pu pv)
-    distortion : "none", "radtan", "equidistant" or "fov"
-    distortion_coeffs : none (), radtan (k1 k2 p1 p2), equidistant (k1 k2 k3 k4), fov (w)
+    distortion : "none", "radtan", "radtan5", "equidistant" or "fov"
+    distortion_coeffs : none (), radtan (k1 k2 p1 p2), radtan5 (k1 k2 p1 p2 k3), equidistant (k1 k2 k3 k4), fov (w)
     resolution : (width, height) [px]
     line_delay_s : time from the exposure of one row to that of the next [s]; zero for a global shutter
     topic : ROS topic that Kalibr's files name, or ""
@@ -102,6 +102,12 @@ class Camera:
         object.__setattr__(self, "distortion_coeffs", coeffs)
         object.__setattr__(self, "resolution", _resolution(self.resolution))
         object.__setattr__(self, "distortion_limit", distortion.limit(coeffs))
+
+    def with_k3(self) -> Self:
+        """Return the same lens with k3 = 0 as a further parameter where it is radtan; any other as it is."""
+        if self.distortion != "radtan":
+            return self
+        return replace(self, distortion="radtan5", distortion_coeffs=np.append(self.distortion_coeffs, 0.0))
 
     @property
     def model(self) -> str:

@@ -5,6 +5,7 @@ of radtan:
 
     none         c = 1
     radtan       c = 1 + k1 s + k2 s^2, and (2 p1 mx my + p2 (s + 2 mx^2), 2 p2 mx my + p1 (s + 2 my^2)) is added to d
+    radtan5      the same with k3 s^3 in c, as OpenCV has it; Kalibr does not
     equidistant  c = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) / r,  theta = atan(r)
     fov          c = atan(2 r tan(w/2)) / (w r)
 
@@ -25,7 +26,7 @@ from ..errors import OptionError
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
-DistortionName = Literal["none", "radtan", "equidistant", "fov"]
+DistortionName = Literal["none", "radtan", "radtan5", "equidistant", "fov"]
 Pair = tuple[Floats, Floats]
 
 _FARTHEST = 1e25  # no point of the plane is used beyond it; powers of it stay in the range of floating point numbers
@@ -161,37 +162,49 @@ def _limit_radtan(coeffs: Floats) -> float:
     # dd/dm is the symmetric matrix c I + 2 c' m m^T + T; the eigenvalues of its radial part are c and d(c r)/dr, and
     # those of T are not less than -6 |p| r. Where the sum is positive in a whole disk, d is the gradient of a strictly
     # convex function there, hence one-to-one.
-    k1, k2, p1, p2 = coeffs
+    k1, k2, p1, p2 = coeffs[:4]
     tangential = -6 * float(np.hypot(p1, p2))
-    along = first_root(np.array([tangential, 3 * k1, 0, 5 * k2]))
-    across = first_root(np.array([tangential, k1, 0, k2]))
+    third = [0, coeffs[4]] if len(coeffs) > 4 else []
+    along = first_root(np.array([tangential, 3 * k1, 0, 5 * k2, *(7 * k for k in third)]))
+    across = first_root(np.array([tangential, k1, 0, k2, *third]))
     return min(along, across, _FARTHEST)
 
 
 def _bend_radtan(coeffs: Floats, mx: Floats, my: Floats, s: Floats, derive: bool) -> Bent:
-    k1, k2, p1, p2 = (float(k) for k in coeffs)
+    k1, k2, p1, p2 = (float(k) for k in coeffs[:4])
     c = 1 + s * (k1 + k2 * s)
     twice_slope = 2 * k1 + 4 * k2 * s
+    if len(coeffs) > 4:
+        square = float(coeffs[4]) * s * s
+        c = c + square * s
+        twice_slope = twice_slope + 6 * square
     xx, xy, yy = mx * mx, mx * my, my * my
     px, py = 2 * p2 * mx, 2 * p1 * my
     cross = 2 * xy
     square_x, square_y = s + 2 * xx, s + 2 * yy
+    by_coeffs: list[Pair] = []
+    if derive:
+        by_coeffs = [(s * mx, s * my), (s * s * mx, s * s * my), (cross, square_y), (square_x, cross)]
+        if len(coeffs) > 4:
+            cube = s * s * s
+            by_coeffs.append((cube * mx, cube * my))
     return Bent(
         x=mx * c + p1 * cross + p2 * square_x,
         y=my * c + p2 * cross + p1 * square_y,
         xx=c + twice_slope * xx + (3 * px + py),
         xy=twice_slope * xy + 2 * p1 * mx + 2 * p2 * my,
         yy=c + twice_slope * yy + (3 * py + px),
-        by_coeffs=((s * mx, s * my), (s * s * mx, s * s * my), (cross, square_y), (square_x, cross)) if derive else (),
+        by_coeffs=tuple(by_coeffs),
     )
 
 
 def _straighten_radtan(coeffs: Floats, limit: float, dx: Floats, dy: Floats) -> tuple[Floats, Floats, Booleans]:
     k1, k2 = coeffs[:2]
+    k3 = float(coeffs[4]) if len(coeffs) > 4 else 0.0
 
     def radial(r: Floats) -> Pair:
         s = r * r
-        return r * (1 + s * (k1 + k2 * s)), 1 + s * (3 * k1 + 5 * k2 * s)
+        return r * (1 + s * (k1 + s * (k2 + k3 * s))), 1 + s * (3 * k1 + s * (5 * k2 + 7 * k3 * s))
 
     length = np.hypot(dx, dy)
     r, _ = solve_rising(radial, length, limit)
@@ -330,6 +343,13 @@ DISTORTIONS: Mapping[DistortionName, Distortion] = {
     "none": Distortion(names=(), check=_nothing, limit=_unlimited, bend=_bend_none, straighten=_straighten_none),
     "radtan": Distortion(
         names=("k1", "k2", "p1", "p2"),
+        check=_nothing,
+        limit=_limit_radtan,
+        bend=_bend_radtan,
+        straighten=_straighten_radtan,
+    ),
+    "radtan5": Distortion(
+        names=("k1", "k2", "p1", "p2", "k3"),
         check=_nothing,
         limit=_limit_radtan,
         bend=_bend_radtan,

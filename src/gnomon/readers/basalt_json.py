@@ -28,7 +28,7 @@ _NOISE = {
 }
 _KEYS = (
     "T_imu_cam", "intrinsics", "resolution", "calib_accel_bias", "calib_gyro_bias", "imu_update_rate",
-    "cam_time_offset_ns", "comment", *_NOISE,
+    "cam_time_offset_ns", "vignette", "comment", *_NOISE,
 )  # fmt: skip
 _LINEAR = ("fx", "fy", "cx", "cy")
 _RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -176,17 +176,19 @@ def _camera(node: Node, size: Node) -> Camera:
         raise size.fail(f"found {len(sides)} numbers, expected [width, height].")
     resolution = whole_number(sides[0]), whole_number(sides[1])
     shape, coeffs = (own, np.empty(0)) if kind in {"ds", "eucm", "ucm"} else (np.empty(0), own)
+    bent = _DISTORTIONS.get(kind, "none")
     if kind == "ucm":
         shape, linear = _omni(own, linear, node)
     if kind == "pinhole-radtan8":
-        if coeffs[4:].any():
-            raise node.fail("k3 to k6 are not all zero, and gnomon knows k1 k2 p1 p2 of pinhole-radtan8 only.")
-        coeffs = coeffs[:4]
+        if coeffs[5:].any():
+            raise node.fail("k4 to k6 are not all zero, and gnomon knows k1 k2 p1 p2 k3 of pinhole-radtan8 only.")
+        bent = bent if coeffs[4] == 0 else "radtan5"
+        coeffs = coeffs[: 4 if coeffs[4] == 0 else 5]
     try:
         return Camera(
             projection=_PROJECTIONS.get(kind, "pinhole"),
             intrinsics=np.concatenate([shape, linear]),
-            distortion=_DISTORTIONS.get(kind, "none"),
+            distortion=bent,
             distortion_coeffs=coeffs,
             resolution=resolution,
         )

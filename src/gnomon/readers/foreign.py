@@ -19,6 +19,9 @@ from ..models.noise import ImuNoise
 from ..models.target import Target
 from ..recording import Floats, frozen_array
 
+FOREIGN_METHOD = "foreign"
+"""`Provenance.method` of a calibration that another project made."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Statistics:

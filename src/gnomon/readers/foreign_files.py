@@ -10,24 +10,41 @@ from typing import TypeVar
 from ..calibration import CameraCalibration
 from ..errors import FormatError
 from .basalt_json import basalt_of, is_basalt
+from .flight_parameters import is_flight_parameters, read_flight_parameters
 from .foreign import ForeignCalibration, recognised_frame
 from .foreign_yaml import read_foreign_yaml
-from .imu_tk_calib import read_imu_tk
+from .imu_tk_calib import is_imu_tk, read_imu_tk, stated_triad
 from .imucal_json import read_imucal
 from .kalibr_cam_results import is_kalibr_cam_results, read_cam_results
 from .kalibr_camchain import CameraInput, cameras_of
 from .kalibr_imu import imus_of
 from .kalibr_results import is_kalibr_results, read_kalibr_results
 from .kalibr_target import target_of
+from .okvis import is_okvis, okvis_of
+from .orb_slam3 import is_orb_slam3, orb_slam3_of
+from .own_root import is_own
 from .parameter_csv import read_parameter_csv
+from .ros2_files import camera_info_of, is_camera_info, is_launch, launch_of
 from .structured import Node, read_json, read_text
+from .vins_fusion import is_vins, is_vins_lens, lens_of, vins_of
+
+__all__ = ["FORMATS", "is_own", "load_foreign"]
 
 FORMATS = (
     "Kalibr's camchain.yaml, camchain-imucam.yaml, imu.yaml, target.yaml, results-imucam.txt and results-cam.txt, "
     "OpenVINS' kalibr_imucam_chain.yaml and kalibr_imu_chain.yaml, Basalt's calibration JSON, imu_tk's .calib, "
-    "imucal's JSON, gnomon's csv"
+    "imucal's JSON, the configurations of VINS-Fusion, ORB-SLAM3 and OKVIS, ROS 2's static transforms and camera_info, "
+    "parameters of PX4 and ArduPilot, gnomon's csv"
 )
-_CALIB = re.compile(r"[\s\d.eE+-]+")
+_LAYOUTS: tuple[tuple[Callable[[Node], bool], Callable[[Node, list[str]], ForeignCalibration]], ...] = (
+    (is_vins, vins_of),
+    (is_vins_lens, lens_of),
+    (is_orb_slam3, orb_slam3_of),
+    (is_okvis, okvis_of),
+    (is_launch, launch_of),
+    (is_camera_info, camera_info_of),
+)
+"""What tells a YAML file, and what reads it."""
 _DIGITS = "results-imucam"  # of the format whose numbers are printed with eight digits
 
 _T = TypeVar("_T")
@@ -43,7 +60,9 @@ def load_foreign(path: str | PathLike[str], *others: str | PathLike[str]) -> For
     ----------
     path, others : Kalibr's camchain.yaml, camchain-imucam.yaml, imu.yaml, target.yaml, results-imucam.txt and
         results-cam.txt; OpenVINS' kalibr_imucam_chain.yaml and kalibr_imu_chain.yaml; Basalt's calibration JSON;
-        imu_tk's .calib files, that of the accelerometer first; imucal's JSON; gnomon's csv
+        imu_tk's .calib files, that of the accelerometer first; imucal's JSON; the configurations of VINS-Fusion,
+        ORB-SLAM3 and OKVIS; ROS 2's launch file with static transforms and its camera_info; parameters of PX4 and of
+        ArduPilot; gnomon's csv
 
     Raises
     ------
@@ -58,37 +77,40 @@ def load_foreign(path: str | PathLike[str], *others: str | PathLike[str]) -> For
     """
     paths = (path, *others)
     texts = [read_text(file) for file in paths]
-    if all(_is_calib(text) for text in texts) and len(paths) <= 2:
-        return read_imu_tk(*paths)
+    if all(is_imu_tk(text) for text in texts) and len(paths) <= 2:
+        return _read_triads(paths, texts)
     return _joined([_read(file, text) for file, text in zip(paths, texts, strict=True)], paths)
 
 
-def is_own(path: str | PathLike[str]) -> bool:
-    """Return whether a file says that it is gnomon's own calibration file."""
-    return re.search(r"(?m)^schema\s*:", read_text(path)) is not None
-
-
-def _is_calib(text: str) -> bool:
-    return _CALIB.fullmatch(text) is not None and len(text.split()) == 21
+def _read_triads(paths: Sequence[str | PathLike[str]], texts: Sequence[str]) -> ForeignCalibration:
+    """Read one or two of imu_tk's files; what they are of is told by a comment of gnomon's, or by their order."""
+    told = [stated_triad(text) for text in texts]
+    if told == ["gyroscope"]:
+        return read_imu_tk(gyroscope=paths[0])
+    return read_imu_tk(*(reversed(paths) if told[0] == "gyroscope" else paths))
 
 
 def _read(path: str | PathLike[str], text: str) -> ForeignCalibration:
-    if _is_calib(text):
-        return read_imu_tk(path)
-    if text.lstrip().startswith("{"):
-        return _read_json(path)
-    if text.startswith("name,value,sigma,unit"):
-        return read_parameter_csv(path)
-    if is_kalibr_cam_results(text):
-        notes: list[str] = []
-        return _cameras(read_cam_results(path, notes), notes)
-    if is_kalibr_results(text):
-        return read_kalibr_results(path)
-    return _read_yaml(path)
+    kinds: tuple[tuple[bool, Callable[[str | PathLike[str]], ForeignCalibration]], ...] = (
+        (is_imu_tk(text), lambda file: _read_triads((file,), (text,))),
+        (text.startswith("name,value,sigma,unit"), read_parameter_csv),
+        (text.lstrip().startswith("{"), _read_json),
+        (is_kalibr_cam_results(text), _read_cam_results),
+        (is_kalibr_results(text), read_kalibr_results),
+        (is_flight_parameters(text), read_flight_parameters),
+    )
+    return next((read for told, read in kinds if told), _read_yaml)(path)
+
+
+def _read_cam_results(path: str | PathLike[str]) -> ForeignCalibration:
+    notes: list[str] = []
+    return _cameras(read_cam_results(path, notes), notes)
 
 
 def _read_json(path: str | PathLike[str]) -> ForeignCalibration:
     root = read_json(path)
+    if is_own(path):
+        raise root.fail("this is gnomon's own calibration. Read it with gnomon.load.")
     if is_basalt(root):
         return basalt_of(root)
     if isinstance(root.value, dict) and "cal_type" in root.value:
@@ -109,6 +131,9 @@ def _read_yaml(path: str | PathLike[str]) -> ForeignCalibration:
     if "target_type" in keys:
         target = target_of(root, notes)
         return ForeignCalibration(imus={}, frame="accel-x", notes=tuple(notes), target=target, format="Kalibr, board")
+    for told, read in _LAYOUTS:
+        if told(root):
+            return read(root, notes)
     parts: list[ForeignCalibration] = []
     for prefix, flat, read in (("imu", "accelerometer_noise_density", _imus), ("cam", "camera_model", _chain)):
         named = [key for key in keys if re.fullmatch(rf"{prefix}\d+", key)]

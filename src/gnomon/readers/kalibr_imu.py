@@ -88,7 +88,9 @@ def _model(node: Node, keys: dict[str, Node], notes: list[str]) -> ImuCalibratio
             return ideal_imu()
     M = _lower(required(_parts(node, keys, "accelerometers"), "M", node, "a matrix 3x3"), notes)
     force_sensitivity, bias = KalibrAccelerometer(M=M, b=np.zeros(3)).to_sensor()
-    accelerometer = AccelerometerCalibration(sensitivity=force_sensitivity, bias=bias, unit="m/s^2")
+    accelerometer = AccelerometerCalibration(
+        sensitivity=force_sensitivity, bias=bias, unit="m/s^2", lever_arms_m=_lever_arms(keys, notes)
+    )
     if "gyroscopes" not in keys:
         return ImuCalibration(accelerometer=accelerometer)
     parts = _parts(node, keys, "gyroscopes")
@@ -138,7 +140,7 @@ def _data(node: Node, keys: dict[str, Node], notes: list[str]) -> ForeignImu:
         topic=str(keys["rostopic"].value or "") if "rostopic" in keys else "",
         T_imu_body=rigid(keys["T_i_b"]) if "T_i_b" in keys else None,
         time_offset_s=keys["time_offset"].number() if "time_offset" in keys else None,
-        lever_arms_m=_lever_arms(keys, notes),
+        lever_arms_m=_lever_arms(keys, []),
     )
 
 

@@ -180,7 +180,9 @@ class _Page:
             return ideal_imu()
         zero = np.zeros(3)
         S_a, b_a = KalibrAccelerometer(M=values["accelerometer M"], b=zero).to_sensor()
-        accelerometer = AccelerometerCalibration(sensitivity=S_a, bias=b_a, unit="m/s^2")
+        accelerometer = AccelerometerCalibration(
+            sensitivity=S_a, bias=b_a, unit="m/s^2", lever_arms_m=_lever_arms(values)
+        )
         if not {"gyroscope M", "gyroscope A", "gyroscope C_gyro_i"} <= set(values):
             return ImuCalibration(accelerometer=accelerometer)
         C = rotation(Node(file=self.file, path=f"{name}.C_gyro_i", value=values["gyroscope C_gyro_i"].tolist()))
@@ -192,13 +194,12 @@ class _Page:
     def imu_data(self, name: str) -> ForeignImu:
         """Return what is said of an IMU besides its model."""
         values = self.imus[name]
-        arms = [values.get(f"accelerometer {axis}") for axis in ("rx_i", "ry_i", "rz_i")]
         return ForeignImu(
             noise=_noise(values),
             update_rate_hz=values.get("Update rate"),
             T_imu_body=rigid(values["T_ib"]) if "T_ib" in values else None,
             time_offset_s=values.get("time offset"),
-            lever_arms_m=None if any(arm is None for arm in arms) else np.array(arms),
+            lever_arms_m=_lever_arms(values),
         )
 
     def target(self, notes: list[str]) -> Target | None:
@@ -279,6 +280,11 @@ class _Page:
 
     def _node(self, i: int, path: str, values: Floats) -> Node:
         return Node(file=f"{self.file}, line {i + 1}", path=path, value=values.tolist())
+
+
+def _lever_arms(values: dict[str, Any]) -> Floats | None:
+    arms = [values.get(f"accelerometer {axis}") for axis in ("rx_i", "ry_i", "rz_i")]
+    return None if any(arm is None for arm in arms) else np.array(arms)
 
 
 def _noise(values: dict[str, Any]) -> ImuNoise | None:

@@ -6,8 +6,18 @@ from os import PathLike
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration, MagnetometerCalibration
-from ..errors import FormatError
+from ..calibration import (
+    AccelerometerCalibration,
+    CameraCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
+    MagnetometerCalibration,
+)
+from ..errors import FormatError, OptionError
+from ..geometry.rotation_vector import rotation_from_rotvec
+from ..models.camera import Camera
+from ..models.distortions import DISTORTIONS
+from ..models.projections import PROJECTIONS
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from .calibration_file import FIELD_UNITS
@@ -22,7 +32,7 @@ _SHAPES = {
 
 
 def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
-    """Read the IMUs of the table; cameras are passed over, and named.
+    """Read the IMUs and the cameras of the table; cameras of older versions, without resolution, are passed over.
 
     Raises
     ------
@@ -35,6 +45,8 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
         raise FormatError(f"{path}, line 1: expected name,value,sigma,unit. Give a table that gnomon convert made.")
     table: dict[str, tuple[int, list[str]]] = {}
     for number, row in enumerate(rows[1:], start=2):
+        if row and row[0] == "comment":
+            continue
         if len(row) != 4 or row[0] in table:
             problem = f"{row[0]} stands here twice" if len(row) == 4 else f"found {len(row)} columns, expected 4"
             raise FormatError(f"{path}, line {number}: {problem}.")
@@ -42,16 +54,27 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
     table.pop("body_frame", None)
     table.pop("gravity", None)
     names = sorted({name.split(".")[0] for name in table})
-    cameras = [name for name in names if re.fullmatch(r"cam\d+", name)]
-    table = {name: row for name, row in table.items() if name.split(".")[0] not in cameras}
+    notes: list[str] = []
+    cameras: dict[str, CameraCalibration] = {}
     reader = _Table(path, table)
-    imus = {name: reader.imu(name) for name in names if name not in cameras}
+    for name in [name for name in names if re.fullmatch(r"cam\d+", name)]:
+        if f"{name}.resolution" in table:
+            cameras[name] = reader.camera(name)
+            continue
+        notes.append(f"{name} was passed over.")
+        for key in [key for key in table if key.split(".")[0] == name]:
+            del table[key]
+    imus = {name: reader.imu(name) for name in names if not re.fullmatch(r"cam\d+", name)}
     if table:
         name, (number, _) = next(iter(table.items()))
         raise FormatError(f"{path}, line {number}: {name} is no parameter of a calibration.")
-    notes = tuple(f"{name} was passed over." for name in cameras)
     return ForeignCalibration(
-        imus=imus, frame=recognised_frame(imus), sigmas=reader.sigmas, notes=notes, format="gnomon's csv"
+        imus=imus,
+        frame=recognised_frame(imus),
+        sigmas=reader.sigmas,
+        notes=tuple(notes),
+        cameras=cameras,
+        format="gnomon's csv",
     )
 
 
@@ -73,10 +96,47 @@ class _Table:
             magnetometer=self.magnetometer(name) if "magnetometer" in there else None,
         )
 
+    def camera(self, name: str) -> CameraCalibration:
+        """Return a camera; its rotation is a rotation vector."""
+        projection, _, distortion = self.words(f"{name}.model").partition("-")
+        shape = next((known for name, known in PROJECTIONS.items() if name == projection), None)
+        bent = next((known for name, known in DISTORTIONS.items() if name == distortion), None)
+        if shape is None or bent is None:
+            raise FormatError(f'{self.path}: {name}.model is "{projection}-{distortion}", which is no model of a lens.')
+        sides = self.words(f"{name}.resolution").split()
+        if len(sides) != 2 or not all(side.isdigit() for side in sides):
+            raise FormatError(f"{self.path}: {name}.resolution is {' '.join(sides)!r}, expected width and height.")
+        T = np.eye(4)
+        T[:3, :3] = rotation_from_rotvec(self.take(f"{name}.T_cam_imu.rotation", (3,))[0])
+        T[:3, 3] = self.take(f"{name}.T_cam_imu.translation", (3,))[0]
+        try:
+            camera = Camera(
+                projection=projection,  # pyright: ignore[reportArgumentType]
+                intrinsics=self.take(f"{name}.intrinsics", (len(shape.names) + 4,))[0],
+                distortion=distortion,  # pyright: ignore[reportArgumentType]
+                distortion_coeffs=self.take(f"{name}.distortion_coeffs", (len(bent.names),))[0],
+                resolution=(int(sides[0]), int(sides[1])),
+                line_delay_s=float(self.take(f"{name}.line_delay", ())[0]),
+                topic=self.words(f"{name}.rostopic") if f"{name}.rostopic" in self.rows else "",
+            )
+        except OptionError as error:
+            raise FormatError(f"{self.path}: {name}: {error}") from None
+        shift = float(self.take(f"{name}.time_shift_cam_imu", ())[0])
+        return CameraCalibration(T_cam_imu=T, time_shift_cam_imu=shift, camera=camera)
+
+    def words(self, name: str) -> str:
+        """Return a value that is no number."""
+        if name not in self.rows:
+            raise FormatError(f"{self.path}: the row {name} is missing.")
+        return self.rows.pop(name)[1][1]
+
     def accelerometer(self, name: str) -> AccelerometerCalibration:
+        """Return the accelerometer, with its lever arms where there are any."""
         found = self.triad(name, "accelerometer")
         unit = self.unit(found["bias"][1], ACCELEROMETER_UNITS_M_S2)
-        return AccelerometerCalibration(**{key: value for key, (value, _) in found.items()}, unit=unit)
+        arms = f"{name}.accelerometer.lever_arms_m"
+        known = {"lever_arms_m": self.take(arms, (3, 3))[0]} if f"{arms}[0,0]" in self.rows else {}
+        return AccelerometerCalibration(**{key: value for key, (value, _) in found.items()}, **known, unit=unit)
 
     def gyroscope(self, name: str) -> GyroscopeCalibration:
         found = self.triad(name, "gyroscope")
@@ -103,7 +163,7 @@ class _Table:
         """Return the value of a parameter and the unit of its last row."""
         values, sigmas, unit = np.empty(shape), np.empty(shape), ""
         for index in np.ndindex(shape):
-            name = f"{parameter}[{','.join(map(str, index))}]"
+            name = f"{parameter}[{','.join(map(str, index))}]" if index else parameter
             if name not in self.rows:
                 raise FormatError(f"{self.path}: the row {name} is missing.")
             number, row = self.rows.pop(name)

@@ -18,6 +18,7 @@ from ..models.camera import Camera
 from ..models.estimator_forms import BasaltTriad
 from ..models.noise import CONSUMER_MEMS
 from ..recording import Floats
+from .context import Context, StatedImu
 from .export import (
     Export,
     Loss,
@@ -27,8 +28,13 @@ from .export import (
     require_triads,
     uncertainty_loss,
 )
-from .kalibr import StatedImu
-from .openvins import missing_gyroscope_loss, other_imu_losses, shift_losses
+from .sensor_losses import (
+    lever_arm_losses,
+    missing_gyroscope_loss,
+    noise_losses,
+    other_imu_losses,
+    shift_losses,
+)
 from .si_units import conversions, count_losses, si_imu
 
 FILE = "calibration.json"
@@ -40,10 +46,14 @@ _COMMENT = (
     "force = (I + S) a - b, calib_accel_bias = b and the lower triangle of S by columns; angular rate = "
     "(I + S_g) y - b_g, calib_gyro_bias = b_g and S_g by columns."
 )
-_PLACEHOLDER = " Noise and imu_update_rate are those of some consumer IMU: put in your own."
+_PLACEHOLDER = "of this file are not this IMU's but those of some consumer IMU: put in your own."
+_INSTEAD = (
+    "does not start without: the file has those of a consumer IMU (accel_noise_std, gyro_noise_std, accel_bias_std, "
+    "gyro_bias_std, imu_update_rate). Put in yours"
+)
 
 
-def export(calibration: Calibration) -> Export:
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `calibration.json`.
 
     Raises
@@ -61,18 +71,23 @@ def export(calibration: Calibration) -> Export:
         *missing_gyroscope_loss(name, imu),
         *other_imu_losses(moved, "Basalt"),
         *shift_losses(moved, "Basalt"),
+        *noise_losses(context.of(name), "Basalt", _INSTEAD),
+        *lever_arm_losses(moved, "Basalt"),
         *_losses(moved),
         *magnetometer_losses(moved, "Basalt"),
     )
-    return Export(files={FILE: basalt_text(moved)}, losses=(*found, uncertainty_loss("basalt")))
+    return Export(
+        files={FILE: basalt_text(moved, context.of(name), context.remarks)}, losses=(*found, uncertainty_loss("basalt"))
+    )
 
 
-def basalt_text(calibration: Calibration, stated: StatedImu | None = None) -> str:
+def basalt_text(calibration: Calibration, stated: StatedImu | None = None, remarks: tuple[str, ...] = ()) -> str:
     """Return the text of the JSON for a calibration in body frame accel-x.
 
     Parameters
     ----------
     stated : noise and rate of imu0; without them those of a consumer IMU are put in, and the file says so
+    remarks : sentences for the comment
 
     Raises
     ------
@@ -81,11 +96,14 @@ def basalt_text(calibration: Calibration, stated: StatedImu | None = None) -> st
     """
     imu = next(iter(calibration.imus.values()))
     accelerometer, gyroscope = _triads(imu)
-    noise = CONSUMER_MEMS if stated is None else stated.noise
+    stated = stated or StatedImu()
+    noise, rate_hz = stated.noise or CONSUMER_MEMS, stated.update_rate_hz or _RATE_HZ
     cameras = list(calibration.cameras.values())
     shift = cameras[0].time_shift_cam_imu if cameras else 0.0
     lines = [line for conversion in conversions(imu) if conversion.unit == "count" for line in conversion.lines()]
-    comment = " ".join([_COMMENT + (_PLACEHOLDER if stated is None else ""), *lines])
+    placeholders = (*(() if stated.noise else ("Noise",)), *(() if stated.update_rate_hz else ("imu_update_rate",)))
+    assumed = [f"{' and '.join(placeholders)} {_PLACEHOLDER}"] if placeholders else []
+    comment = " ".join([_COMMENT, *assumed, *lines, *remarks])
     document: dict[str, Any] = {
         "comment": comment,
         "T_imu_cam": [_pose(camera) for camera in cameras],
@@ -93,7 +111,7 @@ def basalt_text(calibration: Calibration, stated: StatedImu | None = None) -> st
         "resolution": [list(camera.camera.resolution) for camera in cameras],
         "calib_accel_bias": [*accelerometer.b.tolist(), *(accelerometer.S.T[np.triu_indices(3)]).tolist()],
         "calib_gyro_bias": [*gyroscope.b.tolist(), *gyroscope.S.T.ravel().tolist()],
-        "imu_update_rate": _RATE_HZ if stated is None else float(stated.update_rate_hz),
+        "imu_update_rate": float(rate_hz),
         "accel_noise_std": [noise.accelerometer_noise_density] * 3,
         "gyro_noise_std": [noise.gyroscope_noise_density] * 3,
         "accel_bias_std": [noise.accelerometer_random_walk] * 3,
@@ -130,8 +148,10 @@ def _lens(name: str, camera: Camera) -> dict[str, Any]:
             return {"camera_type": "pinhole", "intrinsics": linear}
         case "pinhole", "equidistant":
             return {"camera_type": "kb4", "intrinsics": linear | _named("k1 k2 k3 k4", camera.distortion_coeffs)}
-        case "pinhole", "radtan":
-            own = _named("k1 k2 p1 p2", camera.distortion_coeffs) | dict.fromkeys(("k3", "k4", "k5", "k6"), 0.0)
+        case "pinhole", "radtan" | "radtan5":
+            coeffs = np.zeros(8)
+            coeffs[: len(camera.distortion_coeffs)] = camera.distortion_coeffs
+            own = _named("k1 k2 p1 p2 k3 k4 k5 k6", coeffs)
             limit = camera.distortion_limit
             return {
                 "camera_type": "pinhole-radtan8",
@@ -159,11 +179,6 @@ def _named(names: str, values: Floats) -> dict[str, float]:
 
 
 def _losses(calibration: Calibration) -> Iterator[Loss]:
-    yield Loss(
-        what="noise and rate",
-        why="a gnomon calibration does not hold them, and Basalt does not start without: the file has those of a "
-        "consumer IMU (accel_noise_std, gyro_noise_std, accel_bias_std, gyro_bias_std, imu_update_rate). Put in yours.",
-    )
     if not calibration.cameras:
         yield Loss(what="cameras", why="this calibration is of an IMU alone; Basalt needs at least one.")
         return
@@ -171,7 +186,7 @@ def _losses(calibration: Calibration) -> Iterator[Loss]:
     for name, camera in calibration.cameras.items():
         if camera.camera.topic:
             yield Loss(what=f"rostopic of {name}", why="Basalt has no key for it.")
-        if camera.camera.model == "pinhole-radtan":
+        if camera.camera.model in ("pinhole-radtan", "pinhole-radtan5"):
             yield Loss(
                 what=f"camera_type of {name}",
                 why="only newer versions of Basalt know pinhole-radtan8; the first ones know no radtan at all.",

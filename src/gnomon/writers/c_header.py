@@ -12,7 +12,9 @@ from ..calibration import Calibration, ImuCalibration
 from ..models.forms import inverse
 from ..recording import Floats
 from .calibration_file import FRAMES
+from .context import Context
 from .export import Export, Loss, camera_losses, uncertainty_loss
+from .sensor_losses import lever_arm_losses
 
 _HEAD = """\
 /* Calibration of an inertial sensor as C code, made by gnomon.
@@ -22,7 +24,7 @@ _HEAD = """\
  * so that
  *   f = S^-1 (accelerometer - b),   w = S^-1 (gyroscope - b - G f).
 {magnetometer} * Body frame: {frame}.
- */
+{remarks} */
 #ifndef GNOMON_IMU_H
 #define GNOMON_IMU_H
 """
@@ -63,14 +65,19 @@ _PRODUCT = """\
 """
 
 
-def export(calibration: Calibration) -> Export:
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `gnomon_imu.h` with a function `gnomon_imu0_apply` for each IMU.
 
     A magnetometer, whose samples come at a rate of their own, has `gnomon_imu0_apply_magnetometer`.
     """
     frame = f"{calibration.frame}, {FRAMES.get(calibration.frame, FRAMES['user'])}"
     magnetic = any(imu.magnetometer is not None for imu in calibration.imus.values())
-    parts = [_HEAD.format(frame=frame.replace("*/", "* /"), magnetometer=_HEAD_MAGNETOMETER if magnetic else "")]
+    remarks = context.comment(" * ").replace("*/", "* /")
+    parts = [
+        _HEAD.format(
+            frame=frame.replace("*/", "* /"), magnetometer=_HEAD_MAGNETOMETER if magnetic else "", remarks=remarks
+        )
+    ]
     for name, imu in calibration.imus.items():
         identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
         parts.append(_constants(identifier, imu))
@@ -82,8 +89,8 @@ def export(calibration: Calibration) -> Export:
     rounding = Loss(
         what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
     )
-    losses = (*camera_losses(calibration, "the C header"), rounding, uncertainty_loss("the C header"))
-    return Export(files={"gnomon_imu.h": text}, losses=losses)
+    losses = (*camera_losses(calibration, "the C header"), *lever_arm_losses(calibration, "the C header"), rounding)
+    return Export(files={"gnomon_imu.h": text}, losses=(*losses, uncertainty_loss("the C header")))
 
 
 def _constants(imu: str, calibration: ImuCalibration) -> str:

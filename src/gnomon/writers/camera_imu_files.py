@@ -12,9 +12,11 @@ from ..diagnostics import CameraImuDiagnostics, NoiseLevel, Result
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..output import write_whole
+from ..parameters import parameters
 from ..readers.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
-from .kalibr import IMU_FILE, StatedImu, imu_text
+from .context import Context, StatedImu, remarks
+from .kalibr import IMU_FILE, imu_text
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
 from .kalibr_results import RESULTS_FILE, KalibrResults
 from .trajectory import TRAJECTORY_FILE, trajectory_text
@@ -54,6 +56,7 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
     calibration = (
         result.calibration if result.calibration.frame == "accel-x" else result.calibration.in_frame("accel-x")
     )
+    calibration = calibration.with_origin("x")
     imus = {name: stated_imu(name, recording.imus[name], diagnostics) for name in calibration.imus}
     results = KalibrResults(
         calibration=calibration,
@@ -63,9 +66,10 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
         imus=imus,
         notes=tuple(_notes(calibration, diagnostics)),
     )
+    said = Context(remarks=remarks(calibration)).comment()
     return {
-        CAMCHAIN_FILE: camchain_text(calibration),
-        IMU_FILE: imu_text(calibration, imus),
+        CAMCHAIN_FILE: camchain_text(calibration, said),
+        IMU_FILE: imu_text(calibration, imus, said),
         RESULTS_FILE: results.text(),
         TRAJECTORY_FILE: trajectory_text(diagnostics.trajectory),
     }
@@ -122,6 +126,7 @@ def _notes(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Itera
     yield from ("", "", "Added by gnomon", "===============", "")
     yield f"Verdict: {calibration.verdict}; model {calibration.assessment.model}; reasons are in calibration.yaml"
     yield "Normalized residuals are in units of the noise that was used"
+    yield from Context(remarks=remarks(calibration)).lines()
     yield from ("", "Noise: stated beforehand, found in the residuals, used", "----------------------------")
     for level in diagnostics.noise:
         stated = f"{level.nominal:.6g}" if isfinite(level.nominal) else "not stated"
@@ -130,6 +135,8 @@ def _notes(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Itera
     yield f"  gravity in the target's frame [m/s^2]: {_numbers(diagnostics.gravity_sigma)}"
     paths = [f"{name}.{key}" for name in calibration.cameras for key in _CAMERA_PATHS]
     paths += [f"{imu}.{path}" for imu in calibration.imus for path in _IMU_PATHS]
+    known = dict(parameters(calibration.imus))
+    paths += [path for path in (f"{imu}.accelerometer.lever_arms_m" for imu in calibration.imus) if path in known]
     for path in paths:
         sigma = calibration.sigma(path)
         if sigma.size:

@@ -1,5 +1,6 @@
 """Calibration -> the files of other projects."""
 
+from collections.abc import Mapping
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
@@ -7,36 +8,61 @@ from pathlib import Path
 from ..calibration import Calibration
 from ..errors import OptionError, OutputError
 from ..output import write_whole
+from ..readers.foreign import ForeignCalibration
+from ..readers.foreign_calibration import as_calibration
+from ..readers.imu_noise import read_imu_noise
+from .context import Context, StatedImu, remark_losses, remarks
 from .export import Export, Loss
 
 FORMATS = {
     "imu_tk": "imu_tk",
     "kalibr": "kalibr",
     "openvins": "openvins",
+    "vins-fusion": "vins_fusion",
+    "orb-slam3": "orb_slam3",
     "basalt": "basalt",
+    "okvis": "okvis",
+    "px4": "px4",
+    "ardupilot": "ardupilot",
+    "ros2": "ros2",
     "imucal": "imucal",
     "c-header": "c_header",
+    "json": "calibration_json",
     "csv": "parameter_csv",
 }
 """Name of a format -> the module here that makes it."""
 
+WITH_NOISE = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis")
+"""Formats that hold noise and rate of the IMU."""
+_WITHOUT_CAMERAS = ("imu_tk", "px4", "ardupilot", "imucal", "c-header")
 
-def convert(calibration: Calibration, to: str, directory: str | PathLike[str]) -> tuple[Loss, ...]:
+Stated = str | PathLike[str] | Mapping[str, StatedImu] | None
+
+
+def convert(
+    calibration: Calibration | ForeignCalibration, to: str, directory: str | PathLike[str], *, imu: Stated = None
+) -> tuple[Loss, ...]:
     """Write a calibration in another project's format and return what that format cannot hold.
 
     Parameters
     ----------
-    to : "imu_tk", "kalibr", "openvins", "basalt", "imucal", "c-header" or "csv"
+    calibration : gnomon's own, or what `load_foreign` read of another project's
+    to : "imu_tk", "kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis", "px4", "ardupilot", "ros2",
+        "imucal", "c-header", "json" or "csv"
     directory : made if it is not there; only the files of the format are written, each of them whole or not at all
+    imu : file with the noise and rate of the IMUs, such as Kalibr's imu.yaml or gnomon's noise.yaml, or what is known
+        of each; another project's calibration may state them itself
 
     Raises
     ------
     OptionError
         If there is no such format, or its model cannot represent this sensor.
+    FormatError
+        If the file of the noise cannot be read.
     OutputError
         If a file cannot be written.
     """
-    export = exported(calibration, to)
+    export = exported(calibration, to, imu=imu)
     folder = Path(directory)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -49,15 +75,44 @@ def convert(calibration: Calibration, to: str, directory: str | PathLike[str]) -
     return export.losses
 
 
-def exported(calibration: Calibration, to: str) -> Export:
-    """Return the texts of the files of another project's format, by name, without writing them.
+def exported(calibration: Calibration | ForeignCalibration, to: str, *, imu: Stated = None) -> Export:
+    """Return the texts of the files of another project's format, by name, without writing them; see `convert`.
 
     Raises
     ------
     OptionError
         If there is no such format, or its model cannot represent this sensor.
+    FormatError
+        If the file of the noise cannot be read.
     """
     if to not in FORMATS:
         raise OptionError(f'"{to}" is no format to convert to. Choose one of: {", ".join(FORMATS)}.')
+    stated: dict[str, StatedImu] = {}
+    if isinstance(calibration, ForeignCalibration):
+        stated = {
+            name: StatedImu(noise=data.noise, update_rate_hz=data.update_rate_hz, topic=data.topic)
+            for name, data in calibration.imu_data.items()
+        }
+        calibration = as_calibration(calibration)
+    if imu is not None:
+        stated |= imu if isinstance(imu, Mapping) else stated_imus(imu)
     module = import_module(f".{FORMATS[to]}", __package__)
-    return module.export(calibration)
+    cameras = to not in _WITHOUT_CAMERAS
+    context = Context(stated=stated, remarks=remarks(calibration, cameras=cameras))
+    export: Export = module.export(calibration, context)
+    return Export(files=export.files, losses=(*remark_losses(calibration, cameras=cameras), *export.losses))
+
+
+def stated_imus(path: str | PathLike[str]) -> dict[str, StatedImu]:
+    """Return noise, rate and topic of the IMUs that a file states; see `readers.imu_noise`.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is none of those that state noise.
+    """
+    origin = f"noise from {Path(path).name}"
+    return {
+        name: StatedImu(noise=found.noise, update_rate_hz=found.update_rate_hz, topic=found.topic, comments=(origin,))
+        for name, found in read_imu_noise(path).items()
+    }

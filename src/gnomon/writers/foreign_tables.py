@@ -6,12 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .._version import __version__
-from ..calibration import Assessment, Calibration, Covariance, Gravity, Provenance, covariance_names, parameters
 from ..models.camera import Camera
-from ..parameters import element_names
 from ..readers.foreign import ForeignCalibration, ForeignImu
-from ..units import STANDARD_GRAVITY_M_S2
+from ..readers.foreign_calibration import told
 from .tables import Row, Table, form_tables
 
 _FIXED = " (fixed)"
@@ -37,7 +34,7 @@ def foreign_tables(foreign: ForeignCalibration, form: str = "sensitivity") -> tu
     """
     found = [_summary(foreign)]
     if foreign.imus or foreign.cameras:
-        found += form_tables(_calibration(foreign), form)
+        found += form_tables(told(foreign, unknown=0.0), form)
     found += [_lens_table(name, camera) for name, camera in foreign.lenses.items()]
     if foreign.sigmas:
         return tuple(table for table in found if table.rows)
@@ -90,8 +87,6 @@ def _imu_rows(data: ForeignImu) -> Iterator[Row]:
     if data.T_imu_body is not None and not np.array_equal(data.T_imu_body, np.eye(4)):
         for i, row in enumerate(data.T_imu_body[:3]):
             yield Row(name=f"T_imu_imu0, row {i}", value=_numbers(row), unit="1; m")
-    for axis, arm in zip("xyz", () if data.lever_arms_m is None else data.lever_arms_m, strict=False):
-        yield Row(name=f"place of the {axis} accelerometer", value=_numbers(arm), unit="m")
 
 
 def _lens_table(name: str, camera: Camera) -> Table:
@@ -114,22 +109,3 @@ def _numbers(values: Any) -> str:
 def _without_sigmas(table: Table) -> Table:
     rows = [Row(name=row.name, value=row.value.removesuffix(_FIXED), unit=row.unit) for row in table.rows]
     return Table(title=table.title, note=table.note, rows=tuple(rows))
-
-
-def _calibration(foreign: ForeignCalibration) -> Calibration:
-    """Return the sensors as a calibration, for tables only: nothing is known of how good it is."""
-    names = covariance_names(foreign.imus, foreign.cameras)
-    variance = dict.fromkeys(names, 0.0)
-    for path, value in parameters(foreign.imus, foreign.cameras):
-        if path in foreign.sigmas:
-            squares = np.square(foreign.sigmas[path]).ravel().tolist()
-            variance |= dict(zip(element_names(path, value.shape), squares, strict=True))
-    return Calibration(
-        imus=foreign.imus,
-        cameras=foreign.cameras,
-        frame=foreign.frame,
-        gravity=Gravity(value=STANDARD_GRAVITY_M_S2, sigma=float("nan"), source="not stated"),
-        uncertainty=Covariance(names=names, matrix=np.diag([variance[name] for name in names])),
-        assessment=Assessment(verdict="warn", findings=(), model="foreign"),
-        provenance=Provenance(gnomon_version=__version__, method="foreign"),
-    )

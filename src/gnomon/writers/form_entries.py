@@ -90,6 +90,11 @@ def sensitivity_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry
     yield from _ACCELEROMETER.vector("bias", b, unit)
 
 
+def lever_arms(places: Floats) -> Iterator[Entry]:
+    """Name where the accelerometers sit: the accelerometer, then the body axis."""
+    yield from _ACCELEROMETER.matrix("r", places, "m")
+
+
 def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
     """Name sensitivity, bias and g-sensitivity."""
     yield from _GYROSCOPE.matrix("sensitivity", S, per(unit, _RATE))

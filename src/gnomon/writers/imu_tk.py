@@ -1,6 +1,7 @@
 """imu_tk: for each triad a file of T (3x3), K (3x3) and B (3), white space between them; calibrated = T K (x - B).
 
-The format has no comments. Read back by `readers.imu_tk_calib`.
+The format has no comments, but imu_tk reads no further than the numbers: what has to be said stands behind them. Read
+back by `readers.imu_tk_calib`.
 """
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..errors import OptionError
 from ..models.forms import in_frame
 from ..models.project_forms import ImuTkTriad
 from ..recording import Floats
+from .context import Context
 from .export import (
     Export,
     Loss,
@@ -20,9 +22,10 @@ from .export import (
     numbers_text,
     uncertainty_loss,
 )
+from .sensor_losses import lever_arm_losses
 
 
-def export(calibration: Calibration) -> Export:
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `imu0_acc.calib` and `imu0_gyro.calib` for each IMU, of the triads that there are.
 
     Raises
@@ -36,10 +39,12 @@ def export(calibration: Calibration) -> Export:
     for name, imu in moved.imus.items():
         if imu.accelerometer is not None:
             upper = in_frame(imu.accelerometer.sensitivity, ImuTkTriad.frame)
-            files[f"{name}_acc.calib"] = _text(upper, imu.accelerometer.bias)
+            files[f"{name}_acc.calib"] = _text(upper, imu.accelerometer.bias, imu.accelerometer.unit, "m/s^2", context)
             units.add(imu.accelerometer.unit)
         if imu.gyroscope is not None:
-            files[f"{name}_gyro.calib"] = _text(imu.gyroscope.sensitivity, imu.gyroscope.bias)
+            files[f"{name}_gyro.calib"] = _text(
+                imu.gyroscope.sensitivity, imu.gyroscope.bias, imu.gyroscope.unit, "rad/s", context
+            )
             units.add(imu.gyroscope.unit)
     if not files:
         raise OptionError(
@@ -48,13 +53,15 @@ def export(calibration: Calibration) -> Export:
         )
     unit = Loss(
         what="unit of the samples",
-        why=f"the files do not say that they take samples in {' and '.join(sorted(units))} to m/s^2 and rad/s.",
+        why=f"the samples have to be in {' and '.join(sorted(units))}; a comment behind the numbers says so, which "
+        "imu_tk does not read.",
     )
     return Export(
         files=files,
         losses=(
             *camera_losses(moved, "imu_tk"),
             *g_sensitivity_losses(moved, "imu_tk"),
+            *lever_arm_losses(moved, "imu_tk"),
             *magnetometer_losses(moved, "imu_tk"),
             *losses,
             unit,
@@ -70,7 +77,8 @@ def _moved(calibration: Calibration) -> tuple[Calibration, tuple[Loss, ...]]:
     return calibration, ()
 
 
-def _text(sensitivity: Floats, bias: Floats) -> str:
+def _text(sensitivity: Floats, bias: Floats, unit: str, si: str, context: Context) -> str:
     form = ImuTkTriad.from_sensor(sensitivity, bias)
     blocks = (form.T, np.diag(form.K), form.B[:, None])
-    return "\n".join("".join(f"{numbers_text(row)}\n" for row in block) for block in blocks)
+    numbers = "\n".join("".join(f"{numbers_text(row)}\n" for row in block) for block in blocks)
+    return f"{numbers}\n# Made by gnomon: value [{si}] = T K (sample [{unit}] - B).\n{context.comment()}"

@@ -12,10 +12,14 @@ import numpy as np
 from ..calibration import Calibration, ImuCalibration
 from ..models.project_forms import ImucalAccelerometer, ImucalGyroscope
 from .calibration_file import FRAMES
+from .context import Context
 from .export import Export, camera_losses, magnetometer_losses, require_triads, uncertainty_loss
+from .sensor_losses import lever_arm_losses
+
+_COMMENT = "Made by gnomon. acc = K_a R_a f + b_a; gyr = K_g R_g w + K_ga f + b_g, f in m/s^2, w in deg/s."
 
 
-def export(calibration: Calibration) -> Export:
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `imu0.json` for each IMU.
 
     Raises
@@ -25,14 +29,18 @@ def export(calibration: Calibration) -> Export:
     """
     require_triads(calibration, "imucal", "accelerometer", "gyroscope", otherwise="imu_tk, c-header or csv")
     files = {
-        f"{name}.json": json.dumps(_document(imu, calibration.frame), indent=4) + "\n"
+        f"{name}.json": json.dumps(_document(imu, calibration.frame, context.remarks), indent=4) + "\n"
         for name, imu in calibration.imus.items()
     }
-    losses = (*camera_losses(calibration, "imucal"), *magnetometer_losses(calibration, "imucal"))
+    losses = (
+        *camera_losses(calibration, "imucal"),
+        *lever_arm_losses(calibration, "imucal"),
+        *magnetometer_losses(calibration, "imucal"),
+    )
     return Export(files=files, losses=(*losses, uncertainty_loss("imucal")))
 
 
-def _document(imu: ImuCalibration, frame: str) -> dict[str, Any]:
+def _document(imu: ImuCalibration, frame: str, remarks: tuple[str, ...]) -> dict[str, Any]:
     accelerometer = imu.required_accelerometer
     assert imu.gyroscope is not None
     acc = ImucalAccelerometer.from_sensor(accelerometer.sensitivity, accelerometer.bias)
@@ -45,8 +53,7 @@ def _document(imu: ImuCalibration, frame: str) -> dict[str, Any]:
         "gyr_unit": "deg/s",
         "from_acc_unit": _unit(accelerometer.unit),
         "from_gyr_unit": _unit(imu.gyroscope.unit),
-        "comment": "Made by gnomon. acc = K_a R_a f + b_a; gyr = K_g R_g w + K_ga f + b_g, f in m/s^2, w in deg/s. "
-        f"Body frame {frame}: {FRAMES.get(frame, FRAMES['user'])}.",
+        "comment": " ".join((_COMMENT, f"Body frame {frame}: {FRAMES.get(frame, FRAMES['user'])}.", *remarks)),
         "K_a": np.diag(acc.K).tolist(),
         "R_a": acc.R.tolist(),
         "b_a": acc.b.tolist(),

@@ -13,9 +13,12 @@ from ..calibration import Calibration, ImuCalibration
 from ..models.noise import ImuNoise
 from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ..recording import Floats
-from .export import Export, Loss, into_frame, magnetometer_losses, numbers_text, require_triads, uncertainty_loss
+from .context import Context, StatedImu
+from .export import Export, Loss, into_frame, magnetometer_losses, require_triads, uncertainty_loss
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
 from .kalibr_text import kalibr_yaml
+from .lens_fit import k3_losses
+from .sensor_losses import bias_losses, noise_losses
 from .si_units import conversions, count_losses
 
 IMU_FILE = "imu.yaml"
@@ -28,27 +31,12 @@ _HEADER = """\
 _EQUATIONS = """\
 , and C = C_gyro_i:
 #   accelerometer [m/s^2] = M f + bias                gyroscope [rad/s] = M C w + A C f + bias"""
+_SIZE_EFFECT = """\
+# Component k of the f that the accelerometer feels is that at the k-th of rx_i, ry_i, rz_i [m]; the body is at rx_i.
+"""
 _IDEAL_EQUATIONS = """\
 :
 #   accelerometer [m/s^2] = f + bias                  gyroscope [rad/s] = w + bias"""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatedImu:
-    """What Kalibr's file says of an IMU besides its model.
-
-    Attributes
-    ----------
-    noise : noise densities and random walks
-    update_rate_hz : sample rate [Hz]
-    topic : ROS topic, or ""
-    comments : lines on the noise for people
-    """
-
-    noise: ImuNoise
-    update_rate_hz: float
-    topic: str = ""
-    comments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -57,9 +45,11 @@ class KalibrModel:
 
     Attributes
     ----------
-    name : "calibrated" for an ideal sensor, else "scale-misalignment"
+    name : "calibrated" for an ideal sensor, else "scale-misalignment", with lever arms
+        "scale-misalignment-size-effect"
     M_accel : (3, 3) [1], lower triangular
     M_gyro, A_gyro, C_gyro_i : (3, 3) [1], [rad/s per m/s^2], [1]; None without a gyroscope
+    lever_arms_m : (3, 3) where the x, y and z accelerometers sit, one row each; or None
     """
 
     name: str
@@ -67,9 +57,10 @@ class KalibrModel:
     M_gyro: Floats | None = None
     A_gyro: Floats | None = None
     C_gyro_i: Floats | None = None
+    lever_arms_m: Floats | None = None
 
 
-def export(calibration: Calibration) -> Export:
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `imu.yaml`, and `camchain-imucam.yaml` where there are cameras.
 
     Raises
@@ -79,26 +70,27 @@ def export(calibration: Calibration) -> Export:
     """
     require_triads(calibration, "kalibr", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
+    moved = moved.with_origin("x")
     found = list(losses)
     for name, imu in moved.imus.items():
         found.extend(_losses(name, imu))
     found.extend(magnetometer_losses(moved, "kalibr"))
-    missing = ", ".join((*ImuNoise.__slots__, "update_rate", "rostopic"))
-    found.append(
-        Loss(what="noise, rate and topic", why=f"a gnomon calibration does not hold {missing}; add them by hand.")
-    )
-    files = {IMU_FILE: imu_text(moved)}
+    found.extend(k3_losses(moved, "Kalibr"))
+    for name in moved.imus:
+        found.extend(noise_losses(context.of(name), "Kalibr", "needs them in its input: add them by hand"))
+    files = {IMU_FILE: imu_text(moved, context.stated, context.comment())}
     if moved.cameras:
-        files[CAMCHAIN_FILE] = camchain_text(moved)
+        files[CAMCHAIN_FILE] = camchain_text(moved, context.comment())
     return Export(files=files, losses=(*found, uncertainty_loss("kalibr")))
 
 
-def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = None) -> str:
+def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = None, remarks: str = "") -> str:
     """Return the text of `imu.yaml` for a calibration in Kalibr's body frame, accel-x.
 
     Parameters
     ----------
     stated : "imu0", ... -> noise, rate and topic; without them the file says that they have to be added
+    remarks : lines of comment
     """
     stated = stated or {}
     names: set[str] = set()
@@ -118,7 +110,8 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
         comments.append(f"Kalibr also needs {', '.join(missing)}: add them before you use this file as its input.")
     equations = _IDEAL_EQUATIONS if names == {"calibrated"} else _EQUATIONS
     header = _HEADER.format(model=" and ".join(sorted(names)), equations=equations)
-    return header + "".join(f"# {line}\n" for line in comments) + kalibr_yaml(document)
+    header += _SIZE_EFFECT if "scale-misalignment-size-effect" in names else ""
+    return header + remarks + "".join(f"# {line}\n" for line in comments) + kalibr_yaml(document)
 
 
 def kalibr_model(imu: ImuCalibration) -> KalibrModel:
@@ -126,18 +119,26 @@ def kalibr_model(imu: ImuCalibration) -> KalibrModel:
     sensor = imu.required_accelerometer
     factors = [conversion.factor for conversion in conversions(imu)]
     M_accel = KalibrAccelerometer.from_sensor(sensor.sensitivity, sensor.bias).M * factors[0]
+    arms = sensor.lever_arms_m
     ideal = _is_identity(M_accel)
     if imu.gyroscope is None:
-        return KalibrModel(name="calibrated" if ideal else "scale-misalignment", M_accel=M_accel)
+        return KalibrModel(name=_model_name(arms, ideal=ideal), M_accel=M_accel, lever_arms_m=arms)
     ideal &= _is_identity(imu.gyroscope.sensitivity * factors[1]) and not imu.gyroscope.g_sensitivity.any()
     gyroscope = KalibrGyroscope.from_sensor(imu.gyroscope.sensitivity, imu.gyroscope.bias, imu.gyroscope.g_sensitivity)
     return KalibrModel(
-        name="calibrated" if ideal else "scale-misalignment",
+        name=_model_name(arms, ideal=ideal),
         M_accel=M_accel,
         M_gyro=gyroscope.M * factors[1],
         A_gyro=gyroscope.A * factors[1],
         C_gyro_i=gyroscope.C_gyro_i,
+        lever_arms_m=arms,
     )
+
+
+def _model_name(arms: Floats | None, *, ideal: bool) -> str:
+    if arms is not None:
+        return "scale-misalignment-size-effect"
+    return "calibrated" if ideal else "scale-misalignment"
 
 
 def _is_identity(matrix: Floats) -> bool:
@@ -151,27 +152,25 @@ def _entry(model: KalibrModel, *, is_body: bool) -> dict[str, Any]:
     if model.name == "calibrated":
         return entry
     entry["accelerometers"] = {"M": model.M_accel}
+    if model.lever_arms_m is not None:
+        entry["accelerometers"] |= dict(zip(("rx_i", "ry_i", "rz_i"), model.lever_arms_m, strict=True))
     if model.M_gyro is not None:
         entry["gyroscopes"] = {"M": model.M_gyro, "A": model.A_gyro, "C_gyro_i": model.C_gyro_i}
     return entry
 
 
 def stated_entry(stated: StatedImu) -> dict[str, Any]:
-    """Return noise, rate and topic by Kalibr's keys."""
-    entry: dict[str, Any] = {name: float(value) for name, value in asdict(stated.noise).items()}
-    entry["update_rate"] = float(stated.update_rate_hz)
+    """Return noise, rate and topic by Kalibr's keys, as far as they are known."""
+    entry: dict[str, Any] = {}
+    if stated.noise is not None:
+        entry |= {name: float(value) for name, value in asdict(stated.noise).items()}
+    if stated.update_rate_hz is not None:
+        entry["update_rate"] = float(stated.update_rate_hz)
     return entry | ({"rostopic": stated.topic} if stated.topic else {})
 
 
 def _losses(name: str, imu: ImuCalibration) -> Iterator[Loss]:
     yield from count_losses(name, imu, "Kalibr")
-    for conversion in conversions(imu):
-        if conversion.unit != "count":
-            size = numbers_text(np.round(conversion.bias_si, 6), ", ")
-            yield Loss(
-                what=f"{conversion.triad} bias of {name}",
-                why="Kalibr estimates the bias over time and has no key for it; it is in the file's comments.",
-                size=f"{size} {conversion.si}",
-            )
+    yield from bias_losses(name, imu, "Kalibr")
     if name != "imu0":
         yield Loss(what=f"pose of {name}", why="how the IMUs lie to each other was not measured: T_i_b is left out.")

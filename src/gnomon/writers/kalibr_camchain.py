@@ -9,6 +9,7 @@ import numpy as np
 from ..calibration import Calibration, CameraCalibration
 from ..recording import Floats
 from .kalibr_text import kalibr_yaml
+from .lens_fit import cameras_without_k3, k3_losses
 
 CAMCHAIN_FILE = "camchain-imucam.yaml"
 
@@ -18,14 +19,20 @@ _HEADER = """\
 """
 
 
-def camchain_text(calibration: Calibration) -> str:
-    """Return the text of `camchain-imucam.yaml` for a calibration with cameras, in Kalibr's body frame accel-x."""
-    return _HEADER + kalibr_yaml(camera_chain(calibration.cameras))
+def camchain_text(calibration: Calibration, remarks: str = "") -> str:
+    """Return the text of `camchain-imucam.yaml` for a calibration with cameras, in Kalibr's body frame accel-x.
+
+    Parameters
+    ----------
+    remarks : lines of comment
+    """
+    lost = "".join(f"# {loss}\n" for loss in k3_losses(calibration, "Kalibr"))
+    return _HEADER + remarks + lost + kalibr_yaml(camera_chain(calibration.cameras))
 
 
 def camera_chain(cameras: Mapping[str, CameraCalibration]) -> dict[str, Any]:
     """Return cameras by Kalibr's keys."""
-    document = {name: _camera(camera) for name, camera in cameras.items()}
+    document = {name: _camera(camera) for name, camera in cameras_without_k3(cameras).items()}
     for (_, before), (name, camera) in pairwise(cameras.items()):
         document[name]["T_cn_cnm1"] = baseline(before, camera)
     return document

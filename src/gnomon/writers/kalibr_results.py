@@ -11,12 +11,14 @@ from itertools import pairwise
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration
+from ..errors import OptionError
 from ..models.camera import Camera
 from ..models.target import Target
 from ..readers.foreign import Residuals
 from ..recording import Floats
 from .kalibr import KalibrModel, StatedImu, kalibr_model
 from .kalibr_camchain import baseline
+from .lens_fit import without_k3
 
 RESULTS_FILE = "results-imucam.txt"
 
@@ -100,7 +102,8 @@ def _transformation(name: str, camera: CameraCalibration) -> Iterator[str]:
     yield from (str(float(camera.time_shift_cam_imu)), "")
 
 
-def _lens(camera: Camera) -> Iterator[str]:
+def _lens(lens: Camera) -> Iterator[str]:
+    camera = without_k3(lens).camera
     values = camera.intrinsics.tolist()
     yield f"  Camera model: {camera.projection}"
     yield f"  Focal length: {values[-4:-2]}"
@@ -125,8 +128,11 @@ def _board(target: Target) -> Iterator[str]:
 
 
 def _imu(name: str, stated: StatedImu, model: KalibrModel) -> Iterator[str]:
-    noise, root = stated.noise, float(np.sqrt(stated.update_rate_hz))
-    yield from (f"  Model: {model.name}", f"  Update rate: {float(stated.update_rate_hz)}")
+    noise, rate_hz = stated.noise, stated.update_rate_hz
+    if noise is None or rate_hz is None:
+        raise OptionError(f"{name}: Kalibr's results hold noise and rate of every IMU, and these are not stated.")
+    root = float(np.sqrt(rate_hz))
+    yield from (f"  Model: {model.name}", f"  Update rate: {float(rate_hz)}")
     for triad in ("accelerometer", "gyroscope"):
         density = float(getattr(noise, f"{triad}_noise_density"))
         # Kalibr leaves a space behind the density of the accelerometer only.
@@ -145,3 +151,5 @@ def _imu(name: str, stated: StatedImu, model: KalibrModel) -> Iterator[str]:
         yield from ("    A [(rad/s)/(m/s^2)]:", *_matrix(model.A_gyro, "      "))
         yield from ("    C_gyro_i:", *_matrix(model.C_gyro_i, "      "))
     yield from ("  Accelerometer: ", "    M:", *_matrix(model.M_accel, "      "))
+    for axis, arm in zip("xyz", () if model.lever_arms_m is None else model.lever_arms_m, strict=False):
+        yield from (f"    r{axis}_i [m]:", *_matrix(arm, "      "))

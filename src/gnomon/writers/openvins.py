@@ -16,10 +16,20 @@ from ..calibration import Calibration, CameraCalibration, ImuCalibration
 from ..errors import OptionError
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..models.noise import ImuNoise
-from .export import Export, Loss, into_frame, magnetometer_losses, numbers_text, require_triads, uncertainty_loss
-from .kalibr import StatedImu, stated_entry
+from .context import Context, StatedImu
+from .export import Export, Loss, into_frame, magnetometer_losses, require_triads, uncertainty_loss
+from .kalibr import stated_entry
 from .kalibr_camchain import camera_chain
 from .kalibr_text import kalibr_yaml
+from .lens_fit import k3_losses, without_k3
+from .sensor_losses import (
+    bias_losses,
+    lever_arm_losses,
+    missing_gyroscope_loss,
+    noise_losses,
+    other_imu_losses,
+    shift_losses,
+)
 from .si_units import conversions, count_losses, si_imu
 
 IMU_FILE, CAMERA_FILE = "kalibr_imu_chain.yaml", "kalibr_imucam_chain.yaml"
@@ -39,7 +49,7 @@ _EQUATIONS = """\
 """
 
 
-def export(calibration: Calibration) -> Export:
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `kalibr_imu_chain.yaml`, and `kalibr_imucam_chain.yaml` where there are cameras.
 
     Raises
@@ -50,19 +60,28 @@ def export(calibration: Calibration) -> Export:
     require_triads(calibration, "openvins", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, OpenVinsAccelerometer.frame, "OpenVINS'")
     name, imu = next(iter(moved.imus.items()))
-    files = {IMU_FILE: imu_chain_text(imu)}
+    files = {IMU_FILE: imu_chain_text(imu, context.of(name), context.comment())}
     if moved.cameras:
-        files[CAMERA_FILE] = camera_chain_text(moved)
-    found = (*losses, *_imu_losses(name, imu), *other_imu_losses(moved, "OpenVINS"), *_camera_losses(moved))
+        files[CAMERA_FILE] = camera_chain_text(moved, context.comment())
+    found = (
+        *losses,
+        *_imu_losses(name, imu),
+        *noise_losses(context.of(name), "OpenVINS", "does not start without: add them by hand"),
+        *lever_arm_losses(moved, "OpenVINS"),
+        *other_imu_losses(moved, "OpenVINS"),
+        *k3_losses(moved, "OpenVINS"),
+        *_camera_losses(moved),
+    )
     return Export(files=files, losses=(*found, *magnetometer_losses(moved, "OpenVINS"), uncertainty_loss("openvins")))
 
 
-def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None) -> str:
+def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None, remarks: str = "") -> str:
     """Return the text of `kalibr_imu_chain.yaml` for an IMU in body frame accel-x.
 
     Parameters
     ----------
     stated : noise, rate and topic; without them the file says that they have to be added
+    remarks : lines of comment
     """
     si, zero = si_imu(imu), np.zeros((3, 3))
     acc = OpenVinsAccelerometer.from_sensor(si.required_accelerometer.sensitivity, si.required_accelerometer.bias)
@@ -86,11 +105,11 @@ def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None) -> str:
     missing = [key for key in (*ImuNoise.__slots__, "update_rate", "rostopic") if key not in entry]
     if missing:
         comments.append(f"OpenVINS also needs {', '.join(missing)}: add them, or it does not start.")
-    head = _HEADER.format(what="IMU intrinsics", them="them (model kalibr)") + _EQUATIONS
+    head = _HEADER.format(what="IMU intrinsics", them="them (model kalibr)") + _EQUATIONS + remarks
     return head + "".join(f"# {line}\n" for line in comments) + kalibr_yaml({"imu0": entry}, flush=False)
 
 
-def camera_chain_text(calibration: Calibration) -> str:
+def camera_chain_text(calibration: Calibration, remarks: str = "") -> str:
     """Return the text of `kalibr_imucam_chain.yaml` for a calibration with cameras in body frame accel-x.
 
     Raises
@@ -102,6 +121,7 @@ def camera_chain_text(calibration: Calibration) -> str:
     return (
         _HEADER.format(what="Cameras and their poses", them="them")
         + _CAMERAS
+        + remarks
         + kalibr_yaml(camera_chain(cameras), flush=False)
     )
 
@@ -115,58 +135,14 @@ def _known(name: str, calibrated: CameraCalibration) -> CameraCalibration:
             "camera with one of these, or convert to kalibr or basalt."
         )
     if camera.distortion != "none":
-        return calibrated
+        return replace(calibrated, camera=without_k3(camera).camera)
     return replace(calibrated, camera=replace(camera, distortion="radtan", distortion_coeffs=np.zeros(4)))
 
 
 def _imu_losses(name: str, imu: ImuCalibration) -> Iterator[Loss]:
     yield from count_losses(name, imu, "OpenVINS")
-    for conversion in conversions(imu):
-        if conversion.unit != "count":
-            yield Loss(
-                what=f"{conversion.triad} bias of {name}",
-                why="OpenVINS estimates the bias and has no key for it; it is in the file's comments.",
-                size=f"{numbers_text(np.round(conversion.bias_si, 6), ', ')} {conversion.si}",
-            )
+    yield from bias_losses(name, imu, "OpenVINS")
     yield from missing_gyroscope_loss(name, imu)
-    yield Loss(
-        what="noise and rate",
-        why=f"a gnomon calibration does not hold {', '.join((*ImuNoise.__slots__, 'update_rate'))}; without them "
-        "OpenVINS does not start: add them by hand.",
-    )
-
-
-def missing_gyroscope_loss(name: str, imu: ImuCalibration) -> Iterator[Loss]:
-    """Say that an ideal gyroscope stands in the file where none was calibrated."""
-    if imu.gyroscope is None:
-        yield Loss(what=f"gyroscope of {name}", why="it was not calibrated; the file has an ideal one.")
-
-
-def other_imu_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
-    """Say that only the first IMU is in the file."""
-    for name in list(calibration.imus)[1:]:
-        yield Loss(what=name, why=f"{whose} knows one IMU; only {next(iter(calibration.imus))} is in the file.")
-
-
-def shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
-    """Say that one time shift is used for all cameras, and that no row is later than another."""
-    shifts = {name: camera.time_shift_cam_imu for name, camera in calibration.cameras.items()}
-    first = next(iter(shifts), "")
-    apart = max((abs(shift - shifts[first]) for shift in shifts.values()), default=0.0)
-    if apart > 0:
-        yield Loss(
-            what="time shifts",
-            why=f"{whose} takes one for all cameras, that of {first}.",
-            size=f"the others differ by up to {apart * 1e6:.3g} us",
-        )
-    for name, camera in calibration.cameras.items():
-        delay = camera.camera.line_delay_s
-        if delay:
-            yield Loss(
-                what=f"line_delay of {name}",
-                why=f"{whose} knows no rolling shutter.",
-                size=f"{delay * 1e6:.3g} us a row, {abs(delay) * camera.camera.resolution[1] * 1e3:.3g} ms an image",
-            )
 
 
 def _camera_losses(calibration: Calibration) -> Iterator[Loss]:

@@ -1,15 +1,31 @@
 """A table of name, value, sigma and unit for spreadsheets; read back by `readers.parameter_csv`."""
 
+from collections.abc import Iterator
+
 from ..calibration import Calibration, element_names, parameters
+from ..models.camera import Camera
+from .calibration_file import FRAMES
+from .camera_entries import EQUATION as CAMERA_EQUATION
+from .context import Context
 from .export import Export, Loss
 from .units_text import element_units
 
+_EQUATION = (
+    "measured = sensitivity true + bias, of the gyroscope + g_sensitivity f; f specific force [m/s^2]; rows: sensor "
+    "axes, columns: body axes; body frame {frame}: {words}"
+)
 
-def export(calibration: Calibration) -> Export:
+
+def export(calibration: Calibration, context: Context) -> Export:
     """Return `calibration.csv`: a row for every scalar of every IMU and camera, for gravity, body frame and lenses."""
-    rows = ["name,value,sigma,unit", f"body_frame,{calibration.frame},,"]
+    frame = calibration.frame
+    rows = ["name,value,sigma,unit"]
+    rows.append(f"comment,{_text(_EQUATION.format(frame=frame, words=FRAMES.get(frame, FRAMES['user'])))},,")
+    rows += [f"comment,{_text(CAMERA_EQUATION)},,"] if calibration.cameras else []
+    rows += [f"comment,{_text(remark)},," for remark in context.remarks]
+    rows.append(f"body_frame,{frame},,")
     rows.append(f"gravity,{float(calibration.gravity.value)!r},{float(calibration.gravity.sigma)!r},m/s^2")
-    rows += [f"{name}.model,{camera.camera.model},," for name, camera in calibration.cameras.items()]
+    rows += [row for name, camera in calibration.cameras.items() for row in _camera(name, camera.camera)]
     for path, value in parameters(calibration.imus, calibration.cameras):
         numbers = value.ravel().tolist(), calibration.sigma(path).ravel().tolist(), element_units(calibration, path)
         for name, number, sigma, unit in zip(element_names(path, value.shape), *numbers, strict=True):
@@ -19,3 +35,16 @@ def export(calibration: Calibration) -> Export:
         why="the table has sigmas, but no covariances, no verdict and no provenance. Keep calibration.yaml.",
     )
     return Export(files={"calibration.csv": "\n".join(rows) + "\n"}, losses=(loss,))
+
+
+def _camera(name: str, camera: Camera) -> Iterator[str]:
+    """Yield what is no number that was estimated."""
+    yield f"{name}.model,{camera.model},,"
+    yield f"{name}.resolution,{camera.resolution[0]} {camera.resolution[1]},,px"
+    if camera.topic:
+        yield f"{name}.rostopic,{_text(camera.topic)},,"
+
+
+def _text(text: str) -> str:
+    quoted = text.replace('"', '""')
+    return f'"{quoted}"'

@@ -191,6 +191,8 @@ def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[Entry]:
         if frame is not None:  # exactly, not to rounding
             matrix = np.tril(matrix) if frame == "accel-x" else np.triu(matrix)
         yield from accelerometer(matrix, turned["accelerometer.bias"], imu.accelerometer.unit)
+        if imu.accelerometer.lever_arms_m is not None:
+            yield from form_entries.lever_arms(turned["accelerometer.lever_arms_m"])
     if imu.gyroscope is not None:
         names = ("gyroscope.sensitivity", "gyroscope.bias", "gyroscope.g_sensitivity")
         yield from gyroscope(*(turned[name] for name in names), imu.gyroscope.unit)

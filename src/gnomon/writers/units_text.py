@@ -28,6 +28,8 @@ def parameter_unit(calibration: Calibration, path: str) -> str:
     if triad == "magnetometer":
         assert imu.magnetometer is not None
         return imu.magnetometer.unit if parameter == "bias" else per(imu.magnetometer.unit, imu.magnetometer.field_unit)
+    if parameter == "lever_arms_m":
+        return "m"
     sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
     assert sensor is not None
     if parameter == "bias":

@@ -1,0 +1,74 @@
+"""ArduPilot: parameters INS_ACCOFFS_X, INS_ACCSCAL_X, INS_GYROFFS_X, ..., in a file that ground stations load.
+
+ArduPilot corrects f = (a - OFFS) SCAL, element by element, and w = y - OFFS, in the sensor's axes. Read back by
+`readers.flight_parameters`.
+"""
+
+from collections.abc import Iterator, Mapping
+
+from ..calibration import Calibration
+from .context import Context
+from .export import Export, Loss
+from .flight_parameters import FlightImu, conversion_lines, flight_losses, require_flight_imus
+
+FILE = "ardupilot.param"
+
+_IMUS = 3
+_SCALES, _LARGEST_OFFSET = (0.8, 1.2), 3.5  # ranges of its parameters [1], [m/s^2]
+_HEAD = """\
+# Sensor calibration for ArduPilot, made by gnomon. With samples a [m/s^2] and y [rad/s] as the drivers give them, axis
+# by axis:
+#   specific force = (a - OFFS) SCAL             angular rate = y - OFFS
+# Body frame {frame}; its axes are those of the samples, before AHRS_ORIENTATION.
+# There is no place for cameras: T_cam_imu and the time shift are not in this file.
+"""
+
+
+def export(calibration: Calibration, context: Context) -> Export:
+    """Return `ardupilot.param`.
+
+    Raises
+    ------
+    OptionError
+        If there is neither accelerometer nor gyroscope.
+    """
+    imus = require_flight_imus(calibration, "ArduPilot", _IMUS)
+    rows = [f"{name},{value!r}\n" for i, imu in enumerate(imus.values()) for name, value in _rows(i, imu)]
+    head = _HEAD.format(frame=calibration.frame) + context.comment()
+    head += "".join(f"# {line}\n" for line in conversion_lines(calibration))
+    losses = (*flight_losses(calibration, "ArduPilot", _IMUS), *_range_losses(imus), *_start_losses(imus))
+    return Export(files={FILE: head + "".join(rows)}, losses=losses)
+
+
+def _rows(index: int, imu: FlightImu) -> Iterator[tuple[str, float]]:
+    number = str(index + 1) if index else ""
+    if imu.accelerometer is not None:
+        for axis, offset in zip("XYZ", imu.accelerometer.offset.tolist(), strict=True):
+            yield f"INS_ACC{number}OFFS_{axis}", offset
+        for axis, scale in zip("XYZ", imu.accelerometer.scale.tolist(), strict=True):
+            yield f"INS_ACC{number}SCAL_{axis}", scale
+    if imu.gyroscope is not None:
+        for axis, offset in zip("XYZ", imu.gyroscope.offset.tolist(), strict=True):
+            yield f"INS_GYR{number}OFFS_{axis}", offset
+
+
+def _range_losses(imus: Mapping[str, FlightImu]) -> Iterator[Loss]:
+    low, high = _SCALES
+    for name, imu in imus.items():
+        triad = imu.accelerometer
+        if triad is None:
+            continue
+        if triad.scale.min() < low or triad.scale.max() > high or abs(triad.offset).max() > _LARGEST_OFFSET:
+            yield Loss(
+                what=f"range of {name}",
+                why=f"ArduPilot states scales from {low} to {high} and offsets up to {_LARGEST_OFFSET} m/s^2 as the "
+                "range of its parameters, and these are beyond.",
+            )
+
+
+def _start_losses(imus: Mapping[str, FlightImu]) -> Iterator[Loss]:
+    if any(imu.gyroscope for imu in imus.values()):
+        yield Loss(
+            what="gyroscope offsets",
+            why="ArduPilot measures them anew at every start, unless INS_GYR_CAL is 0.",
+        )
