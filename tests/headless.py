@@ -111,3 +111,13 @@ MEASURE = """(() => {
   };
 })()"""
 """What a test asks of a page of figures."""
+
+CUT_OFF = """(() => [...document.querySelectorAll("svg.plot")].flatMap((plot) => {
+  const box = plot.getBoundingClientRect();
+  return [...plot.querySelectorAll("text")].filter((text) => {
+    const b = text.getBoundingClientRect();
+    const aside = Math.max(box.left - b.left, b.right - box.right, box.top - b.top, b.bottom - box.bottom);
+    return b.width > 0 && aside > 2;
+  }).map((text) => plot.closest("figure").querySelector("h3").innerText + ": " + text.textContent);
+}))()"""
+"""Texts of figures that lie outside of their figure, where they cannot be read."""

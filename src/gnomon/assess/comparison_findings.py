@@ -1,0 +1,394 @@
+"""What a comparison of calibrations says in words: who agrees, who stands out and in what, and why that may be."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from ..findings import Finding
+from ..geometry.rotation_vector import rotvec_from_rotation
+from ..geometry.so3 import inverse
+from ..recording import Floats
+from ..sensors import ImuCalibration
+from ..trust import Verdict
+from .candidates import Candidate
+from .comparison import Comparison, Difference, standing_out
+from .comparison_words import block_words, listed, sigma_text, size_text
+from .verdict import worst_first
+
+_KALIBRS_SIGMAS = (
+    "Kalibr gives every corner 1 px and the IMU its nominal noise: gnomon camera-imu --pixel-sigma 1 --noise nominal "
+    "on the same recording states the sigmas of such a result. Add it to the comparison."
+)
+_MOST = 3  # differences that a sentence names
+_FARTHER = 5.0  # times the largest distance between the others, where no sigmas tell
+_INVERSE = 0.1  # share of the distance that is left when one pose is inverted
+_ARM_M = 0.1  # what a turn of one radian moves, for adding turns and distances
+_SHIFT_S = 1e-3
+_LENS_PX = 0.5
+_GRAVITY = 1e-4  # of it
+
+
+def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: Sequence[str]) -> Comparison:
+    """Return the comparison with who stands out, its findings, its verdict and its headline.
+
+    Parameters
+    ----------
+    candidates : in the common frame
+    notes : sentences on what was restated
+    """
+    names = [one.name for one in comparison.calibrations]
+    beyond = _beyond(comparison)
+    conflicts = [
+        (first, second, max(item.largest for item in beyond if (item.first, item.second) == (first, second)))
+        for first, second in dict.fromkeys((item.first, item.second) for item in beyond)
+    ]
+    known = [item for item in _judged(comparison) if np.isfinite(item.largest)]
+    outside = standing_out(names, conflicts) if known else _far_away(comparison)
+    comparison = replace(comparison, outside=outside)
+    findings = [
+        *_disagreement(comparison, beyond),
+        *_poses(candidates),
+        *_too_much_scatter(comparison),
+        *_assumed(comparison),
+        *_lenses(comparison),
+        *_sensors_in_some(comparison),
+        *_gravities(candidates),
+        *_knowledge(comparison),
+        *_own_axes(comparison),
+        *_biases(comparison),
+        *(Finding(severity="info", code="restated", message=note) for note in notes),
+    ]
+    verdict: Verdict = "pass"
+    if any(item.mutual for item in beyond):
+        verdict = "fail"
+    elif beyond or not known or outside or any(one.severity in {"warning", "problem"} for one in findings):
+        verdict = "warn"
+    return replace(
+        comparison, findings=worst_first(findings), verdict=verdict, headline=_headline(comparison, beyond, bool(known))
+    )
+
+
+def _judged(comparison: Comparison) -> list[Difference]:
+    """Return the differences that count: of blocks that both estimated, biases excepted."""
+    there = {block.path: block.names for block in comparison.blocks if block.judged}
+    return [item for item in comparison.differences if {item.first, item.second} <= {*there.get(item.path, ())}]
+
+
+def _beyond(comparison: Comparison) -> list[Difference]:
+    """Return the judged differences beyond the limit, the largest first."""
+    found = [item for item in _judged(comparison) if item.largest > comparison.z_limit]
+    return sorted(found, key=lambda item: -item.largest)
+
+
+def _far_away(comparison: Comparison) -> tuple[str, ...]:
+    """Return those that lie far from all others, who are close together; for calibrations without sigmas."""
+    far: dict[str, float] = {}
+    for block in comparison.blocks:
+        if not block.judged or len(block.names) < 3:
+            continue
+        for i, name in enumerate(block.names):
+            others = np.delete(block.values, i, axis=0)
+            width = max(float(np.linalg.norm(a - b)) for a, b in combinations(others, 2))
+            distance = float(np.linalg.norm(others - block.values[i], axis=1).min())
+            if distance > _FARTHER * width and distance > 0:
+                far[name] = max(far.get(name, 0.0), distance / width if width > 0 else np.inf)
+    return tuple(sorted(far, key=lambda name: -far[name]))
+
+
+def _against_others(comparison: Comparison, name: str) -> list[tuple[float, str]]:
+    """Return how one differs from those that do not stand out: (size in sigmas, words), the largest first."""
+    found: list[tuple[float, str]] = []
+    for block in comparison.blocks:
+        others = [i for i, other in enumerate(block.names) if other != name and other not in comparison.outside]
+        if not block.judged or name not in block.names or not others:
+            continue
+        i = block.names.index(name)
+        values = block.values[i] - block.values[others].mean(axis=0)
+        each = (
+            np.where(np.isfinite(block.sigmas), block.sigmas, block.predicted) ** 2
+        )  # the yardstick, where not stated
+        variance = each[i] + each[others].sum(axis=0) / len(others) ** 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.where(variance > 0, values / np.sqrt(variance), np.nan)
+        largest = float(np.nanmax(np.abs(z))) if np.isfinite(z).any() else np.nan
+        text = f"the {block_words(block.path)} by {size_text(block, values, z)}"
+        if np.isfinite(largest):
+            found.append((largest, f"{text} ({largest:.1f} sigma)"))
+        else:
+            width = float(np.max(np.ptp(block.values[others], axis=0)))
+            found.append((float(np.linalg.norm(values)) / max(width, 1e-300), text))
+    return sorted(found, key=lambda item: -item[0])
+
+
+def _pair_text(comparison: Comparison, items: Sequence[Difference], most: int = _MOST) -> str:
+    """Return in what a pair differs, the largest first."""
+    parts = [
+        f"the {block_words(item.path)} by {size_text(comparison.block(item.path), item.values, item.z)}"
+        f" ({sigma_text(item)})"
+        for item in items
+    ]
+    return _first_of(parts, most)
+
+
+def _outside_text(comparison: Comparison, name: str, most: int = _MOST) -> str:
+    limit = comparison.z_limit if np.isfinite(comparison.z_rms) else _FARTHER
+    found = [text for size, text in _against_others(comparison, name) if size > limit]
+    found = found or [text for _, text in _against_others(comparison, name)[:1]]
+    return f"{name} differs in {_first_of(found, most)}"
+
+
+def _headline(comparison: Comparison, beyond: Sequence[Difference], known: bool) -> str:
+    names = [one.name for one in comparison.calibrations]
+    inside = [name for name in names if name not in comparison.outside]
+    if comparison.outside:
+        together = f"{listed(inside)} agree; " if len(inside) > 1 else ""
+        return f"{together}{'; '.join(_outside_text(comparison, name, 1) for name in comparison.outside)}."
+    if beyond:
+        first, second = beyond[0].first, beyond[0].second
+        items = [item for item in beyond if (item.first, item.second) == (first, second)]
+        rest = "" if len(names) == 2 else " Nothing tells which of them is right."
+        return f"{first} and {second} differ in {_pair_text(comparison, items, 1)}.{rest}"
+    if not comparison.blocks:
+        worst = max(comparison.lenses, key=lambda lens: lens.largest_px, default=None)
+        if worst is None or worst.same:
+            return f"{listed(names)} hold all that they have in common at the same values."
+        return (
+            f"{listed(names)} have only lenses in common; the images of {worst.camera} differ by up to "
+            f"{worst.largest_px:.2g} px ({worst.turned_rms_px:.2g} px rms after a turn of the camera)."
+        )
+    if not known:
+        return f"{listed(names)} were compared; none states standard deviations, so nothing says what differences mean."
+    largest = max(item.largest for item in _judged(comparison) if np.isfinite(item.largest))
+    return (
+        f"{listed(names)} agree: of {comparison.compared} differences the largest is {largest:.1f} sigma, where up to "
+        f"{comparison.z_limit:.1f} is chance."
+    )
+
+
+def _disagreement(comparison: Comparison, beyond: Sequence[Difference]) -> Iterator[Finding]:
+    for name in comparison.outside:
+        yield Finding(
+            severity="problem" if any(item.mutual for item in beyond) else "warning",
+            code="stands-out",
+            message=f"{_outside_text(comparison, name)}.",
+            consequence="The others agree among themselves.",
+            cure=f"Look at how {name} was made: the recording, the model, the board, the lens and the weights.",
+        )
+    for first, second in dict.fromkeys((item.first, item.second) for item in beyond):
+        if {first, second} & set(comparison.outside):
+            continue
+        items = [item for item in beyond if (item.first, item.second) == (first, second)]
+        both = any(item.mutual for item in items)
+        yield Finding(
+            severity="problem" if both else "warning",
+            code="calibrations-differ",
+            message=f"{first} and {second} differ in {_pair_text(comparison, items)}.",
+            consequence=""
+            if both
+            else f"Sigmas are those of {listed(items[0].basis)} alone; what the errors of the other are, nobody knows.",
+            cure=_KALIBRS_SIGMAS
+            if _kalibrs(comparison, (first, second))
+            else "Record once more and compare all three: with a third calibration the odd one out is named.",
+        )
+
+
+def _kalibrs(comparison: Comparison, names: tuple[str, str]) -> bool:
+    """Return whether one of a pair is a camera-IMU calibration of Kalibr's, which states no sigmas."""
+    pair = [one for one in comparison.calibrations if one.name in names]
+    return any("Kalibr, cameras" in one.format or "results-imucam" in one.format for one in pair)
+
+
+def _too_much_scatter(comparison: Comparison) -> Iterator[Finding]:
+    if not comparison.z_rms > comparison.limit or sum(one.sigmas for one in comparison.calibrations) < 2:
+        return  # of one alone the differences tell
+    worst = max((b for b in comparison.blocks if b.judged and np.isfinite(b.z_rms)), key=lambda b: b.z_rms)
+    yield Finding(
+        severity="warning",
+        code="scatter-beyond-sigma",
+        message=f"The calibrations scatter by {comparison.z_rms:.2g} times their sigmas, where up to "
+        f"{comparison.limit:.2g} is chance; most in the {block_words(worst.path)} ({worst.z_rms:.2g} times).",
+        consequence="Their sigmas are too small, or the rig changed between the recordings.",
+        cure="Take the scatter of the table of repeatability for the uncertainty.",
+    )
+
+
+def _assumed(comparison: Comparison) -> Iterator[Finding]:
+    """Name what one holds at an ideal or a given value, and another finds otherwise."""
+    named: dict[str, dict[str, str]] = {}
+    for item in sorted(comparison.differences, key=lambda item: -np.nan_to_num(item.largest)):
+        block = comparison.block(item.path)
+        holding = [name for name in (item.first, item.second) if name in block.assumed]
+        if not (block.judged and holding and item.largest > comparison.z_limit):
+            continue
+        text = f"the {block_words(item.path)} by {size_text(block, item.values, item.z)} ({sigma_text(item)})"
+        named.setdefault(holding[0], {}).setdefault(item.path, text)
+    for name, texts in named.items():
+        yield Finding(
+            severity="warning",
+            code="held-elsewhere-found",
+            message=f"{name} holds at ideal or given values what another finds to differ: "
+            f"{_first_of(list(texts.values()))}.",
+            consequence=f"What {name} does not model is in its other parameters.",
+            cure=f"Calibrate {name} with the larger model (Kalibr: --imu-models scale-misalignment).",
+        )
+
+
+def _first_of(texts: Sequence[str], most: int = _MOST) -> str:
+    """Return the first texts as a list, and how many more there are."""
+    rest = len(texts) - most
+    return listed([*texts[:most], *([f"{rest} more" if rest > 1 else "one more"] if rest > 0 else [])])
+
+
+def _poses(candidates: Sequence[Candidate]) -> Iterator[Finding]:
+    """Recognise poses that are the inverse of each other, and time shifts of opposite sign."""
+    for first, second in combinations(candidates, 2):
+        for name in [name for name in first.cameras if name in second.cameras]:
+            one, other = first.cameras[name], second.cameras[name]
+            distance = _distance(one.T_cam_imu, other.T_cam_imu)
+            if _distance(inverse(one.T_cam_imu), other.T_cam_imu) < _INVERSE * distance:
+                yield Finding(
+                    severity="problem",
+                    code="pose-inverted",
+                    message=f"T_cam_imu of {name} in {first.name} is nearly the inverse of that in {second.name}.",
+                    consequence="One of them maps camera to IMU coordinates and stands under the name of the other.",
+                    cure="p_cam = T_cam_imu p_imu. Write the inverse under T_imu_cam, which is read as well.",
+                )
+            shifts = one.time_shift_cam_imu, other.time_shift_cam_imu
+            if min(map(abs, shifts)) > _SHIFT_S and abs(sum(shifts)) < _INVERSE * abs(shifts[0] - shifts[1]):
+                yield Finding(
+                    severity="problem",
+                    code="shift-sign",
+                    message=f"The time shifts of {name} in {first.name} and {second.name} have opposite signs: "
+                    f"{1e3 * shifts[0]:.3f} and {1e3 * shifts[1]:.3f} ms.",
+                    consequence="One of them is t_cam - t_imu.",
+                    cure="t_imu = t_cam + time_shift_cam_imu, in gnomon, Kalibr, VINS (td) and Basalt.",
+                )
+
+
+def _distance(first: Floats, second: Floats) -> float:
+    """Return how far two poses lie apart, turns and distances added [rad]."""
+    angle = float(np.linalg.norm(rotvec_from_rotation(first[:3, :3].T @ second[:3, :3])))
+    return angle + float(np.linalg.norm(first[:3, 3] - second[:3, 3])) / _ARM_M
+
+
+def _lenses(comparison: Comparison) -> Iterator[Finding]:
+    """Say that lenses differ, since the pose of a camera depends on its lens."""
+    for lens in comparison.lenses:
+        if lens.rms_px < _LENS_PX / 10:
+            continue
+        models = " and ".join(dict.fromkeys(lens.models))
+        sizes = (
+            ""
+            if lens.resolutions[0] == lens.resolutions[1]
+            else ("; their resolutions are {}x{} and {}x{}".format(*lens.resolutions[0], *lens.resolutions[1]))
+        )
+        turn = float(np.degrees(np.linalg.norm(lens.turn)))
+        yield Finding(
+            severity="warning" if lens.turned_rms_px > _LENS_PX else "info",
+            code="lenses-differ",
+            message=f"The images of {lens.camera} in {lens.first} and {lens.second} ({models}) differ by "
+            f"{lens.rms_px:.2g} px rms, and by {lens.turned_rms_px:.2g} px after a turn of the camera by {turn:.2g} deg"
+            f"{sizes}.",
+            consequence="The pose of a camera takes up what its lens leaves, so that the poses differ as well.",
+            cure="Calibrate both with the same intrinsics, to compare the rest.",
+        )
+
+
+def _sensors_in_some(comparison: Comparison) -> Iterator[Finding]:
+    """Name what is in some of the calibrations only."""
+    everything = dict.fromkeys(sensor for one in comparison.calibrations for sensor in one.sensors)
+    for sensor in everything:
+        there = [one.name for one in comparison.calibrations if sensor in one.sensors]
+        if len(there) < len(comparison.calibrations):
+            rest = [one.name for one in comparison.calibrations if one.name not in there]
+            yield Finding(
+                severity="info",
+                code="only-in-some",
+                message=f"{sensor} is in {listed(there)} only, not in {listed(rest, 'or')}.",
+                cure=f"If it is called otherwise there, rename it: --rename {rest[0]}.OTHER={sensor}.",
+            )
+
+
+def _gravities(candidates: Sequence[Candidate]) -> Iterator[Finding]:
+    """Say that different magnitudes of gravity were assumed, and which lever arms are in some of them only."""
+    taken = {one.name: one.gravity.value for one in candidates if one.gravity is not None}
+    low, high = (choose(taken, key=taken.__getitem__, default="") for choose in (min, max))
+    if low and taken[high] - taken[low] > _GRAVITY * taken[high]:
+        yield Finding(
+            severity="info",
+            code="gravity-differs",
+            message=f"{low} takes gravity for {taken[low]:.6g} m/s^2, {high} for {taken[high]:.6g}.",
+            consequence=f"If they were recorded at one place, up to {100 * (taken[high] / taken[low] - 1):.2g} % of "
+            "the difference of the accelerometers' scales comes from it.",
+            cure="State --latitude and --altitude, or --gravity, of each recording.",
+        )
+    arms = {one.name: any(_arms(imu) for imu in one.imus.values()) for one in candidates if one.imus}
+    if len(set(arms.values())) > 1:
+        having = [name for name, there in arms.items() if there]
+        rest = [name for name, there in arms.items() if not there]
+        yield Finding(
+            severity="info",
+            code="lever-arms-in-some",
+            message=f"{listed(having)} knows where each accelerometer sits; in {listed(rest)} they are at one point.",
+            consequence="The translations of the cameras then belong to different origins of the body: the x "
+            "accelerometer, and some point between the three.",
+        )
+
+
+def _arms(imu: ImuCalibration) -> bool:
+    return imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None
+
+
+def _knowledge(comparison: Comparison) -> Iterator[Finding]:
+    """Say what the z values rest on."""
+    silent = [one.name for one in comparison.calibrations if not one.sigmas]
+    stating = [one.name for one in comparison.calibrations if one.sigmas]
+    if silent:
+        verb, part = ("states", "it takes") if len(silent) == 1 else ("state", "they take")
+        rest = f"z is by the sigmas of {listed(stating)} alone" if stating else "there is no z at all"
+        yield Finding(
+            severity="info",
+            code="sigmas-not-stated",
+            message=f"{listed(silent)} {verb} no standard deviations: where {part} part, {rest}.",
+        )
+    groups: dict[frozenset[str], list[str]] = {}
+    for one in comparison.calibrations:
+        if one.inputs:
+            groups.setdefault(frozenset(source.sha256 for source in one.inputs), []).append(one.name)
+    for names in groups.values():
+        if len(names) > 1:
+            yield Finding(
+                severity="info",
+                code="same-recording",
+                message=f"{listed(names)} were made from the same recording.",
+                consequence="Their errors are alike, so that agreement proves little and z comes out too small.",
+                cure="Compare with a calibration from another recording.",
+            )
+
+
+def _own_axes(comparison: Comparison) -> Iterator[Finding]:
+    named = [one.name for one in comparison.calibrations if one.frame == "user" and one.verdict]
+    if named:
+        yield Finding(
+            severity="info",
+            code="user-axes",
+            message=f"{listed(named)} {'states' if len(named) == 1 else 'state'} axes of the user's own.",
+            consequence=f"All was compared in body frame {comparison.frame}; how those axes lie to the sensor was not.",
+        )
+
+
+def _biases(comparison: Comparison) -> Iterator[Finding]:
+    """Report how far biases moved between the recordings."""
+    for block in comparison.blocks:
+        if block.kind != "bias" or len(block.names) < 2:
+            continue
+        span = np.ptp(block.values, axis=0)
+        yield Finding(
+            severity="info",
+            code="bias-instability",
+            message=f"The {block_words(block.path)} moved by up to {size_text(block, span, np.full(3, np.nan))} "
+            "between the calibrations.",
+            consequence="Biases change from one switching on to the next; they do not count towards the verdict.",
+        )

@@ -1,0 +1,249 @@
+"""The quantities of a calibration that are compared, block by block, with their joint covariance."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from ..calibration import CameraCalibration, ImuCalibration
+from ..models.forms import in_own_axes
+from ..models.frames import frame_turn, rotation_jacobian
+from ..parameters import covariance_names, parameters
+from ..recording import Floats, frozen_array
+from .candidates import FRAME, Candidate
+
+Kind = Literal[
+    "scale",
+    "misalignment",
+    "rotation",
+    "g-sensitivity",
+    "bias",
+    "lever arms",
+    "translation",
+    "time shift",
+    "line delay",
+    "lens",
+]
+_AXES = ("x", "y", "z")
+_TILTS = ((1, 0), (2, 0), (2, 1))
+_TILT_NAMES = ("yz", "zy", "zx")
+_NINE = tuple(f"{row}{column}" for row in _AXES for column in _AXES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Quantity:
+    """A block of numbers of one calibration.
+
+    Attributes
+    ----------
+    path : such as "cam0.translation" or "imu0.gyroscope.scale"
+    kind : what it is
+    elements : name of each scalar, such as "x"
+    unit : of the scalars
+    values : (k,); zero for a rotation
+    rotation : (3, 3) of a rotation, from body axes; its scalars are small rotations about the body's axes [rad]
+    estimated : whether it was estimated, not held at an ideal or given value
+    rows : where its scalars stand in the covariance of the `Statement`
+    """
+
+    path: str
+    kind: Kind
+    elements: tuple[str, ...]
+    unit: str
+    values: Floats
+    rotation: Floats | None = None
+    estimated: bool = True
+    rows: slice = field(default_factory=lambda: slice(0, 0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Statement:
+    """All that one calibration states.
+
+    Attributes
+    ----------
+    name : of the calibration
+    quantities : path -> Quantity
+    covariance : (n, n) of all their scalars; None where it is not stated; nan where a part is not
+    by_gravity : (n,) derivative of the scalars by the magnitude of gravity times its sigma, where it is part of the
+        covariance, else zero
+    """
+
+    name: str
+    quantities: dict[str, Quantity]
+    covariance: Floats | None
+    by_gravity: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Part:
+    """A quantity and the derivative (k, n) of its scalars by those of its sensor."""
+
+    quantity: Quantity
+    jacobian: Floats
+
+
+def statement_of(candidate: Candidate) -> Statement:
+    """Return what a candidate in the common frame states."""
+    names = covariance_names(candidate.imus, candidate.cameras)
+    parts: list[tuple[Quantity, Floats]] = []
+    start = 0
+    for name, sensor in (*candidate.imus.items(), *candidate.cameras.items()):
+        count = len(
+            covariance_names(*(({name: sensor}, {}) if isinstance(sensor, ImuCalibration) else ({}, {name: sensor})))
+        )
+        found = _imu_parts(name, sensor) if isinstance(sensor, ImuCalibration) else _camera_parts(name, sensor)
+        for part in found:
+            whole = np.zeros((len(part.quantity.elements), len(names)))
+            whole[:, start : start + count] = part.jacobian
+            parts.append((part.quantity, whole))
+        start += count
+    jacobian = np.concatenate([np.zeros((0, len(names))), *(rows for _, rows in parts)])
+    covariance = None if candidate.covariance is None else _carried(jacobian, candidate.covariance.matrix)
+    own = candidate.verdict != ""
+    quantities: dict[str, Quantity] = {}
+    row = 0
+    for quantity, _ in parts:
+        rows = slice(row, row + len(quantity.elements))
+        row = rows.stop
+        estimated = _was_estimated(quantity, None if covariance is None else np.diag(covariance)[rows], own)
+        if estimated is not None:
+            values = frozen_array(quantity.values)
+            quantities[quantity.path] = replace(quantity, values=values, estimated=estimated, rows=rows)
+    pull = jacobian @ _by_gravity(candidate)
+    if covariance is not None and np.any(pull**2 > (1 + 1e-6) * np.diag(covariance)):
+        pull = np.zeros(len(pull))  # the sigmas are smaller than gravity's share of them: it is not in them
+    return Statement(
+        name=candidate.name,
+        quantities=quantities,
+        covariance=None if covariance is None else frozen_array(covariance),
+        by_gravity=frozen_array(pull),
+    )
+
+
+def _carried(jacobian: Floats, matrix: Floats) -> Floats:
+    """Return the covariance of what has the derivative; what depends on an unknown one is unknown."""
+    unknown = ~np.isfinite(np.diag(matrix))
+    known = np.where(unknown[:, None] | unknown, 0.0, matrix)
+    carried = jacobian @ known @ jacobian.T
+    touched = np.any(np.abs(jacobian[:, unknown]) > 0, axis=1)
+    carried[touched] = carried[:, touched] = np.nan
+    return np.asarray(carried, dtype=np.float64)
+
+
+def _was_estimated(quantity: Quantity, variance: Floats | None, own: bool) -> bool | None:
+    """Return whether a quantity was estimated or held; None where nothing is said of it."""
+    ideal = not _deviation(quantity).any()
+    if variance is not None:
+        stated = bool(np.any(~(variance <= 0)))
+        return stated if own or stated else (None if ideal else True)
+    if quantity.kind in {"bias", "line delay"} and ideal:
+        return None
+    if quantity.kind == "lens":
+        return False  # as far as anybody knows: it was calibrated before
+    return not ideal
+
+
+def _deviation(quantity: Quantity) -> Floats:
+    """Return by how much a quantity differs from that of an ideal sensor."""
+    if quantity.rotation is not None:
+        ideal = np.eye(3) if quantity.path.split(".")[-2] in {"gyroscope", "magnetometer"} else np.zeros((3, 3))
+        return (quantity.rotation - ideal).ravel()
+    return quantity.values - (1.0 if quantity.kind == "scale" and quantity.unit == "1" else 0.0)
+
+
+def _by_gravity(candidate: Candidate) -> Floats:
+    """Return the derivative of all scalars by gravity times its sigma, of an IMU calibrated by gravity alone."""
+    found: list[Floats] = [np.zeros(0)]
+    gravity, covariance = candidate.gravity, candidate.covariance
+    alone = gravity is not None and gravity.sigma > 0 and covariance is not None and not candidate.cameras
+    for path, value in parameters(candidate.imus, candidate.cameras):
+        acts = alone and path.endswith(("accelerometer.sensitivity", "g_sensitivity"))
+        found.append(-value.ravel() * gravity.sigma / gravity.value if acts and gravity else np.zeros(value.size))
+    return np.concatenate(found)
+
+
+def _imu_parts(name: str, imu: ImuCalibration) -> Iterator[_Part]:
+    """Yield the blocks of an IMU, with their derivatives by its scalars."""
+    starts: dict[str, int] = {}
+    count = 0
+    for path, value in parameters({"": imu}):
+        starts[path.removeprefix(".")] = count
+        count += value.size
+    aligned = imu.accelerometer is not None  # only then two calibrations have one body frame
+
+    def placed(quantity: Quantity, **blocks: Floats) -> _Part:
+        whole = np.zeros((len(quantity.elements), count))
+        triad = quantity.path.split(".")[1]
+        for parameter, block in blocks.items():
+            start = starts[f"{triad}.{parameter}"]
+            whole[:, start : start + block.shape[1]] = block
+        return _Part(quantity=quantity, jacobian=whole)
+
+    for triad in ("accelerometer", "gyroscope", "magnetometer"):
+        sensor = getattr(imu, triad)
+        if sensor is None:
+            continue
+        path = f"{name}.{triad}"
+        own, C = in_own_axes(sensor.sensitivity, FRAME)
+        to_own = rotation_jacobian([sensor.sensitivity], C, FRAME)
+        S = np.diag(own)
+        M = own / S[:, None]
+        si = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}.get(triad) or sensor.field_unit
+        unit = "1" if sensor.unit == si else f"{sensor.unit}/({si})"
+        by_scale = np.eye(9)[[0, 4, 8]]
+        yield placed(
+            Quantity(path=f"{path}.scale", kind="scale", elements=_AXES, unit=unit, values=S),
+            sensitivity=by_scale @ to_own,
+        )
+        by_tilt = np.array([(np.eye(9)[3 * i + j] - M[i, j] * np.eye(9)[4 * i]) / S[i] for i, j in _TILTS])
+        tilts = np.array([M[i, j] for i, j in _TILTS])
+        yield placed(
+            Quantity(path=f"{path}.misalignment", kind="misalignment", elements=_TILT_NAMES, unit="rad", values=tilts),
+            sensitivity=by_tilt @ to_own,
+        )
+        if triad != "accelerometer" and aligned:
+            turn = -C.T @ frame_turn(sensor.sensitivity, C, FRAME)  # C Exp(turn), about the body's axes
+            yield placed(
+                Quantity(
+                    path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3), rotation=C
+                ),
+                sensitivity=turn,
+            )
+        if triad == "gyroscope" and aligned:
+            unit = f"({sensor.unit})/(m/s^2)"
+            values = sensor.g_sensitivity.ravel()
+            yield placed(
+                Quantity(path=f"{path}.g_sensitivity", kind="g-sensitivity", elements=_NINE, unit=unit, values=values),
+                g_sensitivity=np.eye(9),
+            )
+        if triad == "accelerometer" and sensor.lever_arms_m is not None:
+            arms = sensor.lever_arms_m.ravel()
+            yield placed(
+                Quantity(path=f"{path}.lever_arms", kind="lever arms", elements=_NINE, unit="m", values=arms),
+                lever_arms_m=np.eye(9),
+            )
+        bias = Quantity(path=f"{path}.bias", kind="bias", elements=_AXES, unit=sensor.unit, values=sensor.bias)
+        yield placed(bias, bias=np.eye(3))
+
+
+def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
+    """Yield the blocks of a camera, which are those of its scalars."""
+    lens = camera.camera
+    T = camera.T_cam_imu
+    turn = Quantity(path=f"{name}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
+    shift, delay = np.array([camera.time_shift_cam_imu]), np.array([lens.line_delay_s])
+    blocks = (
+        replace(turn, rotation=T[:3, :3]),
+        Quantity(path=f"{name}.translation", kind="translation", elements=_AXES, unit="m", values=T[:3, 3]),
+        Quantity(path=f"{name}.time_shift", kind="time shift", elements=("",), unit="s", values=shift),
+        Quantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
+        Quantity(path=f"{name}.lens", kind="lens", elements=lens.parameter_symbols, unit="", values=lens.parameters),
+    )
+    count = sum(len(block.elements) for block in blocks)
+    start = 0
+    for block in blocks:
+        rows = np.eye(count)[start : start + len(block.elements)]
+        start += len(block.elements)
+        yield _Part(quantity=block, jacobian=rows)

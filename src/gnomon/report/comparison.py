@@ -1,0 +1,286 @@
+"""What the report of a comparison says: the page of page.py, filled from a Comparison."""
+
+from collections.abc import Iterator
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from .._version import __version__
+from ..assess.comparison import Comparison, Difference, Repeatability
+from ..assess.comparison_words import block_words, shown_unit
+from ..geometry.quaternion import quaternion_from_rotation
+from ..output import write_whole
+from ..recording import Floats
+from .comparison_figures import color_of, deviations, drawn_blocks
+from .imu_parameters import readable_unit
+from .numbers import MISSING, fixed, number, rms
+from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
+
+_MOST_PAIRS = 10  # calibrations of which all pairs are shown
+
+
+def write_comparison_report(comparison: Comparison, path: str | Path) -> None:
+    """Write the report of a comparison as one HTML file that needs neither network nor other files.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    write_whole(path, render(comparison_page(comparison)))
+
+
+def comparison_page(comparison: Comparison) -> Page:
+    """Return the page of a comparison."""
+    sections = [_summary(comparison), _blocks(comparison), *_biases(comparison), *_lenses(comparison)]
+    return Page(
+        title="Comparison of calibrations",
+        subject=", ".join(one.name for one in comparison.calibrations),
+        verdict=comparison.verdict,
+        headline=comparison.headline,
+        key_numbers=_key_numbers(comparison),
+        findings=tuple(typeset(finding) for finding in comparison.findings),
+        sections=(*sections, _calibrations(comparison), _conventions(comparison)),
+        footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
+    )
+
+
+def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
+    known = [item for item in comparison.differences if isfinite(item.largest) and not item.path.endswith("bias")]
+    stating = sum(one.sigmas for one in comparison.calibrations)
+    numbers = [KeyNumber(label="Calibrations", value=str(len(comparison.calibrations)), note=f"{stating} with sigmas")]
+    if isfinite(comparison.z_rms):
+        numbers.append(
+            KeyNumber(
+                label="z rms",
+                value=number(comparison.z_rms, 3),
+                note=f"1 is honest; up to {number(comparison.limit, 3)} is chance",
+            )
+        )
+    if known:
+        worst = max(known, key=lambda item: item.largest)
+        numbers.append(
+            KeyNumber(
+                label="Largest difference",
+                value=f"{number(worst.largest, 3)} σ",
+                note=f"{block_words(worst.path)}; up to {number(comparison.z_limit, 2)} σ is chance",
+            )
+        )
+    return tuple(numbers)
+
+
+def _shown(block: Repeatability) -> tuple[float, str]:
+    factor, unit = shown_unit(block.kind, block.unit)
+    return factor, "°" if unit == "deg" else readable_unit(unit).replace("us", "µs")
+
+
+def _summary(comparison: Comparison) -> Section:
+    blocks: list[Block] = []
+    if drawn_blocks(comparison):
+        names = [one.name for one in comparison.calibrations]
+        legend = dict.fromkeys((color_of(comparison, name), name) for name in names)
+        if len({color for color, _ in legend}) < len(names):
+            legend = {item: None for item in legend if item[1] in comparison.outside} | {("before", "the others"): None}
+        blocks.append(
+            Figure(
+                title="All scalars",
+                svg=deviations(comparison),
+                legend=tuple(Legend(mark="dot", color=color, label=label) for color, label in legend),
+                caption="Every dot is a scalar: its deviation from the mean of the calibrations over the root mean "
+                "square of their stated sigmas. Hollow dots lie beyond the edge.",
+            )
+        )
+    blocks.append(_summary_table(comparison))
+    if 2 < len(comparison.calibrations) <= _MOST_PAIRS:
+        blocks.append(_pairs(comparison))
+    return Section(anchor="agreement", title="Agreement", blocks=tuple(blocks))
+
+
+def _summary_table(comparison: Comparison) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for block in comparison.blocks:
+        factor, unit = _shown(block)
+        scatter, predicted = (factor * rms(values) for values in (block.scatter, block.predicted))
+        z_rms = f"{number(block.z_rms, 3)} (≤ {number(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
+        held = f"held by {', '.join(block.assumed)}" if block.assumed else ""
+        note = ", ".join(part for part in ("" if block.judged else "not judged", held) if part)
+        rows.append(
+            (
+                block_words(block.path),
+                str(len(block.names)),
+                number(scatter, 2),
+                number(predicted, 2),
+                unit,
+                z_rms,
+                note,
+            )
+        )
+    return Table(
+        title="Scatter against predicted sigma",
+        head=("block", "estimated by", "scatter", "predicted σ", "unit", "z rms", ""),
+        rows=tuple(rows),
+        caption="Scatter: standard deviation over the calibrations, root mean square over the scalars of the block. "
+        "z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas exceed in one of a "
+        "hundred comparisons.",
+        dense=True,
+    )
+
+
+def _pairs(comparison: Comparison) -> Table:
+    names = [one.name for one in comparison.calibrations]
+    judged = {block.path for block in comparison.blocks if block.judged}
+
+    def cell(first: str, second: str) -> str:
+        found = [i for i in comparison.differences if {i.first, i.second} == {first, second} and i.path in judged]
+        known = [item for item in found if isfinite(item.largest)]
+        if not known:
+            return MISSING
+        worst = max(known, key=lambda item: item.largest)
+        return f"{number(worst.largest, 3)} σ, {block_words(worst.path)}"
+
+    rows = tuple((one, *(cell(one, other) if one != other else "" for other in names)) for one in names)
+    caption = f"Up to {number(comparison.z_limit, 2)} σ is chance."
+    return Table(title="Largest difference of each pair", head=("", *names), rows=rows, caption=caption, dense=True)
+
+
+def _blocks(comparison: Comparison) -> Section:
+    tables = tuple(_table(comparison, block) for block in comparison.blocks if block.judged)
+    return Section(
+        anchor="repeatability",
+        title="Repeatability",
+        lead=f"Body frame {comparison.frame}. Tables as in document B, appendix B.2: every calibration, the mean of "
+        "all, and their standard deviation beside the one that was predicted.",
+        blocks=tables or (Prose(lines=("No block was estimated.",)),),
+    )
+
+
+def _biases(comparison: Comparison) -> Iterator[Section]:
+    tables = tuple(_table(comparison, block) for block in comparison.blocks if not block.judged)
+    if tables:
+        yield Section(
+            anchor="biases",
+            title="Biases",
+            lead="Biases change from one switching on to the next: their scatter is the instability of the sensor, and "
+            "no error of a calibration.",
+            blocks=tables,
+        )
+
+
+def _table(comparison: Comparison, block: Repeatability) -> Table:
+    factor, unit = _shown(block)
+    scalars = list(zip(factor * block.values.T, factor * block.sigmas.T, strict=True))
+    decimals = [_decimals(sigmas, values) for values, sigmas in scalars]
+    columns = [_column(*scalar, digits) for scalar, digits in zip(scalars, decimals, strict=True)]
+    rows = [(name, *(column[i] for column in columns)) for i, name in enumerate(block.names)]
+    if len(block.names) > 1:
+        for label, values in (("mean", block.mean), ("scatter σ", block.scatter), ("predicted σ", block.predicted)):
+            cells = (fixed(factor * float(v), d + (label != "mean")) for v, d in zip(values, decimals, strict=True))
+            rows.append((label, *cells))
+    if len(block.names) == 2:
+        rows += _difference_rows(comparison.difference(*block.names, block.path), factor, decimals)
+    of = f" [{unit}]" if unit not in {"", "1"} else ""
+    caption = ""
+    if block.reference is not None:
+        w, x, y, z = quaternion_from_rotation(block.reference)
+        caption = (
+            "Small rotations about the body's axes against the mean, whose quaternion (w, x, y, z) is "
+            f"{', '.join(fixed(float(v), 7) for v in (w, x, y, z))}."
+        )
+    if block.assumed:
+        caption += f" Held at an ideal or a given value by {', '.join(block.assumed)}."
+    title = block_words(block.path)
+    return Table(
+        title=f"{title[0].upper()}{title[1:]}{of}",
+        head=("", *block.elements),
+        rows=tuple(rows),
+        caption=caption.strip(),
+        dense=True,
+        faint=frozenset(range(len(block.names), len(rows))),
+    )
+
+
+def _difference_rows(item: Difference, factor: float, decimals: list[int]) -> list[tuple[str, ...]]:
+    difference = (fixed(factor * float(v), d, sign=True) for v, d in zip(item.values, decimals, strict=True))
+    rows: list[tuple[str, ...]] = [(f"{item.first} − {item.second}", *difference)]
+    if isfinite(item.largest):
+        rows.append(("in sigmas", *(fixed(float(z), 1, sign=True) for z in item.z)))
+    return rows
+
+
+def _column(values: Floats, sigmas: Floats, decimals: int) -> list[str]:
+    """Return the texts of one scalar in all calibrations."""
+    return [
+        fixed(float(value), decimals) + (f" ± {fixed(float(sigma), decimals)}" if isfinite(sigma) else "")
+        for value, sigma in zip(values, sigmas, strict=True)
+    ]
+
+
+def _decimals(sigmas: Floats, values: Floats) -> int:
+    """Return so many decimals that the smallest sigma has two digits; without sigmas the scatter."""
+    known = sigmas[np.isfinite(sigmas) & (sigmas > 0)]
+    spread = float(known.min()) if known.size else 0.05 * float(np.ptp(values)) or 1e-3 * float(np.max(np.abs(values)))
+    if not spread > 0:
+        return 6
+    return int(min(max(1 - np.floor(np.log10(spread)), 0), 9))
+
+
+def _lenses(comparison: Comparison) -> Iterator[Section]:
+    rows: list[tuple[str, ...]] = []
+    for lens in comparison.lenses:
+        pixels = (number(value, 2) for value in (lens.rms_px, lens.largest_px, lens.turned_rms_px))
+        turn = number(float(np.degrees(np.linalg.norm(lens.turn))), 2)
+        numbers = ("the same", "", "", "") if lens.same else (*pixels, turn)
+        rows.append((lens.camera, lens.first, lens.second, " / ".join(dict.fromkeys(lens.models)), *numbers))
+    if rows:
+        table = Table(
+            title="Where both would see one ray",
+            head=("camera", "first", "second", "models", "rms [px]", "largest [px]", "rms, turned [px]", "turn [°]"),
+            rows=tuple(rows),
+            caption="Distance of the two images of a ray over the image. A turn of the camera is no error of its lens, "
+            "since its pose takes it up: the last columns are what is left after the best turn, and that turn.",
+            dense=True,
+        )
+        yield Section(anchor="lenses", title="Lenses", blocks=(table,))
+
+
+def _calibrations(comparison: Comparison) -> Section:
+    rows = tuple(
+        (
+            one.name,
+            one.format,
+            one.verdict or MISSING,
+            one.frame,
+            "stated" if one.sigmas else "not stated",
+            one.gravity.replace("m/s^2", "m/s²").replace("+-", "±") or MISSING,
+            ", ".join(one.sensors),
+            ", ".join(f"{source.name} ({source.sha256[:8]})" for source in one.inputs) or MISSING,
+        )
+        for one in comparison.calibrations
+    )
+    table = Table(
+        title="What was compared",
+        head=("name", "format", "verdict", "body frame", "sigmas", "gravity", "sensors", "recording"),
+        rows=rows,
+        prose=True,
+    )
+    notes = tuple(f"{one.name}: {note}" for one in comparison.calibrations for note in one.notes)
+    return Section(
+        anchor="calibrations",
+        title="Calibrations",
+        blocks=(table, *([Prose(lines=notes, points=True)] if notes else [])),
+    )
+
+
+def _conventions(comparison: Comparison) -> Section:
+    points = (
+        f"All calibrations were brought into body frame {comparison.frame} and into the form of document B: measured = "
+        "S M R x + b, with scales S, M unit lower triangular (yz, zy, zx), and R the rotation from body to triad.",
+        "p_cam = T_cam_imu p_imu; t_imu = t_cam + time shift. The rotation of a camera is that from body to camera; "
+        "differences of rotations are rotation vectors about the body's axes.",
+        "A difference has the variances of both calibrations, less what both share by the same assumed gravity. Where "
+        "one states no sigmas it is held against those of the other; where neither does, against those of the rest.",
+        f"All {comparison.compared} differences of scalars together exceed {number(comparison.z_limit, 3)} σ in one of "
+        "a hundred comparisons of honest calibrations; beyond that two calibrations differ.",
+    )
+    return Section(anchor="conventions", title="Conventions", blocks=(Prose(lines=points, points=True),))

@@ -1,0 +1,73 @@
+"""The figure of a comparison: every scalar of every calibration in its sigmas."""
+
+import numpy as np
+
+from ..assess.comparison import Comparison, Repeatability
+from ..assess.comparison_words import block_words
+from . import svg
+from .figures import RIGHT, Sheet, dots, draw
+from .panel import Panel
+
+COLORS = ("x", "y", "z", "accent", "t1", "t5")
+"""Of the first calibrations; more than these are drawn alike, but for those that stand out."""
+OTHERS = "before"
+
+_ROW = 50.0
+_MOST_SIGMAS = 12.0
+
+
+def color_of(comparison: Comparison, name: str) -> str:
+    """Return the colour of a calibration."""
+    names = [one.name for one in comparison.calibrations]
+    if len(names) <= len(COLORS):
+        return COLORS[names.index(name)]
+    return COLORS[comparison.outside.index(name) % len(COLORS)] if name in comparison.outside else OTHERS
+
+
+def drawn_blocks(comparison: Comparison) -> list[Repeatability]:
+    """Return the blocks that the figure shows: those with sigmas and two values."""
+    return [block for block in comparison.blocks if len(block.names) > 1 and np.isfinite(block.predicted).any()]
+
+
+def deviations(comparison: Comparison) -> str:
+    """Deviation of every scalar from the mean, in predicted sigmas, a line for each block."""
+    blocks = drawn_blocks(comparison)
+    height = _ROW * len(blocks)
+
+    def paint(sheet: Sheet) -> None:
+        panel = sheet.panel("Deviation from the mean, in sigmas", top=36, height=height, left=RIGHT, x_label="sigmas")
+        reach = _reach(blocks)
+        panel.x.span(-reach, reach)
+        panel.x.grid = True
+        panel.y.span(len(blocks) - 0.5, -0.5)
+        panel.y.ticks, panel.y.grid = (), False
+        panel.upright(0.0, "muted")
+        for row, block in enumerate(blocks):
+            style = svg.text_style("muted", 12, "left")
+            panel.text(block_words(block.path), -reach, row - 0.5, style, offset=(2.0, 15.0))
+            _draw_block(panel, comparison, block, row, reach)
+
+    count = len(comparison.calibrations)
+    alt = f"Deviations of {count} calibrations in {len(blocks)} blocks from their means, in sigmas."
+    return draw("deviations", height + 100, alt, paint)
+
+
+def _reach(blocks: list[Repeatability]) -> float:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sizes = [np.abs((block.values - block.mean) / block.predicted) for block in blocks]
+    largest = max((float(np.nanmax(size)) for size in sizes if np.isfinite(size).any()), default=1.0)
+    return float(min(max(1.1 * largest, 3.0), _MOST_SIGMAS))
+
+
+def _draw_block(panel: Panel, comparison: Comparison, block: Repeatability, row: int, reach: float) -> None:
+    """Draw a block; what lies beyond the edge is drawn on it, hollow."""
+    count = len(block.names)
+    for i, name in enumerate(block.names):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            sigmas = (block.values[i] - block.mean) / block.predicted
+        sigmas = sigmas[np.isfinite(sigmas)]
+        place = np.full(len(sigmas), row + 0.2 + 0.5 * ((i + 0.5) / count - 0.5))
+        inside = np.abs(sigmas) <= reach
+        color = color_of(comparison, name)
+        dots(panel, sigmas[inside], place[inside], color, size=5.5)
+        dots(panel, np.clip(sigmas[~inside], -reach, reach), place[~inside], color, size=7.5, ring=True)
