@@ -1,0 +1,358 @@
+"""A calibration judged against what a use needs: a verdict for each quantity, and what to do next."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..calibration import Assessment, Calibration
+from ..findings import Finding, Severity
+from ..recording import Floats
+from ..requirements import GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
+from ..trust import Need
+from .directions import Kind, Part, amount, cure, one_direction, parts, relative
+from .observability import LIMITS
+from .verdict import graded, verdict_of, worst_first
+
+_PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
+"""Findings of the general verdict on standard deviations, in whose place those on a stated use stand."""
+
+_USE = ("use-imprecise", "use-not-estimated", "use-verdict")
+_DIP = np.radians(60.0)
+_FIELD_UT = 48.0
+"""A usual field of the Earth, where the calibration does not state its own."""
+
+_KINDS: dict[str, Kind] = {
+    "camera_rotation": "rotation",
+    "camera_translation": "translation",
+    "time_shift": "time_shift",
+    "gyroscope_scale": "gyroscope",
+    "gyroscope_misalignment": "gyroscope",
+    "gyroscope_g_sensitivity": "g_sensitivity",
+    "accelerometer_scale": "accelerometer",
+    "accelerometer_misalignment": "accelerometer",
+}
+_TAKEN_ALONG = 0.5
+"""Correlation from which on a bias is as badly known as it is because another part is."""
+
+_FOLLOWED = "It follows from:"
+"""Beginning of the consequence of what `causes` explains by another finding."""
+
+_PREFIXES = {
+    "camera_rotation": ("{}.T_cam_imu.rotation",),
+    "camera_translation": ("{}.T_cam_imu.translation",),
+    "time_shift": ("{}.time_shift_cam_imu",),
+    "gyroscope_scale": ("{}.gyroscope.sensitivity", "{}.S_g"),
+    "gyroscope_misalignment": ("{}.gyroscope.sensitivity", "{}.M_g", "{}.q_bg"),
+    "gyroscope_bias": ("{}.gyroscope.bias",),
+    "gyroscope_g_sensitivity": ("{}.gyroscope.g_sensitivity", "{}.B_g"),
+    "accelerometer_scale": ("{}.accelerometer.sensitivity", "{}.S_a"),
+    "accelerometer_misalignment": ("{}.accelerometer.sensitivity", "{}.M_a"),
+    "accelerometer_bias": ("{}.accelerometer.bias",),
+}
+"""Quantity -> beginnings of the names of its scalars, as published or as estimated."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Offer:
+    """What a calibration offers of a quantity.
+
+    Attributes
+    ----------
+    quantity, sensor : such as "camera_rotation" of "cam0"
+    sigma : largest standard deviation of it [SI]; zero where it was not estimated
+    part : directions in which it is known well or badly; None where there are none
+    held : whether a prior holds it
+    """
+
+    quantity: str
+    sensor: str
+    sigma: float
+    part: Part | None
+    held: bool = False
+
+    @property
+    def words(self) -> str:
+        """What it is, for people."""
+        return QUANTITIES[self.quantity].words.format(sensor=self.sensor)
+
+
+def offers(calibration: Calibration) -> Iterator[Offer]:
+    """Yield what a calibration offers of every quantity that it has.
+
+    Gravity's part is taken off the accelerometer's scale: see `requirements`.
+    """
+    found = relative(calibration.imus, calibration.cameras, calibration.uncertainty.matrix)
+    column = {name: i for i, name in enumerate(found.names)}
+    turns = {name: camera.T_cam_imu[:3, :3] for name, camera in calibration.cameras.items()}
+    known = {(part.sensor, part.kind): part for part in parts(found.names, found.covariance, turns)}
+    spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+
+    def offer(quantity: str, sensor: str, sigma: float) -> Offer:
+        held = any(_is_of(name, quantity, sensor) for name in calibration.assessment.held_by_prior)
+        kind = _KINDS.get(quantity)
+        part = None if kind is None else known.get((sensor, kind))
+        if quantity.endswith("_bias"):  # it is told from what changes with motion, where that is known itself
+            triad = quantity.removesuffix("_bias")
+            at = [column[f"{sensor}.{triad}.bias[{i}]"] for i in range(3)]
+            part = _follows(known.values(), found.covariance, max(at, key=lambda i: spread[i]))
+        return Offer(quantity=quantity, sensor=sensor, sigma=sigma, part=part, held=held)
+
+    def largest(names: list[str]) -> float:
+        return float(max(spread[column[name]] for name in names))
+
+    for name in calibration.cameras:
+        yield offer("camera_rotation", name, largest([f"{name}.T_cam_imu.rotation[{k}]" for k in range(3)]))
+        yield offer("camera_translation", name, largest([f"{name}.T_cam_imu.translation[{k}]" for k in range(3)]))
+        yield offer("time_shift", name, largest([f"{name}.time_shift_cam_imu"]))
+    for name, imu in calibration.imus.items():
+        for triad in ("gyroscope", "accelerometer"):
+            sensor = getattr(imu, triad)
+            if sensor is None:
+                continue
+            at = [column[f"{name}.{triad}.sensitivity[{i},{j}]"] for i in range(3) for j in range(3)]
+            shared = calibration.gravity.sigma / calibration.gravity.value if triad == "accelerometer" else 0.0
+            scale, angle = _scale_and_axes(sensor.sensitivity, found.covariance[np.ix_(at, at)], shared)
+            yield offer(f"{triad}_scale", name, scale)
+            yield offer(f"{triad}_misalignment", name, angle)
+            yield offer(f"{triad}_bias", name, largest([f"{name}.{triad}.bias[{i}]" for i in range(3)]))
+        if imu.gyroscope is not None:
+            names = [f"{name}.gyroscope.g_sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+            yield offer("gyroscope_g_sensitivity", name, largest(names))
+        if imu.magnetometer is not None:
+            yield offer("heading", name, _heading(calibration, name))
+
+
+def _follows(known: Iterable[Part], covariance: Floats, scalar: int) -> Part | None:
+    """Return the badly known part whose worst direction takes a scalar along, or None."""
+    best, follows = None, _TAKEN_ALONG
+    for part in known:
+        joint = abs(float(covariance[scalar, part.index] @ part.places[0]))
+        own = float(np.sqrt(part.places[0] @ covariance[np.ix_(part.index, part.index)] @ part.places[0]))
+        correlation = joint / max(own * float(np.sqrt(covariance[scalar, scalar])), 1e-300)
+        if part.sigma[0] > LIMITS[part.kind] and correlation > follows:
+            best, follows = part, correlation
+    return best
+
+
+def _is_of(name: str, quantity: str, sensor: str) -> bool:
+    """Return whether a scalar, as published or as estimated, belongs to a quantity."""
+    path, _, place = name.partition("[")
+    if path not in {text.format(sensor) for text in _PREFIXES.get(quantity, ())}:
+        return False
+    if not path.endswith(".sensitivity") or not place:
+        return True
+    row, _, column = place.rstrip("]").partition(",")
+    return (row == column) == quantity.endswith("_scale")
+
+
+def _scale_and_axes(sensitivity: Floats, covariance: Floats, shared: float) -> tuple[float, float]:
+    """Return the largest relative sigma of a row's length, less what all share, and of its direction [rad].
+
+    What all rows share is gravity's part; where it is not the stated one, as with cameras, which see accelerations too,
+    the differences between the rows tell the rest. `covariance` (9, 9) is relative to the rows' lengths.
+    """
+    rows = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
+    along = np.zeros((3, 9))
+    angle = 0.0
+    for i, row in enumerate(rows):
+        along[i, 3 * i : 3 * i + 3] = row
+        across = np.eye(3) - np.outer(row, row)
+        own = covariance[3 * i : 3 * i + 3, 3 * i : 3 * i + 3]
+        angle = max(angle, float(np.max(np.diag(across @ own @ across))))
+    scales = along @ covariance @ along.T
+    apart = np.eye(3) - 1 / 3
+    differing = 1.5 * np.diag(apart @ scales @ apart) if shared else np.zeros(3)
+    variance = np.maximum(np.diag(scales) - shared**2, differing)
+    return float(np.sqrt(max(variance.max(), 0.0))), float(np.sqrt(max(angle, 0.0)))
+
+
+def _heading(calibration: Calibration, name: str) -> float:
+    """Return the largest standard deviation of the heading of a level sensor, over all headings [rad]."""
+    magnetometer = calibration.imus[name].magnetometer
+    assert magnetometer is not None
+    strength = _FIELD_UT if magnetometer.field_unit == "uT" else 1.0
+    covariance = calibration.covariance(f"{name}.magnetometer.sensitivity", f"{name}.magnetometer.bias")
+    inverse = np.linalg.inv(magnetometer.sensitivity)
+    worst = 0.0
+    for heading in np.radians(np.arange(0, 360, 15)):
+        level = np.array([np.cos(heading), -np.sin(heading), 0.0])
+        field = strength * (np.cos(_DIP) * level - np.sin(_DIP) * np.array([0.0, 0.0, 1.0]))
+        across = np.array([np.sin(heading), np.cos(heading), 0.0]) @ inverse / (strength * np.cos(_DIP))
+        row = np.concatenate([np.outer(across, field).ravel(), across])
+        worst = max(worst, float(row @ covariance @ row))
+    return float(np.sqrt(worst))
+
+
+def needs(calibration: Calibration, use: Use) -> tuple[Need, ...]:
+    """Return what a use needs of a calibration, quantity by quantity, and whether it is there.
+
+    What was not estimated is left out; see `judged`.
+    """
+    return tuple(_need(calibration, offer, use) for offer in _asked(calibration, use) if offer.sigma > 0)
+
+
+def _asked(calibration: Calibration, use: Use) -> list[Offer]:
+    return [offer for offer in offers(calibration) if offer.quantity in use.needs]
+
+
+def _need(calibration: Calibration, offer: Offer, use: Use) -> Need:
+    quantity, needed = QUANTITIES[offer.quantity], use.needs[offer.quantity]
+    grade = "problem" if offer.held else graded(offer.sigma, needed, use.fails_at * needed)
+    return Need(
+        block=offer.words,
+        sigma=_rounded(offer.sigma / quantity.size),
+        needed=_rounded(needed / quantity.size),
+        unit=quantity.unit,
+        verdict="fail" if grade == "problem" else "warn" if grade == "warning" else "pass",
+        cure="" if grade == "good" else _cure(calibration, offer, needed),
+    )
+
+
+def _cure(calibration: Calibration, offer: Offer, needed: float) -> str:
+    fit, part = calibration.assessment.camera_imu, offer.part
+    if offer.quantity == "heading":
+        return "Turn the sensor over the whole sphere, slowly, far from iron."
+    if fit is None and (part is None or not one_direction(part)):
+        return _more_attitudes(calibration, offer, needed)
+    duration_s = float("nan") if fit is None else fit.duration_s
+    if part is None:
+        more = amount(duration_s * ((offer.sigma / needed) ** 2 - 1))
+        if offer.quantity == "accelerometer_bias" and not more:
+            return "Tilt it so that each axis of the IMU points up, down and level."
+        return f"Go on for {more}." if more else "Record for longer, with a quieter or steadier sensor."
+    camera = next(iter(calibration.cameras.values()), None)
+    wanted = needed * float(part.sigma[0]) / offer.sigma  # a matrix' direction gathers all rows
+    return cure(part, wanted, duration_s, None if camera is None else camera.T_cam_imu[:3, :3])
+
+
+def _rounded(number: float) -> float:
+    return float(f"{number:.6g}")
+
+
+def number_words(number: float) -> str:
+    """Return a number for people, such as "0.12" or "168"."""
+    return f"{number:.2g}" if abs(number) < 100 else f"{number:.0f}"
+
+
+def _more_attitudes(calibration: Calibration, offer: Offer, needed: float) -> str:
+    """Say how many more rests would do, where so many can be asked of a person."""
+    rests = calibration.assessment.intervals_used
+    more = int(np.ceil(rests * ((offer.sigma / needed) ** 2 - 1)))
+    if 0 < more <= 100:
+        return f"Add {max(5, 5 * -(-more // 5))} attitudes, spread over the sphere, and as many turns between them."
+    return "Rest longer in each attitude, in more of them; a quieter sensor may be needed."
+
+
+def judged(calibration: Calibration, use: Use | None) -> Calibration:
+    """Return a calibration with the verdict for a use; for no special use where None.
+
+    Findings on standard deviations are those on what the use needs; what priors hold is a problem only if the use
+    needs it. All other findings stay, and so do parameters and covariance.
+    """
+    general = _general(calibration)
+    if use is None:
+        return replace(calibration, assessment=general)
+    found = needs(calibration, use)
+    asked = _asked(calibration, use)
+    serious = any(offer.held for offer in asked) or any(need.verdict == "fail" for need in found)
+    kept = [_regraded(f, "problem" if serious else "info") for f in general.findings if f.code not in _PRECISION]
+    findings = worst_first([*kept, *_imprecise(found, use), *_not_estimated(asked, use)])
+    verdict = verdict_of(findings)
+    if verdict != general.verdict:
+        findings = worst_first([*findings, _why(general, verdict, use)])
+    assessment = replace(
+        general,
+        verdict=verdict,
+        findings=findings,
+        trust=replace(general.trust, use=use.name, needs=found),
+    )
+    return replace(calibration, assessment=assessment)
+
+
+def _regraded(finding: Finding, severity: Severity) -> Finding:
+    """Return what a recording does not determine with another severity, unless a cause was named for it."""
+    if finding.code == "rotation-one-axis":
+        return replace(finding, severity="info" if severity == "info" else "problem")
+    if finding.code != "not-observable" or finding.consequence.startswith(_FOLLOWED):
+        return finding
+    return replace(finding, severity=severity)
+
+
+def _imprecise(found: tuple[Need, ...], use: Use) -> Iterator[Finding]:
+    """Yield a finding for each next action, on all that asks for it."""
+    cures = dict.fromkeys((need.verdict, need.cure) for need in found if need.verdict != "pass")
+    for verdict, action in cures:
+        parts_of_it = [
+            f"the {need.block} to {number_words(need.needed)} {need.unit}, and has {number_words(need.sigma)}"
+            for need in found
+            if (need.verdict, need.cure) == (verdict, action)
+        ]
+        yield Finding(
+            severity="problem" if verdict == "fail" else "warning",
+            code="use-imprecise",
+            message=f"{use.name} needs {'; '.join(parts_of_it)} (one sigma).",
+            cure=action,
+        )
+
+
+def _not_estimated(asked: list[Offer], use: Use) -> Iterator[Finding]:
+    missing = [offer.words for offer in asked if not offer.sigma > 0]
+    if missing:
+        yield Finding(
+            severity="info",
+            code="use-not-estimated",
+            message=f"{use.name} needs the {', the '.join(missing)}, which this calibration did not estimate.",
+            consequence="They are taken as they were known beforehand, and were not judged.",
+        )
+
+
+def _why(general: Assessment, verdict: str, use: Use) -> Finding:
+    """Say in one sentence why the verdict for a use is not the general one."""
+    reason = (
+        f"{use.name} needs more than general use does, as said for each quantity"
+        if _rank(verdict) > _rank(general.verdict)
+        else f"what general use asks beyond that is not needed for {use.name}"
+    )
+    return Finding(
+        severity="info",
+        code="use-verdict",
+        message=f"The verdict for {use.name} is {verdict}, that for general use {general.verdict}: {reason}.",
+    )
+
+
+def _rank(verdict: str) -> int:
+    return ("pass", "warn", "fail").index(verdict)
+
+
+def _general(calibration: Calibration) -> Assessment:
+    """Return the assessment for no special use, also of a calibration that was judged for one."""
+    assessment = calibration.assessment
+    if not assessment.trust.use:
+        return assessment
+    held = assessment.held_by_prior
+    vital = not calibration.cameras or any(".T_cam_imu" in name or name.endswith("time_shift_cam_imu") for name in held)
+    kept = [
+        _regraded(finding, "problem" if vital else "warning")
+        for finding in assessment.findings
+        if finding.code not in _USE
+    ]
+    use = GENERAL_RIG if calibration.cameras else GENERAL_IMU
+    findings = worst_first([*kept, *(f for f in _general_precision(calibration, use))])
+    return replace(
+        assessment,
+        verdict=verdict_of(findings),
+        findings=findings,
+        trust=replace(assessment.trust, use="", needs=()),
+    )
+
+
+def _general_precision(calibration: Calibration, use: Use) -> Iterator[Finding]:
+    for need in needs(calibration, use):
+        if need.verdict != "pass":
+            yield Finding(
+                severity="problem" if need.verdict == "fail" else "warning",
+                code="imprecise",
+                message=f"The {need.block} is known to {number_words(need.sigma)} {need.unit} only (one sigma).",
+                cure=need.cure,
+            )

@@ -1,0 +1,44 @@
+"""A calibration that exists, judged for a use."""
+
+from os import PathLike
+
+from ..assess.needs import judged
+from ..calibration import Calibration
+from ..readers.use_file import read_use
+from ..requirements import GENERAL, Use
+
+
+def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibration:
+    """Judge a calibration against what a use needs; the numbers stay, verdict and findings change.
+
+    Parameters
+    ----------
+    calibration : any, with its covariance
+    use : "vio", "ahrs", "gimbal", "phone", a YAML file that states other needs, or "general" for no special use
+
+    Returns
+    -------
+    calibration : the same; `assessment.trust.needs` tells quantity by quantity what the use needs and what there is
+
+    Raises
+    ------
+    OptionError
+        If there is no such use; FormatError where the file is not as it should be.
+
+    Examples
+    --------
+    >>> import gnomon
+    >>> recording, truth = gnomon.simulate(gnomon.Scenario(intervals=20, t_init_s=20.0), seed=1)
+    >>> result = gnomon.calibrate_imu(recording)
+    >>> fit_for = gnomon.judge(result.calibration, "ahrs")
+    >>> fit_for.assessment.trust.use, len(fit_for.assessment.trust.needs)
+    ('ahrs', 6)
+    """
+    return judged(calibration, stated_use(use))
+
+
+def stated_use(use: str | PathLike[str] | Use) -> Use | None:
+    """Return a use, None for "general"; see `judge`."""
+    if isinstance(use, Use):
+        return use
+    return None if use == GENERAL else read_use(use)

@@ -1,0 +1,177 @@
+"""What a planned multi-position recording would tell: the fit's own normal equations at the truth, no noise drawn.
+
+plan -> exact samples and rests -> problem with the stated noise -> linearise once -> what it would publish
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .._version import __version__
+from ..calibration import (
+    AccelerometerCalibration,
+    Assessment,
+    Calibration,
+    Covariance,
+    GyroscopeCalibration,
+    ImuCalibration,
+    Provenance,
+    covariance_names,
+)
+from ..errors import SolveError
+from ..estimate.drift import walk_precision, with_drift
+from ..estimate.multiposition import weak_prior_sigma
+from ..estimate.multiposition_model import (
+    B_,
+    BG_,
+    CG_,
+    G_,
+    LOWER,
+    PARAMETERS,
+    S_,
+    State,
+    Whitening,
+    linearise,
+    normal_equations,
+)
+from ..estimate.noise_levels import ExtraVariance, rotation_variance, whitened_rest
+from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem
+from ..estimate.scaling import unscaled
+from ..intervals import Booleans, StaticIntervals, interval_means
+from ..models.gravity import EARTH_RATE_RAD_S
+from ..models.noise import ImuNoise
+from ..options import ImuOptions
+from ..recording import Floats
+from ..simulate.planned_rests import planned_rests
+from ..simulate.plans import ImuPlan
+from ..simulate.truth import changed_options
+from ..solve.arrow import solve_arrow
+from .preparation import local_gravity
+
+_BESIDE_MOTION_S = 0.35
+"""What the static detector leaves out of a rest beside a motion: a part of its window."""
+
+
+def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
+    """Return the calibration that a planned recording would give of an ideal IMU, with its covariance.
+
+    Parameters
+    ----------
+    plan : see there
+    noise : of the IMU
+    seed : of the attitudes
+
+    Raises
+    ------
+    SolveError
+        If such attitudes determine no calibration.
+    """
+    options = ImuOptions(gravity=plan.gravity, latitude=plan.latitude)
+    gravity = local_gravity(options)
+    planned = planned_rests(plan, gravity.value, seed)
+    margin = np.full(len(planned.start_s), min(_BESIDE_MOTION_S, 0.2 * plan.hold_s))
+    starts = planned.start_s + margin * (planned.start_s > 0)
+    stops = planned.stop_s - margin * (planned.stop_s < planned.stop_s[-1])
+    still = StaticIntervals(
+        start=np.searchsorted(planned.t_s, starts), stop=np.searchsorted(planned.t_s, stops, side="right")
+    )
+
+    def stream(values: Floats, density: float) -> TriadStream:
+        return TriadStream(
+            t_s=planned.t_s,
+            values=values,
+            saturated=np.zeros(len(values), dtype=bool),
+            rate_hz=plan.rate_hz,
+            density=np.full(3, density**2),
+            density_in_motion=np.full(3, density**2),
+            intervals=still,
+        )
+
+    cosine_squared = 2 / 3 if plan.latitude is None else float(np.cos(np.radians(plan.latitude)) ** 2)
+    problem = build_problem(
+        stream(planned.f_imu, noise.accelerometer_noise_density),
+        stream(planned.omega_imu, noise.gyroscope_noise_density),
+        EARTH_RATE_RAD_S**2 * cosine_squared / 2,
+    )
+    walk = (noise.gyroscope_random_walk / problem.gyroscope.spread) ** 2
+    up = interval_means(planned.f_imu, still)
+    fit = _at_the_truth(problem, up, walk, g_sensitivity=plan.model == "g-sensitivity")
+    estimate = unscaled(
+        fit,
+        problem.accelerometer,
+        problem.gyroscope,
+        gravity_m_s2=gravity.value,
+        gravity_sigma_m_s2=gravity.sigma,
+        latitude_deg=plan.latitude,
+    )
+    eye, zero = np.eye(3), np.zeros(3)
+    imus = {
+        "imu0": ImuCalibration(
+            accelerometer=AccelerometerCalibration(sensitivity=eye, bias=zero, unit="m/s^2"),
+            gyroscope=GyroscopeCalibration(sensitivity=eye, bias=zero, g_sensitivity=np.zeros((3, 3)), unit="rad/s"),
+        )
+    }
+    return Calibration(
+        imus=imus,
+        frame="accel-x",
+        gravity=gravity,
+        uncertainty=Covariance(names=covariance_names(imus), matrix=estimate.covariance),
+        assessment=Assessment(
+            verdict="pass",
+            findings=(),
+            model=plan.model,
+            intervals_found=plan.intervals,
+            intervals_used=plan.intervals,
+            rotations_found=plan.intervals - 1,
+            rotations_used=plan.intervals - 1,
+        ),
+        provenance=Provenance(gnomon_version=__version__, method="plan", options=changed_options(plan), seed=seed),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fit:
+    """What a fit would say; see `estimate.scaling.Fitted`."""
+
+    state: State
+    covariance: Floats
+    free: Booleans
+
+
+def _at_the_truth(problem: MultiPositionProblem, up: Floats, walk: Floats, *, g_sensitivity: bool) -> _Fit:
+    """Linearise an ideal sensor's problem once at the truth.
+
+    Parameters
+    ----------
+    problem : with exact samples
+    up : (n, 3) specific force of each rest
+    walk : (3,) random walk of the gyroscope's bias, scaled [1/s]
+    """
+    data = with_drift(problem.data)
+    size = np.linalg.norm(up, axis=1, keepdims=True)
+    accelerometer, gyroscope = problem.accelerometer, problem.gyroscope
+    theta = np.zeros(PARAMETERS + 3 * data.drift[0].shape[1])
+    theta[S_] = np.diag(size.mean() / accelerometer.spread)[LOWER]
+    theta[B_] = -accelerometer.centre / accelerometer.spread
+    theta[CG_] = np.diag(gyroscope.spread).ravel()
+    theta[BG_] = -gyroscope.centre / gyroscope.spread
+    state = State(theta=theta, u=up / size)
+    free = np.ones(len(theta), dtype=bool)
+    free[G_] = g_sensitivity
+    prior = np.zeros((len(theta), len(theta)))
+    prior[:PARAMETERS, :PARAMETERS] = np.diag(weak_prior_sigma(state) ** -2.0)
+    prior[PARAMETERS:, PARAMETERS:] = walk_precision(data, walk)
+    rest_accelerometer, rest_gyroscope = whitened_rest(data, state, ExtraVariance())
+    whitening = Whitening(
+        accelerometer=rest_accelerometer,
+        gyroscope=rest_gyroscope,
+        rotation=data.linked / np.sqrt(rotation_variance(data, state)),
+        prior=prior,
+    )
+    try:
+        arrow = solve_arrow(normal_equations(linearise(data, state), whitening, np.zeros(len(theta)), free))
+    except np.linalg.LinAlgError as error:
+        raise SolveError("such attitudes determine no calibration. Plan more of them, about all axes.") from error
+    covariance = np.zeros((len(theta), len(theta)))
+    covariance[np.ix_(free, free)] = arrow.corner_covariance
+    return _Fit(state=state, covariance=covariance[:PARAMETERS, :PARAMETERS], free=free[:PARAMETERS])

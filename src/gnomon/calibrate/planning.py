@@ -1,0 +1,234 @@
+"""What a recording would tell that nobody has made yet, whether that is enough, and what would help most.
+
+plan -> predicted calibration -> weak directions -> judge -> the same with one thing changed -> advice
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from os import PathLike
+
+import numpy as np
+
+from ..assess.needs import judged, needs
+from ..assess.observability import HELD, known_of, weak_directions
+from ..assess.verdict import verdict_of, worst_first
+from ..assess.weak_findings import weak_findings
+from ..calibration import Calibration
+from ..errors import GnomonError
+from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..models.target import Target
+from ..readers.kalibr_target import read_target
+from ..readers.sensor_inputs import read_cameras, read_imus
+from ..requirements import GENERAL_IMU, GENERAL_RIG, Use
+from ..sensors import CameraCalibration
+from ..simulate.planned_views import PlannedRig, usual_rig
+from ..simulate.plans import CameraImuPlan, ImuPlan
+from ..trust import Need, WeakDirection
+from .judging import stated_use
+from .plan_camera_imu import planned_camera_imu
+from .plan_imu import planned_imu
+
+_USUAL_RATE_HZ = 200.0
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlannedHardware:
+    """What the recording would be made with.
+
+    Attributes
+    ----------
+    cameras : by name
+    target : the board
+    noise : of the IMU
+    imu_rate_hz : its sample rate [Hz]
+    """
+
+    cameras: Mapping[str, CameraCalibration]
+    target: Target
+    noise: ImuNoise
+    imu_rate_hz: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A plan with one thing changed.
+
+    Attributes
+    ----------
+    words : what is changed
+    worst : largest standard deviation over what is needed of it
+    before : the same without the change
+    """
+
+    words: str
+    worst: float
+    before: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanResult:
+    """What a planned recording would tell.
+
+    Attributes
+    ----------
+    calibration : with the covariance that it would have, judged; its values are those of the rig
+    needs : what the use needs, or general use where none was stated
+    weak : directions that it would hardly determine
+    changes : what would help, most first
+    """
+
+    calibration: Calibration
+    needs: tuple[Need, ...]
+    weak: tuple[WeakDirection, ...]
+    changes: tuple[Change, ...]
+
+
+def read_hardware(
+    cam: str | PathLike[str] | None = None,
+    target: str | PathLike[str] | None = None,
+    imu: str | PathLike[str] | None = None,
+) -> PlannedHardware:
+    """Read what a recording would be made with; what is not named is that of `gnomon simulate-camera-imu`.
+
+    Parameters
+    ----------
+    cam : camchain.yaml, calibration.yaml, or what else describes cameras
+    target : target.yaml
+    imu : imu.yaml
+
+    Raises
+    ------
+    FormatError
+        If a file cannot be read.
+    """
+    usual = usual_rig()
+    cameras = dict(usual.cameras)
+    if cam is not None:
+        first = next(iter(usual.cameras.values()))
+        cameras = {
+            name: CameraCalibration(
+                T_cam_imu=first.T_cam_imu if found.T_cam_imu is None else found.T_cam_imu,
+                time_shift_cam_imu=found.time_shift_cam_imu_s or 0.0,
+                camera=found.camera,
+            )
+            for name, found in read_cameras(cam).items()
+        }
+    noise, rate_hz = CONSUMER_MEMS, None
+    if imu is not None:
+        stated = next(iter(read_imus(imu).values()))
+        noise, rate_hz = stated.noise, stated.update_rate_hz
+    return PlannedHardware(
+        cameras=cameras,
+        target=usual.target if target is None else read_target(target),
+        noise=noise,
+        imu_rate_hz=rate_hz or _USUAL_RATE_HZ,
+    )
+
+
+def plan(
+    what: CameraImuPlan | ImuPlan,
+    hardware: PlannedHardware | None = None,
+    use: str | PathLike[str] | Use | None = None,
+    *,
+    seed: int = 0,
+    changes: bool = True,
+    progress: Progress | None = None,
+) -> PlanResult:
+    """Predict the standard deviations that a recording would reach, by the estimation's own normal equations.
+
+    Parameters
+    ----------
+    what : how it is to be recorded
+    hardware : what with; see `gnomon.read_hardware`
+    use : what it is for, as for `gnomon.judge`; general use where not stated
+    seed : of the path, of which only kind and size are planned
+    changes : whether to try what would help
+    progress : called with a sentence at each step
+
+    Raises
+    ------
+    OptionError
+        If there is no such use, or the board would hardly be seen.
+    SolveError
+        If such a recording determines no calibration at all.
+
+    Examples
+    --------
+    >>> import gnomon
+    >>> found = gnomon.plan(gnomon.ImuPlan(intervals=30), use="ahrs", changes=False)
+    >>> [need.block for need in found.needs][:2]
+    ['gyroscope scale', 'gyroscope axes']
+    """
+    tell = progress or (lambda _: None)
+    hardware = hardware or read_hardware()
+    wanted = None if use is None else stated_use(use)
+    tell("predicting the recording as planned")
+    bare, weak = _predicted(what, hardware, seed)
+    calibration = judged(bare, wanted)
+    asked = wanted or (GENERAL_IMU if isinstance(what, ImuPlan) else GENERAL_RIG)
+    before = _worst(bare, asked)
+    found: list[Change] = []
+    for words, other in _changed(what) if changes else ():
+        tell(f"predicting: {words}")
+        try:
+            after = _worst(_predicted(other, hardware, seed)[0], asked)
+        except GnomonError:  # the board would leave the image
+            continue
+        found.append(Change(words=words, worst=after, before=before))
+    return PlanResult(
+        calibration=calibration,
+        needs=needs(bare, asked),
+        weak=weak,
+        changes=tuple(sorted((change for change in found if change.worst < before), key=lambda change: change.worst)),
+    )
+
+
+def _predicted(
+    what: CameraImuPlan | ImuPlan, hardware: PlannedHardware, seed: int
+) -> tuple[Calibration, tuple[WeakDirection, ...]]:
+    """Return a predicted calibration with its findings, and its weak directions."""
+    if isinstance(what, ImuPlan):
+        found = planned_imu(what, hardware.noise, seed)
+    else:
+        rig = PlannedRig(cameras=hardware.cameras, target=hardware.target)
+        found = planned_camera_imu(what, rig, hardware.noise, what.imu_rate_hz or hardware.imu_rate_hz, seed)
+    duration_s = what.duration_s if isinstance(what, CameraImuPlan) else float("nan")
+    known = known_of(found.imus, found.cameras, found.uncertainty.matrix, duration_s=duration_s)
+    weak = weak_directions(known)
+    sigma = np.sqrt(np.diag(known.covariance))
+    held = tuple(
+        name for name, size, prior in zip(known.names, sigma, known.prior_sigma, strict=True) if size > HELD * prior
+    )
+    findings = worst_first(weak_findings(weak, with_camera=bool(found.cameras)))
+    assessment = replace(found.assessment, findings=findings, verdict=verdict_of(findings), held_by_prior=held)
+    return replace(found, assessment=assessment), weak
+
+
+def _worst(calibration: Calibration, use: Use) -> float:
+    return max((need.sigma / need.needed for need in needs(calibration, use)), default=0.0)
+
+
+def _changed(what: CameraImuPlan | ImuPlan) -> list[tuple[str, CameraImuPlan | ImuPlan]]:
+    """Return plans with one thing changed, and what that is."""
+    if isinstance(what, ImuPlan):
+        return [
+            (f"twice as many attitudes, {2 * what.intervals}", replace(what, intervals=min(2 * what.intervals, 1000))),
+            (f"twice as long rests, {2 * what.hold_s:g} s", replace(what, hold_s=2 * what.hold_s)),
+            (f"a first rest twice as long, {2 * what.t_init_s:g} s", replace(what, t_init_s=2 * what.t_init_s)),
+            (f"faster turns, {what.motion_s / 1.5:.2g} s each", replace(what, motion_s=what.motion_s / 1.5)),
+            *([("every attitude over the sphere", replace(what, attitudes="sphere"))] * (what.attitudes != "sphere")),
+        ]
+    changes: list[tuple[str, CameraImuPlan | ImuPlan]] = [
+        (f"twice as long, {2 * what.duration_s:g} s", replace(what, duration_s=min(2 * what.duration_s, 3600.0))),
+        (f"nearer to the board, {what.distance_m / 1.5:.2g} m", replace(what, distance_m=what.distance_m / 1.5)),
+        ("turned 1.5 times as briskly", replace(what, turning=1.5 * what.turning)),
+        ("moved 1.5 times as strongly to and fro", replace(what, shaking=1.5 * what.shaking)),
+    ]
+    if what.motion not in ("gentle", "normal", "tremor", "shaky", "rolling"):
+        changes.append(
+            ("waved by hand, turned and moved along all axes (motion normal)", replace(what, motion="normal"))
+        )
+    if set(what.turn_axes) != set("xyz"):
+        changes.append(("turned about all three axes", replace(what, turn_axes="xyz")))
+    return changes
