@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.clock_drift import check_drift, check_recording_drift, clock_drift
+from gnomon.assess.clock_drift import check_drift, clock_drift
+from gnomon.assess.rig_checks import check_recording_rig
 from gnomon.estimate.camera_imu.board_poses import board_poses
 from gnomon.estimate.camera_imu.first_guess import ImuStream
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
@@ -47,7 +48,7 @@ def test_drift(simulated, ppm) -> None:
 
 
 def test_finding(simulated) -> None:
-    steady, fast = (check_recording_drift(drifting(simulated.recording, ppm), simulated.target) for ppm in (0.0, 200.0))
+    steady, fast = (check_recording_rig(drifting(simulated.recording, ppm), simulated.target) for ppm in (0.0, 200.0))
     assert [(finding.severity, finding.code) for finding in steady] == [("good", "clock")]
     assert [(finding.severity, finding.code) for finding in fast] == [("warning", "clock-drift")]
     assert "The clocks of cam0 and imu0 drift apart by +" in fast[0].message
@@ -85,4 +86,4 @@ def test_real_clocks_keep_together(real_data) -> None:
         target=real_data("rendered-camimu") / "a-aprilgrid-full" / "target.yaml",
         imu=None,
     )
-    assert {finding.code for finding in check_recording_drift(recording, target)} == {"clock"}
+    assert {finding.code for finding in check_recording_rig(recording, target)} == {"clock", "tag-spacing"}

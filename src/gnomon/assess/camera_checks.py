@@ -25,6 +25,7 @@ _LOST_SHARE = 0.1
 _JITTER = 0.3  # of a period
 _UNSEEN_S = 2.0
 _MANY = 0.1
+_REPEATED = 0.02
 _COVERED = 0.3  # of the image
 _SMALL = 0.15  # of the image's diagonal
 _COMMON = 0.9
@@ -34,9 +35,9 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at a recording of cameras and IMUs and say what is good or bad about it.
 
     Every warning and every problem states its consequence and its cure. Codes of the cameras: cameras-missing,
-    frames-backward, corners-unknown, corners-outside, frames, frames-few, corners-few, frame-rate, frame-jitter,
-    frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart, of their stamps stamps-zero and
-    stamps-unit, and of their images those of `check_images`; of the IMUs those of `check_moving_imu`.
+    frames-backward, corners-unknown, corners-outside, frames, frames-few, frames-repeated, corners-few, frame-rate,
+    frame-jitter, frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart, of their stamps
+    stamps-zero and stamps-unit, and of their images those of `check_images`; of the IMUs those of `check_moving_imu`.
 
     Returns
     -------
@@ -81,6 +82,7 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     if findings[0].severity == "problem":
         return findings + check_images(name, frames, seen.frame[seen.usable])  # they may tell why
     usable = frames.t_ns[seen.frame[seen.usable]]
+    findings += _repeated(name, frames)
     findings += _useless(name, seen)
     findings += check_rhythm(name, frames.t_ns)
     findings += _unseen(name, usable)
@@ -147,6 +149,31 @@ def _count(name: str, frames: CameraFrames, seen: Views, target: Target) -> Find
         consequence="They do not tell how the camera moved." if few else "The result will be uncertain.",
         cure="Record for a minute at 20 Hz, with the board in sight and sharp.",
     )
+
+
+def _repeated(name: str, frames: CameraFrames) -> list[Finding]:
+    """Look for frames whose corners are those of the frame before to the last digit: the same image once more."""
+    count = np.bincount(frames.frame, minlength=len(frames.t_ns))
+    start = np.concatenate([[0], np.cumsum(count)])
+    again = np.flatnonzero((count[1:] == count[:-1]) & (count[1:] > 0)) + 1
+    same = [
+        k
+        for k in again.tolist()
+        if np.array_equal(frames.pixels[start[k] : start[k + 1]], frames.pixels[start[k - 1] : start[k]])
+    ]
+    if not same:
+        return []
+    share = len(same) / max(int(np.count_nonzero(count)), 1)
+    return [
+        Finding(
+            severity="warning" if share > _REPEATED else "info",
+            code="frames-repeated",
+            message=f"{name}: {len(same)} frames ({100 * share:.2g} %) show the same corners as the frame before, to "
+            "the last digit: the same image was delivered twice, under a new stamp.",
+            consequence="The camera seems to stand still and then to jump; such frames bend the result.",
+            cure="Look at the driver's buffers and at the load of the computer; record at a lower frame rate.",
+        )
+    ]
 
 
 def _useless(name: str, seen: Views) -> list[Finding]:

@@ -9,15 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InitialisationError
-from ..estimate.camera_imu.alignment import GyroscopeIntegral, align, gyroscope_integral
-from ..estimate.camera_imu.board_poses import BoardPoses, board_poses
+from ..estimate.camera_imu.alignment import GyroscopeIntegral, gyroscope_integral
+from ..estimate.camera_imu.board_poses import BoardPoses
 from ..estimate.camera_imu.first_guess import ImuStream
 from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
-from ..models.target import Target
-from ..recording import Floats, Recording
-from ..units import GYROSCOPE_UNITS_RAD_S
+from ..recording import Floats
 from .clock_checks import drift_finding
 
 _STEP_S, _LONGEST_STEP_S = 0.1, 0.35
@@ -48,33 +45,10 @@ class ClockDrift:
     sigma: float
 
 
-def check_recording_drift(recording: Recording, target: Target) -> tuple[Finding, ...]:
-    """Say for each camera whether its clock drifts against that of the first IMU (codes clock, clock-drift).
-
-    Cameras that cannot be aligned with the IMU are passed over: a calibration says why.
-    """
-    imu, samples = next(iter(recording.imus.items()))
-    gyroscope = samples.gyroscope
-    factor = GYROSCOPE_UNITS_RAD_S[gyroscope.unit]
-    if factor is None:
-        return ()
-    origin = int(gyroscope.t_ns[0])
-    t_s = np.asarray((gyroscope.t_ns - origin) * 1e-9, dtype=np.float64)
-    once = np.concatenate([[True], np.diff(t_s) > 0])
-    rate = gyroscope.values[once] * factor
-    stream = ImuStream(t_s=t_s[once], rate=rate, force=np.zeros_like(rate))
-    integral = gyroscope_integral(stream.t_s, stream.rate)
-    findings: list[Finding] = []
-    for name, frames in recording.cameras.items():
-        poses = board_poses(frames, target, np.asarray((frames.t_ns - origin) * 1e-9, dtype=np.float64))
-        try:
-            alignment = align(poses, integral, name)
-        except InitialisationError:
-            continue
-        drift = clock_drift(poses, stream, alignment.time_shift_s)
-        if drift is not None:
-            findings.append(_warning(name, imu, poses, drift) or _steady(name, imu, drift))
-    return tuple(findings)
+def look_at_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Say whether a camera's clock drifts against that of the IMU (codes clock, clock-drift); as `check_drift`."""
+    drift = clock_drift(poses, stream, time_shift_s)
+    return [] if drift is None else [_warning(name, imu, poses, drift) or _steady(name, imu, drift)]
 
 
 def check_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:

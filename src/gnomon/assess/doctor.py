@@ -7,6 +7,8 @@ from ..recording import ImuSamples, Recording, TriadSamples
 from .protocol import check_protocol
 from .signals import check_signal
 from .stamps import check_stamps
+from .triad_clocks import check_triad_clocks
+from .vibration import check_vibration
 
 _POSES = 9
 
@@ -17,7 +19,7 @@ def check(recording: Recording) -> tuple[Finding, ...]:
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
     rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated; samples-missing,
     gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady, always-static, attitudes,
-    static-start, clocks-apart; poses.
+    static-start, clocks-apart, triads-apart, vibration; poses.
 
     Returns
     -------
@@ -82,7 +84,10 @@ def _check_imu(name: str, imu: ImuSamples) -> list[Finding]:
     findings += signals
     if len(gyroscope) > 1:
         findings += check_signal(gyroscope, f"{name} gyroscope")
+        findings += check_vibration(accelerometer, gyroscope, name)
     usable = usable and not any(finding.code == "time-constant" for finding in findings)
+    if usable and len(gyroscope) > 1:
+        findings += check_triad_clocks(imu, name)
     return findings + check_protocol(imu, name) if usable else findings
 
 

@@ -7,8 +7,10 @@ import numpy as np
 from ..findings import Finding
 from ..recording import ImuSamples, TriadSamples, measurable
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
+from .protocol import looks_like, why_no_gravity
 from .signals import check_signal, is_silent
 from .stamps import check_stamps
+from .vibration import check_vibration
 
 _SLOW_HZ, _SLOWEST_HZ = 50.0, 10.0
 _SHORT_S = 5.0
@@ -55,7 +57,8 @@ def check_moving_imu(name: str, imu: ImuSamples) -> list[Finding]:
     findings = [_retold(finding) for finding in findings]
     if any(finding.code in {"time-constant", "signal-constant"} for finding in findings):
         return findings
-    return [*findings, *_rate(name, gyroscope), *_gravity(name, accelerometer), *_motion(name, imu)]
+    shaken = check_vibration(accelerometer, gyroscope, name)
+    return [*findings, *_rate(name, gyroscope), *_gravity(name, accelerometer), *_motion(name, imu), *shaken]
 
 
 def _unusable(name: str, imu: ImuSamples) -> list[Finding]:
@@ -143,6 +146,7 @@ def _gravity(name: str, accelerometer: TriadSamples) -> list[Finding]:
     ratio = max(found, 1e-9) / STANDARD_GRAVITY_M_S2
     ratio = max(ratio, 1 / ratio)
     message = f"{name}: the accelerometer usually reads {found:.3f} m/s^2, expected about 9.81."
+    message += looks_like(found, "m/s^2")
     if ratio <= _PLAUSIBLE:
         return [Finding(severity="good", code="gravity-magnitude", message=message)]
     return [
@@ -150,7 +154,7 @@ def _gravity(name: str, accelerometer: TriadSamples) -> list[Finding]:
             severity="problem" if ratio > _POSSIBLE else "warning",
             code="gravity-magnitude",
             message=message,
-            consequence="The unit is wrong, gravity was removed, or the motion is very violent.",
+            consequence=why_no_gravity(found, message),
             cure='State the unit (--units, for example "g deg/s"); record acceleration with gravity in it.',
         )
     ]

@@ -15,6 +15,7 @@ _START_S = 20.0
 _LAG_S = 0.05
 _UNSTEADY, _MOVING = 1.35, 1.8  # wander within an interval; 0.9 to 1.1 where a sensor really rests
 _PLAUSIBLE, _POSSIBLE = 0.15, 0.5  # relative error of gravity at rest, uncalibrated
+_NONE = 0.1  # of gravity: less is none
 _LOOKED_AT = 24  # intervals
 
 
@@ -173,6 +174,7 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
     error = abs(found / STANDARD_GRAVITY_M_S2 - 1)
     message = (
         f"{label}: the accelerometer reads {found:.3f} m/s^2 at rest (in {accelerometer.unit}), expected about 9.81."
+        + looks_like(found / factor, accelerometer.unit)
     )
     if error <= _PLAUSIBLE:
         return [Finding(severity="good", code="gravity-magnitude", message=message)]
@@ -181,10 +183,27 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
             severity="problem" if error > _POSSIBLE else "warning",
             code="gravity-magnitude",
             message=message,
-            consequence="The unit is wrong, gravity was removed, or bias or scale are far off.",
+            consequence=why_no_gravity(found, message),
             cure='State the unit (--units, for example "g deg/s" or "raw"); record acceleration with gravity in it.',
         )
     ]
+
+
+def looks_like(gravity: float, unit: str) -> str:
+    """Return " It looks like g." where gravity as it was read is that of another unit; else ""."""
+    for name, size in ACCELEROMETER_UNITS_M_S2.items():
+        if size and name != unit and abs(gravity * size / STANDARD_GRAVITY_M_S2 - 1) <= _PLAUSIBLE:
+            return f" It is in {name}, not in {unit}." if name != "m/s^2" else " It is in m/s^2 already."
+    return ""
+
+
+def why_no_gravity(found_m_s2: float, message: str) -> str:
+    """Return what makes an accelerometer read far from gravity: the unit where it is known, none at all, or either."""
+    if "It is in" in message:
+        return "The stated unit is wrong."
+    if found_m_s2 < _NONE * STANDARD_GRAVITY_M_S2:
+        return "Most likely gravity was removed, as phones do for their linear acceleration."
+    return "The unit is wrong, gravity was removed, or bias or scale are far off."
 
 
 def _attitudes(attitudes: int, rests: int, share: float, label: str) -> Finding:

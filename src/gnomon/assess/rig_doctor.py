@@ -18,10 +18,10 @@ from ..models.target import Target
 from ..recording import FrameQuality, ImuSamples, Integers, Recording
 from .camera_checks import all_stamps, check_cameras, check_common_time, check_rhythm, imu_stamps
 from .clock_checks import check_clocks, check_epochs
-from .clock_drift import check_recording_drift
 from .image_checks import Sight, boxes, check_quality, check_sight
 from .image_samples import ImageLook, check_looks, check_sizes, look_at
 from .motion_checks import check_moving_imu
+from .rig_checks import check_recording_rig
 
 SAMPLE = 60
 """Frames of each camera whose pictures are looked at."""
@@ -122,11 +122,11 @@ def check_rig(
 def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at a recording of IMUs and of cameras whose corners were detected, before anything is estimated from it.
 
-    Codes: those of `check_cameras` and `check_epochs`, clock-drift, and clock where there is no drift.
+    Codes: those of `check_cameras`, `check_epochs` and `check_recording_rig`.
     """
     findings = [*check_cameras(recording, target), *check_epochs(all_stamps(recording))]
     if not any(finding.severity == "problem" for finding in findings):
-        findings += check_recording_drift(recording, target)
+        findings += check_recording_rig(recording, target)
     return _each_once(findings)
 
 

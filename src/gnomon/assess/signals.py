@@ -5,6 +5,7 @@ import numpy as np
 from ..detect.saturation import saturated
 from ..findings import Finding
 from ..recording import Floats, TriadSamples
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 
 _STUCK_S = 0.25
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
@@ -54,18 +55,29 @@ def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
     if not count:
         return [Finding(severity="good", code="saturation", message=f"{label}: no sample is saturated.")]
     first = int(np.argmax(marked))
-    low, high = extremes(samples.values)
+    end = float(np.abs(samples.values[marked]).max())
     return [
         Finding(
             severity="warning",
             code="saturation",
-            message=f"{label}: {count} samples ({100 * count / len(samples):.2g} %) stand at the end of the range "
-            f"({low.min():.6g} or {high.max():.6g} {samples.unit}), "
+            message=f"{label} clips at {_end_of_range(end, samples.unit)}: {count} samples "
+            f"({100 * count / len(samples):.2g} %) stand at the end of the range, "
             f"the first {_seconds(samples, first):.2f} s after the start.",
             consequence="They are masked; a rotation with masked samples in it is not used.",
             cure="Turn more slowly, or set a wider range.",
         )
     ]
+
+
+def _end_of_range(value: float, unit: str) -> str:
+    """Return an end of the range as data sheets state it, in deg/s or g, and in the unit of the recording."""
+    turn, push = GYROSCOPE_UNITS_RAD_S.get(unit), ACCELEROMETER_UNITS_M_S2.get(unit)
+    own = f"{value:.5g} {unit}"
+    if turn:
+        return own if unit == "deg/s" else f"{np.degrees(value * turn):.4g} deg/s ({own})"
+    if push:
+        return own if unit == "g" else f"{value * push / STANDARD_GRAVITY_M_S2:.3g} g ({own})"
+    return own
 
 
 def _seconds(samples: TriadSamples, index: int) -> float:

@@ -48,8 +48,10 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
         ]
     spread = 1.4826 * float(np.median(np.abs(dt - period)))
     steps = _Steps(dt=dt, period=period, spread=spread)
-    findings = [*_backward(samples, steps, label), *_repeated(steps, label)]
-    findings += _gaps(samples, steps, label)
+    gaps = _gaps(samples, steps, label)
+    irregular = [finding for finding in gaps if finding.code == "jitter"]
+    findings = [*_backward(samples, steps, label), *irregular, *_repeated(steps, label)]
+    findings += [] if irregular else gaps
     findings += _rounded(samples, steps, label)
     if not any(finding.severity in {"warning", "problem"} for finding in findings):
         findings.insert(

@@ -13,6 +13,7 @@ _LIMITS = (32767.0, -32768.0, -32767.0, 65535.0, 8388607.0, -8388608.0)
 _FAR = 10.0  # noise levels between the median and an extreme that a resting sensor never shows
 _BAND = 3.0  # noise levels below the extreme in which the ordinary samples are counted
 _NOISE_SAMPLES = 10_000
+_ENOUGH, _DISTINCT, _TIES = 20, 0.95, 5
 
 
 def saturated(samples: TriadSamples, full_scale: float | None = None) -> Booleans:
@@ -21,7 +22,8 @@ def saturated(samples: TriadSamples, full_scale: float | None = None) -> Boolean
     A signal that is cut off stands on its extreme value again and again while it hardly ever visits the values just
     below: the extreme must come in runs, more often than twice the ordinary samples in a band of three noise levels
     below it, and lie far from what the sensor shows at rest. Noise, coarse quantisation and the rounded top of a slow
-    motion fail one of the three. The end of the range of a 16 or 24 bit converter needs no further evidence.
+    motion fail one of the three. In a signal whose values never repeat, the second is not asked for. The end of the
+    range of a 16 or 24 bit converter needs no further evidence.
 
     Parameters
     ----------
@@ -61,5 +63,7 @@ def _is_flat_top(values: Floats, extreme: float, noise: float) -> bool:
         return True
     if count < 3 or not bool((at[1:] & at[:-1]).any()):
         return False
-    band = int(np.count_nonzero(np.abs(values - extreme) <= _BAND * noise)) - count
-    return count > 2 * band
+    below = values[(np.abs(values - extreme) <= _BAND * noise) & ~at]
+    # Where no other value occurs twice, as in floating point numbers in motion, repeated extremes are no chance.
+    fine = len(below) >= _ENOUGH and len(np.unique(below)) > _DISTINCT * len(below)
+    return count > 2 * len(below) or (fine and count >= _TIES)

@@ -1,0 +1,290 @@
+"""What camera and IMU say of each other before anything is estimated: axes, clocks, stamps, board and lens."""
+
+import numpy as np
+
+from ..detect.saturation import saturated
+from ..errors import InitialisationError
+from ..estimate.camera_imu.alignment import Alignment, align, gyroscope_integral
+from ..estimate.camera_imu.board_poses import BoardPoses, board_poses
+from ..estimate.camera_imu.first_guess import ImuStream
+from ..findings import Finding
+from ..intervals import Booleans
+from ..models.camera import Camera
+from ..models.target import Target
+from ..recording import Floats, ImuSamples, Recording
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .causes import causes_first
+from .clock_drift import look_at_drift
+from .imu_verdict import axis_findings
+from .rig_axes import AxesFit, accelerometer_axes, gyroscope_axes
+from .rig_frames import FrameTimes, frame_times
+from .rig_lens import check_lens
+
+_EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
+_NEAR = 0.3  # of an entry of the relative axes from -1, 0 or 1
+_DELAY_S, _SIGMAS = 3e-3, 5.0
+_CERTAIN_S, _LATE_S, _LATE_SIGMAS = 3e-3, 4e-3, 5.0
+_LATE_SHARE, _FEWEST_LATE, _FEWEST_FRAMES = 0.04, 8, 60
+_JUMP_S, _JUMP_GAIN = 4e-3, 0.5
+_MOVED_RAD, _MOVED_TIMES = 0.015, 6.0
+_SHIFT_S = 0.1
+_CORNERS = 12
+_SCATTERED = 3.0  # times the usual scatter of a frame's corners about its pose
+_SLOW_RAD_S = 0.15
+
+
+def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, ...]:
+    """Look at all cameras beside the first IMU, whose samples follow each other in time.
+
+    Codes: those of `check_look`, clock or clock-drift, and not-aligned.
+    """
+    imu, samples = next(iter(recording.imus.items()))
+    stream, clipped = _stream(samples)
+    if stream is None:
+        return ()
+    integral = gyroscope_integral(stream.t_s, stream.rate)
+    origin = int(samples.gyroscope.t_ns[0])
+    findings: list[Finding] = []
+    for name, frames in recording.cameras.items():
+        poses = board_poses(frames, target, np.asarray((frames.t_ns - origin) * 1e-9, dtype=np.float64))
+        try:
+            alignment = align(poses, integral, name)
+        except InitialisationError as error:
+            findings.append(Finding(severity="problem", code="not-aligned", message=str(error)))
+            continue
+        findings += check_look(name, poses, alignment, frames.camera, target, stream=stream, imu=imu, unusable=clipped)
+        findings += look_at_drift(name, poses, stream, alignment.time_shift_s, imu)
+    return causes_first(findings)
+
+
+def _stream(samples: ImuSamples) -> tuple[ImuStream | None, Booleans | None]:
+    """Return the readings on the gyroscope's stamps, and which of those are clipped; None for counts."""
+    turn, push = GYROSCOPE_UNITS_RAD_S[samples.gyroscope.unit], ACCELEROMETER_UNITS_M_S2[samples.accelerometer.unit]
+    if turn is None or push is None:
+        return None, None
+    origin = int(samples.gyroscope.t_ns[0])
+    t_s, t_force = (
+        np.asarray((triad.t_ns - origin) * 1e-9, dtype=np.float64)
+        for triad in (samples.gyroscope, samples.accelerometer)
+    )
+    once = np.concatenate([[True], np.diff(t_s) > 0])
+    force = [np.interp(t_s[once], t_force, push * samples.accelerometer.values[:, i]) for i in range(3)]
+    stream = ImuStream(t_s=t_s[once], rate=samples.gyroscope.values[once] * turn, force=np.stack(force, axis=1))
+    return stream, saturated(samples.gyroscope)[once]
+
+
+def check_look(
+    name: str,
+    poses: BoardPoses,
+    alignment: Alignment,
+    camera: Camera,
+    target: Target,
+    *,
+    stream: ImuStream,
+    imu: str,
+    unusable: Booleans | None = None,
+) -> list[Finding]:
+    """Return findings on one camera beside the IMU.
+
+    Codes: axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion, clock-jump, frames-late, board-moved,
+    triads-apart, time-shift, motion-slow.
+
+    Parameters
+    ----------
+    name, poses, alignment, camera : of the camera
+    target : the board
+    stream, imu : readings of the IMU, and its name
+    unusable : (n,) readings of the gyroscope that are clipped
+    """
+    shift = alignment.time_shift_s
+    certain = poses.scatter_px < _SCATTERED * float(np.nanmedian(poses.scatter_px))
+    certain &= np.diff(poses.exposures.start) >= _CORNERS
+    findings = check_lens(name, poses, camera, target, certain)
+    poses = poses.where(certain)
+    gyroscope = gyroscope_axes(poses, stream, shift)
+    if gyroscope is None:
+        return findings
+    findings += _slow(name, alignment)
+    accelerometer = accelerometer_axes(poses, stream, shift)
+    findings = [*_axes(name, gyroscope, accelerometer), *findings]
+    if gyroscope.explained < _GYRO_EXPLAINED or gyroscope.hand == 0:
+        return findings
+    times = frame_times(poses, stream, shift, gyroscope, unusable)
+    jump: list[Finding] = []
+    if times is not None:
+        jump = _jump(name, imu, times)
+        findings += jump or _late(name, times)
+        findings += _moved(name, times)
+    if not jump and accelerometer is not None and accelerometer.explained > _EXPLAINED:
+        findings += _apart(imu, gyroscope, accelerometer)
+    return [*findings, *_shift(name, imu, shift)]
+
+
+def _slow(name: str, alignment: Alignment) -> list[Finding]:
+    fastest = float(alignment.axes[0])
+    if not 0 < fastest < _SLOW_RAD_S:
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="motion-slow",
+            message=f"{name} turned slowly, by {np.degrees(fastest):.2g} deg/s (rms) about its fastest axis.",
+            consequence="The IMU feels little more than its noise: translation, time shift and its own errors come out "
+            "uncertain.",
+            cure="Turn and shake the rig briskly, 40 deg/s and more, about and along all three axes, as fast as the "
+            "images stay sharp.",
+        )
+    ]
+
+
+def _axes(name: str, gyroscope: AxesFit, accelerometer: AxesFit | None) -> list[Finding]:
+    """Compare the axes of both triads by what the camera saw: only a signed exchange of axes is told."""
+    if accelerometer is None or min(gyroscope.explained, accelerometer.explained) < _EXPLAINED:
+        return []
+    if gyroscope.hand == 0 or accelerometer.hand == 0:
+        return []
+    relative = gyroscope.matrix @ np.linalg.inv(accelerometer.matrix)
+    relative /= np.cbrt(abs(np.linalg.det(relative)))
+    whole = np.rint(relative)
+    exchanged = np.abs(whole).sum(axis=0).tolist() == [1, 1, 1] == np.abs(whole).sum(axis=1).tolist()
+    if not exchanged or np.abs(relative - whole).max() > _NEAR or np.array_equal(whole, np.eye(3)):
+        return []
+    if np.array_equal(whole, -np.eye(3)):
+        return [_mirrored(name, accelerometer.hand)]
+    found = axis_findings(whole)[0]
+    wrong = "accelerometer" if accelerometer.hand < 0 < gyroscope.hand else "gyroscope"
+    which = f"Seen from {name} the {wrong} is the left-handed one." if gyroscope.hand * accelerometer.hand < 0 else ""
+    return [
+        Finding(
+            severity="problem",
+            code="axes-differ",
+            message=f"{found.message} {which}".rstrip(),
+            consequence="No rotation between camera and IMU fits both sensors.",
+            cure=found.cure,
+        )
+    ]
+
+
+def _mirrored(name: str, hand: float) -> Finding:
+    wrong = "accelerometer" if hand < 0 else "gyroscope"
+    return Finding(
+        severity="problem",
+        code="axes-mirrored",
+        message=f"{name} and the gyroscope see one motion, and the accelerometer its mirror image."
+        if hand < 0
+        else f"{name} and the accelerometer see one motion, and the gyroscope its mirror image.",
+        consequence="No pose between camera and IMU fits both sensors.",
+        cure=f"Check whether the images are mirrored (front cameras, drivers that flip them), or all three signs of "
+        f"the {wrong} are wrong.",
+    )
+
+
+def _late(name: str, times: FrameTimes) -> list[Finding]:
+    certain = times.sigma_s < _CERTAIN_S
+    if certain.sum() < _FEWEST_FRAMES:
+        return []
+    off = np.abs(times.alone_s[certain])
+    late = off > np.maximum(_LATE_S, _LATE_SIGMAS * times.sigma_s[certain])
+    share = float(late.mean())
+    if late.sum() < _FEWEST_LATE or share < _LATE_SHARE:
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="frames-late",
+            message=f"{name}: {100 * share:.0f} % of the frames are stamped wrongly, by "
+            f"{1e3 * np.median(off[late]):.2g} ms as a rule and by up to {1e3 * off.max():.2g} ms: the camera "
+            "turned at other times than they say.",
+            consequence="In a turn such frames are off by pixels; those that stand out are left out, the others bend "
+            "the result.",
+            cure="Stamp frames at their exposure (the camera's clock, a hardware trigger), not when they arrive.",
+        )
+    ]
+
+
+def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
+    """Look for one step in the time shift: two levels must explain the stamps far better than a straight line."""
+    certain = times.sigma_s < _CERTAIN_S
+    if certain.sum() < _FEWEST_FRAMES:
+        return []
+    t, late = times.t_s[certain], times.late_s[certain]
+    line = np.polyfit(t, late, 1)
+    ramp = float(np.abs(late - np.polyval(line, t)).sum())
+    edges = np.linspace(0.05, 0.95, 91) * len(t)
+    costs = [_two_levels(late, int(edge)) for edge in edges]
+    k = int(edges[int(np.argmin(costs))])
+    if min(costs) > _JUMP_GAIN * ramp or abs(np.median(late[k:]) - np.median(late[:k])) < _JUMP_S:
+        return []
+    at_s = float(t[k])
+    step_s = times.level(at_s, float("inf")) - times.level(0.0, at_s)
+    if abs(step_s) < _JUMP_S:
+        return []
+    return [
+        Finding(
+            severity="problem",
+            code="clock-jump",
+            message=f"The clock of {name} jumped by {1e3 * step_s:+.3g} ms against that of {imu}, about {at_s:.0f} s "
+            "after the start (by the rotation that both felt).",
+            consequence="One time shift cannot hold before and after.",
+            cure="Cut the recording there and use the longer part; switch off what sets the clock while recording "
+            "(NTP).",
+        )
+    ]
+
+
+def _two_levels(late: Floats, k: int) -> float:
+    return float(np.abs(late[:k] - np.median(late[:k])).sum() + np.abs(late[k:] - np.median(late[k:])).sum())
+
+
+def _moved(name: str, times: FrameTimes) -> list[Finding]:
+    largest = float(times.moved_rad.max())
+    if largest < max(_MOVED_RAD, _MOVED_TIMES * times.moved_usual_rad):
+        return []
+    # The turn is seen from a window before to a window after it: its middle is the time.
+    near = times.moved_rad > 0.8 * largest
+    at_s = float(times.t_s[near].mean())
+    return [
+        Finding(
+            severity="problem",
+            code="board-moved",
+            message=f"The board turned by {np.degrees(largest):.2g} deg, {at_s:.0f} s after {name} first saw it: the "
+            "camera saw a turn that the gyroscope did not feel.",
+            consequence="Gravity has another direction in the board's frame afterwards, and no trajectory fits.",
+            cure="Fix the board to a wall or a heavy table. Cut the recording there and use the longer part.",
+        )
+    ]
+
+
+def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding]:
+    delay = accelerometer.delay_s - gyroscope.delay_s
+    sigma = float(np.hypot(accelerometer.delay_sigma_s, gyroscope.delay_sigma_s))
+    if abs(delay) < max(_DELAY_S, _SIGMAS * sigma):
+        return []
+    later, earlier = ("accelerometer", "gyroscope") if delay > 0 else ("gyroscope", "accelerometer")
+    return [
+        Finding(
+            severity="warning",
+            code="triads-apart",
+            message=f"The {later} of {imu} comes {1e3 * abs(delay):.2g} ms (+- {1e3 * sigma:.1g}) later than its "
+            f"{earlier}.",
+            consequence="One time shift cannot hold for both; what the accelerometer tells (translation, its own "
+            "errors) is bent.",
+            cure="Give both the same filter, or correct the stamps of one of them by this delay.",
+        )
+    ]
+
+
+def _shift(name: str, imu: str, shift_s: float) -> list[Finding]:
+    if abs(shift_s) < _SHIFT_S:
+        return []
+    which = "ahead of" if shift_s < 0 else "behind"
+    return [
+        Finding(
+            severity="info",
+            code="time-shift",
+            message=f"The stamps of {name} are {abs(shift_s):.2f} s {which} those of {imu}.",
+            consequence="The calibration contains it; whoever uses it has to add the same shift, which holds only as "
+            "long as both clocks go on as they did.",
+            cure="If both are meant to have one clock, find out what sets them apart.",
+        )
+    ]

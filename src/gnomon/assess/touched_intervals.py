@@ -1,0 +1,44 @@
+"""Which static intervals were touched: a hand on the table, a sensor let go too late."""
+
+import numpy as np
+
+from ..findings import Finding
+from .imu_tables import ImuEvidence, interval_numbers
+
+_TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
+_REST_S = 2.0
+_MOST_TOUCHED = 0.3  # of the intervals: more are unsteady throughout
+
+
+def touched_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Name intervals that are a small part of their rest, as the most generous threshold sees it (interval-touched)."""
+    chosen = evidence.chosen.intervals
+    generous = max(evidence.trials, key=lambda trial: trial.multiplier).intervals
+    t_s = evidence.accelerometer.t_s
+    start, stop = t_s[chosen.start], t_s[chosen.stop - 1]
+    rest_start, rest_stop = t_s[generous.start], t_s[generous.stop - 1]
+    share = np.ones(len(chosen))
+    length = np.zeros(len(chosen))
+    for k in range(len(chosen)):
+        around = np.flatnonzero((rest_start < stop[k]) & (rest_stop > start[k]))
+        if len(around) == 1:
+            rest = int(around[0])
+            length[k] = rest_stop[rest] - rest_start[rest]
+            share[k] = (stop[k] - start[k]) / max(length[k], 1e-9)
+    touched = (share < _TOUCHED) & (length > _REST_S)
+    if not touched.any() or np.median(share) < _WHOLE or touched.mean() > _MOST_TOUCHED:
+        return []
+    worst = int(np.argmin(np.where(touched, share, np.inf)))
+    several = int(touched.sum()) > 1
+    return [
+        Finding(
+            severity="info",
+            code="interval-touched",
+            message=f"Static interval{'s' if several else ''} {interval_numbers(touched)} of {len(chosen)} "
+            f"{'were' if several else 'was'} touched: of the {length[worst]:.1f} s of rest that begin "
+            f"{t_s[generous.start][(rest_start < stop[worst]) & (rest_stop > start[worst])][0]:.1f} s after the start, "
+            f"{100 * share[worst]:.0f} % are still.",
+            consequence="The still part is used, where it agrees with the others.",
+            cure="Let go of the sensor before an interval counts, and keep hands off the table.",
+        )
+    ]
