@@ -93,13 +93,37 @@ def test_gyroscope_repeats_as_foretold(repeatability):
     assert 0.75 < ratio(repeatability, "imu0.gyroscope.sensitivity") < 1.35
 
 
-def test_accelerometer_and_g_sensitivity_change_between_occasions(repeatability):
-    # The sigma is that of one recording, and the sensors themselves change. At the last occasion all biases stand apart
-    # from the five before, as in another warmth: without it the ratios are 1.5 and 1.9, with it 2.1 and 3.0.
-    assert 1.0 < ratio(repeatability, "imu0.accelerometer.sensitivity") < 2.8
-    assert 1.0 < ratio(repeatability, "imu0.gyroscope.g_sensitivity") < 4.0
+def test_g_sensitivity_repeats_as_foretold(repeatability):
+    # Attitudes come in the same order each time: a gyroscope that warms up would look g-sensitive, were its drift not
+    # told apart (the ratio was 3.0 then).
+    assert 0.75 < ratio(repeatability, "imu0.gyroscope.g_sensitivity") < 1.4
+
+
+def test_accelerometer_changes_between_occasions(repeatability):
+    # The sigma is that of one recording, and the sensors themselves change with warmth. Drift within a recording is
+    # part of the model: without it scales repeat to 5.1e-4.
+    assert 1.0 < ratio(repeatability, "imu0.accelerometer.sensitivity") < 2.4
     scatter, _ = repeatability["imu0.accelerometer.sensitivity"]
-    assert rms(scatter) / NOMINAL["accelerometer"] < 1e-3
+    assert rms(scatter) / NOMINAL["accelerometer"] < 4e-4
+
+
+def test_rests_alone_say_the_same_of_the_g_sensitivity(real_data, calibrations):
+    # The two use the same rests: they differ by how they tell drift from g-sensitivity, and by the rotations.
+    folder, options = real_data("mimu4444-icosahedron"), gnomon.ImuOptions(gravity=9.81, model="static")
+    path, z = "imu0.gyroscope.g_sensitivity", []
+    for occasion in (0, 5):  # where sensors warm up most
+        with np.load(folder / f"exp_{occasion + 1}.npz") as data:
+            t_s, counts = data["t_ticks"] / TICKS_HZ, data["counts"]
+        for k in range(SENSORS):
+            force, rate = counts[:, k, :3] / NOMINAL["accelerometer"], counts[:, k, 3:] / NOMINAL["gyroscope"]
+            recording = gnomon.Recording.from_arrays(t_s, rate, force)
+            alone = gnomon.calibrate_imu(recording, options).calibration
+            with_rotations = calibrations[occasion][k]
+            difference = alone.parameter(path) - with_rotations.parameter(path) / NOMINAL["gyroscope"]
+            sigma = np.hypot(alone.sigma(path), with_rotations.sigma(path) / NOMINAL["gyroscope"])
+            z.append(difference / sigma)
+    print(f"\ng-sensitivity from rests alone and with rotations differ by {rms(z):.2f} combined sigmas rms")
+    assert rms(z) < 1.0
 
 
 def test_turn_on_biases_are_another_matter(repeatability):

@@ -30,7 +30,9 @@ def calibrated(seed, scenario):
     calibration = gnomon.calibrate_imu(recording, OPTIONS).calibration
     assessment = calibration.assessment
     assert not any(finding.code == "not-converged" for finding in assessment.findings)
-    assert calibration.verdict == "pass" or scenario != SCENARIO
+    # By its own limit parts disagree in one healthy recording of a hundred.
+    warned = {finding.code for finding in assessment.findings if finding.severity == "warning"}
+    assert warned <= {"parts-disagree"} or scenario != SCENARIO
     assert calibration.verdict != "fail"
     assert assessment.intervals_used >= scenario.intervals - 1  # five sigma happen once in fifty recordings
     pairs = zip(parameters(calibration.imus), parameters(truth.imus), strict=True)

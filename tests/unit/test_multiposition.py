@@ -420,7 +420,7 @@ def test_walk_precision_is_that_of_steps_about_a_mean_of_zero(noisy):
 
 
 def test_interval_left_out_is_what_refitting_without_it_gives(noisy, fitted):
-    held = leave_one_out(noisy.data, fitted)
+    held = leave_one_out(fitted)
     scale = np.sqrt(np.mean(held.magnitude**2))
     for k in (0, 7, 18, 29):
         blind = noisy.data.accelerometer_variance.copy()
@@ -434,7 +434,7 @@ def test_interval_left_out_is_what_refitting_without_it_gives(noisy, fitted):
 
 def test_rotation_left_out_is_what_refitting_without_it_gives(noisy, fitted):
     data = noisy.data
-    held = leave_one_out(data, fitted)
+    held = leave_one_out(fitted)
     scale = np.sqrt(np.mean(held.rotation**2))
     for k in (0, 5, 17, 28):
         linked = data.linked.copy()
@@ -455,8 +455,8 @@ def test_rival_without_g_sensitivity_is_judged_as_if_it_had_been_fitted(multipos
     problem, _ = multiposition(8, intervals=25, t_init_s=15.0)
     full = fit_multiposition(problem.data, g_sensitivity=True)
     basic = fit_multiposition(problem.data, g_sensitivity=False)
-    foretold = leave_one_out(problem.data, full, g_sensitivity=False)
-    fitted = leave_one_out(problem.data, basic)
+    foretold = leave_one_out(full, g_sensitivity=False)
+    fitted = leave_one_out(basic)
     # Each in its own tangent axes: lengths are compared.
     found, expected = (np.linalg.norm(held.rotation, axis=1) for held in (foretold, fitted))
     np.testing.assert_allclose(found, expected, atol=0.02 * np.sqrt(np.mean(expected**2)))
@@ -467,8 +467,8 @@ def test_hold_out_tells_whether_there_is_g_sensitivity(multiposition):
     for level, better in ((3e-4, True), (0.0, False)):
         problem, _ = multiposition(9, g_sensitivity=level, intervals=25, t_init_s=15.0)
         fit = fit_multiposition(problem.data, g_sensitivity=True)
-        full = np.mean(leave_one_out(problem.data, fit).rotation ** 2)
-        basic = np.mean(leave_one_out(problem.data, fit, g_sensitivity=False).rotation ** 2)
+        full = np.mean(leave_one_out(fit).rotation ** 2)
+        basic = np.mean(leave_one_out(fit, g_sensitivity=False).rotation ** 2)
         assert (full < basic) == better
 
 

@@ -14,6 +14,7 @@ from ..diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
+from ..estimate.cluster_trust import Instability
 from ..estimate.leave_one_out import HeldOut
 from ..estimate.multiposition import MultiPositionFit
 from ..estimate.problem import MultiPositionProblem, TriadStream
@@ -21,6 +22,7 @@ from ..estimate.rotations import MotionSegments, integrate, propagate
 from ..estimate.scaling import ImuEstimate
 from ..intervals import Booleans
 from ..recording import Floats, Integers
+from ..trust import Trust
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .threshold import ThresholdTrial
 
@@ -42,6 +44,7 @@ class ImuEvidence:
     problem, fit, heldout : the estimation problem, its solution, its leave-one-out errors
     rivals : model -> leave-one-out errors
     estimate : the parameters
+    trust, instabilities : how far they can be trusted, and how biases differed between parts of the recording
     gravity_m_s2 : magnitude of gravity
     """
 
@@ -58,6 +61,8 @@ class ImuEvidence:
     heldout: HeldOut
     rivals: dict[str, HeldOut]
     estimate: ImuEstimate
+    trust: Trust
+    instabilities: tuple[Instability, ...]
     gravity_m_s2: float
 
 
@@ -90,6 +95,7 @@ def describe(evidence: ImuEvidence) -> ImuDiagnostics:
             for name, trial in evidence.rivals.items()
         ),
         noise=_noise(evidence),
+        trust=evidence.trust,
     )
 
 
@@ -170,7 +176,9 @@ def _interval_table(evidence: ImuEvidence) -> IntervalTable:
     chosen, touched, fit, held = evidence.chosen, evidence.touched, evidence.fit, evidence.heldout
     stream, estimate, g = evidence.accelerometer, evidence.estimate, evidence.gravity_m_s2
     still = chosen.intervals
-    force = (chosen.means - estimate.accelerometer_bias) @ np.linalg.inv(estimate.accelerometer_sensitivity).T
+    drift = np.zeros_like(chosen.means)
+    drift[~touched] = fit.accelerometer_drift * evidence.problem.accelerometer.spread
+    force = (chosen.means - drift - estimate.accelerometer_bias) @ np.linalg.inv(estimate.accelerometer_sensitivity).T
     norm = np.linalg.norm(force, axis=1)
     after, left_out = norm - g, norm - g
     direction = force / norm[:, None]

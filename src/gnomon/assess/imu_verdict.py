@@ -9,11 +9,14 @@ from ..diagnostics import ImuDiagnostics
 from ..estimate.multiposition_model import B_, BG_, CG_, G_, LOWER, S_
 from ..estimate.scaling import ImuEstimate
 from ..findings import Finding
-from ..options import ImuOptions
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .bias_findings import bias_findings
 from .imu_tables import ImuEvidence, interval_numbers
+from .touched_intervals import touched_findings
+from .trust_findings import model_incomplete, parts_disagree, trust_note
 from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
+from .weak_findings import weak_findings
 
 _AXES = "xyz"
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
@@ -21,6 +24,7 @@ _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
 _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = 0.02, 0.2
 _UNIT_FACTOR = 1.5
+_ADDED = ("drift", "accelerometer drift")
 
 
 def assess(
@@ -28,7 +32,6 @@ def assess(
     evidence: ImuEvidence,
     diagnostics: ImuDiagnostics,
     gravity: Gravity,
-    options: ImuOptions,
 ) -> Assessment:
     """Judge a calibration.
 
@@ -38,7 +41,6 @@ def assess(
     evidence : what the calibration was made of
     diagnostics : its tables
     gravity : what was taken for gravity
-    options : as stated
     """
     chosen = next(trial for trial in diagnostics.trials if trial.chosen)
     holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
@@ -50,9 +52,13 @@ def assess(
         *axis_findings(evidence.estimate.gyroscope_sensitivity),
         *unit_findings(evidence.estimate, evidence.accelerometer_unit, evidence.gyroscope_unit),
         *left_out_findings(diagnostics),
+        *touched_findings(evidence),
         *gravity_findings(gravity),
-        *_model_findings(diagnostics, options),
+        *_model_findings(evidence, diagnostics),
         *_drift_findings(evidence),
+        *bias_findings(evidence.instabilities, _unit_per_si(evidence.estimate)),
+        *model_incomplete(evidence.trust),
+        *parts_disagree(evidence.trust.splits),
         *_allan_findings(diagnostics),
         *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
     ]
@@ -67,7 +73,17 @@ def assess(
         rotations_used=int(diagnostics.rotations.used.sum()),
         model=chosen.model,
         held_by_prior=_held_names(evidence.fit.held_by_prior),
+        trust=replace(
+            trust_note(evidence.trust),
+            added=tuple(step.name for step in evidence.trust.models if step.used and step.name in _ADDED),
+            tries=len(evidence.trust.models),
+        ),
     )
+
+
+def _unit_per_si(estimate: ImuEstimate) -> dict[str, float]:
+    sensitivities = {"accelerometer": estimate.accelerometer_sensitivity, "gyroscope": estimate.gyroscope_sensitivity}
+    return {triad: float(np.abs(np.linalg.det(matrix))) ** (1 / 3) for triad, matrix in sensitivities.items()}
 
 
 def _weighed(finding: Finding, diagnostics: ImuDiagnostics) -> Finding:
@@ -196,15 +212,18 @@ def _held_names(held: np.ndarray) -> tuple[str, ...]:
 
 
 def _observability_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Say what the recording does not determine: in words of motions, and what is left over by its name."""
+    weak = evidence.trust.weak
     held = evidence.fit.held_by_prior
+    said = " ".join(one.words for one in weak if one.held)
     groups = (
-        ("the accelerometer's scales and axes", S_, missing_attitude(evidence)),
-        ("the accelerometer's bias", B_, missing_attitude(evidence)),
-        ("the gyroscope's scales and axes", CG_, _missing_rotation(evidence)),
-        ("the gyroscope's bias", BG_, "Hold the sensor still for longer."),
-        ("the gyroscope's g-sensitivity", G_, missing_attitude(evidence)),
+        ("the accelerometer's scales and axes", "accelerometer", S_, missing_attitude(evidence)),
+        ("the accelerometer's bias", "accelerometer", B_, missing_attitude(evidence)),
+        ("the gyroscope's scales and axes", "axes of the gyroscope", CG_, _missing_rotation(evidence)),
+        ("the gyroscope's bias", "-", BG_, "Hold the sensor still for longer."),
+        ("the gyroscope's g-sensitivity", "g-sensitivity", G_, missing_attitude(evidence)),
     )
-    return [
+    return weak_findings(weak, with_camera=False) + [
         Finding(
             severity="problem",
             code="not-observable",
@@ -212,8 +231,8 @@ def _observability_findings(evidence: ImuEvidence) -> list[Finding]:
             consequence="They are held by a weak assumption and must not be used as measured.",
             cure=cure,
         )
-        for what, part, cure in groups
-        if held[part].any()
+        for what, word, part, cure in groups
+        if held[part].any() and word not in said
     ]
 
 
@@ -264,13 +283,16 @@ def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit
         if not 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR and np.isfinite(ratio):
             others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
             fits = f" Its values look like {others[0]}." if others else ""
+            if triad == "gyroscope" and not others:
+                fits = f" So they would be if the sample rate were {ratio:.3g} times what the stamps say."
             findings.append(
                 Finding(
                     severity="warning",
                     code="unit",
                     message=f"The {triad}'s values are {ratio:.3g} times what {unit} would give.{fits}",
                     consequence="The calibration corrects it, but whoever expects that unit elsewhere will be misled.",
-                    cure="State the unit of the recording with --units.",
+                    cure="State the unit of the recording with --units"
+                    + (", or the true sample rate (--rate)." if triad == "gyroscope" and not others else "."),
                 )
             )
     return findings
@@ -308,39 +330,48 @@ def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     return findings
 
 
-def _model_findings(diagnostics: ImuDiagnostics, options: ImuOptions) -> list[Finding]:
-    by_name = {trial.model: trial for trial in diagnostics.trials}
-    if len(by_name) < 2:
+def _model_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    step = next((step for step in evidence.trust.models if step.name == "g-sensitivity"), None)
+    if step is None:
         return []
+    by_name = {trial.model: trial for trial in diagnostics.trials}
     basic, full = by_name["basic"], by_name["g-sensitivity"]
-    how = "chosen" if options.model == "auto" else "as stated"
-    chosen = basic if basic.chosen else full
+    how = "as stated" if step.forced else "chosen"
     return [
         Finding(
             severity="good",
             code="model",
-            message=f"Gyroscope model {chosen.model} ({how}): left-out rotations are predicted to "
-            f"{1e3 * full.rotation_rms:.2f} mrad with g-sensitivity, {1e3 * basic.rotation_rms:.2f} mrad without.",
+            message=f"Gyroscope model {full.model if step.used else basic.model} ({how}): left-out stretches of time "
+            f"gain {step.gain:.0f} of log-likelihood with g-sensitivity, where {step.needed:.0f} would be needed to "
+            f"prove it; left-out rotations are predicted to {1e3 * full.rotation_rms:.2f} mrad with it, "
+            f"{1e3 * basic.rotation_rms:.2f} mrad without.",
         )
     ]
 
 
 def _drift_findings(evidence: ImuEvidence) -> list[Finding]:
-    """Say how far the gyroscope's bias wandered, where it did."""
-    drift = evidence.fit.drift * evidence.problem.gyroscope.spread
-    rates = np.abs(drift / np.linalg.norm(evidence.estimate.gyroscope_sensitivity, axis=1))
-    if not rates.any():
-        return []
-    return [
-        Finding(
-            severity="info",
-            code="gyroscope-drift",
-            message=f"The gyroscope's bias wandered by up to {1e3 * rates.max():.2g} mrad/s "
-            f"({np.degrees(rates.max()):.2g} deg/s) during the recording.",
-            consequence="The wandering is part of the model; the bias given is its mean over time.",
-            cure="Let the sensor warm up before it is used or calibrated.",
-        )
-    ]
+    """Say how far the biases wandered, where they did."""
+    estimate, fit, problem = evidence.estimate, evidence.fit, evidence.problem
+    findings: list[Finding] = []
+    rates = np.abs(fit.drift * problem.gyroscope.spread / np.linalg.norm(estimate.gyroscope_sensitivity, axis=1))
+    forces = fit.accelerometer_drift * problem.accelerometer.spread
+    forces = np.abs(forces / np.linalg.norm(estimate.accelerometer_sensitivity, axis=1))
+    shown = (
+        ("gyroscope", rates.max(), f"{1e3 * rates.max():.2g} mrad/s ({np.degrees(rates.max()):.2g} deg/s)"),
+        ("accelerometer", forces.max(), f"{1e3 * forces.max():.2g} mm/s^2"),
+    )
+    for triad, size, words in shown:
+        if size > 0:
+            findings.append(
+                Finding(
+                    severity="info",
+                    code=f"{triad}-drift",
+                    message=f"The {triad}'s bias wandered by up to {words} during the recording.",
+                    consequence="The wandering is part of the model; the bias given is its mean over time.",
+                    cure="Let the sensor warm up before it is used or calibrated.",
+                )
+            )
+    return findings
 
 
 def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import Gravity
+from ..estimate.cluster_trust import Trusted
 from ..estimate.dip import DipFit
 from ..estimate.field_poses import FieldPoses, field_of
 from ..estimate.gravity_along import GravityFit
@@ -37,6 +38,7 @@ class FieldEvidence:
     dip_sigma_rad : of the dip; nan without
     imu, covariance : the result, and its covariance
     gravity : as it was taken
+    trust : how far the parameters can be trusted, in the magnetometer's own frame
     """
 
     t_s: Floats
@@ -54,6 +56,7 @@ class FieldEvidence:
     imu: ImuCalibration
     covariance: Floats
     gravity: Gravity
+    trust: Trusted
 
     @property
     def strength(self) -> float:
@@ -138,6 +141,7 @@ def describe_field(evidence: FieldEvidence) -> TriadDiagnostics:
             "magnetometer.block_s": fit.blocks.length_s,
             "magnetometer.sigma_factor": fit.sigma_factor,
         },
+        trust=evidence.trust.trust,
     )
 
 

@@ -8,9 +8,11 @@ from ..evidence import NAMES, TRIADS, Evidence
 from ..findings import Finding, Severity
 from ..recording import Floats
 from ..units import MAGNETOMETER_UNITS_UT
+from .bias_findings import bias_findings
 from .imu_verdict import convergence_findings
 from .magnetometer_tables import FieldEvidence, Strays, strays
 from .prior_findings import prior_findings
+from .trust_findings import parts_disagree, trust_note
 from .verdict import graded, verdict_of, worst_first
 
 _COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
@@ -48,6 +50,8 @@ def assess_field(
         *_alignment_findings(evidence, beside_accelerometer),
         *_held_findings(evidence),
         *_prior_findings(evidence, known),
+        *parts_disagree(evidence.trust.trust.splits),
+        *bias_findings(evidence.trust.instabilities, {"magnetometer": _unit_per_field(evidence)}),
         *convergence_findings(fit.iron.converged, fit.iron.iterations),
     ]
     ordered = worst_first(findings)
@@ -59,7 +63,12 @@ def assess_field(
         intervals_found=len(fit.used),
         intervals_used=int(fit.used.sum()),
         held_by_prior=_held(evidence),
+        trust=trust_note(evidence.trust.trust),
     )
+
+
+def _unit_per_field(evidence: FieldEvidence) -> float:
+    return float(np.abs(np.linalg.det(evidence.fit.iron.sensitivity))) ** (1 / 3) * evidence.strength
 
 
 def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..calibration import AccelerometerCalibration, Gravity
 from ..estimate.angrisano import AngrisanoFit
+from ..estimate.cluster_trust import Trusted
 from ..estimate.known_attitudes import StatedAttitudes
 from ..estimate.static_g_sensitivity import StaticGSensitivity
 from ..estimate.triad import TriadFit
@@ -81,6 +82,7 @@ class PoseEvidence:
     no_gyroscope : why a gyroscope that was recorded is not calibrated, or ""
     known : beforehand
     gravity : what was taken for it
+    trust : how far the accelerometer's parameters can be trusted
     """
 
     poses: Poses
@@ -96,6 +98,7 @@ class PoseEvidence:
     no_gyroscope: str
     known: Evidence
     gravity: Gravity
+    trust: Trusted
 
 
 def describe_poses(evidence: PoseEvidence) -> TriadDiagnostics:
@@ -121,6 +124,7 @@ def describe_poses(evidence: PoseEvidence) -> TriadDiagnostics:
         gravity=evidence.gravity,
         at_rest=None if gyroscope is None else _at_rest(gyroscope),
         noise={"accelerometer.mean": noise, "accelerometer.extra": fit.extra_sigma} | _gyroscope_noise(gyroscope),
+        trust=evidence.trust.trust,
     )
 
 

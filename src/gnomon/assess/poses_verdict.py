@@ -13,7 +13,8 @@ from ..units import ACCELEROMETER_UNITS_M_S2
 from .imu_tables import rms
 from .pose_tables import PoseEvidence, RestingGyroscope
 from .resting_gyroscope import gyroscope_findings
-from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
+from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
+from .trust_findings import trust_note
 from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 
 _AXES = "xyz"
@@ -49,6 +50,7 @@ def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Asses
         *left_out_findings(table, evidence.left_out),
         *gravity_findings(evidence.gravity),
         *gyroscope_findings(gyroscope, evidence.no_gyroscope),
+        *triad_trust_findings([(evidence.trust, evidence.fit)]),
         *_convergence(evidence),
     ]
     ordered = worst_first(findings)
@@ -60,6 +62,7 @@ def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Asses
         intervals_found=len(table.used) + len(evidence.left_out),
         intervals_used=int(table.used.sum()),
         held_by_prior=_held(evidence),
+        trust=trust_note(evidence.trust.trust),
     )
 
 

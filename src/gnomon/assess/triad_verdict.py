@@ -1,11 +1,17 @@
 """What verdicts on calibrations from known magnitudes have in common: accelerometer poses, turntable, magnetometer."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from ..estimate.cluster_trust import Trusted
 from ..estimate.triad import TriadFit
 from ..estimate.triad_poses import S_
+from ..estimate.triad_trust import together
 from ..findings import Finding
 from ..recording import Floats
+from .bias_findings import bias_findings
+from .trust_findings import model_incomplete, parts_disagree
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
 _SCATTER_WARN = 2e-3  # of the magnitude
@@ -30,6 +36,16 @@ def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
         given = given - np.outer(common, common) / float(by_scale @ common)
     sigma = np.sqrt(np.maximum(np.diag(given), 0.0)).reshape(3, 3)
     return np.asarray(sigma / np.linalg.norm(fit.sensitivity, axis=1)[:, None], dtype=np.float64)
+
+
+def triad_trust_findings(trusts: Sequence[tuple[Trusted, TriadFit]]) -> list[Finding]:
+    """Say where errors are larger than independent ones, whether parts agree, and which biases changed."""
+    trust = together([one.trust for one, _ in trusts])
+    findings = [*model_incomplete(trust), *parts_disagree(trust.splits)]
+    for one, fit in trusts:
+        scale = float(np.abs(np.linalg.det(fit.sensitivity))) ** (1 / 3)
+        findings += bias_findings(one.instabilities, {found.block.split(".")[1]: scale for found in one.instabilities})
+    return findings
 
 
 def redundancy_findings(fit: TriadFit) -> list[Finding]:

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import Gravity
+from ..estimate.cluster_trust import Trusted
 from ..estimate.triad import TriadFit, TriadPoses
+from ..estimate.triad_trust import together
 from ..estimate.turntable import TurntableFit
 from ..estimate.turntable_parts import TurntableParts
 from ..recording import Floats
@@ -74,7 +76,14 @@ def describe_turntable(evidence: TurntableEvidence) -> TriadDiagnostics:
             for model, rival in evidence.rivals.items()
         ),
         noise=noise,
+        trust=together([one.trust for one, _ in turntable_trusts(found)]),
     )
+
+
+def turntable_trusts(found: TurntableFit) -> list[tuple[Trusted, TriadFit]]:
+    """Return what attitudes say of each triad, and its fit."""
+    trusts = [(found.trust, found.fit)]
+    return trusts if found.accelerometer is None else [(found.accelerometer.trust, found.accelerometer.fit), *trusts]
 
 
 def _gyroscope(parts: TurntableParts, found: TurntableFit) -> TriadRecord:

@@ -10,10 +10,12 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats
 from ..triad_diagnostics import TriadDiagnostics
 from ..triad_options import TurntableOptions
+from ..trust import TrustNote
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .imu_verdict import axis_findings, convergence_findings
-from .triad_verdict import redundancy_findings, relative_sigmas
-from .turntable_tables import TurntableEvidence, holdout_rms
+from .triad_verdict import redundancy_findings, relative_sigmas, triad_trust_findings
+from .trust_findings import trust_note
+from .turntable_tables import TurntableEvidence, holdout_rms, turntable_trusts
 from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 
 _RATE_WORTH = 2e-4  # what a video gives
@@ -60,6 +62,7 @@ def assess_turntable(
         *_frames(evidence),
         *_scale_far(evidence),
         *_drift(evidence),
+        *triad_trust_findings(turntable_trusts(evidence.fit)),
         *convergence_findings(fit.converged, fit.iterations),
     ]
     found = evidence.fit.accelerometer
@@ -76,6 +79,7 @@ def assess_turntable(
         intervals_used=int(fit.used.sum()),
         model="g-sensitivity" if fit.free[12:].any() else "basic",
         held_by_prior=held_names(evidence),
+        trust=trust_note(diagnostics.trust) if diagnostics.trust is not None else TrustNote(),
     )
 
 

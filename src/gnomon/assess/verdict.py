@@ -2,9 +2,9 @@
 
 from ..calibration import Gravity, Verdict
 from ..findings import Finding, Severity
+from .causes import SEVERITIES, causes_first
 
-SEVERITIES = {"problem": 0, "warning": 1, "info": 2, "good": 3}
-"""The worst first."""
+__all__ = ["SEVERITIES", "graded", "gravity_findings", "verdict_of", "worst_first"]
 
 
 def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
@@ -19,8 +19,8 @@ def graded(value: float, warn: float, fail: float) -> Severity:
 
 
 def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Return findings by severity, otherwise in their order."""
-    return tuple(sorted(findings, key=lambda finding: SEVERITIES[finding.severity]))
+    """Return findings by severity, causes before what follows from them; see `causes`."""
+    return causes_first(findings)
 
 
 def gravity_findings(gravity: Gravity) -> list[Finding]:

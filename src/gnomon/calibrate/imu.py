@@ -4,6 +4,7 @@ prepare -> static intervals -> problem -> fit -> choose the model -> hold out ->
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from ..assess.imu_tables import ImuEvidence, describe
 from ..assess.imu_verdict import assess
 from ..assess.prior_findings import prior_findings
 from ..assess.threshold import FEWEST_INTERVALS, MULTIPLIERS, Motion, ThresholdTrial, choose_threshold, disturbed
+from ..assess.weak_findings import imu_weak
 from ..calibration import (
     Calibration,
     Covariance,
@@ -22,10 +24,11 @@ from ..calibration import (
 from ..detect.static import static_statistic, window_samples
 from ..diagnostics import Result
 from ..errors import DetectionError
-from ..estimate.leave_one_out import HeldOut, leave_one_out
+from ..estimate.cluster_trust import Trusted, trusted
 from ..estimate.multiposition import MultiPositionFit, fit_multiposition
+from ..estimate.multiposition_sums import free_jacobian, stretch_sums
 from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
-from ..estimate.scaling import ImuEstimate, unscaled
+from ..estimate.scaling import ImuEstimate, sensor_scalars, unscaled
 from ..evidence import Evidence, Priors, known_beforehand
 from ..findings import Finding
 from ..intervals import Booleans
@@ -33,6 +36,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..units import GYROSCOPE_UNITS_RAD_S
+from .imu_model import choose_model
 from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
 from .preparation import (
     PreparedImu,
@@ -43,13 +47,13 @@ from .preparation import (
     stream,
     turns_at_rest,
 )
-from .prior_knowledge import knowledge, refuse_evidence, with_fixed
+from .prior_knowledge import refuse_evidence, with_fixed
 from .published import calibrate_as_published
 from .user_frame import in_stated_frame
 
 Progress = Callable[[str], None]
 
-_G = slice(24, 33)  # g-sensitivity among what may be known
+_BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
 
 
 def calibrate_imu(
@@ -98,8 +102,13 @@ def calibrate_imu(
     units = {"accelerometer": prepared.accelerometer.unit, "gyroscope": prepared.gyroscope.unit}
     known = known_beforehand(prior, options, units, free=options.free, gravity=gravity)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
-    fit, heldout, rivals = _choose_model(problem, options, known, gravity.value, _known_walk(recording, problem))
-    estimate = with_fixed(_in_units(fit, problem, gravity, options), known)
+    walk = _known_walk(recording, problem)
+    model = choose_model(problem, options, known, units=units, gravity_m_s2=gravity.value, walk=walk)
+    estimate = _in_units(model.fit, problem, gravity, options)
+    names = covariance_names({"imu0": imu_calibration(estimate, prepared)})
+    trust = _trusted(model.fit, problem, estimate, names, gravity=gravity, options=options)
+    weak = imu_weak(estimate)
+    estimate = with_fixed(replace(estimate, covariance=trust.covariance), known)
     tell("assessing the result")
     evidence = ImuEvidence(
         accelerometer=streams[0],
@@ -111,10 +120,12 @@ def calibrate_imu(
         trials=trials,
         touched=touched,
         problem=problem,
-        fit=fit,
-        heldout=heldout,
-        rivals=rivals,
+        fit=model.fit,
+        heldout=model.heldout,
+        rivals=model.rivals,
         estimate=estimate,
+        trust=replace(trust.trust, models=model.steps, weak=weak),
+        instabilities=trust.instabilities,
         gravity_m_s2=gravity.value,
     )
     diagnostics = describe(evidence)
@@ -123,13 +134,12 @@ def calibrate_imu(
         imus=imus,
         frame="accel-x",
         gravity=gravity,
-        uncertainty=Covariance(names=covariance_names(imus), matrix=estimate.covariance),
+        uncertainty=Covariance(names=names, matrix=estimate.covariance),
         assessment=assess(
             (*prepared.findings, *_agreement(problem, known, gravity, options)),
             evidence,
             diagnostics,
             gravity,
-            options,
         ),
         provenance=Provenance(
             gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
@@ -195,36 +205,6 @@ def _problem(
     return build_problem(accelerometer, gyroscope, unmodelled), (accelerometer, gyroscope)
 
 
-def _choose_model(
-    problem: MultiPositionProblem, options: ImuOptions, known: Evidence, gravity_m_s2: float, walk: Floats | None
-) -> tuple[MultiPositionFit, HeldOut, dict[str, HeldOut]]:
-    """Fit with g-sensitivity, and keep it unless rotations that were left out are predicted better without."""
-    beforehand = knowledge(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
-
-    def fitted(*, g_sensitivity: bool) -> MultiPositionFit:
-        return fit_multiposition(problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk)
-
-    zero = known.fixed[_G].all() and not known.value[_G].any()
-    if options.model == "basic" or zero:
-        fit = fitted(g_sensitivity=False)
-        heldout = leave_one_out(problem.data, fit)
-        return fit, heldout, {"basic": heldout}
-    fit = fitted(g_sensitivity=True)
-    if known.knows("imu0.gyroscope.g_sensitivity") or "imu0.gyroscope.g_sensitivity" in options.free:
-        heldout = leave_one_out(problem.data, fit)
-        return fit, heldout, {"g-sensitivity": heldout}
-    rivals = {
-        "basic": leave_one_out(problem.data, fit, g_sensitivity=False),
-        "g-sensitivity": leave_one_out(problem.data, fit),
-    }
-    errors = {name: float(np.sum(trial.rotation[fit.rotation_used] ** 2)) for name, trial in rivals.items()}
-    if options.model == "auto" and errors["basic"] < errors["g-sensitivity"]:
-        fit = fitted(g_sensitivity=False)
-        rivals["basic"] = leave_one_out(problem.data, fit)
-        return fit, rivals["basic"], rivals
-    return fit, rivals["g-sensitivity"], rivals
-
-
 def _in_units(
     fit: MultiPositionFit, problem: MultiPositionProblem, gravity: Gravity, options: ImuOptions
 ) -> ImuEstimate:
@@ -235,6 +215,29 @@ def _in_units(
         gravity_m_s2=gravity.value,
         gravity_sigma_m_s2=gravity.sigma,
         latitude_deg=options.latitude,
+    )
+
+
+def _trusted(
+    fit: MultiPositionFit,
+    problem: MultiPositionProblem,
+    estimate: ImuEstimate,
+    names: tuple[str, ...],
+    *,
+    gravity: Gravity,
+    options: ImuOptions,
+) -> Trusted:
+    """Return the covariance from clusters of static intervals, and how parts of the recording agree."""
+    _, jacobian = sensor_scalars(
+        fit.state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity.value, latitude_deg=options.latitude
+    )
+    return trusted(
+        stretch_sums(fit),
+        free_jacobian(fit, jacobian),
+        names,
+        estimate.covariance,
+        biases=_BIASES,
+        widened=options.covariance == "robust",
     )
 
 

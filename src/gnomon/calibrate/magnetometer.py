@@ -25,6 +25,7 @@ from ..errors import InitialisationError, OptionError
 from ..estimate.blocks import Blocks, block_covariance, left_out, memory_s
 from ..estimate.dip import DipFit, fit_dip, in_body_frame
 from ..estimate.field_poses import FieldPoses, field_poses, sample_noise
+from ..estimate.field_trust import field_trust
 from ..estimate.gravity_along import GravityFit, fit_gravity, force_at
 from ..estimate.magnetometer import MagnetometerFit, fit_magnetometer, stray_samples
 from ..evidence import Evidence, Priors, known_beforehand
@@ -96,6 +97,7 @@ def calibrate_magnetometer(
         imu=imu,
         covariance=covariance,
         gravity=gravity,
+        trust=field_trust(fit, poses.t_s),
     )
     imus = {"imu0": imu}
     calibration = Calibration(

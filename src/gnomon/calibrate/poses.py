@@ -27,6 +27,7 @@ from ..estimate.known_attitudes import FEWEST, StatedAttitudes, compare_attitude
 from ..estimate.static_g_sensitivity import FEWEST_POSES
 from ..estimate.triad import TriadFit, fit_triad
 from ..estimate.triad_poses import PARAMETERS, TriadPoses, TriadPrior
+from ..estimate.triad_trust import robust_triad
 from ..evidence import NOTHING, Evidence, Priors, known_beforehand
 from ..findings import Finding
 from ..options import ImuOptions
@@ -125,6 +126,7 @@ def calibrate_poses(
     _require(attitudes, poses, known)
     tell(f"fitting {len(poses)} poses")
     fit, stated = _fit_accelerometer(prepared, gravity, known, attitudes)
+    fit, trust = robust_triad(fit, "imu0.accelerometer", t_s=poses.t_s, widened=options.covariance == "robust")
     gyroscope, why = _gyroscope(prepared, fit, known, gravity, options)
     tell("assessing the result")
     evidence = PoseEvidence(
@@ -141,6 +143,7 @@ def calibrate_poses(
         no_gyroscope=why,
         known=known,
         gravity=gravity,
+        trust=trust,
     )
     diagnostics = describe_poses(evidence)
     imu, covariance = _sensor(fit, poses, gyroscope)

@@ -183,7 +183,7 @@ def _accelerometer(parts: TurntableParts, known: Evidence, gravity: Gravity) -> 
         return None, "it was not recorded"
     try:
         beforehand = known.triad_prior("accelerometer")
-        return fit_accelerometer(parts.data.axes, gravity.value, gravity.sigma, beforehand), ""
+        return fit_accelerometer(parts.data, gravity.value, gravity.sigma, beforehand), ""
     except InitialisationError as error:
         return None, str(error)
 

@@ -43,21 +43,21 @@ class HeldOut:
     measured: Floats
 
 
-def leave_one_out(data: MultiPositionData, fit: MultiPositionFit, *, g_sensitivity: bool = True) -> HeldOut:
+def leave_one_out(fit: MultiPositionFit, *, g_sensitivity: bool = True) -> HeldOut:
     """Predict each interval and each rotation from all the others.
 
     Parameters
     ----------
-    data, fit : the problem and its solution
+    fit : the solution of the problem
     g_sensitivity : False judges the model without it, from the same linearisation
     """
-    lines, arrow, free, theta = fit.lines, fit.arrow, fit.free, fit.state.theta
+    data, lines, arrow, free, theta = fit.data, fit.lines, fit.arrow, fit.free, fit.state.theta
     if not g_sensitivity and free[G_].any():
         lines, arrow, free, theta = _without_g_sensitivity(fit)
     rows, gain = interval_rows("accelerometer", lines, arrow, fit.whitening, free)
     residual = np.einsum("kij,kj->ki", fit.whitening.accelerometer, lines.accelerometer)
     thetas = theta + _change_without(rows, gain, residual, free)
-    forces = _forces(data.accelerometer, theta[None])
+    forces = _forces(data, theta[None])
     norms = np.linalg.norm(forces, axis=1)
     measured = forces / norms[:, None]
     basis = tangent_basis(fit.state.u)
@@ -66,7 +66,7 @@ def leave_one_out(data: MultiPositionData, fit: MultiPositionFit, *, g_sensitivi
     rows, gain = rotation_rows(lines, arrow, fit.whitening, free)
     change = _change_without(rows, gain, fit.whitening.rotation[:, None] * lines.rotation, free)
     return HeldOut(
-        magnitude=np.linalg.norm(_forces(data.accelerometer, thetas), axis=1) - 1,
+        magnitude=np.linalg.norm(_forces(data, thetas), axis=1) - 1,
         magnitude_fit=norms - 1,
         rotation=direct + np.einsum("kij,kj->ki", lines.rotation_theta, change),
         rotation_fit=direct,
@@ -96,8 +96,10 @@ def _without_g_sensitivity(fit: MultiPositionFit) -> tuple[Linearisation, ArrowS
     return lines.extrapolated(step, arrow.states), arrow, free, fit.state.theta + to_zero + step
 
 
-def _forces(accelerometer: Floats, thetas: Floats) -> Floats:
+def _forces(data: MultiPositionData, thetas: Floats) -> Floats:
     """Return the specific force (n, 3) [g] of interval k by the parameters thetas[k], or by the only ones."""
     s = np.zeros((len(thetas), 3, 3))
     s[:, LOWER[0], LOWER[1]] = thetas[:, S_]
-    return (inverse(s) @ (accelerometer - thetas[:, B_])[..., None])[..., 0]
+    drifting = thetas[:, thetas.shape[1] - 3 * data.trend.shape[1] :].reshape(len(thetas), -1, 3)
+    drift = np.einsum("kq,kqi->ki", data.trend, np.broadcast_to(drifting, (len(data.trend), *drifting.shape[1:])))
+    return (inverse(s) @ (data.accelerometer - thetas[:, B_] - drift)[..., None])[..., 0]

@@ -15,7 +15,7 @@ from ..intervals import Booleans
 from ..models.frames import frame_rotation
 from ..recording import Floats
 from ..solve.arrow import ArrowSolution, solve_arrow
-from .drift import walk_density, walk_precision, with_drift
+from .drift import accelerometer_drifts, walk_density, walk_precision, with_accelerometer_drift, with_drift, with_trend
 from .magnitude import fit_magnitude
 from .multiposition_model import (
     B_,
@@ -42,6 +42,7 @@ _GATE_SIGMA = 5.0
 _REWEIGHTINGS = 8
 _SUSPICIOUS = 3.5  # times the median size; the largest of forty is 2.3 times as large
 _FEWEST_INTERVALS = 9
+_DRIFT_SIGMA = 0.1  # of what gravity shows: the accelerometer's bias over the recording
 _HELD = 0.3  # posterior sigma over prior sigma beyond which a parameter is the prior's
 
 
@@ -91,17 +92,21 @@ class MultiPositionFit:
 
     Attributes
     ----------
+    data : the problem, with the functions of time in biases that drift
     state : parameters and directions
     covariance : (30, 30) of theta; zero where a parameter was held fixed
     held_by_prior : (30,) bool, posterior sigma above 0.3 of the weak prior's
     lines, whitening, arrow, free : the last linearisation, for leave-one-out
+    from_prior : (30 + 3 j,) theta minus the mean of what was known beforehand
     extra : variances beyond the noise at rest
-    drift : (n, 3) the gyroscope's bias in each interval minus its mean, scaled units; zero where none was found
+    drift, accelerometer_drift : (n, 3) bias of gyroscope and accelerometer in each interval minus its mean, scaled
+        units; zero where none was found
     iterations : Gauss-Newton steps
     converged : whether the last step was negligible
     interval_used, rotation_used : (n,), (n - 1,) bool, not gated as outliers
     """
 
+    data: MultiPositionData
     state: State
     covariance: Floats
     held_by_prior: Booleans
@@ -109,8 +114,10 @@ class MultiPositionFit:
     whitening: Whitening
     arrow: ArrowSolution
     free: Booleans
+    from_prior: Floats
     extra: ExtraVariance
     drift: Floats
+    accelerometer_drift: Floats
     iterations: int
     converged: bool
     interval_used: Booleans
@@ -144,9 +151,18 @@ def fit_multiposition(
     used = everything = (np.ones(len(start.u), dtype=bool), data.linked)
     whitening = _whitening(task, start, ExtraVariance(), used)
     point = _gauss_newton(task, start, linearise(data, start), whitening, _ROUGH_STEP)
-    walk = walk_density(data.interval_s, point.lines.gyroscope, used[0]) if walk is None else walk
+    if walk is None:
+        at_rest = point.lines.gyroscope
+        if g_sensitivity:
+            at_rest = with_trend(data.interval_s, data.gyroscope, at_rest, point.state.u, used[0])
+        walk = walk_density(data.interval_s, at_rest, used[0])
+    s, b, *_ = point.state.matrices
+    drifting = accelerometer_drifts(data.interval_s, data.accelerometer, s, b, used[0])
+    if drifting:
+        data = with_accelerometer_drift(data)
     if walk is not None:
         data = with_drift(data)
+    if walk is not None or drifting:
         task = _task(data, start, walk, known, g_sensitivity=g_sensitivity)
         state = State(theta=np.append(point.state.theta, np.zeros(len(task.free) - PARAMETERS)), u=point.state.u)
         whitening = _whitening(task, state, ExtraVariance(), used)
@@ -172,14 +188,17 @@ def fit_multiposition(
 def _task(
     data: MultiPositionData, start: State, walk: Floats | None, known: Knowledge | None, *, g_sensitivity: bool
 ) -> Task:
-    sigma = _prior_sigma(start)
-    knots = data.drift[0].shape[1]
+    sigma = weak_prior_sigma(start)
+    knots = data.drifting
     free = np.ones(PARAMETERS + 3 * knots, dtype=bool)
     free[G_] = g_sensitivity
     precision = np.zeros((len(free), len(free)))
     precision[:PARAMETERS, :PARAMETERS] = np.diag(1 / sigma**2)
     if walk is not None:
-        precision[PARAMETERS:, PARAMETERS:] = walk_precision(data, walk)
+        tail = slice(PARAMETERS, PARAMETERS + 3 * data.drift[0].shape[1])
+        precision[tail, tail] = walk_precision(data, walk)
+    accelerometer = np.arange(len(free) - 3 * data.trend.shape[1], len(free))
+    precision[accelerometer, accelerometer] = 1 / _DRIFT_SIGMA**2
     task = Task(
         data=data,
         start=start,
@@ -209,10 +228,12 @@ def _knowing(task: Task, state: State) -> Task:
 def _finished(
     task: Task, point: Point, extra: ExtraVariance, used: tuple[Booleans, Booleans], iterations: int
 ) -> MultiPositionFit:
+    hats, _ = task.data.drift
     covariance = np.zeros((len(task.free),) * 2)
     covariance[np.ix_(task.free, task.free)] = point.arrow.corner_covariance
     covariance = covariance[:PARAMETERS, :PARAMETERS]
     return MultiPositionFit(
+        data=task.data,
         state=point.state,
         covariance=covariance,
         held_by_prior=np.sqrt(np.diag(covariance)) > _HELD * task.prior_sigma,
@@ -220,8 +241,10 @@ def _finished(
         whitening=point.whitening,
         arrow=point.arrow,
         free=task.free,
+        from_prior=point.state.theta - task.prior_mean,
         extra=extra,
-        drift=task.data.drift[0] @ point.state.knots,
+        drift=hats @ point.state.knots[: hats.shape[1]],
+        accelerometer_drift=task.data.trend @ point.state.knots[hats.shape[1] :],
         iterations=iterations,
         converged=point.converged,
         interval_used=used[0],
@@ -253,7 +276,7 @@ def start_state(data: MultiPositionData) -> State:
     return State(theta=theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
-def _prior_sigma(state: State) -> Floats:
+def weak_prior_sigma(state: State) -> Floats:
     """Weak priors in scaled units: 30 % of a scale, 0.1 rad/s per g; they hold what a recording leaves open."""
     size = np.sqrt(3 * np.mean(state.theta[CG_] ** 2)) or 1.0
     sigma = np.empty(PARAMETERS)

@@ -9,7 +9,8 @@ depends on the specific force as in document B, chapter 3. In units of gravity f
     gyroscope in motion      omega = C_g (y - b_g - G f),  f = inv(S) (x - b)
     rotation k               u_{k+1} = R_k' u_k,  R_k integrated from omega
 
-A bias that wanders is b_g plus hat functions of time with a random walk for their prior; b_g is then its mean.
+A gyroscope's bias that wanders is b_g plus hat functions of time with a random walk for their prior; b_g is then its
+mean. An accelerometer's that drifts is b plus a straight line in time, which matters at rest alone.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,8 @@ from .rotations import MotionSegments, integrate, propagate
 
 LOWER = np.tril_indices(3)
 PARAMETERS = 30
-"""S (6, lower triangle in row order), b (3), C_g (9), b_g (3), G (9); the knots of a drift, 3 each, follow."""
+"""S (6, lower triangle in row order), b (3), C_g (9), b_g (3), G (9). The knots of a drift follow, 3 each, and where
+there is one the accelerometer's drift (3)."""
 S_, B_, CG_, BG_, G_ = slice(0, 6), slice(6, 9), slice(9, 18), slice(18, 21), slice(21, 30)
 
 
@@ -42,6 +44,7 @@ class MultiPositionData:
     span_s : start of the first and end of the last static interval [s]
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
     drift_at_rest, drift_in_motion : (n, j), (n - 1, j) values of the drift's hat functions; j = 0 without drift
+    accelerometer_drift : (n, 1) time from -1/2 to 1/2 where the accelerometer drifts; (n, 0) where it does not
     """
 
     accelerometer: Floats
@@ -57,6 +60,7 @@ class MultiPositionData:
     earth_rate_variance: float = 0.0
     drift_at_rest: Floats | None = None
     drift_in_motion: Floats | None = None
+    accelerometer_drift: Floats | None = None
 
     @property
     def drift(self) -> tuple[Floats, Floats]:
@@ -65,6 +69,16 @@ class MultiPositionData:
             n = len(self.accelerometer)
             return np.empty((n, 0)), np.empty((n - 1, 0))
         return self.drift_at_rest, self.drift_in_motion
+
+    @property
+    def trend(self) -> Floats:
+        """Values of the accelerometer's drift function at rest, (n, q), q = 1 or 0."""
+        return np.empty((len(self.accelerometer), 0)) if self.accelerometer_drift is None else self.accelerometer_drift
+
+    @property
+    def drifting(self) -> int:
+        """Number j + q of the functions of time in both biases."""
+        return self.drift[0].shape[1] + self.trend.shape[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +103,7 @@ class State:
 
     @property
     def knots(self) -> Floats:
-        """Values of the drift at its knots, (j, 3)."""
+        """Values of the gyroscope's drift at its knots, then the accelerometer's drift, (j + q, 3)."""
         return self.theta[PARAMETERS:].reshape(-1, 3)
 
     def moved(self, d_theta: Floats, d_u: Floats) -> "State":
@@ -167,19 +181,21 @@ def linearise(data: MultiPositionData, state: State) -> Linearisation:
     s, b, _, b_g, g = state.matrices
     u, n, p = state.u, len(state.u), len(state.theta)
     basis = tangent_basis(u)
-    hats, _ = data.drift
+    (hats, _), trend = data.drift, data.trend
+    wandering, drifting = np.split(state.knots, [hats.shape[1]])
     accelerometer_theta = np.zeros((n, 3, p))
     for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
         accelerometer_theta[:, i, column] = -u[:, j]
     accelerometer_theta[:, :, B_] = -np.eye(3)
+    accelerometer_theta[:, :, p - drifting.size :] = -np.einsum("ij,kc->kicj", np.eye(3), trend).reshape(n, 3, -1)
     gyroscope_theta = np.zeros((n, 3, p))
     gyroscope_theta[:, :, BG_] = -np.eye(3)
     gyroscope_theta[:, :, G_] = -np.einsum("ij,kc->kijc", np.eye(3), u).reshape(n, 3, 9)
-    gyroscope_theta[:, :, PARAMETERS:] = -np.einsum("ij,kc->kicj", np.eye(3), hats).reshape(n, 3, -1)
+    gyroscope_theta[:, :, PARAMETERS : p - drifting.size] = -np.einsum("ij,kc->kicj", np.eye(3), hats).reshape(n, 3, -1)
     propagated, rotation_u, rotation_theta = _rotations(data, state, basis)
     return Linearisation(
-        accelerometer=data.accelerometer - u @ s.T - b,
-        gyroscope=data.gyroscope - u @ g.T - b_g - hats @ state.knots,
+        accelerometer=data.accelerometer - u @ s.T - b - trend @ drifting,
+        gyroscope=data.gyroscope - u @ g.T - b_g - hats @ wandering,
         rotation=np.einsum("kij,ki->kj", basis[1:], u[1:] - propagated),
         accelerometer_u=-s @ basis,
         gyroscope_u=-g @ basis,
@@ -198,8 +214,9 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     force = (data.segments.accelerometer - b) @ np.linalg.inv(s).T
     rate = data.segments.gyroscope - b_g - force @ g.T
     _, hats = data.drift
-    if hats.shape[1]:
-        rate -= np.repeat(hats @ state.knots, data.segments.lengths, axis=0)
+    count = hats.shape[1]
+    if count:
+        rate -= np.repeat(hats @ state.knots[:count], data.segments.lengths, axis=0)
     regressors = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
     turns = integrate(data.segments, rate @ c_g.T, regressors)
     start = state.u[:-1]
@@ -208,14 +225,14 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     by_c = np.einsum("kil,klac->kiac", turned, turns.sensitivity)
     by_rate_offset, by_force = by_c[..., 3], by_c[..., 4:]
     pull = c_g @ g @ np.linalg.inv(s)  # omega by what the accelerometer reads
-    theta = np.empty((m, 2, len(state.theta)))
+    theta = np.zeros((m, 2, len(state.theta)))
     by_s = np.einsum("kiac,aj->kijc", by_force, pull)
     theta[..., S_] = by_s[:, :, LOWER[0], LOWER[1]]
     theta[..., B_] = by_rate_offset @ pull
     theta[..., CG_] = by_c[..., :3].reshape(m, 2, 9)
     theta[..., BG_] = -by_rate_offset @ c_g
     theta[..., G_] = -np.einsum("kiac,aj->kijc", by_force, c_g).reshape(m, 2, 9)
-    theta[..., PARAMETERS:] = np.einsum("kc,kij->kicj", hats, theta[..., BG_]).reshape(m, 2, -1)
+    theta[..., PARAMETERS : PARAMETERS + 3 * count] = np.einsum("kc,kij->kicj", hats, theta[..., BG_]).reshape(m, 2, -1)
     return propagate(turns.rotation, start), -back @ basis[:-1], theta
 
 

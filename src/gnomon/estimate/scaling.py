@@ -4,12 +4,13 @@ Every axis is centred and divided by its spread, so that offsets and scales of a
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, frozen_array
-from .multiposition import MultiPositionFit
 from .multiposition_model import B_, BG_, CG_, G_, LOWER, S_, State
 
 
@@ -74,8 +75,27 @@ class ImuEstimate:
         return np.concatenate([part.ravel() for part in parts])
 
 
+class Fitted(Protocol):
+    """What a fit says in scaled units: the state, the covariance (30, 30), and which parameters were estimated."""
+
+    @property
+    def state(self) -> State:
+        """Where it stands."""
+        ...
+
+    @property
+    def covariance(self) -> Floats:
+        """Of theta."""
+        ...
+
+    @property
+    def free(self) -> Booleans:
+        """Whether each of theta was estimated."""
+        ...
+
+
 def unscaled(
-    fit: MultiPositionFit,
+    fit: Fitted,
     accelerometer: Scaling,
     gyroscope: Scaling,
     *,
@@ -110,6 +130,27 @@ def unscaled(
         g_sensitivity=values[24:].reshape(3, 3),
         covariance=covariance,
     )
+
+
+def blocks_of_scalars(values: Floats) -> tuple[tuple[str, Floats, str], ...]:
+    """Return of each block of scalars (33,) its path, the factors (33,) by which it is shown, and the unit of that.
+
+    Sensitivities are shown as shares of the axis' own, biases and g-sensitivity as what they make of the rate or force.
+    """
+    force, rate = (np.linalg.norm(values[part].reshape(3, 3), axis=1) for part in (slice(0, 9), slice(12, 21)))
+    shares = {
+        "imu0.accelerometer.sensitivity": (slice(0, 9), 100 / np.repeat(force, 3), "%"),
+        "imu0.accelerometer.bias": (slice(9, 12), 1 / force, "m/s^2"),
+        "imu0.gyroscope.sensitivity": (slice(12, 21), 100 / np.repeat(rate, 3), "%"),
+        "imu0.gyroscope.bias": (slice(21, 24), 1 / rate, "rad/s"),
+        "imu0.gyroscope.g_sensitivity": (slice(24, 33), 1 / np.repeat(rate, 3), "rad/s per m/s^2"),
+    }
+    found: list[tuple[str, Floats, str]] = []
+    for path, (part, share, unit) in shares.items():
+        factor = np.zeros(len(values))
+        factor[part] = share
+        found.append((path, factor, unit))
+    return tuple(found)
 
 
 def sensor_scalars(

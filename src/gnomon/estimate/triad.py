@@ -26,6 +26,26 @@ __all__ = ["TriadFit", "TriadPoses", "TriadPrior", "fit_triad"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadLines:
+    """Residuals and derivatives at a solution, by the f free parameters in scaled units.
+
+    Attributes
+    ----------
+    pose : (r,) pose of each residual
+    residual, jacobian : (r,), (r, f) in units of the residuals' sigma; zero where a pose was not used
+    prior_pull, prior_information : (f,), (f, f) of what was known beforehand
+    unscaled : (21, f) derivatives of the parameters by the free scaled ones
+    """
+
+    pose: Integers
+    residual: Floats
+    jacobian: Floats
+    prior_pull: Floats
+    prior_information: Floats
+    unscaled: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadFit:
     """A triad's parameters in the unit of the sensor, their covariance, and how well each pose agrees.
 
@@ -56,6 +76,7 @@ class TriadFit:
     cost : half the sum of squared residuals in units of their sigma
     converged : whether the last step was negligible
     iterations : steps of all stages
+    lines : the fit linearised where it stands, for covariances by clusters
     """
 
     sensitivity: Floats
@@ -81,6 +102,7 @@ class TriadFit:
     cost: float
     converged: bool
     iterations: int
+    lines: TriadLines
 
     @property
     def sigma(self) -> Floats:
@@ -165,6 +187,21 @@ def fit_triad(
         cost=point.cost,
         converged=point.converged,
         iterations=first.iterations + point.iterations,
+        lines=_lines(problem, theta, linear, used, turn),
+    )
+
+
+def _lines(problem: TriadProblem, theta: Floats, linear: Linear, used: Booleans, turn: Floats) -> TriadLines:
+    counted, root = used[linear.rows.pose], problem.prior_root[:, problem.free]
+    unscaled = np.zeros((PARAMETERS, len(problem.free)))
+    unscaled[:, :PARAMETERS] = np.diag(turn)
+    return TriadLines(
+        pose=linear.rows.pose,
+        residual=counted * linear.rows.residual,
+        jacobian=counted[:, None] * linear.rows.jacobian,
+        prior_pull=-root.T @ (problem.prior_root @ theta - problem.prior_target),
+        prior_information=root.T @ root,
+        unscaled=unscaled[:, problem.free],
     )
 
 

@@ -13,7 +13,9 @@ import numpy as np
 from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, Integers
+from .cluster_trust import Trusted
 from .triad import TriadFit, TriadPoses, TriadPrior, fit_triad
+from .triad_trust import robust_triad
 from .turntable_axis import AxisInSensor
 from .turntable_drift import drift_at, shown_density
 from .turntable_parts import TurntableData
@@ -31,13 +33,15 @@ class AccelerometerInPoses:
 
     Attributes
     ----------
-    poses, fit : see estimate/triad.py
+    poses, fit : see estimate/triad.py; the covariance is that from clusters of attitudes
+    trust : what attitudes say of it
     attitude : (n,) index of the attitude of each pose
     tilt : angle of the platter's axis to the vertical [rad]
     """
 
     poses: TriadPoses
     fit: TriadFit
+    trust: Trusted
     attitude: Integers
     tilt: float
 
@@ -48,7 +52,8 @@ class TurntableFit:
 
     Attributes
     ----------
-    poses, fit : parts as the estimator took them
+    poses, fit : parts as the estimator took them; the covariance is that from clusters of attitudes
+    trust : what attitudes say of the gyroscope
     accelerometer : None where it was not recorded or not determined
     covariance : (33, 33) of accelerometer and gyroscope, or (21, 21) of the gyroscope alone
     sense : which way the platter turns, seen from above; None without accelerometer
@@ -59,6 +64,7 @@ class TurntableFit:
 
     poses: TriadPoses
     fit: TriadFit
+    trust: Trusted
     accelerometer: AccelerometerInPoses | None
     covariance: Floats
     sense: Sense | None
@@ -68,7 +74,7 @@ class TurntableFit:
 
 
 def fit_accelerometer(
-    axes: tuple[AxisInSensor, ...], gravity_m_s2: float, gravity_sigma_m_s2: float, prior: TriadPrior | None
+    data: TurntableData, gravity_m_s2: float, gravity_sigma_m_s2: float, prior: TriadPrior | None
 ) -> AccelerometerInPoses:
     """Calibrate the accelerometer by the magnitude of gravity in the attitudes on the platter.
 
@@ -77,6 +83,7 @@ def fit_accelerometer(
     InitialisationError
         If the attitudes do not determine it.
     """
+    axes = data.axes
     upright = np.array([axis.upright for axis in axes])
     usable = np.array([bool(np.isfinite(axis.variance).all()) for axis in axes])
     pull = np.array([0.0 if axis.separated else axis.rate**2 * _FARTHEST_M for axis in axes])
@@ -99,7 +106,9 @@ def fit_accelerometer(
     tilt = platter_tilt(axes, fit.sensitivity, gravity_m_s2)
     if tilt > _TILT_THAT_COUNTS:
         poses, fit = fitted(tilt)
-    return AccelerometerInPoses(poses=poses, fit=fit, attitude=attitude, tilt=tilt)
+    t_s = np.bincount(data.pose, data.t_s, len(axes)) / np.maximum(np.bincount(data.pose, minlength=len(axes)), 1)
+    fit, trust = robust_triad(fit, "imu0.accelerometer", t_s=t_s[usable])
+    return AccelerometerInPoses(poses=poses, fit=fit, trust=trust, attitude=attitude, tilt=tilt)
 
 
 def platter_tilt(axes: tuple[AxisInSensor, ...], sensitivity: Floats, gravity_m_s2: float) -> float:
@@ -139,10 +148,12 @@ def fit_turntable(
         poses = magnitude_poses(data, latitude_deg)
         drift = np.zeros_like(data.measured)
         poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=False)
+        fit, trust = robust_triad(fit, "imu0.gyroscope", t_s=data.t_s, stretch=data.pose, g_sensitivity=True)
         nobody = np.zeros(len(data.t_s), dtype=bool)
         return TurntableFit(
             poses=poses,
             fit=fit,
+            trust=trust,
             accelerometer=None,
             covariance=fit.covariance,
             sense=None,
@@ -153,6 +164,7 @@ def fit_turntable(
     clockwise = senses(data, accelerometer, sense)
     poses = directed_poses(data, accelerometer, _theta(accelerometer), clockwise, latitude_deg)
     poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=g_sensitivity)
+    fit, trust = robust_triad(fit, "imu0.gyroscope", t_s=data.t_s, stretch=data.pose, g_sensitivity=True)
 
     def at(theta: Floats) -> TriadPoses:
         return directed_poses(data, accelerometer, theta, clockwise, latitude_deg)
@@ -161,6 +173,7 @@ def fit_turntable(
     return TurntableFit(
         poses=poses,
         fit=fit,
+        trust=trust,
         accelerometer=accelerometer,
         covariance=_joint_covariance(accelerometer, poses, fit, prior, at),
         sense="clockwise" if np.mean(clockwise[turning]) > 0.5 else "counterclockwise",
