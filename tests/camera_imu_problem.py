@@ -7,6 +7,7 @@ import numpy as np
 
 from camera_imu_reference import Problem
 from gnomon.estimate.camera_imu.batch import Measurements, Noise, State
+from gnomon.estimate.camera_imu.board import Board
 from gnomon.estimate.camera_imu.corner_sums import Exposures
 from gnomon.estimate.camera_imu.first_guess import per_corner
 from gnomon.estimate.camera_imu.inertial_terms import InertialData, InertialNoise, TriadData
@@ -27,6 +28,7 @@ SHAPES = {"pinhole": [], "omni": [0.9], "eucm": [0.6, 1.1], "ds": [-0.2, 0.55]}
 COEFFS = {
     "none": [],
     "radtan": [-0.28, 0.075, 2e-3, -1.5e-3],
+    "radtan5": [-0.32, 0.15, 2e-3, -1.5e-3, -0.04],
     "equidistant": [0.01, -0.02, 0.005, -0.001],
     "fov": [0.9],
 }
@@ -46,11 +48,11 @@ def lens(projection, distortion):
 
 def problem(
     models=(("pinhole", "radtan"), ("ds", "none")), *, order=5, length=1.0, segments=1, imus=1, rolling=False,
-    apart=False, huber=2.0, fixed=(), flat=True, seed=0,
+    apart=False, huber=2.0, fixed=(), flat=True, board=0, seed=0,
 ):  # fmt: skip
     """Return a problem of half a second a segment with everything free, and its errors as large as they get.
 
-    In the midst of each segment the rotation vector has a stated length.
+    In the midst of each segment the rotation vector has a stated length; a board has so many corners, all off.
     """
     rng = np.random.default_rng(seed)
     R_cam_imu = rotation_from_rotvec(rng.normal(size=3))
@@ -74,7 +76,7 @@ def problem(
         gravity_axes=gravity_axes(rng.normal(size=3)),
         gravity_m_s2=9.7,
         target_scale=1.1,
-        imus=tuple(errors_of_an_imu(rng) for _ in range(imus)),
+        imus=tuple(errors_of_an_imu(rng, (seed + i) % 3) for i in range(imus)),
         cameras=tuple(
             CameraParameters(
                 name=f"cam{i}",
@@ -86,6 +88,12 @@ def problem(
             for i, model in enumerate(models)
         ),
     )
+    if board:
+        places = rng.uniform(-0.12, 0.3, (board, 3)) * [1, 1, 0 if flat else 0.2]
+        parameters = replace(
+            parameters,
+            board=Board(points=places, offsets=0.01 * rng.normal(size=(board, 3)), sigma_m=0.02, pitch_m=0.1),
+        )
     noise = Noise(
         imus=tuple(InertialNoise(gyroscope=0.02 + 0.01 * i, accelerometer=0.1) for i in range(imus)),
         walks=tuple((0.05, 0.3 + 0.1 * i) for i in range(imus)),
@@ -102,11 +110,11 @@ def problem(
     return Problem(measurements=measurements, state=state, layout=columns(parameters, fixed, rng), noise=noise)
 
 
-def errors_of_an_imu(rng):
+def errors_of_an_imu(rng, origin=0):
     return ImuParameters(
         S_a=1 + 0.1 * rng.normal(size=3), M_a=0.1 * rng.normal(size=3), S_g=1 + 0.1 * rng.normal(size=3),
         M_g=0.1 * rng.normal(size=3), C_bg=rotation_from_rotvec(0.3 * rng.normal(size=3)),
-        B_g=0.05 * rng.normal(size=(3, 3)),
+        B_g=0.05 * rng.normal(size=(3, 3)), lever_arms=0.05 * rng.normal(size=6), origin=origin,
     )  # fmt: skip
 
 
@@ -143,11 +151,16 @@ def seen(state, camera, rng, *, flat, rolling):
     t_s = np.concatenate([s.start_s + np.array([-0.2, 0.02, 0.11, 0.17, 0.33, 0.38, 0.6]) for s in grid.segments])
     lengths = np.full(len(t_s), 7) if camera else rng.integers(5, 9, len(t_s))  # as many in each frame, or not
     points = rng.uniform(-0.12, 0.3, (lengths.sum(), 3)) * [1, 1, 0 if flat else 0.2]
+    board, point = state.parameters.board, None
+    if board is not None:
+        point = np.concatenate([rng.permutation(len(board.points))[:count] for count in lengths])
+        points = board.points[point]
     data = VisualData(
         camera=camera,
         exposures=Exposures(
             frame=np.arange(len(t_s)), start=np.concatenate([[0], np.cumsum(lengths)]), points=points,
             pixels=rng.uniform(100, 400, (len(points), 2)), delay_rows=np.zeros(len(t_s)),
+            point=point,
         ),
         t_s=t_s - entry.time_shift_s,
     )  # fmt: skip

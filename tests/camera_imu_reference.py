@@ -4,6 +4,7 @@ Everything is computed with complex numbers and any number of variants at once, 
 the imaginary part that a step of 1e-30 i leaves, exact to rounding.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +70,33 @@ def turned(phi):
     return np.eye(3) + a * V + b * V @ V, np.eye(3) - b * V + c * V @ V
 
 
+def crossed(phi):
+    """Return [phi]x of phi (..., 3)."""
+    x, y, z = np.moveaxis(phi, -1, 0)
+    zero = np.zeros_like(x)
+    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), (0, 1), (-2, -1))
+
+
+def jacobian_rate(phi, rate):
+    """Return the derivative by time of the right Jacobian I - b V + c V^2 of phi (..., 3), whose derivative is rate."""
+    x = (phi * phi).sum(axis=-1)[..., None, None]
+    x_rate = 2 * (phi * rate).sum(axis=-1)[..., None, None]
+    near = np.abs(x) < 1e-1
+    theta = np.sqrt(np.where(near, 1.0, x))
+    forms = []
+    for closed, slope, first in (
+        ((1 - np.cos(theta)) / theta**2, (theta * np.sin(theta) - 2 * (1 - np.cos(theta))) / (2 * theta**4), 2),
+        ((theta - np.sin(theta)) / theta**3, (theta * (1 - np.cos(theta)) - 3 * (theta - np.sin(theta))) / 2, 3),
+    ):
+        terms = [(-1) ** n / math.factorial(2 * n + first) for n in range(12)]
+        series = sum(term * x**n for n, term in enumerate(terms))
+        bent = sum(n * term * x ** (n - 1) for n, term in enumerate(terms) if n)
+        forms += [np.where(near, series, closed), np.where(near, bent, slope / (theta**5 if first == 3 else 1.0))]
+    b, b_slope, c, c_slope = forms
+    V, V_rate = crossed(phi), crossed(rate)
+    return -b * V_rate - b_slope * x_rate * V + c * (V @ V_rate + V_rate @ V) + c_slope * x_rate * V @ V
+
+
 def times(matrix, vector):
     return (matrix @ vector[..., None])[..., 0]
 
@@ -94,8 +122,8 @@ def imaged(lens, parameters, point):
     s = mx**2 + my**2
     r = np.sqrt(s)
     dx, dy = mx, my
-    if lens.distortion == "radtan":
-        radial = 1 + k[0] * s + k[1] * s**2
+    if lens.distortion in {"radtan", "radtan5"}:
+        radial = 1 + k[0] * s + k[1] * s**2 + (k[4] * s**3 if len(k) > 4 else 0)
         dx = mx * radial + 2 * k[2] * mx * my + k[3] * (s + 2 * mx**2)
         dy = my * radial + 2 * k[3] * mx * my + k[2] * (s + 2 * my**2)
     elif lens.distortion == "equidistant":
@@ -127,6 +155,14 @@ class Variants:
     def scale(self):
         return self.parameters.target_scale + self.step("target.scale", 1)
 
+    def corners(self, exposures):
+        """Return where the corners are on the board, (v, m, 3) or (m, 3)."""
+        board = self.parameters.board
+        if board is None:
+            return exposures.points
+        offsets = board.offsets + self.step("target.offsets", board.offsets.size).reshape(-1, *board.offsets.shape)
+        return exposures.points + offsets[:, exposures.point]
+
     def imu(self, i):
         imu, name = self.parameters.imus[i], f"imu{i}"
         diagonal, lower = {}, {}
@@ -139,6 +175,18 @@ class Variants:
         C_bg = imu.C_bg @ turned(self.step(f"{name}.q_bg", 3))[0]
         B_g = imu.B_g + self.step(f"{name}.B_g", 9).reshape(-1, 3, 3)
         return diagonal["a"] @ lower["a"], diagonal["g"] @ lower["g"] @ np.swapaxes(C_bg, 1, 2), B_g
+
+    def places(self, i):
+        """Return where the three accelerometers of an IMU sit, (v, 3, 3), a row each."""
+        imu = self.parameters.imus[i]
+        arms = imu.lever_arms + self.step(f"imu{i}.lever_arms", 6)
+        zero = np.zeros_like(arms[:, :3])
+        return np.stack(
+            {0: [zero, arms[:, :3], arms[:, 3:]], 1: [arms[:, :3], zero, arms[:, 3:]]}.get(
+                imu.origin, [arms[:, :3], arms[:, 3:], zero]
+            ),
+            axis=1,
+        )
 
     def camera(self, i):
         entry = self.parameters.cameras[i]
@@ -177,8 +225,21 @@ class Splines:
 
     def motion(self, t_s):
         """Return R, omega, p and its acceleration at instants (v, m)."""
+        which, _, _, inside = self.at(t_s)
+        value, rate, curvature = self.pose(t_s)
+        R, J = turned(value[..., :3])
+        references = np.array([segment.R_reference for segment in self.grid.segments])[which]
+        return references @ R, times(J, rate[..., :3]), value[..., 3:], curvature[..., 3:], inside
+
+    def alpha(self, t_s):
+        """Return the angular acceleration at instants (v, m)."""
+        value, rate, curvature = (derived[..., :3] for derived in self.pose(t_s))
+        return times(jacobian_rate(value, rate), rate) + times(turned(value)[1], curvature)
+
+    def pose(self, t_s):
+        """Return the pose's scalars and their first two derivatives at instants (v, m)."""
         grid = self.grid
-        which, first, u, inside = self.at(t_s)
+        _, first, u, inside = self.at(t_s)
         u = np.where(inside, u, 0.0)
         pose = self.controls[:, first[:, None] + np.arange(grid.order), :6]
         derived = []
@@ -188,10 +249,7 @@ class Splines:
                 matrix = matrix[1:] * np.arange(1, len(matrix))[:, None]
             weights = (u[..., None] ** np.arange(len(matrix))) @ matrix / grid.spacing_s**derivative
             derived.append((weights[..., None] * pose).sum(axis=-2))
-        value, rate, curvature = derived
-        R, J = turned(value[..., :3])
-        references = np.array([segment.R_reference for segment in grid.segments])[which]
-        return references @ R, times(J, rate[..., :3]), value[..., 3:], curvature[..., 3:], inside
+        return derived
 
     def bias(self, t_s, start):
         """Return the three biases from scalar `start` on, linear between knots, (v, m, 3)."""
@@ -218,7 +276,7 @@ def residuals(problem, controls_step, border_step):
         cost += robust_cost
     for name, values in (("walk", walks(splines, noise)), ("prior", priors(problem, border_step))):
         rows[name] = values
-        free = values[0].real if name == "walk" else values[0].real[problem.layout.free]
+        free = values[0].real if name == "walk" else priors(problem, -unmoved(problem)[None])[0]
         cost += 0.5 * (free**2).sum()
     rows["smoothness"] = smoothness(splines)
     return Residuals(rows=rows, cost=float(cost))
@@ -229,11 +287,16 @@ def inertial(data, splines, varied, noise):
     R, omega, _, acceleration, inside = splines.motion(t_s)
     force = times(np.swapaxes(R, -1, -2), acceleration - varied.gravity()[:, None])
     K_a, K_g, B_g = (matrix[:, None] for matrix in varied.imu(data.imu))
+    alpha, felt = splines.alpha(t_s), []
+    for k, place in enumerate(np.moveaxis(varied.places(data.imu), 1, 0)):  # sensor k feels the force at its place
+        inward = np.cross(omega, np.cross(omega, place[:, None]))
+        felt.append((force + np.cross(alpha, place[:, None]) + inward)[..., k])
+    felt = np.stack(felt, axis=-1)
     start = 6 + 6 * data.imu
     found = {}
     for name, triad, prediction, sigma, at in (
         ("gyroscope", data.gyroscope, times(K_g, omega) + times(B_g, force), noise.gyroscope, start),
-        ("accelerometer", data.accelerometer, times(K_a, force), noise.accelerometer, start + 3),
+        ("accelerometer", data.accelerometer, times(K_a, felt), noise.accelerometer, start + 3),
     ):
         if triad is not None:
             error = (prediction + splines.bias(t_s, at) - triad.values) / sigma
@@ -247,7 +310,7 @@ def visual(data, used, splines, varied, noise):
     R, _, p, _, inside = splines.motion(data.t_s + shift + exposures.delay_rows * delay)
     of = exposures.of_corner
     R, p = R[:, of], p[:, of]
-    body = times(np.swapaxes(R, -1, -2), varied.scale()[:, :, None] * exposures.points - p)
+    body = times(np.swapaxes(R, -1, -2), varied.scale()[:, :, None] * varied.corners(exposures) - p)
     point = times(R_cam_imu[:, None], body) + p_cam_imu[:, None]
     lens = varied.parameters.cameras[data.camera].camera
     kept = (used & inside)[of]
@@ -289,10 +352,27 @@ def smoothness(splines):
     return np.concatenate(found, axis=1) / (grid.spacing_s**2 * SMOOTHNESS)
 
 
+def unmoved(problem):
+    """Return how far scalars that are held are off their priors, (p,): it costs nothing."""
+    layout = problem.layout
+    return np.where(layout.free, 0.0, layout.values(problem.state.parameters) - layout.prior_mean)
+
+
 def priors(problem, border_step):
     layout = problem.layout
     difference = layout.values(problem.state.parameters) - layout.prior_mean
-    return (difference + border_step) / layout.prior_sigma
+    rows = (difference + border_step) / layout.prior_sigma
+    columns = layout.get("target.offsets")
+    if columns is None:
+        return rows
+    # A shift, a turn or another size of the whole board: none, by a thousandth of the prior of a corner.
+    board = problem.state.parameters.board
+    centred = board.points - board.points.mean(axis=0)
+    moves = [np.tile(axis, (len(centred), 1)) for axis in np.eye(3)]
+    moves += [np.cross(axis, centred) for axis in np.eye(3)] + [centred]
+    basis = np.linalg.svd(np.array([move.ravel() for move in moves]), full_matrices=False)[2]
+    held = (difference + border_step)[:, columns] @ basis.T / (1e-3 * board.sigma_m)
+    return np.concatenate([rows, held], axis=1)
 
 
 def differentiated(problem):

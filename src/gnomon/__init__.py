@@ -20,8 +20,10 @@ from .errors import (
 
 # At once: later, the function simulate would be hidden by the room of the same name.
 from .simulate import (
+    CameraImuPlan,
     CameraImuScenario,
     FieldScenario,
+    ImuPlan,
     PoseScenario,
     Scenario,
     TurntableScenario,
@@ -40,9 +42,13 @@ if TYPE_CHECKING:
         calibrate_magnetometer,
         calibrate_turntable,
         identify_noise,
+        judge,
+        plan,
         rate_from_video,
         read_camera_imu,
+        read_hardware,
     )
+    from .calibrate.planning import PlanResult
     from .calibration import (
         AccelerometerCalibration,
         Calibration,
@@ -67,6 +73,7 @@ if TYPE_CHECKING:
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
     from .report.noise import write_noise_report
+    from .requirements import Use
     from .sensor_noise import NoiseResult, SensorNoise
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
@@ -96,6 +103,11 @@ _HOMES = {
     "Units": "units",
     "calibrate_camera_imu": "calibrate",
     "calibrate_imu": "calibrate",
+    "PlanResult": "calibrate.planning",
+    "Use": "requirements",
+    "judge": "calibrate",
+    "plan": "calibrate",
+    "read_hardware": "calibrate",
     "check": "assess.doctor",
     "convert": "writers",
     "load": "readers",
@@ -131,6 +143,7 @@ __all__ = [
     "CameraCalibration",
     "CameraFrames",
     "CameraImuOptions",
+    "CameraImuPlan",
     "CameraImuScenario",
     "Covariance",
     "DetectionError",
@@ -143,6 +156,7 @@ __all__ = [
     "ImuCalibration",
     "ImuNoise",
     "ImuOptions",
+    "ImuPlan",
     "ImuSamples",
     "InitialisationError",
     "Loss",
@@ -152,6 +166,7 @@ __all__ = [
     "NoiseResult",
     "OptionError",
     "OutputError",
+    "PlanResult",
     "PlatterRate",
     "PoseScenario",
     "Poses",
@@ -167,6 +182,7 @@ __all__ = [
     "TurntableOptions",
     "TurntableScenario",
     "Units",
+    "Use",
     "__version__",
     "calibrate_camera_imu",
     "calibrate_imu",
@@ -175,12 +191,15 @@ __all__ = [
     "check",
     "convert",
     "identify_noise",
+    "judge",
     "load",
     "load_foreign",
     "load_noise",
+    "plan",
     "rate_from_video",
     "read",
     "read_camera_imu",
+    "read_hardware",
     "read_turntable",
     "save",
     "save_camera_imu_files",

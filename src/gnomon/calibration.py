@@ -12,7 +12,7 @@ import numpy as np
 
 from .errors import FormatError, OptionError
 from .findings import Finding
-from .parameters import covariance_names, element_names, moved_into_frame, parameters
+from .parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from .recording import Floats, Source, frozen_array
 from .sensors import (
     AccelerometerCalibration,
@@ -252,6 +252,24 @@ class Calibration:
         matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
         uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
         return replace(self, imus=moved.imus, cameras=moved.cameras, frame=frame, uncertainty=uncertainty)
+
+    def with_origin(self, accelerometer: str) -> Self:
+        """Return the same calibration with the body's origin at accelerometer "x", "y" or "z", its covariance too.
+
+        Only a calibration with lever arms changes. It is exact but for the gyroscope's g-sensitivity, which acts on the
+        specific force at the body's origin: two places a centimetre apart differ by 1e-5 rad/s there.
+
+        Raises
+        ------
+        OptionError
+            If `accelerometer` is none of these.
+        """
+        if accelerometer not in ("x", "y", "z"):
+            raise OptionError(f'origin "{accelerometer}": there is no such accelerometer. Choose x, y or z.')
+        moved = moved_to_origin(self.imus, self.cameras, "xyz".index(accelerometer))
+        matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
+        uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
+        return replace(self, imus=moved.imus, cameras=moved.cameras, uncertainty=uncertainty)
 
     def _repr_html_(self) -> str:
         rows = "".join(

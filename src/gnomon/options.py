@@ -33,6 +33,10 @@ class ImuOptions:
     """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto); or
     linear and from the rests alone, whatever the rotations show (static: document B, section 5.2)."""
 
+    covariance: Literal["robust", "ordinary"] = "robust"
+    """Sigmas from the scatter between stretches of time, which hold where errors are correlated (robust), or those for
+    independent errors (ordinary). Both are in the report."""
+
     time_base: Literal["auto", "stamps", "uniform"] = "auto"
     """Use the stamps as they are, a straight line through them, or what the recording supports (auto)."""
 
@@ -81,9 +85,11 @@ class ImuOptions:
 class CameraImuOptions:
     """How to calibrate cameras and an IMU that were waved together in front of a board (document B)."""
 
-    model: Literal["basic", "scale-misalignment", "full"] = "full"
-    """Model of the IMU: ideal but for its biases (basic); with scale, misalignment and gyroscope rotation
-    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of document B (full)."""
+    model: Literal["auto", "basic", "scale-misalignment", "full"] = "auto"
+    """Model: that of the IMU is ideal but for its biases (basic); with scale, misalignment and gyroscope rotation
+    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of document B (full); or full and what else
+    the recording proves to be there, as lever arms of the accelerometers, errors of the board and of the lens (auto).
+    """
 
     gravity: float | None = None
     """Local gravity in m/s^2, where you know it."""
@@ -94,8 +100,9 @@ class CameraImuOptions:
     altitude: float = 0.0
     """Height above the ellipsoid in metres, used with --latitude."""
 
-    noise: Literal["estimated", "nominal"] = "estimated"
-    """Weigh the measurements by the noise found in the residuals (default), or by the nominal noise."""
+    noise: Literal["estimated", "coloured", "nominal"] = "estimated"
+    """Weigh the measurements by the white noise found in the residuals (estimated); let the biases wander as strongly
+    as they are found to, too, at least as stated (coloured); or take the nominal noise (nominal)."""
 
     pixel_sigma: float | None = None
     """Nominal standard deviation of a corner in px, per axis; where it is not given, the scatter of the corners about
@@ -117,12 +124,20 @@ class CameraImuOptions:
     """Parameters to estimate with a prior about their start value, NAME=SIGMA, such as cam0.intrinsics=2; or a file
     with what is known of the IMU, a calibration.yaml."""
 
+    origin: Literal["x", "y", "z"] = "x"
+    """Accelerometer at which the body's origin lies, where the lever arms of the accelerometers are estimated
+    (imu0.lever_arms: from it to the two others). Kalibr's is x."""
+
     line_delay: float | None = None
     """Time from one image row to the next in seconds, of every camera (rolling shutter)."""
 
     robust: bool = True
     """Single corners that fit badly count less (Huber), and whole frames that do are left out; with --no-robust all of
     them count alike."""
+
+    covariance: Literal["robust", "ordinary"] = "robust"
+    """Take the uncertainty from the scatter between clusters of time, which holds where errors are correlated (robust),
+    or count all errors as independent (ordinary)."""
 
     accelerometer_range: float | None = None
     """Full scale of the accelerometer, in m/s^2; samples at or beyond it are masked."""

@@ -1,6 +1,7 @@
 """The scalars of a calibration: their names, their order in the covariance, and how a change of body frame moves them.
 
-First come the scalars of every IMU, then those of every camera. A matrix is listed row by row. The rotation of a camera
+First come the scalars of every IMU, the lever arms of its accelerometers last, where it has any; then those of every
+camera. A matrix is listed row by row. The rotation of a camera
 is named by its rotation vector; its covariance is that of a small rotation on the right (`CameraCalibration`).
 """
 
@@ -11,6 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from .geometry.rotation_vector import rotvec_from_rotation
+from .geometry.so3 import skew
 from .models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
 from .recording import Floats
 from .sensors import CameraCalibration, ImuCalibration, rotated, rotated_camera
@@ -33,6 +35,8 @@ def parameters(
         if imu.magnetometer is not None:
             yield f"{name}.magnetometer.sensitivity", imu.magnetometer.sensitivity
             yield f"{name}.magnetometer.bias", imu.magnetometer.bias
+        if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
+            yield f"{name}.accelerometer.lever_arms_m", imu.accelerometer.lever_arms_m
     for name, camera in cameras.items():
         yield f"{name}.T_cam_imu.rotation", rotvec_from_rotation(camera.T_cam_imu[:3, :3])
         yield f"{name}.T_cam_imu.translation", camera.T_cam_imu[:3, 3]
@@ -56,12 +60,12 @@ def covariance_names(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moved:
-    """Sensors in another body frame.
+    """Sensors in another body frame, or with another origin of it.
 
     Attributes
     ----------
     imus, cameras : as in a calibration
-    jacobian : (n, n) derivative of all scalars by those in the old frame
+    jacobian : (n, n) derivative of all scalars by those before
     """
 
     imus: dict[str, ImuCalibration]
@@ -100,6 +104,44 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
         start += len(covariance_names({}, {"": camera}))
     turned = {name: rotated_camera(camera, turn) for name, camera in cameras.items()}
     return Moved(imus=moved, cameras=turned, jacobian=jacobian)
+
+
+def moved_to_origin(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration], axis: int) -> Moved:
+    """Return the sensors with the body's origin at the x (0), y (1) or z (2) accelerometer of each IMU.
+
+    With r the place of that accelerometer a camera sees p_new = p_old + R_cam_imu r, and r is taken off all lever arms.
+    An IMU without lever arms stays as it is, and the cameras move with the first one.
+    """
+    starts: dict[str, int] = {}
+    count = 0
+    for path, value in parameters(imus, cameras):
+        starts[path] = count
+        count += value.size
+    jacobian = np.eye(count)
+    moved: dict[str, ImuCalibration] = {}
+    shift, arms_at = np.zeros(3), None
+    for name, imu in imus.items():
+        arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+        moved[name] = imu
+        if imu.accelerometer is None or arms is None:
+            continue
+        at = starts[f"{name}.accelerometer.lever_arms_m"]
+        place = slice(at + 3 * axis, at + 3 * axis + 3)
+        if len(moved) == 1:
+            shift, arms_at = arms[axis], place
+        for row in range(3):
+            jacobian[at + 3 * row : at + 3 * row + 3, place] -= np.eye(3)
+        moved[name] = replace(imu, accelerometer=replace(imu.accelerometer, lever_arms_m=arms - arms[axis]))
+    placed: dict[str, CameraCalibration] = {}
+    for name, camera in cameras.items():
+        T = camera.T_cam_imu.copy()
+        T[:3, 3] += T[:3, :3] @ shift
+        placed[name] = replace(camera, T_cam_imu=T)
+        rotation, row = starts[f"{name}.T_cam_imu.rotation"], starts[f"{name}.T_cam_imu.translation"]
+        if arms_at is not None:
+            jacobian[row : row + 3, rotation : rotation + 3] = -T[:3, :3] @ skew(shift)
+            jacobian[row : row + 3, arms_at] = T[:3, :3]
+    return Moved(imus=moved, cameras=placed, jacobian=jacobian)
 
 
 def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:

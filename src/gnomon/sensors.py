@@ -25,23 +25,36 @@ from .recording import Floats, ImuSamples, TriadSamples, frozen_array
 class AccelerometerCalibration:
     """measured = sensitivity @ f + bias.
 
+    Where the three accelerometers do not sit at one point, component k of f is that at the place r_k of the k-th one:
+    f_k + (alpha x r_k + omega x (omega x r_k))_k, with f that at the body's origin, omega the angular rate and alpha
+    the angular acceleration (the size effect, as Kalibr's scale-misalignment-size-effect has it, in frame accel-x).
+
     Attributes
     ----------
     sensitivity : (3, 3) [unit per m/s^2], body frame to sensor axes
     bias : (3,) [unit], sensor axes
     unit : unit of the measurements
+    lever_arms_m : (3, 3) where the x, y and z accelerometers sit, one row each, from the body's origin, body frame; or
+        None where they are taken to be at one point, the body's origin
     """
 
     sensitivity: Floats
     bias: Floats
     unit: str
+    lever_arms_m: Floats | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensitivity", frozen_array(self.sensitivity))
         object.__setattr__(self, "bias", frozen_array(self.bias))
+        if self.lever_arms_m is not None:
+            object.__setattr__(self, "lever_arms_m", frozen_array(self.lever_arms_m))
 
     def specific_force(self, values: Floats) -> Floats:
-        """Return the specific force in the body frame, (n, 3) [m/s^2], of measurements (n, 3) [unit]."""
+        """Return the specific force in the body frame, (n, 3) [m/s^2], of measurements (n, 3) [unit].
+
+        Lever arms are not taken off: component k stays that at the k-th accelerometer. Taking it to the body's origin
+        needs the angular acceleration, and a gyroscope's derivative is noisier than what there is to gain.
+        """
         return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
 
 
@@ -150,8 +163,9 @@ class ImuCalibration:
     def apply(self, samples: ImuSamples) -> ImuSamples:
         """Turn measurements into specific force [m/s^2], angular rate [rad/s] and magnetic field in the body frame.
 
-        A triad that was not calibrated keeps its measurements. The g-sensitivity of the gyroscope needs the specific
-        force at the stamps of the gyroscope; where the two triads have stamps of their own it is interpolated linearly.
+        A triad that was not calibrated keeps its measurements. Each component of the specific force stays that at its
+        own accelerometer: lever arms are not applied. The g-sensitivity of the gyroscope needs the specific force at
+        the stamps of the gyroscope; where the two triads have stamps of their own it is interpolated linearly.
 
         Raises
         ------
@@ -235,7 +249,12 @@ def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
     """Return the IMU with its body frame turned: f_new = rotation @ f_old, (3, 3)."""
     accelerometer, gyroscope, magnetometer = imu.accelerometer, imu.gyroscope, imu.magnetometer
     if accelerometer is not None:
-        accelerometer = replace(accelerometer, sensitivity=accelerometer.sensitivity @ rotation.T)
+        arms = accelerometer.lever_arms_m
+        accelerometer = replace(
+            accelerometer,
+            sensitivity=accelerometer.sensitivity @ rotation.T,
+            lever_arms_m=None if arms is None else arms @ rotation.T,
+        )
     if gyroscope is not None:
         gyroscope = replace(
             gyroscope,

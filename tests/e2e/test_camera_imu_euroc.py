@@ -110,6 +110,21 @@ def test_euroc_baseline(euroc, options):
     assert degrees_between(published[:3, :3], baseline[:3, :3]) < 0.1
 
 
+@pytest.mark.parametrize("camera", ["cam0", "cam1"])
+def test_parts_of_euroc_agree_as_the_sigmas_say(euroc_recording, camera):
+    """Halves and thirds, pooled over all blocks; errors are correlated here, and ordinary sigmas far too small."""
+    recording, target = euroc_recording
+    alone = replace(recording, cameras={"cam0": recording.cameras[camera]})
+    result = calibrate_camera_imu(alone, target, CameraImuOptions(model="full"))
+    trust, calibration = result.diagnostics.trust, result.calibration
+    assert trust.splits.splits == ("halves", "thirds")
+    assert trust.splits.z_rms_ordinary > 4
+    assert trust.splits.z_rms < 1.4
+    assert calibration.sigma("cam0.T_cam_imu.translation").max() < 2e-3
+    assert 1 <= trust.clusters.length_s <= 4
+    assert {"model-incomplete"} <= {f.code for f in calibration.assessment.findings}
+
+
 def test_euroc_with_kalibrs_weights(euroc):
     """Two programs, one minimum; Kalibr's numbers as they were noted down, to 0.01 mm and 1e-5."""
     result = euroc(**KALIBRS_WEIGHTS)

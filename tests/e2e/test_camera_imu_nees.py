@@ -23,7 +23,7 @@ from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, si
 
 pytestmark = pytest.mark.slow
 
-OPTIONS = CameraImuOptions(gravity=9.80665)
+OPTIONS = CameraImuOptions(gravity=9.80665, model="full", covariance="ordinary")
 PARAMETERS = 33
 BAND = 3.29  # of 99.9 %
 SHARE = float(os.environ.get("GNOMON_STUDY", "1"))

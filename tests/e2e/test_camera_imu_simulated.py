@@ -158,8 +158,16 @@ def test_the_basic_model_predicts_worse_and_is_biased():
         full, basic = (np.sqrt(np.mean((fit.measured - p)[fit.used] ** 2)) for p in (fit.predicted, fit.basic))
         assert 0.6 * fit.sigma < full < fit.sigma  # the trajectory follows a part of the noise
         assert basic > 1.5 * full, name
-    _, neglected = calibrated(simulation, model="basic")
+    result, neglected = calibrated(simulation, model="basic", covariance="ordinary")
     assert np.abs(neglected.z).max() > 10
+    assert result.diagnostics.trust.clusters is None
+    result, told = calibrated(simulation, model="basic")  # clusters of time show that something is missing
+    assert np.abs(told.z).max() < 6
+    assert "model-incomplete" in [f.code for f in result.calibration.assessment.findings]
+    note = result.calibration.assessment.trust
+    assert note.covariance == "cluster-robust"
+    assert note.clusters == result.diagnostics.trust.clusters.count
+    assert max(note.sigma_ratio.values()) > 2
 
 
 def test_parameters_that_are_fixed_free_or_have_a_prior():

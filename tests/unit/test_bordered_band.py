@@ -78,6 +78,12 @@ def test_solution_is_that_of_the_dense_equations(shape, triangles):
         found = factor.substituted(side, parameters)
         assert found.shape == (shape["controls"], sum(shape["groups"]))
         np.testing.assert_allclose(found.ravel(), expected[:chain, side], rtol=0, atol=1e-14 * scale)
+    columns = np.concatenate([dense[:chain, chain:], right[:chain]], axis=1)
+    chosen = np.arange(columns.shape[1])[::-1]
+    found = factor.chain_solutions(chosen)
+    assert found.shape == (shape["controls"], sum(shape["groups"]), len(chosen))
+    expected_chain = np.linalg.solve(dense[:chain, :chain], columns[:, chosen])
+    np.testing.assert_allclose(found.reshape(chain, -1), expected_chain, rtol=0, atol=1e-14 * scale)
     for a, b in np.ndindex(right.shape[1], right.shape[1]):
         found = factor.quadratic(a, b, np.arange(p), covariance)
         assert found == pytest.approx(right[:, a] @ expected[:, b], rel=1e-10, abs=1e-10)

@@ -20,6 +20,7 @@ from gnomon.estimate.camera_imu.batch import State, estimated_noise, gauss_newto
 from gnomon.estimate.camera_imu.parameters import ImuParameters, blocks, gravity_axes, layout
 from gnomon.estimate.camera_imu.solution import Solution
 from gnomon.estimate.camera_imu.uncertainty import uncertainty
+from gnomon.estimate.camera_imu.walk_noise import PROBES
 
 LENGTHS = [0.0, 1e-9, 1e-4, 3.0, 5.2]
 TOLERANCE = 1e-9
@@ -28,7 +29,10 @@ TOLERANCE = 1e-9
 
 def dense(system):
     """Return the normal equations as one matrix, and their right-hand sides."""
-    n, d, p = system.border.shape
+    border = system.border
+    if system.wide is not None:
+        border = np.concatenate([border, system.wide.coupling(0, len(border)).transpose(1, 2, 0)], axis=2)
+    n, d, p = border.shape
     matrix = np.zeros((n * d + p, n * d + p))
     starts = system.starts()
     for (g, row), j in product(enumerate(system.band), range(system.order)):
@@ -40,8 +44,8 @@ def dense(system):
                 if j or g != h:
                     matrix[to, at] += band[i, :, j].T
     assert not any(band[n - j :, :, j].any() for row in system.band for band in row for j in range(1, system.order))
-    matrix[: n * d, n * d :] = system.border.reshape(n * d, p)
-    matrix[n * d :, : n * d] = system.border.reshape(n * d, p).T
+    matrix[: n * d, n * d :] = border.reshape(n * d, p)
+    matrix[n * d :, : n * d] = border.reshape(n * d, p).T
     matrix[n * d :, n * d :] = system.corner
     return matrix, np.concatenate([system.rhs.reshape(n * d, -1), system.corner_rhs])
 
@@ -103,6 +107,10 @@ def test_every_order_in_every_part_of_the_chart(order, length):
         {"huber": np.inf},
         {"huber": 0.3, "rolling": True},
         {"flat": False},
+        {"board": 9},
+        {"board": 12, "rolling": True, "segments": 2, "order": 4, "huber": 0.5},
+        {"board": 9, "flat": False, "models": (("pinhole", "none"),), "order": 6},
+        {"board": 9, "fixed": ("target.offsets[4]", "target.scale")},
         {"fixed": ("imu0.S_g[1]", "cam1.intrinsics[0]", "target.scale", "cam0.time_shift_cam_imu")},
     ],
     ids=str,
@@ -137,6 +145,14 @@ def test_the_basic_model_and_nothing_else():
     nothing = without(of, *EVERY_BLOCK)
     assert len(nothing.layout) == 0
     assert_same_equations(nothing)
+
+
+def test_lever_arms_that_are_zero_are_looked_at_or_cost_nothing():
+    of = problem(models=(("pinhole", "none"),), imus=2)
+    imus = tuple(replace(imu, lever_arms=np.zeros(6)) for imu in of.state.parameters.imus)
+    of = replace(of, state=replace(of.state, parameters=replace(of.state.parameters, imus=imus)))
+    assert_same_equations(of)
+    assert_same_equations(without(of, "imu0.lever_arms", "imu1.lever_arms"))
 
 
 @pytest.mark.parametrize("lean", [0.0, 0.3, 1.5])
@@ -247,6 +263,29 @@ def test_probes_tell_how_much_of_each_stream_the_unknowns_absorb():
         freedom = (residual @ residual) / (level / assumed) ** 2
         assert abs(freedom - (len(residual) - np.trace(hat))) < 4 * scatter, name
         assert scatter < 0.1 * freedom, name
+
+
+def test_probes_tell_how_strongly_biases_wander():
+    of = problem(imus=2, segments=2, huber=np.inf, models=(("pinhole", "none"),))
+    lin = linearised_problem(of, probing=True)
+    step = gauss_newton_step(lin)
+    found = estimated_noise(lin, step, of.noise)
+    values, jacobians, _ = differentiated(of)
+    inverse = inverse_of(dense(lin.system)[0])
+    J = jacobians["walk"]
+    residual = values["walk"] + J @ np.concatenate([step.trajectory.ravel(), step.parameters])
+    d = of.state.trajectory.controls.shape[1]
+    scalar = np.array([np.flatnonzero(row)[0] % d for row in J])
+    steps = (J != 0).sum(axis=1) == 2  # the others are the first biases
+    for imu, triad in np.ndindex(2, 2):
+        start = 6 + 6 * imu + 3 * triad
+        own = steps & (scalar >= start) & (scalar < start + 3)
+        hat = J[own] @ inverse @ J[own].T
+        scatter = np.sqrt((2 * (hat**2).sum() - 2 * (np.diag(hat) ** 2).sum()) / PROBES)
+        level = found.walks[imu][triad] / of.noise.walks[imu][triad]
+        freedom = (residual[own] @ residual[own] + 1) / level**2 - 1  # the assumed level counts for one
+        assert abs(freedom - (own.sum() - np.trace(hat))) < 4 * scatter
+        assert scatter < 0.2 * freedom
 
 
 def test_covariance_of_parameters_and_mean_biases_and_what_held_ones_would_do():

@@ -33,6 +33,7 @@ def case(*, imus=1, fixed=(), gravity=True):
     found = Uncertainty(
         names=names,
         covariance=root @ root.T,
+        ordinary=root @ root.T,
         bias_mean=rng.normal(size=(imus, 6)),
         held=held if gravity else {},
     )
@@ -66,7 +67,11 @@ def jacobian(of, found, at):
         step = np.zeros_like(found.bias_mean)
         step[i, k] = 1.0
         moved = Uncertainty(
-            names=found.names, covariance=found.covariance, bias_mean=found.bias_mean + step, held=found.held
+            names=found.names,
+            covariance=found.covariance,
+            ordinary=found.ordinary,
+            bias_mean=found.bias_mean + step,
+            held=found.held,
         )
         columns.append(values(published(moved, of.state.parameters, gravity_sigma=0.0), at) - values(at, at))
     return np.column_stack(columns)

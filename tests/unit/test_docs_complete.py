@@ -25,7 +25,10 @@ from gnomon.readers.image_file import IMAGE_SUFFIXES
 from gnomon.readers.image_pixels import ENCODINGS
 from gnomon.readers.npz import __doc__ as npz_keys
 from gnomon.readers.pose_table import pose_column
+from gnomon.readers.use_file import read_use
 from gnomon.recording import FrameQuality
+from gnomon.requirements import QUANTITIES, USES, stated
+from gnomon.trust import WeakDirection
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.conversion import FORMATS
@@ -126,6 +129,7 @@ def test_every_key_of_the_calibration_file_is_documented(which, request):
     calibration = made.calibration
     document = yaml.safe_load(calibration_text(calibration))
     document["provenance"]["inputs"] = [{"name": "", "sha256": ""}]
+    document["assessment"].get("trust", {})["sigma_ratio"] = {}  # by the paths of the other keys
     sensors = {*calibration.imus, *calibration.cameras}
     last = {path.rsplit(".", 1)[-1] for path in keys_of(document)} - {*sensors, *document["provenance"]["options"]}
     sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in parameters(calibration.imus)}
@@ -141,22 +145,32 @@ def documented_keys(table):
     return {word for cell in cells for word in re.findall(r"`([^`]+)`", cell)}
 
 
+def keys_but_trust(diagnostics):
+    return {name for name, _ in diagnostic_arrays(diagnostics) if not name.startswith("trust.")}
+
+
 def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
-    alone, from_magnitudes, with_cameras = re.split("Of poses, a turntable|Of cameras and an IMU", section)
-    assert documented_keys(alone) == {name for name, _ in diagnostic_arrays(result.diagnostics)}
-    names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name, _ in diagnostic_arrays(rig_result.diagnostics)}
+    heads = "Of poses, a turntable|Of cameras and an IMU|Of all of them"
+    alone, from_magnitudes, with_cameras, trusted = re.split(heads, section)
+    assert documented_keys(alone) == keys_but_trust(result.diagnostics)
+    names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name in keys_but_trust(rig_result.diagnostics)}
     assert "corners.cam0.quality.dropped.REASON" in names
     twins = {name for name in names if name.split(".")[-1] == "cam1" or ".cam1." in name or "accelerometer" in name}
     assert {name.replace("cam1", "cam0").replace("accelerometer", "gyroscope") for name in twins} < names
     assert documented_keys(with_cameras) == names - twins
     results = [make() for make in triad_result.RESULTS.values()]
     tables = [replace(made.diagnostics, gravity=made.calibration.gravity) for made in results]
-    names = {name for table in tables for name, _ in diagnostic_arrays(table)}
+    names = {name for table in tables for name in keys_but_trust(table)}
     names = {re.sub(r"^(triads\.)\w+(?!.*history)", r"\1gyroscope", name) for name in names}
     names = {re.sub(r"^noise\..*", "noise.NAME", name) for name in names}
     assert len(names) > 40
     assert documented_keys(from_magnitudes) == names
+    weak = WeakDirection(shares=(("cam0.time_shift_cam_imu", 1.0),), determined=0.1, words="it", cure="so", held=True)
+    told = [replace(made.diagnostics.trust, weak=weaks) for made in (result, rig_result) for weaks in ((), (weak,))]
+    told.append(replace(told[0], clusters=None, ratios=(), models=(), splits=replace(told[0].splits, blocks=())))
+    names = {re.sub(r"\.\d+\.", ".0.", name) for trust in told for name, _ in diagnostic_arrays(trust, "trust")}
+    assert documented_keys(trusted) == names
 
 
 def test_every_key_of_kalibrs_results_is_documented(rig_result, tmp_path):
@@ -223,6 +237,23 @@ def test_every_key_of_the_noise_files_is_documented(tmp_path):
     section = text("files.md").split("## allan.csv")[1].split("\n## ")[0]
     header = allan_text(found).splitlines()[0].split(",")
     assert {name for name in header if f"`{name}`" not in section} == set()
+
+
+def test_every_need_of_every_use_is_documented():
+    section = text("how-to.md").split("### Judge for a use")[1].split("\n### ")[0]
+    head, *rows = [
+        [cell.strip(" `") for cell in line.split("|")[1:-1]] for line in re.findall(r"^\| .*", section, re.M)
+    ]
+    written = {use: {row[0]: row[i] for row in rows if row[i]} for i, use in enumerate(head) if i}
+    assert {row[0] for row in rows} == {*QUANTITIES}
+    known = {name: {q: stated(q, words) for q, words in needs.items()} for name, needs in written.items()}
+    assert known == {name: {q: pytest.approx(size) for q, size in use.needs.items()} for name, use in USES.items()}
+
+
+def test_the_example_of_needs_can_be_read(tmp_path):
+    example = re.search(r"^```yaml\n(name: .*?)^```", text("how-to.md"), re.MULTILINE | re.DOTALL)
+    (tmp_path / "needs.yaml").write_text(example.group(1), encoding="utf-8")
+    assert read_use(tmp_path / "needs.yaml").needs["time_shift"] == pytest.approx(2e-4)
 
 
 def test_every_column_of_averaged_poses_is_documented():

@@ -6,6 +6,7 @@ import pytest
 
 from gnomon.geometry.quaternion import quaternion_from_rotation, rotation_from_quaternion
 from gnomon.geometry.rotation_vector import (
+    angular_acceleration_by_phi,
     nearest_branch,
     right_jacobian,
     rotation_from_rotvec,
@@ -73,6 +74,28 @@ def test_exponential_jacobian_and_turning_in_high_precision(angle):
         found = turning(phi[None], rate[None])
         for value, expected in zip(found, (R, J, omega, by_phi), strict=True):
             np.testing.assert_allclose(value[0], expected, rtol=0, atol=2e-14)
+
+
+@pytest.mark.parametrize("angle", [*ANGLES, 1.4, 1.4142, 1.41422, 1.43])
+def test_angular_acceleration_by_its_rotation_vector_in_high_precision(angle):
+    rate, curvature = ([mp.mpf(w) for w in values] for values in ((0.7, -1.1, 0.4), (-3.0, 2.0, 5.0)))
+    mp.mp.dps = 200
+    step = mp.mpf(10) ** -40
+
+    def alpha(v):
+        """Jr phi'' + (d/dt Jr) phi'."""
+        turned = [mp.matrix([v[k] + sign * step * rate[k] for k in range(3)]) for sign in (1, -1)]
+        ahead, behind = (jacobian(vector) * mp.matrix(rate) for vector in turned)
+        return (ahead - behind) / (2 * step) + jacobian(v) * mp.matrix(curvature)
+
+    for axis in AXES:
+        phi = mp.matrix([mp.mpf(float(angle * a)) for a in axis])
+        found = angular_acceleration_by_phi(*(np.array([[float(x) for x in v]]) for v in (phi, rate, curvature)))[0]
+        for k in range(3):
+            d = mp.matrix(3, 1)
+            d[k] = mp.mpf(10) ** -30
+            expected = as_array((alpha(phi + d) - alpha(phi - d)) / (2 * d[k])).ravel()
+            np.testing.assert_allclose(found[:, k], expected, rtol=0, atol=5e-14 * 5)
 
 
 @pytest.mark.parametrize("angle", SWEPT[1:])

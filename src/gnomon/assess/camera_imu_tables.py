@@ -17,6 +17,7 @@ from ..diagnostics import (
     TrajectoryTrack,
 )
 from ..estimate.camera_imu.assembly import TRIAD
+from ..estimate.camera_imu.board import OFFSETS
 from ..estimate.camera_imu.choices import choices
 from ..estimate.camera_imu.first_guess import Look
 from ..estimate.camera_imu.inertial_terms import InertialData, predicted, specific_force
@@ -115,6 +116,8 @@ def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
     origin = solution.layout.start
     found: list[EstimatedParameter] = []
     for block in blocks(origin):
+        if block.name == OFFSETS and status[f"{OFFSETS}[0]"] == "fixed":
+            continue  # hundreds of zeros
         values = np.atleast_1d(coordinates(block.name, solution.state.parameters, origin))
         starts = np.atleast_1d(coordinates(block.name, origin, origin))
         for scalar, value, start in zip(block.scalars(), values, starts, strict=True):
@@ -319,6 +322,16 @@ def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:
                     nominal=getattr(nominal, f"{name}_noise_density") if evidence.noise_stated else float("nan"),
                     estimated=getattr(found, name) / root,
                     used=getattr(used, name) / root,
+                )
+            )
+        for k, name in enumerate(_TRIADS):
+            levels.append(
+                NoiseLevel(
+                    name=f"imu{i}.{name}.walk",
+                    unit=f"{_UNITS[name]}/sqrt(s)",
+                    nominal=getattr(nominal, f"{name}_random_walk") if evidence.noise_stated else float("nan"),
+                    estimated=solution.noise_found.walks[i][k],
+                    used=solution.noise.walks[i][k],
                 )
             )
     levels += [

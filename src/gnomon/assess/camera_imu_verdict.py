@@ -9,7 +9,9 @@ from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import CameraImuEvidence
 from .clock_drift import check_drift
+from .rig_residuals import residual_findings
 from .verdict import gravity_findings, verdict_of, worst_first
+from .weak_findings import weak_findings
 
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = np.radians(0.1), np.radians(1.0)
 _TRANSLATION_WARN_M, _TRANSLATION_FAIL_M = 5e-3, 5e-2
@@ -25,8 +27,9 @@ _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 1.0, 15.0  # 1 px is some 0.1 deg of ro
 _SIGNIFICANT, _MODEL_SIGNIFICANT = 5.0, 8.0  # sigmas; errors of a real detector feign four in the IMU's model
 _GUESS_RAD = np.radians(10.0)
 _NOISE_FACTOR = 3.0
+_WALK = ".walk"
 _ONE_AXIS = 0.1
-_EXPLAINED = 0.9
+_EXPLAINED, _FITS = 0.9, 2.0
 
 
 def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Assessment:
@@ -41,10 +44,10 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
     fit = _fit(evidence, diagnostics)
     held = _held_by_prior(diagnostics)
     findings = [
-        *(finding for finding in noticed if finding.severity in ("warning", "info")),
+        *(finding for finding in noticed if finding.severity != "good"),
         *_convergence(evidence),
         *_rotation(evidence),
-        *_observability(held),
+        *_observability(held, diagnostics),
         *_precision(evidence, diagnostics),
         *_residuals(evidence, diagnostics),
         *_frames(fit, diagnostics),
@@ -53,6 +56,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *_model(evidence),
         *_stated_guess(evidence),
         *_noise(diagnostics),
+        *residual_findings(diagnostics),
         *_clocks(evidence),
         *_trajectory(diagnostics),
         *gravity_findings(evidence.gravity),
@@ -61,7 +65,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,
-        model=evidence.options.model,
+        model="full" if evidence.options.model == "auto" else evidence.options.model,
         held_by_prior=held,
         camera_imu=fit,
     )
@@ -69,7 +73,6 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
 
 def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> CameraImuFit:
     corners = diagnostics.corners
-    spans = evidence.solution.state.trajectory.grid
     rms: dict[str, float] = {}
     used: dict[str, int] = {}
     for name, fit in corners.items():
@@ -81,7 +84,7 @@ def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Came
         frames_used={name: int(fit.frame_used.sum()) for name, fit in corners.items()},
         corners_used=used,
         reprojection_rms_px=rms,
-        duration_s=float(sum(segment.spans for segment in spans.segments) * spans.spacing_s),
+        duration_s=evidence.solution.state.trajectory.grid.duration_s,
         converged=evidence.solution.converged,
     )
 
@@ -107,6 +110,9 @@ def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
 
 def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
     findings: list[Finding] = []
+    # What the poses' noise hid before the estimation is no disagreement where the gyroscope fits after it.
+    level = evidence.solution.noise_found.imus[0].gyroscope / np.sqrt(evidence.prepared_rates_hz[0])
+    fits = evidence.solution.converged and level < _FITS * evidence.nominal.gyroscope_noise_density
     for look in evidence.looks:
         axes, score = look.alignment.axes, look.alignment.score
         if axes[1] < _ONE_AXIS * axes[0]:
@@ -120,7 +126,7 @@ def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
                     cure="Turn about all three axes: nod, shake and roll.",
                 )
             )
-        if score < _EXPLAINED:
+        if score < _EXPLAINED and not fits:
             findings.append(
                 Finding(
                     severity="warning",
@@ -142,18 +148,22 @@ def _held_by_prior(diagnostics: CameraImuDiagnostics) -> tuple[str, ...]:
     )
 
 
-def _observability(held: tuple[str, ...]) -> list[Finding]:
-    if not held:
-        return []
+def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Say what the recording does not determine: in words of motions, and what is left over by its name."""
+    weak = () if diagnostics.trust is None else diagnostics.trust.weak
+    findings = weak_findings(weak, with_camera=True)
+    if not held or any(one.held for one in weak):
+        return findings
     vital = [name for name in held if ".T_cam_imu" in name or name.endswith("time_shift_cam_imu")]
     return [
+        *findings,
         Finding(
             severity="problem" if vital else "warning",
             code="not-observable",
             message=f"The recording does not determine {_listed(vital or list(held))}.",
             consequence="Their values are those of the start, and their sigmas those of a weak prior.",
             cure="Record again: turn about all three axes, move to and fro along all three, one to two minutes.",
-        )
+        ),
     ]
 
 
@@ -254,11 +264,13 @@ def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
     if severity is None or abs(offset) < _SIGNIFICANT * sigma:
         return []
     scale = evidence.solution.state.parameters.target_scale + offset
+    way = "smaller" if scale < 1 else "larger"
     return [
         Finding(
             severity="problem" if severity == "problem" else "warning",
             code="target-scale",
-            message=f"The accelerometer says that the board is {scale:.3g} times (+- {sigma:.2g}) as large as stated.",
+            message=f"The accelerometer says that the board is {100 * abs(scale - 1):.2g} % {way} than stated "
+            f"(+- {100 * sigma:.1g} %).",
             consequence="Translations and the accelerometer's scale are wrong by about that.",
             cure="Measure the board and correct target.yaml (tagSize, or the spacing of the corners); for AprilGrids "
             "check tagSpacing too. If the board is right, check the unit of the accelerometer and local gravity.",
@@ -327,13 +339,14 @@ def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
             continue
         found = evidence.published.cameras[look.name].T_cam_imu
         angle = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3].T @ found[:3, :3])))
+        inverse = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3] @ found[:3, :3])))
         if angle > _GUESS_RAD:
             findings.append(
                 Finding(
                     severity="warning",
                     code="extrinsics-contradicted",
                     message=f"T_cam_imu as stated for {look.name} is turned by {np.degrees(angle):.0f} deg from the "
-                    "estimate.",
+                    "estimate." + (" It is the inverse, T_imu_cam." if inverse < _GUESS_RAD else ""),
                     consequence="The statement was not used.",
                     cure="Check its convention: p_cam = T_cam_imu p_imu, camera x right, y down, z forward.",
                 )
@@ -342,6 +355,28 @@ def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
 
 
 def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    white = [level for level in diagnostics.noise if not level.name.endswith(_WALK)]
+    return [*_white_noise(white), *_walks(diagnostics)]
+
+
+def _walks(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Say where biases wander more than stated; of a weaker walk a recording says little."""
+    return [
+        Finding(
+            severity="info",
+            code="walk-differs",
+            message=f"The bias of {level.name.removesuffix(_WALK)} wanders {level.estimated / level.used:.2g} times as "
+            f"strongly as was assumed, {level.estimated:.3g} instead of {level.used:.3g} {level.unit}.",
+            consequence="Sigmas for independent errors are too small; those from clusters of time hold.",
+            cure="Warm-up, vibration, or errors of lens and board look like this. Compare with a recording at rest "
+            "(gnomon noise), or let the biases follow (--noise coloured).",
+        )
+        for level in diagnostics.noise
+        if level.name.endswith(_WALK) and level.estimated > _NOISE_FACTOR * level.used
+    ]
+
+
+def _white_noise(levels: list[NoiseLevel]) -> list[Finding]:
     return [
         Finding(
             severity="warning" if level.estimated > _NOISE_FACTOR * level.used else "info",
@@ -351,7 +386,7 @@ def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
             consequence="The found level was used." if level.used == level.estimated else _use(level),
             cure="Vibration raises it; a filter in the sensor lowers it. Put the found level into your filter.",
         )
-        for level in diagnostics.noise
+        for level in levels
         if np.isfinite(level.nominal) and not 1 / _NOISE_FACTOR < level.estimated / level.nominal < _NOISE_FACTOR
     ]
 

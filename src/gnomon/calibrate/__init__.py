@@ -7,8 +7,10 @@ if TYPE_CHECKING:
     from .camera_imu import calibrate_camera_imu
     from .camera_imu_reading import read_camera_imu
     from .imu import calibrate_imu
+    from .judging import judge
     from .magnetometer import calibrate_magnetometer
     from .noise import identify_noise
+    from .planning import plan, read_hardware
     from .platter_rate import rate_from_video
     from .turntable import calibrate_turntable
 
@@ -18,8 +20,11 @@ _HOMES = {
     "calibrate_magnetometer": "magnetometer",
     "calibrate_turntable": "turntable",
     "identify_noise": "noise",
+    "judge": "judging",
+    "plan": "planning",
     "rate_from_video": "platter_rate",
     "read_camera_imu": "camera_imu_reading",
+    "read_hardware": "planning",
 }
 
 __all__ = [
@@ -28,8 +33,11 @@ __all__ = [
     "calibrate_magnetometer",
     "calibrate_turntable",
     "identify_noise",
+    "judge",
+    "plan",
     "rate_from_video",
     "read_camera_imu",
+    "read_hardware",
 ]
 
 

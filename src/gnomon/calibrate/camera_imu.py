@@ -10,19 +10,24 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
+from ..assess.added_findings import added_findings
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
+from ..assess.likely_missing import likely_missing
 from ..assess.prior_findings import prior_used
+from ..assess.trust_findings import incomplete, model_incomplete, parts_disagree, trust_note
+from ..assess.weak_findings import camera_imu_weak
 from ..calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
 from ..diagnostics import Result
 from ..estimate.camera_imu.batch import Measurements, State
-from ..estimate.camera_imu.choices import choices, imu_blocks
+from ..estimate.camera_imu.choices import choices, lens_prior
 from ..estimate.camera_imu.first_guess import Look, first_parameters, first_state, imu_stream, looks, per_corner
 from ..estimate.camera_imu.inertial_terms import triads
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
 from ..estimate.camera_imu.knots import knots_per_s
 from ..estimate.camera_imu.parameters import ImuParameters, Parameters, layout
 from ..estimate.camera_imu.publish import published
+from ..estimate.camera_imu.recording_trust import recording_trust
 from ..estimate.camera_imu.solution import GATE, Solution, solved
 from ..estimate.camera_imu.uncertainty import uncertainty
 from ..estimate.camera_imu.visual_terms import VisualData
@@ -31,7 +36,8 @@ from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
 from .board_order import numbered_alike
-from .camera_imu_preparation import PreparedCameraImu, prepare_camera_imu
+from .camera_imu_model import chosen_model, considered
+from .camera_imu_preparation import PreparedCameraImu, prepare_camera_imu, with_looks
 from .camera_imu_prior import evidence_of_imu, known_imu
 from .preparation import local_gravity, stated_options
 
@@ -88,9 +94,11 @@ def _calibrated(
     recording = replace(recording, cameras=cameras)
     prepared = replace(prepared, findings=(*prepared.findings, *prior_used(known), *ends))
     found = looks(recording.cameras, target, prepared.origin_ns, stream)
+    prepared = with_looks(prepared, found, target, stream, imu=next(iter(recording.imus)))
     tell("estimating")
-    start, solution = _estimated(prepared, found, gravity, options, tell, known=known_imu(known))
-    certain = uncertainty(solution, _held(start))
+    chosen = chosen_model(_estimated(prepared, found, gravity, options, tell, known=known_imu(known)), options, tell)
+    solution, start = chosen.solution, chosen.solution.layout.start
+    certain = uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None)
     basic = _basic(start, solution, options, tell) if options.compare and options.model != "basic" else None
     tell("assessing the result")
     result = published(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
@@ -110,14 +118,21 @@ def _calibrated(
         gravity=gravity,
         published=result,
     )
-    diagnostics = describe(evidence)
+    described = describe(evidence)
+    weak = camera_imu_weak(result, certain, described.parameters, solution.state.trajectory.grid.duration_s)
+    trust = replace(recording_trust(result, certain), weak=weak, models=chosen.steps)
+    diagnostics = replace(described, trust=trust)
+    likely = likely_missing(solution, described.signals) if incomplete(trust) else []
+    took_up = added_findings(chosen.added, start, solution.state.parameters)
+    doubts = (*took_up, *model_incomplete(trust, likely), *parts_disagree(trust.splits))
+    assessment = assess((*prepared.findings, *doubts), evidence, diagnostics)
     calibration = Calibration(
         imus=result.imus,
         cameras=result.cameras,
         frame="accel-x",
         gravity=gravity,
         uncertainty=Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance),
-        assessment=assess(prepared.findings, evidence, diagnostics),
+        assessment=replace(assessment, trust=replace(trust_note(trust), added=chosen.added, tries=chosen.tries)),
         provenance=Provenance(
             gnomon_version=__version__,
             method="camera-imu",
@@ -136,12 +151,12 @@ def _estimated(
     tell: Progress,
     *,
     known: ImuParameters | None,
-) -> tuple[Parameters, Solution]:
-    """Return the start values and the solution; begin anew where a time shift would leave the trajectory's span."""
+) -> Solution:
+    """Return the solution with the options' model; begin anew where a time shift would leave the trajectory's span."""
     stream = imu_stream(prepared.inertial)
     parameters = _with_line_delay(first_parameters(found, gravity.value, options), options)
     if known is not None:
-        parameters = replace(parameters, imus=(known,))
+        parameters = replace(parameters, imus=(replace(known, origin=parameters.imus[0].origin),))
     pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)
     noise = prepared.first_noise(pixel_sigma, _HUBER if options.robust else np.inf)
     knots = options.knots_per_s or knots_per_s(*triads(prepared.inertial))
@@ -157,9 +172,10 @@ def _estimated(
             _measurements(prepared, found, parameters, options),
             state,
             layout(origin, chosen.status, chosen.prior_sigma),
-            layout(origin, chosen.status, chosen.prior_sigma, _held(origin)),
+            layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
             noise,
-            estimate_noise=options.noise == "estimated",
+            estimate_noise=options.noise != "nominal",
+            estimate_walks=options.noise == "coloured",
             gate=options.robust,
             max_iterations=options.max_iterations,
             tell=tell,
@@ -173,7 +189,7 @@ def _estimated(
             break
         parameters = moved
     assert solution is not None
-    return start, solution
+    return solution
 
 
 def _with_gravity(start: Parameters, state: Parameters) -> Parameters:
@@ -209,15 +225,6 @@ def _measurements(
             visual.append(VisualData(camera=i, exposures=exposures, t_s=look.poses.t_s))
         used.append(consistent if options.robust else np.ones(len(exposures), dtype=bool))
     return Measurements(inertial=prepared.inertial, visual=tuple(visual), used=tuple(used))
-
-
-def _held(start: Parameters) -> tuple[str, ...]:
-    """Return the blocks of which it is asked what they would do if they were free.
-
-    These are gravity, the size of the board, the intrinsics, and what the chosen model of the IMU leaves out.
-    """
-    intrinsics = [f"{entry.name}.intrinsics" for entry in start.cameras]
-    return ("gravity.magnitude", "target.scale", *intrinsics, *imu_blocks(start))
 
 
 def _basic(start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress) -> Solution:

@@ -1,15 +1,17 @@
 """Before anything is estimated from cameras and IMU: checked, in SI units, on one time base."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..assess.camera_checks import check_cameras
+from ..assess.rig_checks import check_look
 from ..detect.repair import repaired
 from ..detect.saturation import saturated
 from ..detect.time_base import time_base
 from ..errors import DetectionError, RecordingError
 from ..estimate.camera_imu.batch import Noise
+from ..estimate.camera_imu.first_guess import ImuStream, Look
 from ..estimate.camera_imu.inertial_terms import InertialData, InertialNoise, TriadData
 from ..findings import Finding
 from ..models.noise import CONSUMER_MEMS, ImuNoise
@@ -18,6 +20,7 @@ from ..options import CameraImuOptions
 from ..recording import ImuSamples, Recording, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
+_CONTRADICTIONS = {"axes-differ", "axes-mirrored"}
 _FEW_CODES = {"frames-few", "corners-few", "stream-short"}
 
 
@@ -91,6 +94,37 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
         stated=samples.noise is not None,
         findings=(*findings, *_noise_findings(samples)),
     )
+
+
+def with_looks(
+    prepared: PreparedCameraImu, found: tuple[Look, ...], target: Target, stream: ImuStream, *, imu: str
+) -> PreparedCameraImu:
+    """Return the same with what cameras and IMU say of each other among its findings.
+
+    Raises
+    ------
+    RecordingError
+        If their axes contradict each other, so that nothing could be estimated.
+    """
+    gyroscope = next(data.gyroscope for data in prepared.inertial if data.gyroscope is not None)
+    findings: list[Finding] = []
+    for look in found:
+        if look.alignment.score == 0:
+            continue  # taken as stated, since nothing tells it
+        findings += check_look(
+            look.name,
+            look.poses,
+            look.alignment,
+            look.frames.camera,
+            target,
+            stream=stream,
+            imu=imu,
+            unusable=~gyroscope.used,
+        )
+    for finding in findings:
+        if finding.code in _CONTRADICTIONS:
+            raise RecordingError(str(finding))
+    return replace(prepared, findings=(*prepared.findings, *findings))
 
 
 def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si: str) -> TriadSamples:

@@ -4,14 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from ..errors import OptionError
 from . import commands
 from .camera_imu_actions import camera_imu, simulate_camera_imu
 from .check_actions import check
 from .command_parts import PosesInput
+from .compare_actions import compare
 from .convert_actions import convert
 from .magnetometer_actions import magnetometer, simulate_magnetometer
 from .noise_actions import noise, show_noise, simulate_noise
 from .places import RESULT_FILES, default_folder, result_folder
+from .plan_actions import plan
 from .platter_actions import rate, simulate_platter_video
 from .poses_actions import simulate_poses
 from .prior_files import read_priors
@@ -21,12 +24,14 @@ from .results import (
     exit_code,
     result_document,
     say_assumptions,
+    say_needs,
     say_result,
     write_result,
 )
 from .study_actions import study
 from .terminal import Terminal
 from .turntable_actions import simulate_turntable, turntable
+from .use_option import judged_result, read_use_option
 
 if TYPE_CHECKING:
     from ..recording import Recording
@@ -40,6 +45,7 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
     from . import summary
 
     folder = command.output or default_folder(command.recording.paths)
+    use = read_use_option(command.use)
     with result_folder(folder) as staging:
         terminal.progress("reading the recording")
         known = read_priors(command.options.prior)
@@ -48,6 +54,7 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
         options = replace(command.options, prior=known.stated)
         result = calibrate_imu(recording, options, progress=terminal.progress, prior=known.calibrations)
+        result = judged_result(result, use)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     say_result(result.calibration, summary.facts(result.calibration), folder, terminal)
@@ -67,11 +74,22 @@ def _show(command: commands.Show, terminal: Terminal) -> int:
     from ..readers.noise_file import is_noise
     from ..writers.tables import form_tables, summary_table
 
-    if not is_own(command.calibration):
+    own = is_own(command.calibration)
+    if command.use is not None and (not own or is_noise(command.calibration)):
+        raise OptionError(
+            f"{command.calibration}: only a calibration.yaml of gnomon's can be judged for a use: it has the standard "
+            "deviations. Leave out --for."
+        )
+    if not own:
         return _show_foreign(command, terminal)
     if is_noise(command.calibration):
         return show_noise(command.calibration, terminal)
     calibration = load(command.calibration)
+    if command.use is not None:
+        from ..calibrate.judging import judge
+
+        calibration = judge(calibration, command.use)
+    say_needs(calibration, terminal)
     _say_tables((summary_table(calibration), *form_tables(calibration, command.form)), terminal)
     from . import summary
 
@@ -120,6 +138,8 @@ def _apply(command: commands.Apply, terminal: Terminal) -> int:
         imu=name,
     )
     terminal.say(f"{rows} rows in {command.output}")
+    if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
+        terminal.say("Lever arms were not applied: each component of the specific force is that at its accelerometer.")
     terminal.document({"rows": rows, "file": str(command.output)})
     return USABLE
 
@@ -178,9 +198,12 @@ _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.Magnetometer: magnetometer,
     commands.Noise: noise,
     commands.Check: check,
+    commands.Plan: plan,
+    commands.PlanImu: plan,
     commands.Show: _show,
     commands.Apply: _apply,
     commands.Convert: convert,
+    commands.Compare: compare,
     commands.Simulate: _simulate,
     commands.SimulatePoses: simulate_poses,
     commands.SimulateTurntable: simulate_turntable,

@@ -20,6 +20,7 @@ from .results import (
 )
 from .terminal import Terminal
 from .topics import topics_of
+from .use_option import judged_result, read_use_option
 
 if TYPE_CHECKING:
     from ..diagnostics import Result
@@ -42,7 +43,7 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
     from ..writers.camera_imu_files import save_camera_imu_files
 
     folder = command.output or default_folder((command.recording,))
-    known = read_priors(command.options.prior)
+    known, use = read_priors(command.options.prior), read_use_option(command.use)
     inputs, taken = kalibr_inputs(command)
     refuse_overwriting(folder, command.recording, inputs)
     with result_folder(folder, own=CAMERA_IMU_FILES) as staging:
@@ -64,6 +65,7 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
         compare = command.options.compare or command.report
         options = replace(command.options, compare=compare, prior=known.stated)
         result = calibrate_camera_imu(recording, target, options, progress=terminal.progress, prior=known.calibrations)
+        result = judged_result(result, use)
         terminal.progress("writing the result")
         save_camera_imu_files(result, recording, target, staging)
         write_result(result, staging, report=command.report, terminal=terminal)

@@ -11,17 +11,23 @@ from ..options import CameraImuOptions, ImuOptions
 from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
 from .command_parts import CalibrationPath, FileOption, Flat, Input, PosesInput, Switch, Topics, output_option
+from .compare_command import Compare
 from .magnetometer_command import Magnetometer, SimulateMagnetometer
 from .noise_command import Noise, SimulateNoise
+from .plan_command import Plan, PlanImu
 from .platter_command import Rate, SimulatePlatterVideo
 from .poses_command import SimulatePoses
 from .study_command import Study
 from .topics import topics_of
 from .turntable_command import SimulateTurntable, Turntable
+from .use_option import UseOption
 
 _DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
 
-CalibrationForm = Literal["imu_tk", "kalibr", "openvins", "basalt", "imucal", "c-header", "csv"]
+CalibrationForm = Literal[
+    "imu_tk", "kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis", "px4", "ardupilot", "ros2", "imucal",
+    "c-header", "json", "csv",
+]  # fmt: skip
 RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
 
 
@@ -36,6 +42,9 @@ class Imu:
     recording: Annotated[PosesInput, Flat]
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
+    use: UseOption = None
+    """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
+    use."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False
@@ -75,6 +84,9 @@ class CameraImu:
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz, trajectory.txt and Kalibr's camchain-imucam.yaml,
     imu.yaml and results-imucam.txt (default: the recording's name with -gnomon)."""
+    use: UseOption = None
+    """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
+    use."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False
@@ -125,6 +137,9 @@ class Show:
     results-imucam.txt, OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
     form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
     """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
+    use: UseOption = None
+    """Judge it for vio, ahrs, gimbal, phone, or a YAML file that states what is needed; general takes back what it was
+    judged for."""
     json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
@@ -144,19 +159,26 @@ class Apply:
 
 @dataclass(frozen=True, kw_only=True)
 class Convert:
-    """Write a calibration in the format of another project, and say what that format cannot hold.
+    """Write a calibration, gnomon's or another project's, in another format, and say what that format cannot hold.
 
     Or write a recording of cameras and an IMU, whatever it comes in, as a bag or as a folder in EuRoC's layout.
     """
 
-    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PATH")]
-    """A calibration.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a video."""
+    paths: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
+    ]
+    """A calibration.yaml, or files of another project that make one calibration, such as Kalibr's camchain-imucam.yaml
+    and imu.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a video."""
     to: CalibrationForm | RecordingForm
-    """The format: imu_tk, kalibr, openvins, basalt, imucal, c-header or csv of a calibration; euroc, ros1, ros2
-    (SQLite) or mcap of a recording."""
+    """The format: imu_tk, kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis, px4, ardupilot, ros2 (static
+    transforms, camera_info), imucal, c-header, json or csv of a calibration; euroc, ros1, ros2 (SQLite) or mcap of a
+    recording."""
     output: Annotated[Path | None, output_option("PATH")] = None
     """Folder for the files, file of a bag (default: beside the calibration or the recording, named after it and the
     format)."""
+    imu: Annotated[Path | None, tyro.conf.arg(aliases=["--noise"], metavar="FILE", help_behavior_hint="")] = None
+    """Kalibr's imu.yaml or gnomon's noise.yaml with the noise and rate that a format wants (default: imu.yaml or
+    noise.yaml beside the calibration, where there is one)."""
     topics: Topics = ()
     """Which topics of a bag are read, such as cam0=/camera/image_raw imu0=/imu/data; found where not given."""
     imu_table: Annotated[Path | None, FileOption] = None
@@ -166,7 +188,14 @@ class Convert:
     json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 
+    @property
+    def path(self) -> Path:
+        """The first of the paths, which is the only one but for files of another project."""
+        return self.paths[0]
+
     def __post_init__(self) -> None:
+        if not self.paths:
+            raise OptionError("nothing to convert is given. Name a calibration.yaml or a recording.")
         topics_of(self.topics)
         if self.units is not None:
             Units.parse(self.units)
@@ -243,9 +272,12 @@ Command = (
     | Magnetometer
     | Noise
     | Check
+    | Plan
+    | PlanImu
     | Show
     | Apply
     | Convert
+    | Compare
     | Simulate
     | SimulatePoses
     | SimulateTurntable
@@ -265,9 +297,12 @@ COMMANDS: dict[str, type[Command]] = {
     "magnetometer": Magnetometer,
     "noise": Noise,
     "check": Check,
+    "plan": Plan,
+    "plan-imu": PlanImu,
     "show": Show,
     "apply": Apply,
     "convert": Convert,
+    "compare": Compare,
     "simulate": Simulate,
     "simulate-poses": SimulatePoses,
     "simulate-turntable": SimulateTurntable,

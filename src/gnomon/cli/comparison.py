@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 def compared(estimate: Calibration, truth: Calibration) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, estimate, sigma and truth of every scalar that was estimated."""
     true = truth.in_frame(estimate.frame)
+    known = dict(parameters(true.imus))
     for path, value in parameters(estimate.imus):
         names = element_names(path, value.shape)
-        columns = value.ravel(), estimate.sigma(path).ravel(), true.parameter(path).ravel()
+        truly = known.get(path, np.zeros_like(value))  # without lever arms they are zero
+        columns = value.ravel(), estimate.sigma(path).ravel(), truly.ravel()
         for name, number, sigma, expected in zip(names, *columns, strict=True):
             if sigma > 0:
                 yield name, float(number), float(sigma), float(expected)

@@ -15,6 +15,7 @@ from .results import (
     write_result,
 )
 from .terminal import Terminal
+from .use_option import judged_result, read_use_option
 
 if TYPE_CHECKING:
     pass
@@ -31,6 +32,7 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
 
     source = command.recording
     folder = command.output or default_folder(source.paths)
+    use = read_use_option(command.use)
     with result_folder(folder) as staging:
         terminal.progress("reading the recording")
         known = read_priors(command.options.prior)
@@ -40,6 +42,7 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
         options = replace(command.options, prior=known.stated)
         result = calibrate_magnetometer(recording, options, progress=terminal.progress, prior=known.calibrations)
+        result = judged_result(result, use)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     assert isinstance(result.diagnostics, TriadDiagnostics)

@@ -7,6 +7,7 @@ from typing import Annotated
 from ..simulate import FieldScenario
 from ..triad_options import MagnetometerOptions
 from .command_parts import Flat, Input, Switch, output_option
+from .use_option import UseOption
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +21,9 @@ class Magnetometer:
     recording: Annotated[Input, Flat]
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
+    use: UseOption = None
+    """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
+    use."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False

@@ -47,7 +47,23 @@ def say_verdict(calibration: "Calibration", terminal: Terminal) -> None:
     from . import summary
 
     meaning, style = summary.VERDICTS[calibration.verdict]
-    terminal.say(f"{calibration.verdict}: {meaning}", style)
+    use = calibration.assessment.trust.use
+    terminal.say(f"{calibration.verdict}: {meaning}" + (f" for {use}" if use else ""), style)
+    say_needs(calibration, terminal)
+
+
+def say_needs(calibration: "Calibration", terminal: Terminal) -> None:
+    """Say what the use needs that the calibration was judged for, and what there is; nothing where there is none."""
+    trust = calibration.assessment.trust
+    if not trust.needs:
+        return
+    from ..assess.needs import number_words
+
+    terminal.say(f"\n{f'known, needed for {trust.use}':<40}{'sigma':>12}{'needed':>10}")
+    for need in trust.needs:
+        limit = f"{number_words(need.needed)} {need.unit}"
+        terminal.say(f"  {need.block:<38}{number_words(need.sigma):>12}{limit:>18}  {need.verdict}")
+    terminal.say("")
 
 
 def say_advice(calibration: "Calibration", terminal: Terminal) -> None:

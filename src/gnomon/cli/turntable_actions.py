@@ -18,6 +18,7 @@ from .results import (
 )
 from .terminal import Terminal
 from .turntable_command import SimulateTurntable, Turntable
+from .use_option import judged_result, read_use_option
 
 if TYPE_CHECKING:
     from ..detect.platter_rate import PlatterRate
@@ -37,6 +38,7 @@ def turntable(command: Turntable, terminal: Terminal) -> int:
 
     groups = turntable_files(command.recordings)
     folder = command.output or default_folder(tuple(command.recordings[:1]))
+    use = read_use_option(command.use)
     with result_folder(folder) as staging:
         known = read_priors(command.options.prior)
         rates, rate_of, videos, noticed = _rates(command, groups, terminal)
@@ -55,6 +57,7 @@ def turntable(command: Turntable, terminal: Terminal) -> int:
             rate_of=rate_of,
             videos=videos,
         )
+        result = judged_result(result, use)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     say_result(result.calibration, _facts(result), folder, terminal)

@@ -11,6 +11,7 @@ from ..simulate.turntable_scenario import TurntableScenario
 from ..triad_options import TurntableOptions
 from ..units import Units
 from .command_parts import Flat, Switch, output_option
+from .use_option import UseOption
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +36,9 @@ class Turntable:
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: the first recording's name with
     -gnomon)."""
+    use: UseOption = None
+    """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
+    use."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False

@@ -2,15 +2,15 @@
 
 "Set to 0 what the recording does not determine" (document B, section 5.2) made rigorous. Every smaller model is
 estimated from the same cluster sums; for each cluster of time the model is estimated from the others, and its cost on
-the one left out is compared with that of the model without the block. A gain that lies within the scatter between the
-clusters is none, and the more blocks are tried the larger it must be.
+the one left out is compared with that of the model without the block. A block that is not there makes gains and losses
+alike: were all their signs random, their sum would exceed what is needed by chance alone, and the more blocks are
+tried the more is needed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
 
 from ..recording import Floats, Integers
 from .clusters import ClusterSums, held_out_costs, whole_estimate
@@ -19,6 +19,7 @@ _CHANCE = 0.01
 """Chance that a block which is not there is added by any of the tries."""
 
 _LEAST_GAIN = 2.0  # of the log-likelihood: less is no evidence at all, however well the clusters agree
+_DRAWS = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,7 +42,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Step:
-    """What one candidate brings to the model of those before it.
+    """What one candidate brings.
 
     Attributes
     ----------
@@ -62,40 +63,73 @@ class Step:
 
 
 def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candidate]) -> tuple[Step, ...]:
-    """Return what each candidate brings, in their order; each joins the model of those used before it.
+    """Return what each candidate brings, in their order.
+
+    Those on which the recording decides join the model one by one, the one with the largest gain first, as long as one
+    proves itself; each is shown by what the model has from it or would have from it. The others are shown one after the
+    other, beyond those before them and those that were added.
 
     Parameters
     ----------
     sums : of clusters longer than the residuals' memory, over all columns
     always : columns that every model estimates
-    candidates : in the order in which they are tried
+    candidates : those that are decided on first, in the order of the ladder
     """
-    tries = max(sum(candidate.forced is None for candidate in candidates), 1)
-    factor = float(stdtrit(max(len(sums) - 1, 1), 1 - _CHANCE / tries))
-    kept: list[Candidate] = []
-    without = _Model.of(sums, always, candidates, kept)
-    found: list[Step] = []
+    bench = _Bench(sums, always, candidates)
+    decided = [candidate for candidate in candidates if candidate.forced is not None]
+    open_ones = [candidate for candidate in candidates if candidate.forced is None]
+    stated = [candidate for candidate in decided if candidate.forced]
+    added: list[Candidate] = []
+    while rest := [candidate for candidate in open_ones if candidate not in added]:
+        trials = [bench.step(candidate, [*stated, *added]) for candidate in rest]
+        best = max(trials, key=lambda step: step.gain - step.needed)
+        if best.gain <= best.needed:
+            break
+        added.append(best.candidate)
+    found: dict[str, Step] = {}
     for candidate in candidates:
-        larger = _Model.of(sums, always, candidates, [*kept, candidate])
+        if candidate.forced is None:
+            others = [*stated, *(other for other in added if other is not candidate)]
+            found[candidate.name] = replace(bench.step(candidate, others), used=candidate in added)
+        else:
+            before = decided[: decided.index(candidate)]
+            kept = [*(other for other in before if other.forced), *added]
+            found[candidate.name] = replace(bench.step(candidate, kept), used=candidate.forced)
+    return tuple(found.values())
+
+
+class _Bench:
+    """Models on trial, each estimated once."""
+
+    def __init__(self, sums: ClusterSums, always: Integers, candidates: Sequence[Candidate]) -> None:
+        self._sums, self._always, self._candidates = sums, always, candidates
+        self._models: dict[frozenset[str], _Model] = {}
+        tries = sum(candidate.forced is None for candidate in candidates)
+        self._level = 1 - _CHANCE / max(tries, 1)
+        rng = np.random.default_rng(0)
+        self._signs = rng.integers(0, 2, (_DRAWS, len(sums))) * 2.0 - 1.0
+
+    def step(self, candidate: Candidate, kept: Sequence[Candidate]) -> Step:
+        """Return what a candidate brings to a model."""
+        without, larger = self._model(kept), self._model([*kept, candidate])
         gains = without.costs - larger.costs
-        sigma = float(np.sqrt(len(gains)) * np.std(gains, ddof=1))
-        needed = max(factor * sigma, _LEAST_GAIN)
-        used = bool(gains.sum() > needed) if candidate.forced is None else candidate.forced
-        found.append(
-            Step(
-                candidate=candidate,
-                gain=float(gains.sum()),
-                gain_sigma=sigma,
-                needed=needed,
-                used=used,
-                change=larger.estimate - without.estimate,
-                sigma=larger.sigma,
-            )
+        needed = max(float(np.quantile(self._signs @ gains, self._level)), _LEAST_GAIN)
+        gain = float(gains.sum())
+        return Step(
+            candidate=candidate,
+            gain=gain,
+            gain_sigma=float(np.sqrt(len(gains)) * np.std(gains, ddof=1)),
+            needed=needed,
+            used=gain > needed,
+            change=larger.estimate - without.estimate,
+            sigma=larger.sigma,
         )
-        if used:
-            kept.append(candidate)
-            without = larger
-    return tuple(found)
+
+    def _model(self, kept: Sequence[Candidate]) -> "_Model":
+        names = frozenset(candidate.name for candidate in kept)
+        if names not in self._models:
+            self._models[names] = _Model.of(self._sums, self._always, self._candidates, kept)
+        return self._models[names]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

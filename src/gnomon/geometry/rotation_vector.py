@@ -23,6 +23,7 @@ Floats = NDArray[np.float64]
 _SERIES_BELOW = 0.25
 """theta^2 below which the series are used: there they are exact, and above it the closed forms lose two digits only."""
 
+_BEND_SERIES_BELOW = 2.0
 _TERMS = 9
 
 
@@ -40,6 +41,8 @@ _B = [(-1) ** n / factorial(2 * n + 2) for n in range(_TERMS)]
 _C = [(-1) ** n / factorial(2 * n + 3) for n in range(_TERMS)]
 _B_SLOPE = [(-1) ** n * 2 * n / factorial(2 * n + 2) for n in range(1, _TERMS + 1)]
 _C_SLOPE = [(-1) ** n * 2 * n / factorial(2 * n + 3) for n in range(1, _TERMS + 1)]
+_B_BEND = [(-1) ** n * 4 * n * (n - 1) / factorial(2 * n + 2) for n in range(2, _TERMS + 4)]
+_C_BEND = [(-1) ** n * 4 * n * (n - 1) / factorial(2 * n + 3) for n in range(2, _TERMS + 4)]
 
 
 def _coefficients(squared: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -105,6 +108,48 @@ def turning(phi: Floats, phi_rate: Floats) -> tuple[Floats, Floats, Floats, Floa
     by_phi += np.eye(3) * (c * np.matmul(row, rate_column))
     omega = phi_rate - b[:, :, 0] * once[:, :, 0] + c[:, :, 0] * twice[:, :, 0]
     return rotation, jacobian, omega, by_phi
+
+
+def angular_acceleration_by_phi(phi: Floats, phi_rate: Floats, phi_acceleration: Floats) -> Floats:
+    """Return the derivative of the angular acceleration by the rotation vector, (n, 3, 3) [1/s^2].
+
+    With omega = Jr(phi) phi' and W = d omega / d phi the angular acceleration in the body's frame is
+    alpha = W phi' + Jr phi''. Its derivative by phi' is 2 W - [omega]x Jr, by phi'' it is Jr.
+
+    Parameters
+    ----------
+    phi : (n, 3) [rad]
+    phi_rate, phi_acceleration : (n, 3) its time derivatives [rad/s], [rad/s^2]
+    """
+    return turning(phi, phi_acceleration)[3] + _bent(phi, phi_rate)
+
+
+def _bent(phi: Floats, v: Floats) -> Floats:
+    """Return the derivative by phi of (d(Jr(phi) v) / d phi) v, with v held, (n, 3, 3)."""
+    x = _squared(phi)
+    _, _, c, b_slope, c_slope = (value[:, None, None] for value in _coefficients(x))
+    b_bend, c_bend = (value[:, None, None] for value in _bends(x))
+    row, column = phi[:, None, :], phi[:, :, None]
+    v_row, v_column = v[:, None, :], v[:, :, None]
+    along, length = np.matmul(row, v_column), np.matmul(v_row, v_column)
+    once = np.matmul(skew(phi), v_column)
+    twice = column * along - x[:, None, None] * v_column
+    bent = b_slope * (along * skew(v) - once * v_row) - b_bend * along * (once * row)
+    bent += c_bend * along * (twice * row) + c_slope * (twice * v_row + (column * length - v_column * along) * row)
+    bent += c_slope * along * (along * np.eye(3) + column * v_row - 2 * v_column * row)
+    return bent + c * (length * np.eye(3) - v_column * v_row)
+
+
+def _bends(squared: Floats) -> tuple[Floats, Floats]:
+    """Return (b'/theta)'/theta and (c'/theta)'/theta of theta^2; the series hold further than those of the slopes."""
+    small = squared < _BEND_SERIES_BELOW
+    x = np.where(small, 1.0, squared)
+    theta = np.sqrt(x)
+    sine, versine = np.sin(theta), 2 * np.sin(theta / 2) ** 2
+    b_closed = (x * (1 - versine) - 5 * theta * sine + 8 * versine) / x**3
+    c_closed = (x * sine - 7 * theta * versine + 15 * (theta - sine)) / (x**3 * theta)
+    near = np.where(small, squared, 0.0)
+    return np.where(small, _series(_B_BEND, near), b_closed), np.where(small, _series(_C_BEND, near), c_closed)
 
 
 def rotvec_from_rotation(rotation: Floats) -> Floats:

@@ -1,9 +1,10 @@
-"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.2"; `writers.calibration_file` writes it.
+"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.3"; `writers.calibration_file` writes it.
 
 A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
 newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
 assessment.camera_imu, which stands there in place of the counts of a multi-position recording. "gnomon/1.2" added
 magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
+"gnomon/1.3" added lever arms of accelerometers, and assessment.trust.
 """
 
 import re
@@ -30,12 +31,14 @@ from ..errors import OptionError
 from ..findings import Finding
 from ..models.forms import in_frame
 from ..recording import Floats, Source
+from ..trust import Need, TrustNote
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry
-from .structured import Node, read_yaml
+from .own_root import read_own
+from .structured import Node
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 2
+SCHEMA_MINOR = 3
 
 TOP_KEYS = (
     "schema",
@@ -61,14 +64,14 @@ _FRAMES = {
 
 
 def load(path: str | PathLike[str]) -> Calibration:
-    """Read a calibration from gnomon's own YAML file.
+    """Read a calibration from gnomon's own file, calibration.yaml or the same as calibration.json.
 
     Raises
     ------
     FormatError
         If the file cannot be read, or is not as the schema says; the message names the key.
     """
-    root = read_yaml(path)
+    root = read_own(path)
     minor = _checked_minor(root)
     top = root.mapping(TOP_KEYS)
     imus = {node.key: _imu(node, minor) for node in top["imus"].entries()}
@@ -122,18 +125,19 @@ def _imu(node: Node, minor: int) -> ImuCalibration:
     if not triads:
         raise node.fail("found no sensor, expected an accelerometer, a gyroscope or a magnetometer.")
     return ImuCalibration(
-        accelerometer=_accelerometer(triads["accelerometer"]) if "accelerometer" in triads else None,
+        accelerometer=_accelerometer(triads["accelerometer"], minor) if "accelerometer" in triads else None,
         gyroscope=_gyroscope(triads["gyroscope"]) if "gyroscope" in triads else None,
         magnetometer=_magnetometer(triads["magnetometer"]) if "magnetometer" in triads else None,
     )
 
 
-def _accelerometer(node: Node) -> AccelerometerCalibration:
-    keys = _triad_keys(node, "sensitivity", "bias")
+def _accelerometer(node: Node, minor: int) -> AccelerometerCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias", may=("lever_arms_m",) if minor >= 3 else ())
     return AccelerometerCalibration(
         unit=keys["unit"].text(tuple(ACCELEROMETER_UNITS_M_S2)),
         sensitivity=_invertible(keys["sensitivity"]),
         bias=keys["bias"].floats(3),
+        lever_arms_m=keys["lever_arms_m"].floats(3, 3) if "lever_arms_m" in keys else None,
     )
 
 
@@ -157,8 +161,8 @@ def _magnetometer(node: Node) -> MagnetometerCalibration:
     )
 
 
-def _triad_keys(node: Node, *values: str, also: tuple[str, ...] = ()) -> dict[str, Node]:
-    return node.mapping(["unit", *also, *values], [f"{name}_sigma" for name in values])
+def _triad_keys(node: Node, *values: str, also: tuple[str, ...] = (), may: tuple[str, ...] = ()) -> dict[str, Node]:
+    return node.mapping(["unit", *also, *values], [*may, *(f"{name}_sigma" for name in (*values, *may))])
 
 
 def _invertible(node: Node) -> Floats:
@@ -233,13 +237,14 @@ def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
     counts = ("intervals_found", "intervals_used", "rotations_found", "rotations_used")
     with_cameras = minor > 0 and isinstance(node.value, dict) and "camera_imu" in node.value
     basis = ("camera_imu",) if with_cameras else ("holdout", *counts)
-    keys = node.mapping(("verdict", "model", *basis, "held_by_prior", "findings"))
+    keys = node.mapping(("verdict", "model", *basis, "held_by_prior", "findings"), ("trust",) if minor >= 3 else ())
     verdict = keys["verdict"].text(_VERDICTS)
     common = Assessment(
         verdict=verdict,  # pyright: ignore[reportArgumentType]
         findings=tuple(finding_entry(item) for item in keys["findings"].items()),
         model=keys["model"].text(),
         held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
+        trust=_trust(keys["trust"]) if "trust" in keys else TrustNote(),
     )
     if with_cameras:
         return replace(common, camera_imu=camera_imu_entry(keys["camera_imu"], cameras))
@@ -247,6 +252,35 @@ def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
     holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"), newer)
     rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
     return replace(common, holdout=Holdout(**rms), **{name: keys[name].integer() for name in counts})
+
+
+def _trust(node: Node) -> TrustNote:
+    keys = node.mapping(
+        ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs")
+    )
+    return TrustNote(
+        covariance=keys["covariance"].text(("cluster-robust", "ordinary")),  # pyright: ignore[reportArgumentType]
+        clusters=keys["clusters"].integer(),
+        cluster_s=keys["cluster_s"].number(),
+        sigma_ratio={item.key: item.number(finite=False) for item in keys["sigma_ratio"].entries()},
+        split_z=float("nan") if keys["split_z"].value is None else keys["split_z"].number(),
+        added=tuple(item.text() for item in keys["added"].items()),
+        tries=keys["tries"].integer(),
+        use=keys["use"].text(),
+        needs=tuple(_need(item) for item in keys["needs"].items()),
+    )
+
+
+def _need(node: Node) -> Need:
+    keys = node.mapping(("block", "sigma", "needed", "unit", "verdict"), ("cure",))
+    return Need(
+        block=keys["block"].text(),
+        sigma=keys["sigma"].number(finite=False),
+        needed=keys["needed"].number(finite=False),
+        unit=keys["unit"].text(),
+        verdict=keys["verdict"].text(_VERDICTS),  # pyright: ignore[reportArgumentType]
+        cure=keys["cure"].text() if "cure" in keys else "",
+    )
 
 
 def finding_entry(node: Node) -> Finding:

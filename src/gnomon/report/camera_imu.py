@@ -64,8 +64,9 @@ def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
         note = "t_imu = t_cam + time shift" + "".join(f"; {name} {shifts[name]}" for name in others)
         numbers.append(KeyNumber(label=f"Time shift of {first}", value=shifts[first], note=note))
         numbers.append(_placed(calibration))
-    model = calibration.assessment.model
-    numbers.append(KeyNumber(label="Model", value=model, note=_MODELS.get(model, "")))
+    model, added = calibration.assessment.model, calibration.assessment.trust.added
+    note = _MODELS.get(model, "") + (f"; by evidence {', '.join(added)}" if added else "")
+    numbers.append(KeyNumber(label="Model", value=model, note=note))
     pieces = f" in {diagnostics.segments} pieces" if diagnostics.segments > 1 else ""
     duration = number(fit.duration_s, 4) if fit is not None else MISSING
     numbers.append(
@@ -125,12 +126,12 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
     points = [
         f"Gravity is {gravity_text(gravity)} ({gravity.source}). Where accelerometer scales are estimated, a relative "
         "error of gravity is the same relative error of them.",
-        f"The body frame is {calibration.frame}: {frame}. Its origin is where "
-        "accelerometer and gyroscope sit, taken as one point.",
+        f"The body frame is {calibration.frame}: {frame}. {_origin(calibration)}",
     ]
     if status.get("target.scale", "fixed") == "fixed":
+        shape = "" if "board" in assessment.trust.added else "flat and "
         points.append(
-            "The board is flat and as large as its file says. An error of its size is the same relative error of every "
+            f"The board is {shape}as large as its file says. An error of its size is the same relative error of every "
             "length, the translations included."
         )
     for name, camera in calibration.cameras.items():
@@ -141,6 +142,13 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
             f"Not determined by this recording, and held by assumption: {', '.join(assessment.held_by_prior)}."
         )
     return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+
+
+def _origin(calibration: Calibration) -> str:
+    sensors = [imu.accelerometer for imu in calibration.imus.values() if imu.accelerometer is not None]
+    if any(sensor.lever_arms_m is not None for sensor in sensors):
+        return "Its origin is the x accelerometer; where the others lie was estimated."
+    return "Its origin is where accelerometer and gyroscope sit, taken as one point."
 
 
 def _camera_points(calibration: Calibration, name: str, line_delay_s: float) -> list[str]:

@@ -126,6 +126,7 @@ _INTRINSICS = {
 _COEFFICIENTS = {
     "none": (),
     "radtan": ("k1", "k2", "p1", "p2"),
+    "radtan5": ("k1", "k2", "p1", "p2", "k3"),
     "equidistant": ("k1", "k2", "k3", "k4"),
     "fov": ("w",),
 }
@@ -200,6 +201,7 @@ def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]
         _lower_triad, imu.required_accelerometer.sensitivity.ravel(), calibration.covariance(f"{path}.sensitivity")
     )
     groups = [*_triad("Accelerometer", "a", triad, spreads), _bias(calibration, path, "Accelerometer", "a")]
+    groups += _lever_arms(calibration, path)
     if imu.gyroscope is None:
         return groups
     path = f"{name}.gyroscope"
@@ -210,6 +212,19 @@ def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]
     groups.append(_marked(turned, own[6:], spreads[6:]))
     groups.append(_g_sensitivity(calibration, path, imu.gyroscope.g_sensitivity, imu.gyroscope.unit))
     return groups
+
+
+def _lever_arms(calibration: Calibration, path: str) -> list[ParameterGroup]:
+    """Return where the accelerometers that are not the body's origin lie; nothing where that was not estimated."""
+    places = calibration.imus[path.split(".", maxsplit=1)[0]].required_accelerometer.lever_arms_m
+    if places is None:
+        return []
+    spreads = calibration.sigma(f"{path}.lever_arms_m")
+    return [
+        _triple(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
+        for axis, place, spread in zip(AXES, places, spreads, strict=True)
+        if spread.any()
+    ]
 
 
 def gyroscope_quaternion(sensitivity: Floats) -> str:

@@ -46,22 +46,21 @@ def trust_section(assessment: Assessment, trust: Trust | None) -> Section | None
 
 def _needs(use: str, needs: tuple[Need, ...]) -> Table:
     rows = tuple(
-        (
-            need.block,
-            f"{number(need.sigma, 2)}\u00a0{need.unit}".strip(),
-            f"{number(need.needed, 2)}\u00a0{need.unit}".strip(),
-            _VERDICTS[need.verdict],
-            need.cure,
-        )
+        (need.block, *(_amount(x, need.unit) for x in (need.sigma, need.needed)), _VERDICTS[need.verdict])
         for need in needs
     )
     return Table(
         title=f"What {use} needs" if use else "What is needed",
-        head=("", "σ of this calibration", "needed", "", "what to do"),
+        head=("", "σ of this calibration", "needed", "verdict"),
         rows=rows,
         faint=frozenset(i for i, need in enumerate(needs) if need.verdict == "pass"),
-        prose=True,
+        caption="What to do about those that are not enough stands at the top.",
     )
+
+
+def _amount(value: float, unit: str) -> str:
+    """Return a standard deviation with its unit, which does not break from it."""
+    return f"{number(value, 2)}\u00a0{unit}".replace("m/s^2", "m/s²").replace("\u00a0deg", "°")
 
 
 def _origin(trust: Trust) -> Prose:

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from .camera_imu_scenario import CameraImuScenario
 from .field_scenario import FieldScenario
+from .plans import CameraImuPlan, ImuPlan
 from .pose_scenario import PoseScenario
 from .scenario import Scenario
 from .turntable_scenario import TurntableScenario
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
     from .turntable import TurntableSimulation
 
 __all__ = [
+    "CameraImuPlan",
     "CameraImuScenario",
     "FieldScenario",
+    "ImuPlan",
     "PoseScenario",
     "Scenario",
     "TurntableScenario",

@@ -18,6 +18,7 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
+from ..geometry.rigid_body import acceleration_by_place, along_axes
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, ImuSamples, Integers, Recording, TriadSamples
@@ -27,6 +28,7 @@ from .camera_imu_path import CameraPath, RigidMotion
 from .camera_imu_rig import (
     ImuTruth,
     board,
+    corner_offsets,
     drawn_cameras,
     drawn_imu_truth,
     earth_rate_target,
@@ -50,7 +52,8 @@ class TrueTrajectory:
     R_target_imu : (n, 3, 3)
     velocity, acceleration : (n, 3) of the origin, in the target's frame [m/s], [m/s^2]
     omega_imu : (n, 3) angular rate that a gyroscope feels, the Earth's included, body frame [rad/s]
-    f_imu : (n, 3) specific force, body frame [m/s^2]
+    alpha_imu : (n, 3) its derivative by time [rad/s^2]
+    f_imu : (n, 3) specific force at the origin, body frame [m/s^2]
     path : of cam0, in closed form
     T_cam0_imu : (4, 4)
     start_ns : stamp of t = 0 [ns]
@@ -62,6 +65,7 @@ class TrueTrajectory:
     velocity: Floats
     acceleration: Floats
     omega_imu: Floats
+    alpha_imu: Floats
     f_imu: Floats
     path: CameraPath
     T_cam0_imu: Floats
@@ -100,8 +104,8 @@ class CameraImuSimulation:
     target : the board, as its owner describes it
     truth : what is to be estimated, in body frame "accel-x", with zero covariance; biases are means over the recording
     truth_parameters : by the names of the batch estimation, such as "imu0.M_g" (3,) or "cam0.time_shift_cam_imu" ();
-        "imu0.q_bg" is the rotation vector of C_bg, "imu0.B_g" is (3, 3), "cam0.T_cam_imu.rotation" is the rotation
-        vector of R_cam_imu
+        "imu0.q_bg" is the rotation vector of C_bg, "imu0.B_g" is (3, 3), "imu0.lever_arms" (6,),
+        "cam0.T_cam_imu.rotation" is the rotation vector of R_cam_imu, "target.offsets" are those of the corners (k, 3)
     gravity_target : (3,) gravity in the target's frame [m/s^2]
     trajectory : motion of the IMU
     b_a, b_g : (n, 3) true biases at the recorded samples [m/s^2], [rad/s]
@@ -135,6 +139,7 @@ _STREAMS = (
     "imu_jitter",
     "cam0",
     "cam1",
+    "board",
 )
 
 
@@ -142,8 +147,9 @@ def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSim
     """Make a recording and its truth; see `gnomon.simulate_camera_imu`."""
     streams = _streams(scenario, seed)
     target, gravity = board(scenario), gravity_target(scenario)
-    points = scenario.target_scale * target.points
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    offsets = corner_offsets(scenario, target, streams["board"])
+    points = scenario.target_scale * (target.points + offsets)
+    middle = scenario.target_scale * (target.points.min(axis=0) + target.points.max(axis=0)) / 2
     path = drawn_path(scenario, middle, nominal_extrinsics(), streams["path"])
     exposure_s = _exposures(scenario, streams["path"])
     imu = drawn_imu_truth(scenario, streams["imu"])
@@ -170,7 +176,7 @@ def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSim
         recording=Recording(imus={"imu0": samples}, cameras=recorded),
         target=target,
         truth=_truth(scenario, seed, imus, cameras, frames),
-        truth_parameters=_truth_parameters(scenario, imu, cameras),
+        truth_parameters=MappingProxyType({**_truth_parameters(scenario, imu, cameras), "target.offsets": offsets}),
         gravity_target=gravity,
         trajectory=trajectory,
         b_a=b_a,
@@ -191,7 +197,7 @@ def _streams(scenario: CameraImuScenario, seed: int) -> dict[str, np.random.Gene
         streams["path"] = spawned(scenario.trajectory_seed)["path"]
     if scenario.sensor_seed is not None:
         own = spawned(scenario.sensor_seed)
-        streams |= {name: own[name] for name in ("imu", "rig")}
+        streams |= {name: own[name] for name in ("imu", "rig", "board")}
     return streams
 
 
@@ -220,9 +226,12 @@ def _simulated_imu(
     assert sensor.gyroscope is not None
     accelerometer = sensor.required_accelerometer
     f, omega = trajectory.f_imu, trajectory.omega_imu
+    felt = f
+    if imu.places_m.any():
+        felt = f + along_axes(acceleration_by_place(omega, trajectory.alpha_imu), imu.places_m)
     b_a = imu.b_a + _walk(imu.noise["accelerometer_random_walk"], t_s, streams["accelerometer_walk"])
     b_g = imu.b_g + _walk(imu.noise["gyroscope_random_walk"], t_s, streams["gyroscope_walk"])
-    force = f @ accelerometer.sensitivity.T + b_a
+    force = felt @ accelerometer.sensitivity.T + b_a
     rate = omega @ sensor.gyroscope.sensitivity.T + f @ sensor.gyroscope.g_sensitivity.T + b_g
     for name, values, limit in (
         ("accelerometer", force, scenario.accelerometer_range),
@@ -251,13 +260,15 @@ def _trajectory(scenario: CameraImuScenario, path: CameraPath, T_cam0_imu: Float
     R, earth = motion.R_target_body, earth_rate_target(scenario)
     # The board turns with the Earth: Coriolis' acceleration; the centrifugal one is part of gravity.
     acceleration = motion.acceleration + 2 * np.cross(earth, motion.velocity) - gravity_target(scenario)
+    earth_body = earth @ R
     return TrueTrajectory(
         t_s=t_s,
         p_target_imu=motion.p_target_body,
         R_target_imu=R,
         velocity=motion.velocity,
         acceleration=motion.acceleration,
-        omega_imu=motion.omega + earth @ R,
+        omega_imu=motion.omega + earth_body,
+        alpha_imu=motion.alpha - np.cross(motion.omega, earth_body),
         f_imu=np.einsum("nji,nj->ni", R, acceleration),
         path=path,
         T_cam0_imu=T_cam0_imu,
@@ -294,6 +305,7 @@ def _truth_parameters(
 ) -> Mapping[str, Floats]:
     found = {"gravity.magnitude": np.array(scenario.gravity), "target.scale": np.array(scenario.target_scale)}
     found |= {f"imu0.{name}": getattr(imu, name) for name in ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g")}
+    found["imu0.lever_arms"] = imu.places_m[1:].ravel()
     for name, camera in cameras.items():
         found |= {
             f"{name}.T_cam_imu.rotation": rotvec_from_rotation(camera.T_cam_imu[:3, :3]),

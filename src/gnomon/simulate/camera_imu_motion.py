@@ -80,6 +80,11 @@ _STYLES: dict[MotionName, _Style] = {
         mean_rate_rad_s=1.5,
         mean_acceleration_m_s2=10.0,
     ),
+    "slow": _Style(
+        scaled=(_ROLL, _Band(coordinates=(4, 5), size=0.07, low_hz=0.05, high_hz=0.3)),
+        added=(_Band(coordinates=(0, 1), size=0.08, low_hz=0.02, high_hz=0.05, sinusoids=3),),
+        mean_rate_rad_s=0.05,
+    ),
     "static": _Style(),
     "one-axis": _Style(
         scaled=(_ROLL, _Band(coordinates=SHAKES, size=0.06, low_hz=0.4, high_hz=2.5, fall=1.5)),

@@ -58,6 +58,7 @@ class ImuTruth:
     M_a, M_g : (3,) elements yz, zy, zx below the diagonal
     q_bg : (3,) rotation vector of C_bg [rad]
     B_g : (3, 3) [rad/s per m/s^2]
+    places_m : (3, 3) where the x, y and z accelerometers sit, one row each, body frame
     b_a, b_g : (3,) initial biases [m/s^2], [rad/s]
     noise : densities and walks; each may be zero
     nominal : the same for who weighs measurements: where the true noise is zero, that of the preset
@@ -69,6 +70,7 @@ class ImuTruth:
     M_g: Floats
     q_bg: Floats
     B_g: Floats
+    places_m: Floats
     b_a: Floats
     b_g: Floats
     noise: Mapping[str, float]
@@ -83,7 +85,10 @@ class ImuTruth:
         """Return the same in gnomon's form, with biases (3,) [m/s^2], [rad/s]."""
         return ImuCalibration(
             accelerometer=AccelerometerCalibration(
-                sensitivity=DIAGONAL.matrix(self.S_a) @ LOWER.matrix(self.M_a), bias=b_a, unit="m/s^2"
+                sensitivity=DIAGONAL.matrix(self.S_a) @ LOWER.matrix(self.M_a),
+                bias=b_a,
+                unit="m/s^2",
+                lever_arms_m=self.places_m if self.places_m.any() else None,
             ),
             gyroscope=GyroscopeCalibration(
                 sensitivity=DIAGONAL.matrix(self.S_g) @ LOWER.matrix(self.M_g) @ self.C_bg.T,
@@ -120,6 +125,7 @@ def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator) -> Im
         M_g=value("M_g", scenario.misalignment_range),
         q_bg=value("q_bg", scenario.gyroscope_rotation_range),
         B_g=FULL.matrix(value("B_g", scenario.g_sensitivity_range)),
+        places_m=np.concatenate([np.zeros(3), scenario.accelerometer_arms_m or np.zeros(6)]).reshape(3, 3),
         b_a=value("b_a", scenario.accelerometer_bias_range),
         b_g=value("b_g", scenario.gyroscope_bias_range),
         noise=noise,
@@ -191,7 +197,19 @@ def stated_lens(scenario: CameraImuScenario, topic: str) -> Camera:
     intrinsics[-4:-2] *= 1 + scenario.focal_error
     intrinsics[-2:] += scenario.principal_point_error_px
     line_delay_s = scenario.line_delay_s if scenario.known_line_delay else 0.0
-    return replace(lens(scenario), intrinsics=intrinsics, line_delay_s=line_delay_s, topic=topic)
+    coeffs, distortion = np.array(scenario.distortion_coeffs), scenario.distortion
+    if scenario.distortion_error:
+        coeffs = coeffs + scenario.distortion_error
+    if distortion == "radtan5" and not scenario.known_k3:
+        coeffs, distortion = coeffs[:4], "radtan"
+    return replace(
+        lens(scenario),
+        intrinsics=intrinsics,
+        distortion=distortion,
+        distortion_coeffs=coeffs,
+        line_delay_s=line_delay_s,
+        topic=topic,
+    )
 
 
 def board(scenario: CameraImuScenario) -> Target:
@@ -202,6 +220,19 @@ def board(scenario: CameraImuScenario) -> Target:
     if scenario.target_type == "checkerboard":
         return Target.checkerboard(cols=cols, rows=rows, row_spacing_m=size, col_spacing_m=size)
     return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=scenario.target_asymmetric)
+
+
+def corner_offsets(scenario: CameraImuScenario, target: Target, rng: np.random.Generator) -> Floats:
+    """Return how far the corners of the true board are off their places, (k, 3) [m], the board as a whole apart."""
+    points = target.points
+    offsets = scenario.corner_offset_m * rng.standard_normal(points.shape)
+    centred = points - points.mean(axis=0)
+    far = np.sum(centred**2, axis=1) / np.max(np.sum(centred**2, axis=1))
+    offsets[:, 2] += scenario.board_bow_m * (1 - far)
+    whole = [np.tile(axis, (len(points), 1)) for axis in np.eye(3)]
+    whole += [np.cross(axis, centred) for axis in np.eye(3)] + [centred]
+    basis = np.linalg.qr(np.array([move.ravel() for move in whole]).T)[0]
+    return (offsets.ravel() - basis @ (basis.T @ offsets.ravel())).reshape(-1, 3)
 
 
 def gravity_target(scenario: CameraImuScenario) -> Floats:

@@ -6,12 +6,12 @@ from typing import Literal
 
 from ..errors import OptionError
 
-MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling"]
+MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "slow"]
 ImuPreset = Literal["thesis", "consumer", "ideal"]
 TargetName = Literal["aprilgrid", "checkerboard", "circlegrid"]
 
 INTRINSICS = {"pinhole": 4, "omni": 5, "eucm": 6, "ds": 6}
-DISTORTION_COEFFS = {"none": 0, "radtan": 4, "equidistant": 4, "fov": 1}
+DISTORTION_COEFFS = {"none": 0, "radtan": 4, "radtan5": 5, "equidistant": 4, "fov": 1}
 """How many numbers each lens model has."""
 
 
@@ -25,7 +25,8 @@ class CameraImuScenario:
     motion: MotionName = "normal"
     """gentle: document B's mean rate 0.366 rad/s and acceleration 3.12 m/s^2. normal: by hand, up to 2.5 Hz. tremor:
     normal with a tremor up to 12 Hz. shaky: up to 20 Hz and 10 m/s^2. rolling: normal while turning over and over about
-    the optical axis. translation: without any turn. one-axis: turns about the optical axis alone. static: at rest."""
+    the optical axis. translation: without any turn. one-axis: turns about the optical axis alone. slow: 0.05 rad/s and
+    hardly any acceleration, as who fears blur does. static: at rest."""
 
     imu_rate_hz: float = 200.0
     """Sample rate of the IMU."""
@@ -54,6 +55,13 @@ class CameraImuScenario:
     target_scale: float = 1.0
     """How much larger the true board is than the board that goes with the recording."""
 
+    corner_offset_m: float = 0.0
+    """Standard deviation of the places of the board's corners, each axis, in metres: a bad print, or a detector's bias.
+    The board as a whole is neither shifted, nor turned, nor larger for it."""
+
+    board_bow_m: float = 0.0
+    """How far the middle of the board bulges towards the viewer against its corners, in metres."""
+
     board_lean_deg: float = 3.0
     """How far the board's upper edge leans away from the viewer, in degrees; 90 lies on the floor."""
 
@@ -69,8 +77,8 @@ class CameraImuScenario:
     intrinsics: tuple[float, ...] = (460.0, 458.5, 322.4, 237.1)
     """True intrinsics in Kalibr's order; of a pinhole fu fv pu pv."""
 
-    distortion: Literal["none", "radtan", "equidistant", "fov"] = "radtan"
-    """Distortion of the lens, as Kalibr names it."""
+    distortion: Literal["none", "radtan", "radtan5", "equidistant", "fov"] = "radtan"
+    """Distortion of the lens, as Kalibr names it; radtan5 is radtan with k3, k1 k2 p1 p2 k3."""
 
     distortion_coeffs: tuple[float, ...] = (-0.28, 0.075, 0.0002, -0.00015)
     """True coefficients of the distortion."""
@@ -83,6 +91,12 @@ class CameraImuScenario:
 
     principal_point_error_px: float = 0.0
     """By how many px the principal point that goes with the recording is off, in u and v."""
+
+    distortion_error: tuple[float, ...] = ()
+    """By how much the coefficients of the distortion that go with the recording are off, one number each or none."""
+
+    known_k3: bool = True
+    """Whether the camera that goes with the recording states the k3 of radtan5, or is radtan."""
 
     pixel_noise_px: float = 0.3
     """Standard deviation of a detected corner, per axis."""
@@ -120,6 +134,10 @@ class CameraImuScenario:
 
     lever_arm_m: float = 0.3
     """Longest distance between the IMU and the camera that is drawn, in metres."""
+
+    accelerometer_arms_m: tuple[float, ...] = ()
+    """Where the y and z accelerometers sit from the x accelerometer, which is the body's origin: x y z of the one, then
+    of the other, body frame, in metres. Without them all three sit at one point."""
 
     time_shift_s: float = 0.007
     """t_imu - t_cam of cam0 in seconds."""
@@ -230,8 +248,17 @@ class CameraImuScenario:
             for start, length in getattr(self, name):
                 if not (start >= 0 and length > 0):
                     raise OptionError(f"{name} {start:g} {length:g}: give start and length, neither below zero.")
+        if self.images and (self.corner_offset_m or self.board_bow_m):
+            raise OptionError("corner_offset_m and board_bow_m move corners, not the rendered board: leave out images.")
         if self.target_cols < 2 or self.target_rows < 2:
             raise OptionError(f"a board of {self.target_cols} x {self.target_rows} is too small; give at least 2 x 2.")
+        if len(self.accelerometer_arms_m) not in (0, 6):
+            raise OptionError(
+                f"accelerometer_arms_m: give 6 numbers, x y z of the y and of the z accelerometer, or none; found "
+                f"{len(self.accelerometer_arms_m)}."
+            )
+        for arm in self.accelerometer_arms_m:
+            _check("accelerometer_arms_m", arm)
         if self.duration_s * min(self.imu_rate_hz, self.camera_rate_hz) < 2:
             raise OptionError(f"duration_s {self.duration_s:g} is too short for two samples.")
 
@@ -260,6 +287,10 @@ class CameraImuScenario:
             values = getattr(self, name)
             if len(values) != numbers[model]:
                 raise OptionError(f"{name}: {model} has {numbers[model]} of them, found {len(values)}.")
+            if name == "distortion_coeffs" and len(self.distortion_error) not in (0, numbers[model]):
+                raise OptionError(
+                    f"distortion_error: {model} has {numbers[model]} coefficients, found {len(self.distortion_error)}."
+                )
             if not all(isfinite(value) for value in values):
                 raise OptionError(f"{name} {' '.join(f'{value:g}' for value in values)}: give finite numbers.")
         if min(self.resolution) < 2:
@@ -271,7 +302,7 @@ _POSITIVE = (
     *("accelerometer_range", "gyroscope_range"),
 )
 _NOT_NEGATIVE = (
-    *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s"),
+    *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s", "corner_offset_m"),
     *("exposure_s", "blur_px", "image_noise"),
     *("accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density", "gyroscope_random_walk"),
     *("noise_factor", "scale_range", "misalignment_range", "gyroscope_rotation_range", "g_sensitivity_range"),
@@ -279,7 +310,7 @@ _NOT_NEGATIVE = (
 )
 _FINITE = (
     *("board_lean_deg", "board_turn_deg", "focal_error", "principal_point_error_px", "baseline_m", "time_shift_s"),
-    *("time_shift_difference_s", "clock_offset_s"),
+    *("time_shift_difference_s", "clock_offset_s", "board_bow_m"),
 )
 
 

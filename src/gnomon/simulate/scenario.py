@@ -19,6 +19,10 @@ class Scenario:
     intervals: int = 40
     """Static intervals, the initial one included; there is one motion between two of them."""
 
+    attitudes: Literal["sphere", "one-axis"] = "sphere"
+    """sphere: the vertical points in evenly spread directions of the sensor, in style hand. one-axis: the sensor is
+    tilted about its y axis alone, which never points up or down."""
+
     t_init_s: float = 50.0
     """Length of the initial static interval in seconds."""
 
@@ -118,6 +122,8 @@ class Scenario:
             )
         if self.touched and self.style == "thesis":
             raise OptionError("touched: the signals of document A (style thesis) have none. Choose style hand.")
+        if self.attitudes == "one-axis" and self.style == "thesis":
+            raise OptionError("attitudes one-axis: the signals of document A (style thesis) have none. Choose hand.")
         if not 0 <= self.dropped < 1:
             raise OptionError(f"dropped {self.dropped:g}: give a fraction from 0 to below 1.")
         if self.bits is not None and not 2 <= self.bits <= 32:

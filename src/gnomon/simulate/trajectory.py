@@ -104,7 +104,7 @@ def hand_motions(scenario: Scenario, rng: np.random.Generator) -> tuple[Motions,
     duration = rng.uniform(*scenario.motion_s, count)
     hold = rng.uniform(*scenario.hold_s, count)
     start = scenario.t_init_s + np.cumsum(duration + hold) - duration - hold
-    attitudes = _attitudes(scenario.intervals, rng)
+    attitudes = _attitudes(scenario, rng)
     turn = _directions(count, rng) * rng.uniform(0.3, 1.0, (count, 1))
     rest = multiply(
         _conjugate(exponential(turn, np.ones((count, 1)))), multiply(_conjugate(attitudes[:-1]), attitudes[1:])
@@ -154,19 +154,24 @@ def _merged(first: Motions, second: Motions) -> Motions:
     )
 
 
-def _attitudes(count: int, rng: np.random.Generator) -> Floats:
-    """Return attitudes R_world_imu (count, 4) whose vertical points in evenly spread directions of the body.
+def _attitudes(scenario: Scenario, rng: np.random.Generator) -> Floats:
+    """Return attitudes R_world_imu (n, 4) whose vertical points in evenly spread directions of the body.
 
-    The directions are a Fibonacci lattice, turned at random and shuffled; the heading is random.
+    The directions are a Fibonacci lattice, turned at random and shuffled, or a circle; the heading is random.
     """
+    count = scenario.intervals
     z = 1 - (2 * np.arange(count) + 1) / count
-    longitude = np.pi * (1 + np.sqrt(5)) * np.arange(count)
+    longitude = np.asarray(np.pi * (1 + np.sqrt(5)) * np.arange(count), dtype=np.float64)
+    if scenario.attitudes == "one-axis":
+        z = np.cos(2 * np.pi * np.arange(count) / count)
+        longitude = np.where(np.arange(count) > count / 2, np.pi, 0.0)
     zenith_axis, heading_axis = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    zenith = np.asarray(np.arccos(z), dtype=np.float64)
     heading = exponential(heading_axis, rng.uniform(0, 2 * np.pi, (count, 1)))
-    q_body_world = multiply(
-        exponential(heading_axis, longitude[:, None]), exponential(zenith_axis, np.arccos(z)[:, None])
-    )
+    q_body_world = multiply(exponential(heading_axis, longitude[:, None]), exponential(zenith_axis, zenith[:, None]))
     lattice = normalised(rng.standard_normal(4))
+    if scenario.attitudes == "one-axis":
+        lattice = np.array([1.0, 0.0, 0.0, 0.0])
     return _conjugate(multiply(lattice, multiply(q_body_world, heading)))[rng.permutation(count)]
 
 

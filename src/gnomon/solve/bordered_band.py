@@ -11,14 +11,24 @@ parameters. Gathered into super-blocks of order - 1 control points the matrix is
 and is factorised from the first block to the last with a few dense operations a block, in place: time and memory grow
 linearly with the chain. Right-hand sides and border are carried along, so that the Schur complement of the border, and
 with it the covariance of the parameters, falls out.
+
+Hundreds of parameters that are touched by a few numbers of each term, such as the corners of a board, would fill the
+memory as columns of the border. They are the wide part of it: their rows of F are made when a block is eliminated, add
+to the Schur complement, and are forgotten.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from math import prod
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dtrsm, dtrsv  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+from scipy.linalg.blas import (
+    dsyrk,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+    dtrsm,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+    dtrsv,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
+)
 from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 
 Floats = NDArray[np.float64]
@@ -45,6 +55,27 @@ class Workspace:
         return flat[:size].reshape(shape)
 
 
+class WideBorder(Protocol):
+    """Border parameters whose coupling to the control points is made where it is needed."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        ...
+
+    def coupling(self, first: int, count: int) -> Floats:
+        """Return the blocks of these parameters and some control points, (size, count, d)."""
+        ...
+
+    def times(self, parameters: Floats) -> Floats:
+        """Return the product (n, d, k) of all blocks with values (size, k) of the parameters."""
+        ...
+
+    def transposed_times(self, controls: Floats) -> Floats:
+        """Return the product (size, k) of all blocks, transposed, with values (n, d, k) of the control points."""
+        ...
+
+
 class BorderedBand:
     """Normal equations that are being summed up.
 
@@ -60,7 +91,8 @@ class BorderedBand:
     border : (n, d, p) blocks of control points and border parameters
     rhs : (n, d, q) right-hand sides of the control points, such as the gradient
     tail : (n, d, p + q) both of them, one behind the other
-    corner : (p, p), corner_rhs : (p, q) the same of the border parameters
+    corner : (p + w, p + w), corner_rhs : (p + w, q) the same of the border parameters, the w wide ones last
+    wide : the w further border parameters, or None
     """
 
     def __init__(
@@ -72,7 +104,9 @@ class BorderedBand:
         parameters: int,
         sides: int,
         workspace: Workspace | None = None,
+        wide: WideBorder | None = None,
     ) -> None:
+        self.wide = wide
         self.workspace = workspace or Workspace()
         self.groups = groups
         self.order = order
@@ -82,8 +116,9 @@ class BorderedBand:
         ]
         self.tail = self.workspace.zeros("tail", (controls, sum(groups), parameters + sides))
         self.border, self.rhs = self.tail[:, :, :parameters], self.tail[:, :, parameters:]
-        self.corner = np.zeros((parameters, parameters))
-        self.corner_rhs = np.zeros((parameters, sides))
+        total = parameters + (wide.size if wide is not None else 0)
+        self.corner = np.zeros((total, total))
+        self.corner_rhs = np.zeros((total, sides))
 
     def starts(self) -> list[int]:
         """Return the first scalar of every group, and their sum."""
@@ -97,15 +132,20 @@ class BorderedBand:
         corner = np.einsum("ii->i", self.corner)
         corner += damping * corner
 
-    def factorised(self) -> "Factor":
+    def factorised(self, carried: Floats | None = None) -> "Factor":
         """Return the factor, which is valid until the next one is made in the same workspace.
+
+        Parameters
+        ----------
+        carried : (w, w) what the chain takes from the wide part, from the factor of similar equations; to make it anew
+            is most of the work. The right-hand sides are exact all the same.
 
         Raises
         ------
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        return _factorise(self)
+        return _factorise(self, carried)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,9 +156,11 @@ class Factor:
     ----------
     lower : (b, s, s) Cholesky factors L of the super-blocks, transposed
     eliminated : (b, s + p + q, s) rows [L^-1 E | L^-1 F | L^-1 r] of each super-block, transposed
-    schur : (p, p) Schur complement of the border parameters
-    schur_sides : (p, q) its right-hand sides
+    schur : (p + w, p + w) Schur complement of the border parameters, the wide ones last
+    schur_sides : (p + w, q) its right-hand sides
     controls, size : number of control points, scalars of each
+    wide : the wide part of the border, or None
+    taken : (w, w) what the chain takes from the wide part of the Schur complement
     """
 
     lower: Floats
@@ -127,14 +169,21 @@ class Factor:
     schur_sides: Floats
     controls: int
     size: int
+    wide: WideBorder | None = None
+    taken: Floats | None = None
+
+    @property
+    def narrow(self) -> int:
+        """Number p of border parameters that are not wide; they come first."""
+        return len(self.schur) - (self.wide.size if self.wide is not None else 0)
 
     @property
     def _border(self) -> slice:
         s = self.lower.shape[1]
-        return slice(s, s + len(self.schur))
+        return slice(s, s + self.narrow)
 
     def _side(self, side: int) -> int:
-        return self.lower.shape[1] + len(self.schur) + side
+        return self.lower.shape[1] + self.narrow + side
 
     def quadratic(self, a: int, b: int, free: NDArray[np.intp], schur_inverse: Floats) -> float:
         """Return r_a' N^-1 r_b of two right-hand sides, with the border parameters outside of `free` held."""
@@ -144,7 +193,7 @@ class Factor:
 
     def inner(self, sides: NDArray[np.intp]) -> Floats:
         """Return r_a' (band alone)^-1 r_b of all pairs of some right-hand sides."""
-        rows = self.eliminated[:, self.lower.shape[1] + len(self.schur) + sides]
+        rows = self.eliminated[:, self.lower.shape[1] + self.narrow + sides]
         return np.tensordot(rows, rows, axes=((0, 2), (0, 2)))
 
     def substituted(self, side: int, parameters: Floats) -> Floats:
@@ -153,12 +202,14 @@ class Factor:
         Parameters
         ----------
         side : right-hand side
-        parameters : (p,) the border parameters' part of the solution
+        parameters : (p + w,) the border parameters' part of the solution
         """
         blocks, s = self.lower.shape[:2]
         right = self.eliminated[:, self._side(side)] - np.tensordot(
-            parameters, self.eliminated[:, self._border], axes=(0, 1)
+            parameters[: self.narrow], self.eliminated[:, self._border], axes=(0, 1)
         )
+        if self.wide is not None and parameters[self.narrow :].any():
+            right -= self._forward(self.wide.times(parameters[self.narrow :, None]))[:, 0]
         solution = np.empty((blocks, s))
         following = np.zeros(s)
         for k in range(blocks - 1, -1, -1):
@@ -166,6 +217,59 @@ class Factor:
             following = dtrsv(self.lower[k].T, rhs, lower=1, trans=1)
             solution[k] = following
         return solution.reshape(-1, self.size)[: self.controls]
+
+    def chain_solutions(self, columns: NDArray[np.intp], wide: Floats | None = None) -> Floats:
+        """Return (band alone)^-1 C, (n, d, k), of some columns C of the border and, behind it, the right-hand sides.
+
+        Parameters
+        ----------
+        columns : (k,) which
+        wide : (w, k) by which the columns of the wide part are added to them
+        """
+        blocks, s = self.lower.shape[:2]
+        right = np.ascontiguousarray(self.eliminated[:, s + columns])  # transposed: (b, k, s)
+        if wide is not None and self.wide is not None:
+            right += self._forward(self.wide.times(wide))
+        following = np.zeros((len(columns), s))
+        for k in range(blocks - 1, -1, -1):
+            right[k] -= following @ self.eliminated[k, :s]
+            dtrsm(1.0, self.lower[k].T, right[k].T, lower=1, trans_a=1, overwrite_b=1)
+            following = right[k]
+        return np.ascontiguousarray(right.transpose(0, 2, 1)).reshape(-1, self.size, len(columns))[: self.controls]
+
+    def _forward(self, right: Floats) -> Floats:
+        """Return L^-1 of right-hand sides (n, d, k), block by block and transposed (b, k, s)."""
+        (blocks, s), count = self.lower.shape[:2], right.shape[2]
+        solution = np.zeros((blocks * s, count))
+        solution[: right.shape[0] * right.shape[1]] = right.reshape(-1, count)
+        found = np.ascontiguousarray(solution.reshape(blocks, s, count).transpose(0, 2, 1))
+        for k in range(blocks):
+            if k:
+                found[k] -= found[k - 1] @ self.eliminated[k - 1, :s].T
+            dtrsm(1.0, self.lower[k].T, found[k].T, lower=1, overwrite_b=1)
+        return found
+
+    def wide_eliminated(self) -> Floats:
+        """Return L^-1 F of the wide part of the border, transposed, (b, w, s)."""
+        blocks, s = self.lower.shape[:2]
+        if self.wide is None:
+            return np.zeros((blocks, 0, s))
+        found = np.empty((blocks, self.wide.size, s))
+        for k, rows in _wide_rows(self.wide, self.lower, self.eliminated, self.size, self.controls):
+            found[k] = rows
+        return found
+
+    def wide_solutions(self) -> Floats:
+        """Return (band alone)^-1 F of the wide part of the border, (n, d, w)."""
+        s = self.lower.shape[1]
+        found = self.wide_eliminated()
+        following = np.zeros(found.shape[1:])
+        for k in range(len(found) - 1, -1, -1):
+            found[k] -= following @ self.eliminated[k, :s]
+            dtrsm(1.0, self.lower[k].T, found[k].T, lower=1, trans_a=1, overwrite_b=1)
+            following = found[k]
+        shape = len(found) * s // self.size, self.size, found.shape[1]
+        return np.ascontiguousarray(found.transpose(0, 2, 1)).reshape(shape)[: self.controls]
 
     def marginals(self, free: NDArray[np.intp], schur_inverse: Floats) -> tuple[Floats, Floats]:
         """Return the covariances of super-blocks, with the border parameters' uncertainty in them.
@@ -176,13 +280,15 @@ class Factor:
         following : (b - 1, s, s) between every super-block (rows) and the next one (columns)
         """
         blocks, s = self.lower.shape[:2]
-        border = s + free
+        border, wide = s + free[free < self.narrow], free[free >= self.narrow] - self.narrow
+        beyond = self.wide_eliminated()[:, wide] if len(wide) else np.zeros((blocks, 0, s))
         result, following = np.empty((blocks, s, s)), np.empty((max(blocks - 1, 0), s, s))
         own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
         for k in range(blocks - 1, -1, -1):
             inverse = dtrtri(self.lower[k].T, lower=1)[0]
             gain = inverse.T @ self.eliminated[k, :s].T
-            z = inverse.T @ self.eliminated[k][border].T - gain @ z_next
+            own_border = np.concatenate([self.eliminated[k][border], beyond[k]])
+            z = inverse.T @ own_border.T - gain @ z_next
             spread = z @ schur_inverse
             if k + 1 < blocks:
                 following[k] = spread @ z_next.T - gain @ own
@@ -192,7 +298,7 @@ class Factor:
         return result, following
 
 
-def _factorise(system: BorderedBand) -> Factor:
+def _factorise(system: BorderedBand, carried: Floats | None) -> Factor:
     p, q = system.border.shape[2], system.rhs.shape[2]
     lower, chain = _gathered(system)
     blocks, s = lower.shape[:2]
@@ -209,14 +315,65 @@ def _factorise(system: BorderedBand) -> Factor:
         dtrsm(1.0, lower[k].T, chain[k].T, lower=1, overwrite_b=1)
         ahead = chain[k]
         total += ahead[s:] @ ahead[s:].T
-    return Factor(
+    schur, sides = system.corner.copy(), system.corner_rhs.copy()
+    schur[:p, :p] -= total[:p, :p]
+    sides[:p] -= total[:p, p:]
+    factor = Factor(
         lower=lower,
         eliminated=chain,
-        schur=system.corner - total[:p, :p],
-        schur_sides=system.corner_rhs - total[:p, p:],
+        schur=schur,
+        schur_sides=sides,
         controls=len(system.border),
         size=sum(system.groups),
+        wide=system.wide,
     )
+    if system.wide is None or not system.wide.size:
+        return factor
+    if carried is None:
+        taken, cross = _wide_products(system.wide, factor)
+    else:
+        taken, cross = carried, system.wide.transposed_times(factor.chain_solutions(np.arange(p + q)))
+    schur[p:, p:] -= taken
+    schur[p:, :p] -= cross[:, :p]
+    schur[:p, p:] -= cross[:, :p].T
+    sides[p:] -= cross[:, p:]
+    return replace(factor, taken=taken)
+
+
+_TOGETHER = 4  # blocks whose products are summed up at once: fewer and larger calls
+
+
+def _wide_products(wide: WideBorder, factor: Factor) -> tuple[Floats, Floats]:
+    """Return F' (band alone)^-1 of the wide part F of the border times itself (w, w) and all else (w, p + q)."""
+    w, s = wide.size, factor.lower.shape[1]
+    own, cross = np.zeros((w, w), order="F"), np.zeros((w, factor.eliminated.shape[1] - s))
+    stacked = np.zeros((w, _TOGETHER * s))
+    for k, rows in _wide_rows(wide, factor.lower, factor.eliminated, factor.size, factor.controls):
+        cross += rows @ factor.eliminated[k, s:].T
+        place = k % _TOGETHER
+        stacked[:, place * s : (place + 1) * s] = rows
+        if place == _TOGETHER - 1 or k == len(factor.lower) - 1:
+            part = stacked[:, : (place + 1) * s]
+            own = dsyrk(1.0, part, beta=1.0, c=own, overwrite_c=1, lower=1)
+    return np.tril(own) + np.tril(own, -1).T, cross
+
+
+def _wide_rows(
+    wide: WideBorder, lower: Floats, chain: Floats, size: int, controls: int
+) -> Iterator[tuple[int, Floats]]:
+    """Yield L^-1 F of the wide border, transposed (w, s), block after block."""
+    s = lower.shape[1]
+    per_block = s // size
+    before = np.zeros((wide.size, s))
+    for k in range(len(lower)):
+        count = min(per_block, controls - k * per_block)
+        rows = np.zeros((wide.size, s))
+        rows[:, : count * size] = wide.coupling(k * per_block, count).reshape(wide.size, count * size)
+        if k:
+            rows -= before @ chain[k - 1, :s].T
+        dtrsm(1.0, lower[k].T, rows.T, lower=1, overwrite_b=1)
+        before = rows
+        yield k, rows
 
 
 def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:

@@ -24,6 +24,7 @@ from ..errors import OutputError
 from ..findings import Finding
 from ..output import write_whole
 from ..readers.calibration_file import SCHEMA_MAJOR
+from ..trust import Need, TrustNote
 from .yaml_text import yaml_lines
 
 FRAMES = {
@@ -70,6 +71,14 @@ _CAMERAS = """\
 #
 """
 
+_LEVER_ARMS = """\
+#
+# Lever arms: the three accelerometers do not sit at one point. lever_arms_m has a row for each of them, where it sits
+# from the body's origin in the body frame, in m. Component k of the f that the accelerometer feels is that at row k, r:
+# (f + a x r + w x (w x r))[k], with a the angular acceleration; the gyroscope's g_sensitivity acts on f at the origin.
+#
+"""
+
 _SIGMAS = """\
 # Every *_sigma is one standard deviation, and the square root of the covariance's diagonal at the end of this file.
 """
@@ -100,6 +109,8 @@ def calibration_text(calibration: Calibration) -> str:
     header = _HEADER.format(frame=f"{calibration.frame}, {FRAMES.get(calibration.frame, FRAMES['user'])}")
     if any(imu.magnetometer is not None for imu in calibration.imus.values()):
         header += _MAGNETOMETER
+    if _with_lever_arms(calibration):
+        header += _LEVER_ARMS
     header += (_CAMERAS if calibration.cameras else "") + _SIGMAS
     return header + "\n" + "\n".join(yaml_lines(_document(calibration))) + "\n"
 
@@ -123,6 +134,8 @@ def _document(calibration: Calibration) -> dict[str, Any]:
 def _minor(calibration: Calibration) -> int:
     """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
+    if _with_lever_arms(calibration) or _tells(calibration.assessment.trust):
+        return 3
     if (
         any(imu.accelerometer is None or imu.magnetometer is not None for imu in imus)
         or calibration.frame in ("gyro-x", "mag-x")
@@ -131,6 +144,18 @@ def _minor(calibration: Calibration) -> int:
     ):
         return 2
     return 1 if calibration.cameras or calibration.assessment.camera_imu else 0
+
+
+def _with_lever_arms(calibration: Calibration) -> bool:
+    sensors = [imu.accelerometer for imu in calibration.imus.values()]
+    return any(sensor is not None and sensor.lever_arms_m is not None for sensor in sensors)
+
+
+def _tells(trust: TrustNote) -> bool:
+    """Tell whether a note says more than that the covariance is the one for independent errors."""
+    return trust.covariance != "ordinary" or bool(
+        trust.clusters or trust.sigma_ratio or math.isfinite(trust.split_z) or trust.added or trust.tries or trust.use
+    )
 
 
 def _imus(calibration: Calibration) -> dict[str, Any]:
@@ -181,7 +206,27 @@ def _assessment(assessment: Assessment, minor: int) -> dict[str, Any]:
         **(_multi_position(assessment, minor) if fit is None else {"camera_imu": _camera_imu(fit)}),
         "held_by_prior": list(assessment.held_by_prior),
         "findings": [finding_document(finding) for finding in assessment.findings],
+        **({"trust": _trust(assessment.trust)} if _tells(assessment.trust) else {}),
     }
+
+
+def _trust(trust: TrustNote) -> dict[str, Any]:
+    return {
+        "covariance": trust.covariance,
+        "clusters": int(trust.clusters),
+        "cluster_s": float(trust.cluster_s),
+        "sigma_ratio": {block: float(ratio) for block, ratio in trust.sigma_ratio.items()},
+        "split_z": _known(trust.split_z),
+        "added": list(trust.added),
+        "tries": int(trust.tries),
+        "use": trust.use,
+        "needs": [_need(need) for need in trust.needs],
+    }
+
+
+def _need(need: Need) -> dict[str, Any]:
+    entry = asdict(need) | {"sigma": float(need.sigma), "needed": float(need.needed)}
+    return {key: value for key, value in entry.items() if value != "" or key != "cure"}
 
 
 def finding_document(finding: Finding) -> dict[str, str]:

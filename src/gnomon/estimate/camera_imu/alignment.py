@@ -22,7 +22,7 @@ _LONGEST_STEP_S = 0.35  # frames further apart tell no rate
 _SHORTEST_OVERLAP_S = 3.0
 _FINE_S = 0.02  # search about the coarse shift
 _ROBUST, _ROUNDS = 3.0, 3
-_EXPLAINED = 0.3
+_EXPLAINED, _PROPER = 0.3, 0.9
 _SCALE = 0.5
 
 
@@ -114,6 +114,8 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
         )
     coarse = _coarse_shift(turns, integral, name)
     found = _refined(poses, turns, integral, coarse, spread)
+    if found.score < _PROPER and _is_mirrored(turns, integral, found.time_shift_s):
+        return found  # with its low score: whoever looks at the axes says what is wrong with them
     if found.score < _EXPLAINED:
         raise InitialisationError(
             f"{name} and the gyroscope do not show the same rotation at any time shift: the best one, "
@@ -126,6 +128,21 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
             + _unit_hint(found.rate_scale)
         )
     return found
+
+
+def _is_mirrored(turns: _Turns, integral: GyroscopeIntegral, shift: float) -> bool:
+    """Tell whether the gyroscope reads the mirror image of the camera's rotation, about all axes."""
+    start, stop = turns.start_s + shift, turns.stop_s + shift
+    inside = (start >= integral.t_s[0]) & (stop <= integral.t_s[-1])
+    if inside.sum() < 10:
+        return False
+    step = (stop - start)[inside, None]
+    read = (integral(stop) - integral(start))[inside] / step
+    seen = np.column_stack([turns.rotvec[inside] / step, np.ones(int(inside.sum()))])
+    matrix = np.asarray(np.linalg.lstsq(seen, read, rcond=None)[0], dtype=np.float64)
+    left = float(((read - seen @ matrix) ** 2).sum()) / max(float(((read - read.mean(axis=0)) ** 2).sum()), 1e-12)
+    singular = np.linalg.svd(matrix[:3], compute_uv=False)
+    return bool(left < 1 - _PROPER and np.linalg.det(matrix[:3]) < 0 and singular[-1] > _SCALE * singular[0])
 
 
 def _unit_hint(scale: float) -> str:

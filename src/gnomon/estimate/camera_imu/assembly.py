@@ -116,7 +116,7 @@ class _SpanSums:
     def add(self, span: Integers, rows: Floats) -> None:
         """Add rows (n, r, w) of instants in spans (n,), ascending."""
         columns = self._columns
-        spans, gathered = _by_span(span, rows)
+        spans, gathered = by_span(span, rows)
         left = gathered[:, :, : columns.border].transpose(0, 2, 1)
         if self._empty and len(spans) == len(self._sums):
             np.matmul(left, gathered, out=self._sums)
@@ -129,8 +129,8 @@ class _SpanSums:
         self._empty = False
         tail = rows.reshape(-1, columns.width)[:, columns.border :]
         corner, p = tail.T @ tail, columns.parameters
-        self._system.corner += corner[:p, :p]
-        self._system.corner_rhs += corner[:p, p:]
+        self._system.corner[:p, :p] += corner[:p, :p]
+        self._system.corner_rhs[:p] += corner[:p, p:]
 
     def flush(self, begin: int, count: int) -> None:
         """Add the sums of `count` spans, which overlap each other, to the normal equations."""
@@ -165,7 +165,7 @@ class _SpanSums:
                 tail[control, scalars] += rows[:, :, columns.border :]
 
 
-def _by_span(span: Integers, rows: Floats) -> tuple[Integers, Floats]:
+def by_span(span: Integers, rows: Floats) -> tuple[Integers, Floats]:
     """Return the spans that have rows, (s,), and all rows of each, (s, m, w); zero rows fill up."""
     n, r, w = rows.shape
     starts = np.flatnonzero(np.diff(span, prepend=-1))

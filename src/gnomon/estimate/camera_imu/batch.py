@@ -15,12 +15,14 @@ from ...errors import OptionError, SolveError
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Factor, Workspace
 from .assembly import TRIAD, Columns, groups, summed_up
+from .board_terms import BoardBorder
 from .corner_sums import CornerNoise, CornerSums
 from .inertial_terms import InertialData, InertialNoise, InertialTerms
 from .parameters import Layout, Parameters
 from .prior_terms import add_priors, add_smoothness, add_walks
 from .trajectory import BIAS, POSE, Trajectory
 from .visual_terms import VisualData, VisualTerms
+from .walk_noise import PROBES, add_walk_probes, found_walks, walk_sums
 
 _FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-8, 100.0, 1e4
 
@@ -77,18 +79,21 @@ class Linearisation:
     cost : J
     inertial_chi2 : for each IMU (gyroscope, accelerometer) sum of squared residuals in sigmas
     inertial_count : for each IMU (gyroscope, accelerometer) number of scalar residuals
+    trajectory : where it was linearised
     sums : for each camera, the sums over its exposures
     known : for each camera, exposures whose sums mean something: inside of the trajectory
     inside : for each camera, those of them that were used
     layout : columns of the border
     probing : whether probes and means of the biases are among the right-hand sides: minus the gradient, a probe for
-        gyroscope and accelerometer of every IMU, one for each camera, then the means of all biases
+        gyroscope and accelerometer of every IMU, one for each camera, then the means of all biases, and the probes of
+        their random walks
     """
 
     system: BorderedBand
     cost: float
     inertial_chi2: tuple[tuple[float, float], ...]
     inertial_count: tuple[tuple[int, int], ...]
+    trajectory: Trajectory
     sums: tuple[CornerSums, ...]
     known: tuple[np.ndarray, ...]
     inside: tuple[np.ndarray, ...]
@@ -137,23 +142,56 @@ def linearised(
     grid = trajectory.grid
     imus, cameras = len(noise.imus), len(noise.pixel_sigma)
     probes = 2 * imus + cameras
+    board = None
+    if len(layout) > layout.dense and state.parameters.board is not None:
+        board = BoardBorder(len(state.parameters.board.points), grid.controls, grid.order, imus)
     system = BorderedBand(
         controls=grid.controls,
         order=grid.order,
         groups=groups(imus),
-        parameters=len(layout),
-        sides=1 + (probes + BIAS * imus if probing else 0),
+        parameters=layout.dense,
+        sides=1 + (probes + (BIAS + 2 * PROBES) * imus if probing else 0),
         workspace=workspace,
+        wide=board,
     )
-    columns = Columns(order=grid.order, imus=imus, parameters=len(layout), sides=system.rhs.shape[2])
+    columns = Columns(order=grid.order, imus=imus, parameters=layout.dense, sides=system.rhs.shape[2])
     if probing:
         weights = mean_weights(trajectory)
         for i in range(BIAS * imus):
             system.rhs[:, POSE + i, 1 + probes + i] = weights
+        add_walk_probes(system, trajectory, noise.walks, 1 + probes + BIAS * imus)
+    inertial, visual = error_terms(measurements, state, layout, noise, columns, probing=probing)
+    summed_up(system, grid, columns, (*inertial, *visual))
+    if board is not None:
+        board.fill(system, [coupling for term in visual if (coupling := term.coupling(system.workspace)) is not None])
+    chi2 = [_chi2(inertial, i) for i in range(imus)]
+    cost = 0.5 * float(np.sum(chi2)) + sum(term.cost for term in visual)
+    cost += add_walks(system, trajectory, noise.walks)
+    add_smoothness(system, trajectory)
+    cost += add_priors(system, state.parameters, layout)
+    return Linearisation(
+        system=system,
+        cost=cost,
+        inertial_chi2=tuple(chi2),
+        inertial_count=tuple(_counts(inertial, i) for i in range(imus)),
+        trajectory=trajectory,
+        sums=tuple(term.sums for term in visual),
+        known=tuple(term.known for term in visual),
+        inside=tuple(term.inside for term in visual),
+        layout=layout,
+        probing=probing,
+    )
+
+
+def error_terms(
+    measurements: Measurements, state: State, layout: Layout, noise: Noise, columns: Columns, *, probing: bool
+) -> tuple[list[InertialTerms], list[VisualTerms]]:
+    """Return the error terms of everything that was measured, at a state; see `linearised`."""
+    imus = len(noise.imus)
     inertial = [
         InertialTerms(
             data,
-            trajectory,
+            state.trajectory,
             state.parameters,
             layout=layout,
             columns=columns,
@@ -166,7 +204,7 @@ def linearised(
     visual = [
         VisualTerms(
             data,
-            trajectory,
+            state.trajectory,
             state.parameters,
             layout=layout,
             columns=columns,
@@ -180,23 +218,7 @@ def linearised(
         )
         for data, used in zip(measurements.visual, measurements.used, strict=True)
     ]
-    summed_up(system, grid, columns, (*inertial, *visual))
-    chi2 = [_chi2(inertial, i) for i in range(imus)]
-    cost = 0.5 * float(np.sum(chi2)) + sum(term.cost for term in visual)
-    cost += add_walks(system, trajectory, noise.walks)
-    add_smoothness(system, trajectory)
-    cost += add_priors(system, state.parameters, layout)
-    return Linearisation(
-        system=system,
-        cost=cost,
-        inertial_chi2=tuple(chi2),
-        inertial_count=tuple(_counts(inertial, i) for i in range(imus)),
-        sums=tuple(term.sums for term in visual),
-        known=tuple(term.known for term in visual),
-        inside=tuple(term.inside for term in visual),
-        layout=layout,
-        probing=probing,
-    )
+    return inertial, visual
 
 
 def mean_weights(trajectory: Trajectory) -> Floats:
@@ -309,7 +331,13 @@ def estimated_noise(lin: Linearisation, step: Step, noise: Noise) -> Noise:
         absorbed = step.factor.quadratic(probe, probe, free, step.covariance)
         factor = _pixel_factor(lin.sums[camera], lin.inside[camera], sigma, noise.huber, absorbed)
         pixels.append(sigma * factor)
-    return replace(noise, imus=tuple(imus), pixel_sigma=tuple(pixels))
+    first = 1 + len(noise.pixel_sigma) + (2 + BIAS) * len(noise.imus)
+    # After the step: under another level the biases are much smoother, or rougher, than before it.
+    sums = walk_sums(lin.trajectory.plus(step.trajectory), noise.walks)
+    walks = found_walks(sums, step.factor, first, free, step.covariance) * np.array(noise.walks)
+    return replace(
+        noise, imus=tuple(imus), pixel_sigma=tuple(pixels), walks=tuple((float(g), float(a)) for g, a in walks)
+    )
 
 
 def _pixel_factor(sums: CornerSums, inside: np.ndarray, sigma: float, huber: float, absorbed: float) -> float:
@@ -321,6 +349,20 @@ def _pixel_factor(sums: CornerSums, inside: np.ndarray, sigma: float, huber: flo
     freedom = max(2 * len(distance) - absorbed, 0.05 * len(distance), 1.0)
     share = 1 - np.exp(-0.5 * huber**2) if np.isfinite(huber) else 1.0
     return float(np.sqrt((np.minimum(distance, huber) ** 2).sum() / (freedom * share)))
+
+
+def _cost_change(lin: Linearisation, following: Linearisation) -> float:
+    """Return how much the cost grew, but for corners that can be imaged at one of both states only.
+
+    Where a lens folds back, at the border of a wide image, a step of its coefficients takes corners in or out.
+    """
+    change = following.cost - lin.cost
+    for before, after, used in zip(lin.sums, following.sums, lin.inside, strict=True):
+        counted = np.repeat(used, before.lengths)
+        was, now = np.isfinite(before.residual[:, 0]), np.isfinite(after.residual[:, 0])
+        change += float(before.corner_cost[counted & was & ~now].sum())
+        change -= float(after.corner_cost[counted & now & ~was].sum())
+    return change
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -370,7 +412,7 @@ def descended(
                 step = gauss_newton_step(again, damping)
             candidate = moved(state, lin.layout, step)
             following = linearised(measurements, candidate, layout, noise, probing=probing, workspace=workspace)
-            better = following.cost <= lin.cost + 1e-9 * abs(lin.cost) + 1e-6
+            better = _cost_change(lin, following) <= 1e-9 * abs(lin.cost) + 1e-6
         except (np.linalg.LinAlgError, SolveError):
             candidate, following, better = state, lin, False
         tried.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=damping, accepted=better))

@@ -74,6 +74,7 @@ def gathered(frames: CameraFrames, target: Target, fewest: int = FEWEST_CORNERS)
         points=points[chosen],
         pixels=frames.pixels[chosen],
         delay_rows=np.zeros(len(kept)),
+        point=frames.point[chosen],
     )
 
 
@@ -141,12 +142,13 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
             break
     sums = corner_sums(exposures, frames.camera, rotation, p, noise)
     sigma_px = max(_scatter(sums.residual) * np.sqrt(2 * sums.valid.sum() / _freedom(sums.valid)), SMALLEST_PX)
+    scatter = frame_scatter(exposures, sums, sums.valid > 0)[exposures.frame]
     return BoardPoses(
         exposures=replace(every, spread=_spread(frames, every, sigma_px)),
         t_s=t_s[exposures.frame],
         R_cam_target=rotation,
         p_cam_target=p,
-        scatter_px=np.maximum(np.sqrt(frame_scatter(exposures, sums, sums.valid > 0)[exposures.frame]), SMALLEST_PX),
+        scatter_px=np.maximum(np.sqrt(np.nan_to_num(scatter, nan=np.inf)), SMALLEST_PX),  # infinite: no pose at all
         sigma_px=sigma_px,
     )
 

@@ -1,7 +1,10 @@
 """What is estimated: by the model (B3, B9 of document B), and by name."""
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from ...errors import OptionError
 from ...options import CameraImuOptions, stated_prior
@@ -18,6 +21,13 @@ _BESIDES = ("direction", "T_cam_imu.rotation", "T_cam_imu.translation", "time_sh
 """Always estimated unless fixed by name."""
 
 
+K3 = "distortion_coeffs[4]"
+"""Where radtan5 has its third radial coefficient; options may call it k3."""
+
+_RAY = 5e-3  # of the focal length: how far a ray may be off, by the focal length or the principal point
+_PROJECTION, _BENDING, _TANGENTIAL = 0.02, 0.05, 1e-3
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choices:
     """Status of every scalar, and the standard deviations of stated priors."""
@@ -26,7 +36,9 @@ class Choices:
     prior_sigma: dict[str, float]
 
 
-def choices(start: Parameters, options: CameraImuOptions, model: str | None = None) -> Choices:
+def choices(
+    start: Parameters, options: CameraImuOptions, model: str | None = None, added: Sequence[str] = ()
+) -> Choices:
     """Return what is estimated.
 
     Parameters
@@ -34,6 +46,7 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
     start : start values, which tell the cameras and IMUs
     options : model, fix, free, prior
     model : instead of the options' one
+    added : names of blocks that are estimated beyond the model, such as "lever_arms", of every sensor that has them
 
     Raises
     ------
@@ -41,7 +54,7 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
         If a name is unknown, stands in two lists, or a prior is not NAME=SIGMA with SIGMA > 0.
     """
     all_blocks = blocks(start)
-    estimated = (*_MODEL_BLOCKS[model or options.model], *_BESIDES)
+    estimated = (*model_blocks(model or options.model), *added, *_BESIDES)
     status: dict[str, Status] = {}
     for block in all_blocks:
         kind: Status = "estimated" if block.name.partition(".")[2] in estimated else "fixed"
@@ -51,6 +64,8 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
     for names, size, _ in known_beforehand(start):  # estimated along, of an IMU what the model has
         known = zip(names, size.tolist(), strict=True)
         sigma |= {name: value for name, value in known if status[name] == "estimated" or not name.startswith("imu")}
+    if not {"intrinsics", "distortion_coeffs"}.isdisjoint(added):
+        sigma = {name: value for name, value in lens_prior(start).items() if status[name] == "estimated"} | sigma
     status |= dict.fromkeys(sigma, "prior")
     for option, names in (("free", options.free), ("fix", options.fix)):
         for name in names:
@@ -64,6 +79,33 @@ def choices(start: Parameters, options: CameraImuOptions, model: str | None = No
     return Choices(status=status, prior_sigma=sigma)
 
 
+def lens_prior(start: Parameters) -> dict[str, float]:
+    """Return scalar of a lens -> how far a stated value may be off where nothing is known of its uncertainty.
+
+    Intrinsics of a careful calibration, of another day or with a biased board, are off by some pixels (the published
+    ones of EuRoC's cameras by 0.6 % and 3 px); the coefficients of the distortion trade with each other far more.
+    """
+    found: dict[str, float] = {}
+    for entry in start.cameras:
+        lens = entry.camera
+        focal = float(np.mean(lens.intrinsics[-4:-2]))
+        sizes = {"projection": _PROJECTION, "focal": _RAY * focal, "principal": _RAY * focal, "distortion": _BENDING}
+        for name, kind, symbol in zip(entry.lens_names(), lens.parameter_kinds, lens.parameter_symbols, strict=True):
+            found[name] = _TANGENTIAL if symbol in {"p1", "p2"} else sizes[kind]
+    return found
+
+
+def wants_k3(name: str, options: CameraImuOptions) -> bool:
+    """Tell whether the options name the third radial coefficient of a camera, which radtan has not."""
+    named = {*options.free, *options.fix, *(stated_prior(text)[0] for text in options.prior)}
+    return not named.isdisjoint({f"{name}.k3", f"{name}.{K3}"})
+
+
+def model_blocks(model: str) -> tuple[str, ...]:
+    """Return what a model estimates of an IMU; "auto" is the full model, to which blocks are added by evidence."""
+    return _MODEL_BLOCKS["full" if model == "auto" else model]
+
+
 def imu_blocks(start: Parameters) -> tuple[str, ...]:
     """Return the blocks of the full model of every IMU."""
     return tuple(f"imu{i}.{name}" for i in range(len(start.imus)) for name in _MODEL_BLOCKS["full"])
@@ -71,6 +113,8 @@ def imu_blocks(start: Parameters) -> tuple[str, ...]:
 
 def _scalars(name: str, option: str, all_blocks: tuple[Block, ...], stated: dict[str, str]) -> list[str]:
     """Return the scalars that a name stands for: itself, a block, or everything below it ("cam0.T_cam_imu")."""
+    if name.endswith(".k3"):
+        name = name.removesuffix("k3") + K3
     found = [
         scalar
         for block in all_blocks

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...models.camera import Camera
 from ...recording import Floats, Integers
+from .board_terms import CornerProducts
 
 Booleans = NDArray[np.bool_]
 
@@ -38,6 +39,7 @@ class Exposures:
     pixels : (m, 2) detected [px]
     delay_rows : (e,) image row that is exposed at this instant; zero for a global shutter
     spread : (m,) standard deviation of each corner over that of a usual one, or None where all are alike
+    point : (m,) number of each corner on the target, or None where they are not asked for
     """
 
     frame: Integers
@@ -46,6 +48,7 @@ class Exposures:
     pixels: Floats
     delay_rows: Floats
     spread: Floats | None = None
+    point: Integers | None = None
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -80,6 +83,7 @@ class CornerSums:
     ----------
     gram : (e, w, w) products of the columns [twist 6 | own parameters | residual | probe, if any], in sigmas
     cost : (e,) robust cost, half of chi-square for small residuals
+    corner_cost : (m,) the same of each corner; zero where not valid
     mean_square : (e,) mean squared residual per axis [px^2]; nan without valid corners
     valid : (e,) corners that the camera model can image
     lengths : (e,) corners of each exposure
@@ -90,6 +94,7 @@ class CornerSums:
 
     gram: Floats
     cost: Floats
+    corner_cost: Floats
     mean_square: Floats
     valid: Integers
     lengths: Integers
@@ -113,6 +118,7 @@ def corner_sums(
     own_parameters: Integers | None = None,
     target_scale: float = 1.0,
     scale_column: bool = False,
+    offsets: CornerProducts | None = None,
 ) -> CornerSums:
     """Sum up the corners of every exposure.
 
@@ -125,6 +131,7 @@ def corner_sums(
     own_parameters : indices of `Camera.parameters` that get a column each
     target_scale : size of the target relative to `exposures.points`
     scale_column : give it a column, after the own parameters
+    offsets : takes the products with the offset of each corner, where these are wanted
     """
     own = np.empty(0, np.int64) if own_parameters is None else own_parameters
     width = TWIST + len(own) + scale_column + 1 + (noise.probe_sign is not None)
@@ -132,7 +139,7 @@ def corner_sums(
     gram = np.zeros((count, width, width))
     cost, square = np.zeros(count), np.full(count, np.nan)
     valid = np.zeros(count, np.int64)
-    residual, weight = np.empty((len(exposures.points), 2)), np.empty(len(exposures.points))
+    residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
     for first, last in _chunks(exposures.start):
         corners = slice(int(exposures.start[first]), int(exposures.start[last]))
         lengths = np.diff(exposures.start[first : last + 1])
@@ -150,17 +157,24 @@ def corner_sums(
         if noise.probe_sign is not None:  # signs take the place of the whitened residual
             sign = noise.probe_sign[corners] * np.reshape(noise.sigma_px * spread, (-1, 1))
             columns.append((sign[:, 0], sign[:, 1]))
-        gram[first:last] = _grams(columns, np.where(image.valid, root, 0.0), lengths)
+        root = np.where(image.valid, root, 0.0)
+        rows = _weighted(columns, root)
+        gram[first:last] = _grams(rows, lengths)
+        if offsets is not None:
+            assert image.by_point is not None
+            by_offset = target_scale * np.matmul(image.by_point, R_cam_target[first:last][which])  # (m, 2, 3)
+            offsets.add(corners, rows, (root[:, None, None] * by_offset).transpose(2, 0, 1))
         cost[first:last] = np.bincount(which, rho, last - first)
         valid[first:last] = np.bincount(which, image.valid, last - first)
         squares = np.where(image.valid, np.einsum("ij,ij->i", off, off), 0.0)
         some = valid[first:last] > 0
         sums = np.bincount(which, squares, last - first)
         square[first:last][some] = sums[some] / (2 * valid[first:last][some])
-        residual[corners], weight[corners] = apart, robust
+        residual[corners], weight[corners], each[corners] = apart, robust, rho
     return CornerSums(
         gram=gram,
         cost=cost,
+        corner_cost=each,
         mean_square=square,
         valid=valid,
         lengths=np.diff(exposures.start),
@@ -202,13 +216,18 @@ def _chunks(start: Integers) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _grams(columns: list[tuple[Floats, Floats]], root: Floats, lengths: Integers) -> Floats:
-    """Return the products of weighted columns, summed over the corners of each exposure, (e, w, w)."""
-    w, m = len(columns), len(root)
-    rows = np.empty((w, m, 2))
+def _weighted(columns: list[tuple[Floats, Floats]], root: Floats) -> Floats:
+    """Return weighted columns, (w, m, 2)."""
+    rows = np.empty((len(columns), len(root), 2))
     for row, pair in zip(rows, columns, strict=True):
         np.multiply(root, pair[0], out=row[:, 0])
         np.multiply(root, pair[1], out=row[:, 1])
+    return rows
+
+
+def _grams(rows: Floats, lengths: Integers) -> Floats:
+    """Return the products of weighted columns (w, m, 2), summed over the corners of each exposure, (e, w, w)."""
+    w, m, _ = rows.shape
     flat = rows.reshape(w, 2 * m)
     if (lengths == lengths[0]).all():
         equal = flat.reshape(w, len(lengths), -1).transpose(1, 0, 2)

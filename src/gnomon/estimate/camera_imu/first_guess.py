@@ -15,8 +15,9 @@ from ...options import CameraImuOptions
 from ...recording import CameraFrames, Floats
 from .alignment import Alignment, align, gyroscope_integral
 from .batch import State
+from .board import Board
 from .board_poses import BoardPoses, board_poses
-from .choices import choices
+from .choices import choices, wants_k3
 from .corner_sums import Exposures
 from .inertial_terms import InertialData
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory
@@ -41,12 +42,14 @@ class Look:
     name, frames : of the camera
     poses : of the board
     alignment : to the IMU
+    target : the board
     """
 
     name: str
     frames: CameraFrames
     poses: BoardPoses
     alignment: Alignment
+    target: Target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,7 +107,7 @@ def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, s
             alignment = _as_stated(frames, poses)
         else:
             alignment = _upright(alignment, frames, poses, stream)
-        found.append(Look(name=name, frames=frames, poses=poses, alignment=alignment))
+        found.append(Look(name=name, frames=frames, poses=poses, alignment=alignment, target=target))
     return tuple(found)
 
 
@@ -177,6 +180,7 @@ def per_corner(exposures: Exposures) -> Exposures:
         pixels=exposures.pixels,
         delay_rows=exposures.pixels[:, 1].copy(),
         spread=exposures.spread,
+        point=exposures.point,
     )
 
 
@@ -196,7 +200,8 @@ def first_parameters(
         gravity_axes=gravity_axes(np.array([0.0, 0.0, -1.0])),
         gravity_m_s2=gravity_m_s2,
         target_scale=1.0,
-        imus=(ImuParameters.ideal(),) * imus,
+        board=Board.nominal(found[0].target) if found else None,
+        imus=(replace(ImuParameters.ideal(), origin="xyz".index(options.origin)),) * imus,
         cameras=tuple(
             CameraParameters(
                 name=look.name,
@@ -209,6 +214,8 @@ def first_parameters(
             for look in found
         ),
     )
+    named = [entry.with_k3() if wants_k3(entry.name, options) else entry for entry in start.cameras]
+    start = replace(start, cameras=tuple(named))
     status = choices(start, options).status
     cameras = [_with_stated(entry, look.frames, status) for entry, look in zip(start.cameras, found, strict=True)]
     return replace(start, cameras=tuple(cameras))

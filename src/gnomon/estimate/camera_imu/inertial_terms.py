@@ -4,6 +4,12 @@
 
 with the specific force f = R' (p'' - g), R = R_target_imu(t). Their derivatives: a change d of the rotation vector
 turns the body by Jr d, so that df = [f]x Jr d - R' dg + R' dp''.
+
+Where the three accelerometers do not sit at one point, e_a has the f that each of them feels at its place r_k,
+
+    f_k + e_k' A r_k,   A = [alpha]x + [omega]x^2,   alpha = omega',
+
+while the gyroscope's g-sensitivity acts on f at the body's origin.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...geometry.rigid_body import acceleration_by_place, along_axes
 from ...geometry.so3 import skew
 from ...models.pattern import DIAGONAL, FULL, LOWER
 from ...recording import Floats, Integers
@@ -92,6 +99,8 @@ def predicted(
 ) -> tuple[Floats, Floats]:
     """Return what gyroscope [rad/s] and accelerometer [m/s^2] read, (n, 3) each, by the model of chapter 4."""
     gyroscope = motion.omega @ imu.gyroscope_sensitivity.T + force @ imu.B_g.T + biases[0]
+    if imu.lever_arms.any():
+        force = force + along_axes(acceleration_by_place(motion.omega, motion.alpha), imu.places)
     return gyroscope, force @ imu.accelerometer_sensitivity.T + biases[1]
 
 
@@ -175,7 +184,8 @@ class InertialTerms:
             "q_bg": lambda: (S @ M) @ skew(turned),
             "B_g": lambda: FULL.product_jacobian(at.force),
         }
-        self._fill_local(rows, at, (by_phi, by_rate, by_acceleration), residual, weight, kind=0)
+        by = _By(phi=by_phi, rate=by_rate, acceleration=by_acceleration)
+        self._fill_local(rows, at, by, residual, weight, kind=0)
         self._fill_border(rows, own, by_acceleration, weight)
 
     def _fill_accelerometer(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
@@ -184,41 +194,47 @@ class InertialTerms:
         weight = triad.used / self._noise.accelerometer
         by_phi = K @ (skew(at.force) @ motion.phi_jacobian)
         by_acceleration = K @ np.swapaxes(motion.R, 1, 2)
-        residual = at.force @ K.T + bias - triad.values
+        by = _By(phi=by_phi, acceleration=by_acceleration)
         S, M = DIAGONAL.matrix(imu.S_a), LOWER.matrix(imu.M_a)
-        own = {
-            "S_a": lambda: DIAGONAL.product_jacobian(at.force @ M.T),
-            "M_a": lambda: S @ LOWER.product_jacobian(at.force),
-        }
-        self._fill_local(rows, at, (by_phi, None, by_acceleration), residual, weight, kind=1)
+        own: dict[str, Callable[[], Floats]] = {}
+        felt = at.force
+        if imu.lever_arms.any() or self._layout.get(f"imu{self.data.imu}.lever_arms") is not None:
+            A = acceleration_by_place(motion.omega, motion.alpha)
+            own["lever_arms"] = lambda: np.concatenate(
+                [K[:, k, None] * A[:, None, k, :] for k in imu.other_axes], axis=2
+            )
+            if imu.lever_arms.any():
+                felt = at.force + along_axes(A, imu.places)
+                by = _with_lever_arms(by, imu, motion)
+        residual = felt @ K.T + bias - triad.values
+        own["S_a"] = lambda: DIAGONAL.product_jacobian(felt @ M.T)
+        own["M_a"] = lambda: S @ LOWER.product_jacobian(felt)
+        self._fill_local(rows, at, by, residual, weight, kind=1)
         self._fill_border(rows, own, by_acceleration, weight)
 
     def _fill_local(
         self,
         rows: Floats,
         at: "_Readings",
-        by: tuple[Floats, Floats | None, Floats | None],
+        by: "_By",
         residual: Floats,
         weight: Floats,
         *,
         kind: int,
     ) -> None:
-        """Fill in the columns of pose, bias and right-hand sides.
-
-        `by` holds the derivatives by rotation vector, its rate, and the acceleration of the body, (n, 3, 3) each;
-        `kind` is 0 for the gyroscope and 1 for the accelerometer.
-        """
+        """Fill in the columns of pose, bias and right-hand sides; `kind` is 0 for the gyroscope, 1 for the other."""
         n, columns = len(weight), self._columns
         weighted = weight[:, None]
         pose = rows[:, :, : columns.pose].reshape(n, TRIAD, columns.order, POSE)  # a view
         bases = [(basis * weighted)[:, None, :, None] for basis in (at.bases.value, at.bases.rate)]
-        by_phi, by_rate, by_acceleration = by
-        np.multiply(bases[0], by_phi[:, :, None, :], out=pose[..., :3])
-        if by_rate is not None:
-            pose[..., :3] += bases[1] * by_rate[:, :, None, :]
-        if by_acceleration is not None:
+        np.multiply(bases[0], by.phi[:, :, None, :], out=pose[..., :3])
+        if by.rate is not None:
+            pose[..., :3] += bases[1] * by.rate[:, :, None, :]
+        if by.acceleration is not None:
             basis = (at.bases.acceleration * weighted)[:, None, :, None]
-            np.multiply(basis, by_acceleration[:, :, None, :], out=pose[..., 3:])
+            np.multiply(basis, by.acceleration[:, :, None, :], out=pose[..., 3:])
+            if by.phi_acceleration is not None:
+                pose[..., :3] += basis * by.phi_acceleration[:, :, None, :]
         for knot, share in enumerate((1 - at.u, at.u)):
             start = columns.bias(self.data.imu, knot).start + TRIAD * kind
             for i in range(TRIAD):
@@ -255,3 +271,30 @@ class _Readings:
     bases: Bases
     motion: Motion
     force: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _By:
+    """Derivatives (n, 3, 3) by the rotation vector, its rate and acceleration, and the acceleration of the body."""
+
+    phi: Floats
+    rate: Floats | None = None
+    phi_acceleration: Floats | None = None
+    acceleration: Floats | None = None
+
+
+def _with_lever_arms(by: _By, imu: ImuParameters, motion: Motion) -> _By:
+    """Return the derivatives of the accelerometer with those of e_k' A r_k, which depends on omega and alpha."""
+    K, places, omega = imu.accelerometer_sensitivity, imu.places, motion.omega
+    by_alpha = K @ np.cross(places, np.eye(3))
+    along = omega @ places.T
+    by_omega = along[:, :, None] * np.eye(3) + omega[:, :, None] * places
+    by_omega -= 2 * np.diag(places)[:, None] * omega[:, None, :]
+    by_omega = K @ by_omega
+    alpha_by = motion.alpha_jacobians()
+    return _By(
+        phi=by.phi + by_omega @ motion.omega_by_phi + by_alpha @ alpha_by[0],
+        rate=by_omega @ motion.phi_jacobian + by_alpha @ alpha_by[1],
+        phi_acceleration=by_alpha @ alpha_by[2],
+        acceleration=by.acceleration,
+    )

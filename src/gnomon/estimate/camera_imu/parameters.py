@@ -5,7 +5,7 @@ the border of the normal equations.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from ...geometry.so3 import inverse, tangent_basis
 from ...models.camera import Camera
 from ...models.pattern import DIAGONAL, FULL, LOWER
 from ...recording import Floats, Integers
+from .board import OFFSETS, Board
 
 Status = Literal["estimated", "prior", "fixed"]
 
@@ -25,6 +26,9 @@ class ImuParameters:
 
     accelerometer = S_a M_a f + b_a,   gyroscope = S_g M_g C_bg' omega + B_g f + b_g
 
+    Component k of the f that the accelerometer feels is that at the place r_k of the k-th accelerometer,
+    (f + alpha x r_k + omega x (omega x r_k))_k, as Kalibr's scale-misalignment-size-effect has it.
+
     Attributes
     ----------
     S_a, S_g : (3,) scale factors
@@ -33,6 +37,9 @@ class ImuParameters:
     B_g : (3, 3) influence of the specific force, body frame, on the gyroscope [rad/s per m/s^2]
     covariance : (24, 24) of S_a, M_a, S_g, M_g, q_bg (small rotation on the right of C_bg) and B_g as they were known
         beforehand, zero where they were not; or None
+    lever_arms : (6,) from the accelerometer that is the body's origin to the two others, in the order of the axes,
+        body frame [m]
+    origin : axis of the accelerometer that is the body's origin
     """
 
     S_a: Floats
@@ -42,12 +49,26 @@ class ImuParameters:
     C_bg: Floats
     B_g: Floats
     covariance: Floats | None = None
+    lever_arms: Floats = field(default_factory=lambda: np.zeros(6))
+    origin: int = 0
 
     @classmethod
     def ideal(cls) -> "ImuParameters":
         """Return an IMU without errors."""
         ones, zeros = np.ones(3), np.zeros(3)
         return cls(S_a=ones, M_a=zeros, S_g=ones, M_g=zeros, C_bg=np.eye(3), B_g=np.zeros((3, 3)))
+
+    @property
+    def other_axes(self) -> tuple[int, ...]:
+        """Axes of the two accelerometers that are not the body's origin."""
+        return tuple(axis for axis in range(3) if axis != self.origin)
+
+    @property
+    def places(self) -> Floats:
+        """Where the x, y and z accelerometers lie in the body frame, (3, 3), one row each [m]."""
+        found = np.zeros((3, 3))
+        found[list(self.other_axes)] = self.lever_arms.reshape(2, 3)
+        return found
 
     @property
     def accelerometer_sensitivity(self) -> Floats:
@@ -80,6 +101,13 @@ class CameraParameters:
     camera: Camera
     lens_covariance: Floats | None = None
 
+    def with_k3(self) -> "CameraParameters":
+        """Return the camera with a third radial coefficient, 0 and unknown so far, where its lens is radtan."""
+        lens, known = self.camera.with_k3(), self.lens_covariance
+        if known is not None and len(known) < len(lens.parameters):
+            known = np.pad(known, (0, 1))
+        return replace(self, camera=lens, lens_covariance=known)
+
     def lens_names(self) -> list[str]:
         """Return the names of `camera.parameters`."""
         first, second = len(self.camera.intrinsics), len(self.camera.distortion_coeffs)
@@ -105,6 +133,7 @@ class Parameters:
         first two span the plane in which it is moved
     gravity_m_s2 : magnitude
     target_scale : size of the board relative to what was stated
+    board : its corners, or None where they are as stated
     imus, cameras : one by one
     """
 
@@ -113,6 +142,7 @@ class Parameters:
     target_scale: float
     imus: tuple[ImuParameters, ...]
     cameras: tuple[CameraParameters, ...]
+    board: Board | None = None
 
     @property
     def gravity_direction(self) -> Floats:
@@ -168,6 +198,9 @@ _IMU_BLOCKS = (
     ("B_g", 9, 0.02, "rad/s per m/s^2"),
 )
 
+_LEVER_ARMS = ("lever_arms", 6, 0.05, "m")
+"""Weak prior of 5 cm: a sensor's case is not larger."""
+
 _IMU_SCALARS = tuple(f"{name}[{i}]" for name, size, _, _ in _IMU_BLOCKS for i in range(size))
 
 _LENS_SIGMA = {"projection": 0.1, "focal": 20.0, "principal": 20.0, "distortion": 0.1}
@@ -183,7 +216,7 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
     for i in range(len(parameters.imus)):
         found += [
             Block(name=f"imu{i}.{name}", size=size, weak_sigma=(sigma,) * size, unit=unit)
-            for name, size, sigma, unit in _IMU_BLOCKS
+            for name, size, sigma, unit in (*_IMU_BLOCKS, _LEVER_ARMS)
         ]
     for entry in parameters.cameras:
         name, lens = entry.name, entry.camera
@@ -200,6 +233,9 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
             found.append(
                 Block(name=f"{name}.distortion_coeffs", size=len(sigmas) - count, weak_sigma=sigmas[count:], unit="")
             )
+    if parameters.board is not None:  # last: its columns are the wide part of the border
+        size = parameters.board.offsets.size
+        found.append(Block(name=OFFSETS, size=size, weak_sigma=(parameters.board.sigma_m,) * size, unit="m"))
     return tuple(found)
 
 
@@ -252,6 +288,12 @@ class Layout:
     def free_index(self) -> Integers:
         """Columns of the scalars that are estimated."""
         return np.flatnonzero(self.free)
+
+    @property
+    def dense(self) -> int:
+        """Number of columns before those of the board's corners, which each row touches few of."""
+        offsets = self.columns.get(OFFSETS)
+        return len(self) if offsets is None else offsets.start
 
     def get(self, name: str) -> slice | None:
         """Return the columns of a block, or None where it has none."""
@@ -335,6 +377,8 @@ def _information(start: Parameters, names: list[str], sigma: Floats) -> Floats:
         kept = [i for i, name in enumerate(known) if name in column and sigma[column[name]] == size[i]]
         at = [column[known[i]] for i in kept]
         information[np.ix_(at, at)] = whole[np.ix_(kept, kept)]
+    if start.board is not None and (first := column.get(f"{OFFSETS}[0]")) is not None:
+        information[first:, first:] += start.board.gauge_information()
     return information
 
 
@@ -343,6 +387,9 @@ def coordinates(name: str, parameters: Parameters, start: Parameters) -> Floats 
     owner, _, rest = name.partition(".")
     if name == "gravity.direction":
         return start.gravity_plane.T @ parameters.gravity_direction
+    if name == OFFSETS:
+        assert parameters.board is not None
+        return parameters.board.offsets.ravel()
     if owner in ("gravity", "target"):
         return parameters.gravity_m_s2 if owner == "gravity" else parameters.target_scale
     if owner.startswith("imu"):
@@ -384,6 +431,9 @@ def _moved(name: str, parameters: Parameters, delta: Floats) -> Parameters:
             return replace(parameters, gravity_m_s2=parameters.gravity_m_s2 + float(delta[0]))
         turn = np.cross(parameters.gravity_direction, parameters.gravity_plane @ delta)
         return replace(parameters, gravity_axes=rotation_from_rotvec(turn) @ parameters.gravity_axes)
+    if name == OFFSETS:
+        assert parameters.board is not None
+        return replace(parameters, board=parameters.board.moved(delta))
     if owner == "target":
         return replace(parameters, target_scale=parameters.target_scale + float(delta[0]))
     if owner.startswith("imu"):

@@ -17,11 +17,20 @@ _BIASES = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Published:
-    """IMUs and cameras, with the covariance of all their scalars in the order of `covariance_names`."""
+    """IMUs and cameras.
+
+    Attributes
+    ----------
+    covariance : of all their scalars, in the order of `covariance_names`
+    ordinary : the same for independent errors
+    jacobian : of these scalars by the free ones and the means of the biases
+    """
 
     imus: dict[str, ImuCalibration]
     cameras: dict[str, CameraCalibration]
     covariance: Floats
+    ordinary: Floats
+    jacobian: Floats
 
 
 def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) -> Published:
@@ -34,20 +43,26 @@ def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) 
     gravity_sigma : standard deviation of the magnitude of gravity, which was held [m/s^2]
     """
     column = {name: i for i, name in enumerate(found.names)}
-    inner = with_uncertain(found, "gravity.magnitude", gravity_sigma)
+    both = [with_uncertain(found, "gravity.magnitude", gravity_sigma, ordinary=ordinary) for ordinary in (False, True)]
+    width = len(both[0])
     rows: list[Floats] = []
     imus: dict[str, ImuCalibration] = {}
     for i, imu in enumerate(parameters.imus):
         bias = found.bias_mean[i]
         imus[f"imu{i}"] = ImuCalibration(
             accelerometer=AccelerometerCalibration(
-                sensitivity=imu.accelerometer_sensitivity, bias=bias[3:], unit="m/s^2"
+                sensitivity=imu.accelerometer_sensitivity,
+                bias=bias[3:],
+                unit="m/s^2",
+                lever_arms_m=imu.places if _has_lever_arms(imu, i, column) else None,
             ),
             gyroscope=GyroscopeCalibration(
                 sensitivity=imu.gyroscope_sensitivity, bias=bias[:3], g_sensitivity=imu.B_g, unit="rad/s"
             ),
         )
-        rows.append(_imu_rows(imu, i, column, len(inner), len(found.names) + _BIASES * i))
+        rows.append(_imu_rows(imu, i, column, width, len(found.names) + _BIASES * i))
+        if _has_lever_arms(imu, i, column):
+            rows.append(_lever_arm_rows(imu, i, column, width))
     calibrated: dict[str, CameraCalibration] = {}
     for entry in parameters.cameras:
         T = np.eye(4)
@@ -55,10 +70,16 @@ def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) 
         calibrated[entry.name] = CameraCalibration(
             T_cam_imu=T, time_shift_cam_imu=entry.time_shift_s, camera=entry.camera
         )
-        rows.append(_camera_rows(entry, column, len(inner)))
+        rows.append(_camera_rows(entry, column, width))
     jacobian = np.concatenate(rows)
-    covariance = jacobian @ inner @ jacobian.T
-    return Published(imus=imus, cameras=calibrated, covariance=0.5 * (covariance + covariance.T))
+    covariance, ordinary = (jacobian @ inner @ jacobian.T for inner in both)
+    return Published(
+        imus=imus,
+        cameras=calibrated,
+        covariance=0.5 * (covariance + covariance.T),
+        ordinary=0.5 * (ordinary + ordinary.T),
+        jacobian=jacobian,
+    )
 
 
 def _imu_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int, biases: int) -> Floats:
@@ -82,6 +103,22 @@ def _imu_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int
     put(12, "q_bg", [-S_g @ M_g @ skew(axis) @ imu.C_bg.T for axis in np.eye(3)])
     rows[21:24, biases : biases + 3] = np.eye(3)
     put(24, "B_g", units)
+    return rows
+
+
+def _has_lever_arms(imu: ImuParameters, index: int, column: dict[str, int]) -> bool:
+    """Tell whether the accelerometers of an IMU are taken to sit at different points."""
+    return bool(imu.lever_arms.any()) or any(f"imu{index}.lever_arms[{k}]" in column for k in range(6))
+
+
+def _lever_arm_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int) -> Floats:
+    """Return the derivative of the accelerometers' places, (9, width)."""
+    rows = np.zeros((9, width))
+    scalars = [3 * axis + k for axis in imu.other_axes for k in range(3)]
+    for k, row in enumerate(scalars):
+        at = column.get(f"imu{index}.lever_arms[{k}]")
+        if at is not None:
+            rows[row, at] = 1.0
     return rows
 
 

@@ -24,6 +24,7 @@ from .batch import (
 from .corner_sums import CornerSums, Exposures, frame_scatter
 from .inertial_terms import InertialNoise
 from .parameters import Layout
+from .walk_noise import next_walk
 
 GATE = 4.0
 """A frame whose corners scatter more than those of the median frame, by this factor in variance, is left out."""
@@ -31,8 +32,10 @@ GATE = 4.0
 _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
-_AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell
+_AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell;
+_WIDE_AT_REST = 0.1  # with the corners of a board, whose errors make sigmas of independent errors too small by far
 _NOISE_AT_REST, _NOISE_ROUGHLY = 0.06, 0.2  # relative change of a level
+_WALK_SHARE = 0.3  # by which a relative change of a random walk counts: sigmas follow it less
 _FEW = 0.01
 """Share of the frames that may be judged otherwise without a further round: they lie at the limit."""
 
@@ -78,6 +81,7 @@ def solved(
     noise: Noise,
     *,
     estimate_noise: bool,
+    estimate_walks: bool = False,
     gate: bool,
     max_iterations: int,
     tell: Callable[[str], None] = lambda _: None,
@@ -90,6 +94,7 @@ def solved(
     extended : `layout` with further columns that are held; for the last linearisations
     noise : first levels
     estimate_noise : weigh by the levels that the residuals show
+    estimate_walks : also by those of the biases' random walks
     gate : leave out frames that fit badly as a whole
 
     Raises
@@ -105,20 +110,21 @@ def solved(
         tell(f"iteration {len(iterations) + 1}: largest step {step.largest:.2g} sigma")
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
             found = _at_least(estimated_noise(lin, step, noise), first)
+            proposed = replace(found, walks=_next_walks(found, noise, first) if estimate_walks else noise.walks)
             settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
             judgements += settled
             kept = _gated(measurements, lin, noise) if gate and judgements <= _JUDGEMENTS else measurements.used
             tolerance = _NOISE_AT_REST if settled else _NOISE_ROUGHLY
-            same_noise = not estimate_noise or noise_change(found, noise) < tolerance
+            same_noise = not estimate_noise or noise_change(proposed, noise) < tolerance
             same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
             left = step.largest * min(1.0, step.largest / max(previous, 1e-12))
-            if same_noise and same_frames and left < _AT_REST:
+            if same_noise and same_frames and left < (_AT_REST if layout.dense == len(layout) else _WIDE_AT_REST):
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
                 converged = True
                 break
             if not (same_noise and same_frames):  # another problem from here on: costs are not comparable
-                noise = noise if same_noise else found
+                noise = noise if same_noise else proposed
                 measurements = measurements if same_frames else replace(measurements, used=kept)
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
@@ -188,6 +194,14 @@ def _at_least(found: Noise, first: Noise) -> Noise:
     )
 
 
+def _next_walks(found: Noise, used: Noise, stated: Noise) -> tuple[tuple[float, float], ...]:
+    """Return the random walks of the biases to go on with."""
+    return tuple(
+        (next_walk(f[0], u[0], s[0]), next_walk(f[1], u[1], s[1]))
+        for f, u, s in zip(found.walks, used.walks, stated.walks, strict=True)
+    )
+
+
 def noise_change(a: Noise, b: Noise) -> float:
     """Return the largest relative difference of two sets of noise levels."""
     pairs = [
@@ -195,7 +209,9 @@ def noise_change(a: Noise, b: Noise) -> float:
         *((x.gyroscope, y.gyroscope) for x, y in zip(a.imus, b.imus, strict=True)),
         *((x.accelerometer, y.accelerometer) for x, y in zip(a.imus, b.imus, strict=True)),
     ]
-    return max(abs(x / y - 1) for x, y in pairs)
+    walks = [(x, y) for one, other in zip(a.walks, b.walks, strict=True) for x, y in zip(one, other, strict=True)]
+    largest = max(abs(x / y - 1) for x, y in pairs)
+    return max(largest, *(_WALK_SHARE * abs(x / y - 1) for x, y in walks))
 
 
 def _gated(measurements: Measurements, lin: Linearisation, noise: Noise) -> tuple[np.ndarray, ...]:

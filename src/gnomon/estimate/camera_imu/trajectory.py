@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...geometry.bspline import basis
-from ...geometry.rotation_vector import turning
+from ...geometry.rotation_vector import angular_acceleration_by_phi, turning
+from ...geometry.so3 import skew
 from ...recording import Floats, Integers
 
 POSE = 6
@@ -59,6 +60,11 @@ class Grid:
         """Number of control points."""
         last = self.segments[-1]
         return last.first + last.spans + self.order - 1
+
+    @property
+    def duration_s(self) -> float:
+        """Time that the segments span together [s]."""
+        return sum(segment.spans for segment in self.segments) * self.spacing_s
 
     @property
     def bias_offset(self) -> int:
@@ -143,6 +149,7 @@ class Motion:
     phi_jacobian : (n, 3, 3) right Jacobian: a change d of phi turns the body by phi_jacobian d, in its own frame
     omega : (n, 3) angular rate, IMU frame [rad/s]
     omega_by_phi : (n, 3, 3)
+    phi, phi_rate, phi_acceleration : (n, 3) rotation vector and its derivatives by time
     position, velocity, acceleration : (n, 3) of the IMU, target frame [m, m/s, m/s^2]
     """
 
@@ -150,9 +157,24 @@ class Motion:
     phi_jacobian: Floats
     omega: Floats
     omega_by_phi: Floats
+    phi: Floats
+    phi_rate: Floats
+    phi_acceleration: Floats
     position: Floats
     velocity: Floats
     acceleration: Floats
+
+    @property
+    def alpha(self) -> Floats:
+        """Angular acceleration, IMU frame, (n, 3) [rad/s^2]."""
+        return (self.omega_by_phi @ self.phi_rate[:, :, None] + self.phi_jacobian @ self.phi_acceleration[:, :, None])[
+            :, :, 0
+        ]
+
+    def alpha_jacobians(self) -> tuple[Floats, Floats, Floats]:
+        """Return the derivatives (n, 3, 3) of `alpha` by the rotation vector, its rate and its acceleration."""
+        by_phi = angular_acceleration_by_phi(self.phi, self.phi_rate, self.phi_acceleration)
+        return by_phi, 2 * self.omega_by_phi - skew(self.omega) @ self.phi_jacobian, self.phi_jacobian
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,7 +200,7 @@ class Trajectory:
         rows = places.first[:, None] + np.arange(self.grid.order)
         pose = self.controls[:, :POSE][rows]
         value, rate = _combined(bases.value, pose), _combined(bases.rate, pose)
-        acceleration = np.einsum("nk,nkj->nj", bases.acceleration, pose[:, :, 3:])
+        acceleration = _combined(bases.acceleration, pose)
         rotation, jacobian, omega, by_phi = turning(value[:, :3], rate[:, :3])
         references = self.grid.references()
         R = references[0] @ rotation if len(references) == 1 else references[places.segment] @ rotation
@@ -187,9 +209,12 @@ class Trajectory:
             phi_jacobian=jacobian,
             omega=omega,
             omega_by_phi=by_phi,
+            phi=value[:, :3],
+            phi_rate=rate[:, :3],
+            phi_acceleration=acceleration[:, :3],
             position=value[:, 3:],
             velocity=rate[:, 3:],
-            acceleration=acceleration,
+            acceleration=acceleration[:, 3:],
         )
 
     def bias(self, places: Places, imu: int = 0) -> tuple[Floats, Floats]:

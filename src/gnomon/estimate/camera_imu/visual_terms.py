@@ -11,16 +11,21 @@ twist (tau_r, x x tau_r) about the camera's origin, and
     exposing later by dt                           the body turns by omega dt and moves by v dt.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...geometry.so3 import skew
 from ...recording import Floats, Integers
+from ...solve.bordered_band import Workspace
 from .assembly import Columns
+from .board import OFFSETS
+from .board_terms import CornerProducts, Coupling, corners_of
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 from .parameters import CameraParameters, Layout, Parameters
 from .trajectory import POSE, Bases, Motion, Trajectory
+
+_CHUNK = 20_000  # corners that are mapped at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,17 +95,28 @@ class VisualTerms:
         self._bases = Bases.at(places, grid)
         self._motion = trajectory.motion(places, self._bases)
         own, scale_column = _own_columns(layout, entry)
+        exposures, offsets = data.exposures, None
+        if (board := parameters.board) is not None and board.offsets.any():
+            assert exposures.point is not None
+            exposures = replace(exposures, points=exposures.points + board.offsets[exposures.point])
+        if board is not None and layout.get(OFFSETS) is not None:
+            assert exposures.point is not None
+            counted = np.repeat(places.inside & used, np.diff(exposures.start))
+            width = len(own) + scale_column + 1 + (noise.probe_sign is not None)
+            offsets = CornerProducts(exposures.point, counted, len(board.points), width)
         self.sums = corner_sums(
-            data.exposures,
+            exposures,
             entry.camera,
             *board_in_camera(self._motion, entry),
             noise,
             own_parameters=own,
             target_scale=parameters.target_scale,
             scale_column=scale_column,
+            offsets=offsets,
         )
+        self._exposures, self._offsets = exposures, offsets
         self._maps = _maps(layout, data, entry, self._motion)
-        self._columns, self._probe = columns, probe
+        self._columns, self._probe, self._camera = columns, probe, data.camera
         self.known = places.inside & (self.sums.valid > 0)
         self.inside = self.known & used
         chosen = np.flatnonzero(self.inside)
@@ -116,6 +132,57 @@ class VisualTerms:
     def cost(self) -> float:
         """Robust cost of all exposures that take part."""
         return float(self.sums.cost[self.inside].sum())
+
+    def coupling(self, workspace: Workspace | None = None) -> Coupling | None:
+        """Return what the offsets of the corners have in common with everything else, where they have columns.
+
+        Made in a workspace it is valid until the next one is made there.
+        """
+        if self._offsets is None or self._exposures.point is None:
+            return None
+        products, columns = self._offsets, self._columns
+        corner, place = corners_of(self._order, self._exposures.start)
+        exposure, point = self._order[place], self._exposures.point[corner]
+        points = len(products.squares)
+        border = np.zeros((columns.parameters, points, 3))
+        memory = workspace or Workspace()
+        by_pose = memory.zeros(f"board {self._camera}", (len(corner), POSE, 3))
+        from_pose = np.swapaxes(self._by_pose(), 1, 2)
+        for begin in range(0, len(corner), _CHUNK):
+            some = slice(begin, begin + _CHUNK)
+            twists = products.by_twist[corner[some]]
+            np.matmul(from_pose[exposure[some]], twists, out=by_pose[some])
+            for at, way in self._maps.twists:
+                each = np.broadcast_to(way, (len(twists), *way.shape[1:])) if len(way) == 1 else way[exposure[some]]
+                for column, along in zip(range(at.start, at.stop), each.transpose(2, 0, 1), strict=True):
+                    pulls = np.einsum("mw,mwj->jm", along, twists)
+                    border[column] += np.stack([np.bincount(point[some], pull, points) for pull in pulls], axis=1)
+        for column, index in self._maps.own:
+            border[column] = products.rest[index]
+        residual = len(self._maps.own)
+        sides = np.zeros((columns.sides, points, 3))
+        sides[0] = -products.rest[residual]
+        if self._probe is not None:
+            sides[self._probe] = products.rest[residual + 1]
+        return Coupling(
+            first=self._first[place],
+            exposure=exposure,
+            value=self._bases.value,
+            point=point,
+            by_pose=by_pose,
+            border=border.reshape(columns.parameters, 3 * points),
+            sides=sides.reshape(columns.sides, 3 * points).T,
+            squares=products.squares,
+        )
+
+    def _by_pose(self) -> Floats:
+        """Return the derivative of the twist by the pose at all exposures, (e, 6, 6)."""
+        entry, motion = self._entry, self._motion
+        R, x = entry.R_cam_imu, entry.p_cam_imu
+        found = np.zeros((len(motion.R), TWIST, POSE))
+        found[:, :, :3] = -np.vstack([R, skew(x) @ R]) @ motion.phi_jacobian
+        found[:, 3:, 3:] = -R @ np.swapaxes(motion.R, 1, 2)
+        return found
 
     def rows(self, part: slice) -> Floats:
         """Return the rows (e, r, w) that sum up the corners of some exposures."""

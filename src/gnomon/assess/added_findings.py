@@ -1,0 +1,77 @@
+"""What the model took up because the recording proved it to be there, with its size and what to do about it."""
+
+import numpy as np
+
+from ..estimate.camera_imu.parameters import CameraParameters, Parameters
+from ..findings import Finding
+from ..recording import Floats
+
+_FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
+"""Beyond these it is doubtful that the stated intrinsics are of this camera."""
+
+
+def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters) -> list[Finding]:
+    """Say what was added to the model.
+
+    Parameters
+    ----------
+    added : steps of the model choice that are in the model
+    start, found : parameters as they were stated and as they were estimated
+    """
+    findings: list[Finding] = []
+    if "lever arms" in added:
+        findings += [_lever_arms(f"imu{i}", imu.places) for i, imu in enumerate(found.imus)]
+    if "intrinsics" in added:
+        findings += [_lens(*pair) for pair in zip(start.cameras, found.cameras, strict=True)]
+    if "board" in added and found.board is not None:
+        findings.append(_board(found.board.offsets))
+    return findings
+
+
+def _lever_arms(name: str, places: Floats) -> Finding:
+    apart = ", ".join(
+        f"{axis} at {' '.join(f'{1e3 * value:.1f}' for value in place)} mm"
+        for axis, place in zip("xyz", places.tolist(), strict=True)
+        if any(place)
+    )
+    return Finding(
+        severity="info",
+        code="lever-arms-found",
+        message=f"The accelerometers of {name} do not sit at one point: seen from x, {apart}.",
+        consequence="The model has taken that up; T_cam_imu holds for the place of the x accelerometer.",
+        cure="Where a filter takes the IMU for one point, fast rotation will look like acceleration by that much.",
+    )
+
+
+def _lens(stated: CameraParameters, found: CameraParameters) -> Finding:
+    before, after = stated.camera.intrinsics[-4:], found.camera.intrinsics[-4:]
+    focal = float(np.mean(after[:2] / before[:2]) - 1)
+    moved = float(np.linalg.norm(after[2:] - before[2:]))
+    doubtful = abs(focal) > _FOCAL_WARN or moved > _PRINCIPAL_WARN_PX
+    k3 = found.camera.distortion_coeffs[4] if found.camera.distortion == "radtan5" else 0.0
+    bent = f"; k3 is {k3:.3g}" if k3 else ""
+    return Finding(
+        severity="warning" if doubtful else "info",
+        code="lens-found",
+        message=f"The lens of {found.name} is not as stated: focal length {100 * focal:+.2g} %, principal point "
+        f"{moved:.2g} px away{bent}.",
+        consequence="The lens was estimated along; with the stated one, translations and the IMU's scales would bend.",
+        cure="Check that camchain.yaml is of this camera, lens and resolution."
+        if doubtful
+        else "Use the lens of this result, or calibrate the camera anew.",
+    )
+
+
+def _board(offsets: Floats) -> Finding:
+    rms, most = (1e3 * f(np.linalg.norm(offsets, axis=1)) for f in (_rms, np.max))
+    return Finding(
+        severity="info",
+        code="board-found",
+        message=f"Corners of the board lie {rms:.2g} mm (rms, at most {most:.2g} mm) from their places, in all frames.",
+        consequence="Print, plate or detector; the corners' places were estimated along.",
+        cure="A flat board, printed sharply and lit evenly, needs less of it.",
+    )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

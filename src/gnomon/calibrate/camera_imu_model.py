@@ -1,0 +1,203 @@
+"""Which model a recording asks for: that of the options, and what else it proves to be there (B16).
+
+The model of the IMU is estimated first, and beside it is seen what lever arms of the accelerometers and errors of the
+lens and, where corners stay off in the same way from frame to frame, of the board would do. What predicts clusters of
+time that were left out better, by more than chance, joins the model; what does not prove itself in the larger model is
+taken out again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from ..estimate.camera_imu.batch import State, gauss_newton_step, linearised
+from ..estimate.camera_imu.choices import choices, imu_blocks, lens_prior
+from ..estimate.camera_imu.cluster_sums import cluster_sums
+from ..estimate.camera_imu.model_ladder import EXTRAS, LADDER, ladder, step_columns
+from ..estimate.camera_imu.parameters import Parameters, layout
+from ..estimate.camera_imu.residual_patterns import board_evidence
+from ..estimate.camera_imu.solution import Solution, solved
+from ..estimate.clusters import ClusterSums
+from ..estimate.robust import clustered, memory
+from ..options import CameraImuOptions
+from ..trust import ModelStep
+
+Progress = Callable[[str], None]
+
+_ROUNDS = 3
+"""Larger models that are estimated: what is in one may show, or refute, another block."""
+
+_ROUGHLY = 4
+"""Iterations without the corners of the board, before they join."""
+
+_BOARD = "board"
+_BLOCKS = {name: LADDER[name] for name in EXTRAS} | {"k3": ("distortion_coeffs",), _BOARD: ("offsets",)}
+_BOARD_CHANCE = 0.01 / (len(EXTRAS) + 1)
+_BOARD_SHARE = 0.02
+"""Of the residuals' variance, below which a pattern of the corners moves nothing that anybody could see."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chosen:
+    """A solution with the model that was chosen.
+
+    Attributes
+    ----------
+    solution : see there
+    sums : of its stretches of time
+    steps : what each block brings
+    added : steps beyond the model of the options that are in it
+    tries : blocks on which the recording decided
+    """
+
+    solution: Solution
+    sums: ClusterSums
+    steps: tuple[ModelStep, ...]
+    added: tuple[str, ...] = ()
+    tries: int = 0
+
+
+def considered(start: Parameters) -> tuple[str, ...]:
+    """Return the blocks beyond the model of which the last linearisations tell what they would do."""
+    arms = [f"imu{i}.lever_arms" for i in range(len(start.imus))]
+    lenses = [
+        f"{entry.name}.{block}"
+        for entry in start.cameras
+        for block in LADDER["intrinsics"]
+        if block == "intrinsics" or len(entry.camera.distortion_coeffs)
+    ]
+    return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms)
+
+
+def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) -> Chosen:
+    """Return the solution with the blocks that the recording asks for.
+
+    Parameters
+    ----------
+    solution : with the model of the options, and the columns of `considered`
+    options : model "auto" adds blocks by evidence; the others are estimated as they are
+    tell : called with a sentence at each step
+    """
+    stated = _stated(solution, options)
+    judged = base = _judged(solution, stated)
+    steps = {step.name: step for step in base.steps}
+    if _BOARD not in stated:
+        steps[_BOARD] = _board_step(solution)
+    asked = _asked(steps, stated)
+    if {"intrinsics", _BOARD} & set(asked) and "k3" not in stated and _may_have_k3(solution):
+        steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated).steps}
+        asked = _asked(steps, stated)
+    inside: tuple[str, ...] = ()
+    for _ in range(_ROUNDS):
+        if asked == inside:
+            break
+        tell(f"estimating along: {', '.join(asked) or 'none of them'}")
+        judged = _judged(_estimated_along(solution, asked, options, tell), stated) if asked else base
+        steps |= {step.name: step for step in judged.steps}
+        asked, inside = _asked(steps, stated), asked
+    told = [step if step.name in stated else replace(step, used=step.name in inside) for step in steps.values()]
+    told.sort(key=lambda step: (*LADDER, _BOARD).index(step.name))
+    return replace(judged, steps=tuple(told), added=inside, tries=len(steps.keys() - stated.keys()))
+
+
+def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool]) -> tuple[str, ...]:
+    """Return the steps that prove themselves, of those that nobody has decided on."""
+    return tuple(name for name in (*EXTRAS, _BOARD) if name not in stated and name in steps and steps[name].used)
+
+
+def _may_have_k3(solution: Solution) -> bool:
+    return any(entry.camera.distortion == "radtan" for entry in solution.state.parameters.cameras)
+
+
+def _stated(solution: Solution, options: CameraImuOptions) -> dict[str, bool]:
+    """Return step -> whether it is in the model, for those of the IMU and those that the options decide."""
+    columns = solution.layout
+    found = {name: bool(columns.free[step_columns(columns, name)].any()) for name in LADDER}
+    found[_BOARD] = any(columns.free[columns.dense :])
+    if options.model != "auto":
+        return found
+    held = {
+        name
+        for name, blocks in _BLOCKS.items()
+        if any(part in given for given in options.fix for part in (*blocks, name))
+    }
+    return {name: inside for name, inside in found.items() if inside or name not in _BLOCKS or name in held}
+
+
+def _judged(solution: Solution, stated: Mapping[str, bool]) -> Chosen:
+    """Return the solution with what each block brings in clusters of time that were left out."""
+    found, columns = cluster_sums(solution), solution.layout
+    free = columns.free_index[columns.free_index < columns.dense]
+    blocks = [name.partition("[")[0] for name in np.array(columns.names)[free]]
+    number = np.unique(blocks, return_inverse=True)[1].astype(np.int64)
+    lasts = memory(found.of_parameters(free), np.eye(len(free)), number)
+    clusters, _ = clustered(found, max(lasts, 1))
+    steps = ladder(clusters[0], solution.layout, solution.state.parameters, stated)
+    return Chosen(solution=solution, sums=found, steps=steps)
+
+
+def _board_step(solution: Solution) -> ModelStep:
+    """Return what the corners of the board would bring, by residuals that stay the same from frame to frame.
+
+    Taking a pattern of size s off residuals of size sigma makes their log-likelihood larger by half the sum of
+    s^2 / sigma^2, before anything else is fitted anew; whether the pattern is there, clusters of time tell.
+    """
+    pattern, board = board_evidence(solution), solution.state.parameters.board
+    corners = sum(
+        int(fit.valid[inside].sum()) for fit, inside in zip(solution.lin.sums, solution.lin.inside, strict=True)
+    )
+    gain, least = (corners * share / max(1 - share, 0.1) for share in (pattern.share, _BOARD_SHARE))
+    spread = abs(gain / pattern.z) if pattern.z else 0.0
+    needed = max(spread * float(ndtri(1 - _BOARD_CHANCE)), least)
+    return ModelStep(
+        name=_BOARD,
+        parameters=0 if board is None else board.offsets.size,
+        gain=gain,
+        gain_sigma=spread,
+        needed=needed,
+        used=gain > needed,
+    )
+
+
+def _seen_with_k3(solution: Solution, options: CameraImuOptions) -> Solution:
+    """Return the same solution, linearised with a column for the third radial coefficient, which is held."""
+    state, origin = _with_k3(solution)
+    chosen = choices(origin, options)
+    columns = layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin))
+    lin = linearised(solution.measurements, state, columns, solution.noise, probing=True)
+    return replace(solution, state=state, layout=columns, lin=lin, step=gauss_newton_step(lin))
+
+
+def _with_k3(solution: Solution) -> tuple[State, Parameters]:
+    """Return state and start values whose lenses have a third radial coefficient."""
+
+    def wider(parameters: Parameters) -> Parameters:
+        return replace(parameters, cameras=tuple(entry.with_k3() for entry in parameters.cameras))
+
+    state = solution.state
+    return replace(state, parameters=wider(state.parameters)), wider(solution.layout.start)
+
+
+def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraImuOptions, tell: Progress) -> Solution:
+    """Return the solution with further blocks, from one without them; the costly corners of the board come last."""
+    state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
+    fewer = tuple(name for name in asked if name != _BOARD)
+    larger = replace(solution, state=state)
+    for names in dict.fromkeys((fewer, tuple(asked))) if fewer else (asked,):
+        most = options.max_iterations if names == tuple(asked) else min(_ROUGHLY, options.max_iterations)
+        chosen = choices(origin, options, added=[block for name in names for block in _BLOCKS[name]])
+        larger = solved(
+            larger.measurements,
+            larger.state,
+            layout(origin, chosen.status, chosen.prior_sigma),
+            layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
+            larger.noise,
+            estimate_noise=options.noise != "nominal",
+            estimate_walks=options.noise == "coloured",
+            gate=options.robust,
+            max_iterations=most,
+            tell=tell,
+        )
+    return larger

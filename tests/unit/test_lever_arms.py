@@ -1,0 +1,248 @@
+"""Accelerometers that do not sit at one point: simulated, moved between frames and origins, in files, and estimated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.calibration import Covariance
+from gnomon.errors import FormatError, OptionError
+from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.options import CameraImuOptions
+from gnomon.parameters import covariance_names, parameters
+from gnomon.readers.calibration_file import load
+from gnomon.readers.kalibr_imu import read_kalibr
+from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.trust import Need, TrustNote
+from gnomon.writers.calibration_file import calibration_text, save
+
+ARMS = (0.0075, -0.0116, 0.0006, 0.0074, -0.0112, 0.0015)
+PLACES = np.array([0.0, 0.0, 0.0, *ARMS]).reshape(3, 3)
+
+
+def with_arms(calibration, places=PLACES, seed=3):
+    """Return a calibration with lever arms, all of them and everything else uncertain together."""
+    imu = calibration.imus["imu0"]
+    imus = {"imu0": replace(imu, accelerometer=replace(imu.accelerometer, lever_arms_m=places))}
+    names = covariance_names(imus, calibration.cameras)
+    old = [i for i, name in enumerate(names) if "lever_arms" not in name]
+    matrix = np.zeros((len(names),) * 2)
+    matrix[np.ix_(old, old)] = calibration.uncertainty.matrix
+    arms = [i for i, name in enumerate(names) if "lever_arms" in name and np.any(places.ravel()) and name[-4] != "0"]
+    root = np.random.default_rng(seed).normal(0, 1e-3, (len(arms), len(arms)))
+    matrix[np.ix_(arms, arms)] = root @ root.T
+    return replace(calibration, imus=imus, uncertainty=Covariance(names=names, matrix=matrix))
+
+
+def test_every_accelerometer_feels_the_force_at_its_place():
+    scenario = CameraImuScenario(
+        duration_s=3.0, accelerometer_arms_m=ARMS, noise_factor=0.0, earth_rate_latitude=47.0, motion="tremor"
+    )
+    simulation, plain = (simulated_camera_imu(one, 1) for one in (scenario, replace(scenario, accelerometer_arms_m=())))
+    sensor = simulation.truth.imus["imu0"].accelerometer
+    np.testing.assert_array_equal(sensor.lever_arms_m, PLACES)
+    felt = sensor.specific_force(simulation.recording.imus["imu0"].accelerometer.values - simulation.b_a + sensor.bias)
+    earth = simulation.trajectory.omega_imu - simulation.trajectory.at(simulation.trajectory.t_s).omega
+    for k, place in enumerate(PLACES):
+        there = simulation.trajectory.T_cam0_imu.copy()
+        there[:3, 3] += there[:3, :3] @ place
+        motion = simulation.trajectory.path.at(simulation.trajectory.t_s).of(there)
+        earth_target = np.einsum("nij,nj->ni", motion.R_target_body, earth)
+        acceleration = motion.acceleration + 2 * np.cross(earth_target, motion.velocity) - simulation.gravity_target
+        expected = np.einsum("nji,nj->ni", motion.R_target_body, acceleration)[:, k]
+        np.testing.assert_allclose(felt[:, k], expected, rtol=0, atol=1e-8)  # less the centrifugal force of the Earth
+    assert np.abs(felt - plain.trajectory.f_imu).max() > 0.1
+    assert plain.truth.imus["imu0"].accelerometer.lever_arms_m is None
+    a, b = (s.recording.imus["imu0"].gyroscope.values for s in (simulation, plain))
+    np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("arms", [(0.01,), (0.0, 0.0, 0.0, 0.0, 0.0, np.inf)])
+def test_arms_that_are_no_two_places_are_refused(arms):
+    with pytest.raises(OptionError, match="accelerometer_arms_m"):
+        CameraImuScenario(accelerometer_arms_m=arms)
+
+
+def scalars(calibration, at):
+    """Return all scalars, of rotations the small ones on the right from those of `at`."""
+    found = []
+    for (name, value), (_, origin) in zip(
+        parameters(calibration.imus, calibration.cameras), parameters(at.imus, at.cameras), strict=True
+    ):
+        turn = rotation_from_rotvec(origin).T @ rotation_from_rotvec(value) if name.endswith("rotation") else None
+        found.append(np.ravel(value) if turn is None else rotvec_from_rotation(turn))
+    return np.concatenate(found)
+
+
+def moved_by(calibration, k, step):
+    """Return the calibration with one scalar changed: a lever arm, or the rotation of cam0."""
+    imu, camera = calibration.imus["imu0"], calibration.cameras["cam0"]
+    name = calibration.uncertainty.names[k]
+    if "lever_arms" in name:
+        places = imu.accelerometer.lever_arms_m.copy()
+        places[int(name[-4]), int(name[-2])] += step
+        accelerometer = replace(imu.accelerometer, lever_arms_m=places)
+        return replace(calibration, imus={"imu0": replace(imu, accelerometer=accelerometer)})
+    T = camera.T_cam_imu.copy()
+    T[:3, :3] = T[:3, :3] @ rotation_from_rotvec(step * np.eye(3)[int(name[-2])])
+    return replace(calibration, cameras={**calibration.cameras, "cam0": replace(camera, T_cam_imu=T)})
+
+
+@pytest.mark.parametrize("axis", "xyz")
+def test_another_origin_is_the_same_sensor(camera_calibration, axis):
+    calibration = with_arms(camera_calibration(1))
+    moved = calibration.with_origin(axis)
+    place = PLACES["xyz".index(axis)]
+    np.testing.assert_array_equal(moved.parameter("imu0.accelerometer.lever_arms_m"), PLACES - place)
+    for name, camera in calibration.cameras.items():  # the origin itself is seen where it was
+        seen = moved.cameras[name].T_cam_imu @ [0, 0, 0, 1]
+        np.testing.assert_allclose(seen, camera.T_cam_imu @ [*place, 1], rtol=0, atol=1e-15)
+    back = moved.with_origin("x")
+    np.testing.assert_allclose(scalars(back, calibration), scalars(calibration, calibration), rtol=0, atol=1e-15)
+    size = np.sqrt(np.outer(*[np.diag(calibration.uncertainty.matrix) + 1e-30] * 2))
+    np.testing.assert_allclose(back.uncertainty.matrix / size, calibration.uncertainty.matrix / size, atol=1e-9)
+
+
+def test_covariance_moves_with_the_origin(camera_calibration):
+    calibration = with_arms(camera_calibration(1))
+    moved, names = calibration.with_origin("y"), calibration.uncertainty.names
+    J = np.eye(len(names))
+    for k, name in enumerate(names):
+        if "lever_arms" in name or name.startswith("cam0.T_cam_imu.rotation"):
+            ahead, behind = (scalars(moved_by(calibration, k, s).with_origin("y"), moved) for s in (1e-6, -1e-6))
+            J[:, k] = (ahead - behind) / 2e-6
+    kept = [i for i, name in enumerate(names) if not name.startswith("cam1")]
+    expected = (J @ calibration.uncertainty.matrix @ J.T)[np.ix_(kept, kept)]
+    found = moved.uncertainty.matrix[np.ix_(kept, kept)]
+    size = np.sqrt(np.outer(np.diag(expected) + 1e-30, np.diag(expected) + 1e-30))
+    np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=1e-6)
+    sigma = moved.sigma("imu0.accelerometer.lever_arms_m")
+    assert not sigma[1].any()
+    assert (sigma[[0, 2]] > 0).all()
+
+
+def test_origin_has_to_be_an_accelerometer(camera_calibration):
+    with pytest.raises(OptionError, match="Choose x, y or z"):
+        camera_calibration().with_origin("accel-y")
+    plain = camera_calibration(2)
+    np.testing.assert_array_equal(plain.with_origin("z").uncertainty.matrix, plain.uncertainty.matrix)
+
+
+def test_places_turn_with_the_body_frame(camera_calibration):
+    calibration = with_arms(camera_calibration(2))
+    turned = calibration.in_frame("accel-z")
+    Q = turned.cameras["cam0"].T_cam_imu[:3, :3].T @ calibration.cameras["cam0"].T_cam_imu[:3, :3]
+    np.testing.assert_allclose(turned.parameter("imu0.accelerometer.lever_arms_m"), PLACES @ Q.T, rtol=0, atol=1e-15)
+    again = turned.in_frame("accel-x")
+    np.testing.assert_allclose(again.parameter("imu0.accelerometer.lever_arms_m"), PLACES, rtol=0, atol=1e-15)
+
+
+def trusted(calibration):
+    note = TrustNote(
+        covariance="cluster-robust", clusters=29, cluster_s=2.0, split_z=1.125, added=("lever arms", "board"), tries=7,
+        sigma_ratio={"imu0.gyroscope.bias": 3.5, "cam0.T_cam_imu.rotation": float("inf")}, use="vio",
+        needs=(
+            Need(block="rotation of cam0", sigma=0.02, needed=0.1, unit="deg", verdict="pass"),
+            Need(block="time shift", sigma=2.5, needed=0.5, unit="ms", verdict="fail", cure="rotate: 10 s more"),
+        ),
+    )  # fmt: skip
+    return replace(calibration, assessment=replace(calibration.assessment, trust=note))
+
+
+def test_file_holds_arms_and_trust(camera_calibration, tmp_path):
+    calibration = trusted(with_arms(camera_calibration(3)))
+    save(calibration, tmp_path / "calibration.yaml")
+    text = (tmp_path / "calibration.yaml").read_text()
+    assert "schema: gnomon/1.3\n" in text
+    assert "# Lever arms:" in text
+    read = load(tmp_path / "calibration.yaml")
+    np.testing.assert_array_equal(read.parameter("imu0.accelerometer.lever_arms_m"), PLACES)
+    np.testing.assert_array_equal(read.uncertainty.matrix, calibration.uncertainty.matrix)
+    assert read.assessment.trust == calibration.assessment.trust
+    assert calibration_text(read) == text
+
+
+def test_only_what_needs_the_newer_schema_has_it(camera_calibration, tmp_path):
+    plain = camera_calibration(3)
+    assert "schema: gnomon/1.1\n" in calibration_text(plain)
+    assert "trust" not in calibration_text(plain)
+    text = calibration_text(trusted(plain))
+    assert "schema: gnomon/1.3\n" in text
+    older = tmp_path / "older.yaml"
+    for known in ("1.2", "1.1"):
+        older.write_text(text.replace("gnomon/1.3", f"gnomon/{known}"))
+        with pytest.raises(FormatError, match=r"assessment\.trust: unknown key"):
+            load(older)
+    older.write_text(calibration_text(with_arms(plain)).replace("gnomon/1.3", "gnomon/1.2"))
+    with pytest.raises(FormatError, match=r"accelerometer\.lever_arms_m: unknown key"):
+        load(older)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("covariance: cluster-robust", "covariance: robust", "covariance"),
+        ("clusters: 29", "clusters: 2.5", "clusters"),
+        ("verdict: fail\n        cure", "verdict: bad\n        cure", "verdict"),
+        ("      use: vio", "      uses: vio", "use"),
+    ],
+)
+def test_trust_that_makes_no_sense_is_refused(camera_calibration, tmp_path, old, new, words):
+    text = calibration_text(trusted(camera_calibration(3)))
+    old, new = old.replace("      use", "    use"), new.replace("      use", "    use")
+    assert old in text, text[text.index("trust") :][:900]
+    (tmp_path / "c.yaml").write_text(text.replace(old, new))
+    with pytest.raises(FormatError, match=words):
+        load(tmp_path / "c.yaml")
+
+
+def test_kalibr_gets_them_from_its_own_origin_and_gives_them_back(camera_calibration, tmp_path):
+    calibration = with_arms(camera_calibration(4))
+    gnomon.convert(calibration.with_origin("z"), "kalibr", tmp_path)
+    text = (tmp_path / "imu.yaml").read_text()
+    assert "model: scale-misalignment-size-effect" in text
+    assert "rx_i: [0.0, 0.0, 0.0]" in text
+    read = read_kalibr(tmp_path / "imu.yaml")
+    found = read.imus["imu0"].accelerometer
+    np.testing.assert_allclose(found.lever_arms_m, PLACES, rtol=0, atol=1e-15)
+    sensitivity = calibration.in_frame("accel-x").imus["imu0"].accelerometer.sensitivity
+    np.testing.assert_allclose(found.sensitivity, sensitivity, rtol=1e-12, atol=1e-15)
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    scenario = CameraImuScenario(duration_s=20.0, accelerometer_arms_m=ARMS)
+    return simulated_camera_imu(scenario, 5)
+
+
+def calibrated(simulation, **options):
+    from gnomon.calibrate.camera_imu import calibrate_camera_imu
+
+    options = CameraImuOptions(**{"model": "full", **options})
+    return calibrate_camera_imu(simulation.recording, simulation.target, options).calibration
+
+
+def test_arms_are_found_where_they_are_asked_for(recorded):
+    found = calibrated(recorded, free=("imu0.lever_arms",), covariance="ordinary")
+    places, sigma = (of("imu0.accelerometer.lever_arms_m") for of in (found.parameter, found.sigma))
+    assert not sigma[0].any()
+    assert not places[0].any()
+    assert (sigma[1:] < 3e-3).all()
+    assert np.abs(places / np.where(sigma > 0, sigma, np.inf)).max() > 8
+    assert (np.abs(places - PLACES)[1:] < 4 * sigma[1:]).all()
+    camera, true = found.cameras["cam0"].T_cam_imu[:3, 3], recorded.truth.cameras["cam0"].T_cam_imu[:3, 3]
+    assert (np.abs(camera - true) < 4 * found.sigma("cam0.T_cam_imu.translation")).all()
+    # Without them the camera seems to sit elsewhere.
+    plain = calibrated(recorded, covariance="ordinary")
+    assert plain.imus["imu0"].accelerometer.lever_arms_m is None
+    assert np.linalg.norm(plain.cameras["cam0"].T_cam_imu[:3, 3] - true) > 4 * np.linalg.norm(camera - true)
+
+
+def test_a_prior_holds_them(recorded):
+    found = calibrated(recorded, prior=("imu0.lever_arms=0.0001",), covariance="ordinary")
+    places, sigma = found.parameter("imu0.accelerometer.lever_arms_m"), found.sigma("imu0.accelerometer.lever_arms_m")
+    assert (sigma[1:] < 1.01e-4).all()
+    assert (np.abs(places) < np.abs(PLACES) + 1e-4).all()
+    assert np.abs(places[1, 1]) < 0.9 * np.abs(PLACES[1, 1])

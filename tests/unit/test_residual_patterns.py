@@ -1,0 +1,68 @@
+"""Residuals that come back at the same corner: found where they are, and not where residuals are only correlated."""
+
+import numpy as np
+import pytest
+
+from gnomon.estimate.camera_imu.board import Board
+from gnomon.estimate.camera_imu.residual_patterns import _along_board, _neighbours, _pattern
+from gnomon.models.target import Target
+
+LABELS, RATE_HZ = 40, 10.0
+
+
+def residuals(rng, *, pattern, memory_s, duration_s=40.0):
+    """Return residuals (m, 2) of unit variance that remember a while, labels and stamps, with a pattern of a size."""
+    t_s = np.arange(0, duration_s, 1 / RATE_HZ)
+    keep = np.exp(-1 / (RATE_HZ * memory_s)) if memory_s else 0.0
+    values = rng.normal(size=(len(t_s), LABELS, 2))
+    for i in range(1, len(t_s)):
+        values[i] = keep * values[i - 1] + np.sqrt(1 - keep**2) * values[i]
+    values += rng.normal(size=(len(t_s), 1, 2))  # and all corners of a frame have something in common
+    values += pattern * rng.normal(size=(LABELS, 2))
+    label = np.tile(np.arange(LABELS), len(t_s))
+    return values.reshape(-1, 2), label, np.repeat(t_s, LABELS)
+
+
+@pytest.mark.parametrize("memory_s", [0.0, 0.5])
+def test_correlated_residuals_are_no_pattern(memory_s):
+    rng = np.random.default_rng(7)
+    found = [_pattern(*residuals(rng, pattern=0.0, memory_s=memory_s)) for _ in range(60)]
+    chance = np.array([one.chance for one in found])  # uniform between 0 and 1
+    assert np.abs(np.mean([one.z for one in found])) < 4 / np.sqrt(60)
+    assert chance.min() > 1e-3
+    assert abs(chance.mean() - 0.5) < 4 / np.sqrt(12 * 60)
+    assert all(one.clusters == 20 for one in found)
+
+
+@pytest.mark.parametrize("size", [0.2, 0.5, 1.0])
+def test_a_pattern_is_found_at_its_size(size):
+    rng = np.random.default_rng(8)
+    found = _pattern(*residuals(rng, pattern=size, memory_s=0.5))
+    assert found.chance < 1e-3
+    assert found.z > 3
+    assert found.rms_px == pytest.approx(size, rel=0.3)
+    assert found.share == pytest.approx(size**2 / (2 + size**2), rel=0.6)
+
+
+def test_too_short_a_recording_has_no_pattern():
+    found = _pattern(*residuals(np.random.default_rng(9), pattern=1.0, memory_s=0.0, duration_s=5.0))
+    assert (found.z, found.chance) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("angle", [-2.5, 0.0, 0.4, 1.9])
+def test_residuals_are_turned_along_the_board(angle):
+    # The board's x axis points along (cos, sin) of the image, its y axis, which points up, a quarter turn before it.
+    x, y = np.array([np.cos(angle), np.sin(angle)]), np.array([np.sin(angle), -np.cos(angle)])
+    by_place = 400.0 * np.stack([x, y], axis=1)[None]
+    np.testing.assert_allclose(_along_board(by_place, 2 * x[None]), [[2, 0]], atol=1e-12)
+    np.testing.assert_allclose(_along_board(by_place, 3 * y[None]), [[0, 3]], atol=1e-12)
+
+
+def test_neighbours_of_tags_are_the_same_corners_of_the_next_tag():
+    board = Board.nominal(Target.aprilgrid(tag_cols=3, tag_rows=2, tag_size_m=0.08, tag_spacing=0.3))
+    pairs = _neighbours(board)
+    assert len(pairs) == 4 * (2 * 2 + 3)
+    apart = board.points[pairs[:, 1]] - board.points[pairs[:, 0]]
+    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 0.104)
+    plain = Board.nominal(Target.checkerboard(cols=4, rows=3, row_spacing_m=0.03, col_spacing_m=0.03))
+    assert len(_neighbours(plain)) == 3 * 3 + 4 * 2

@@ -1,0 +1,68 @@
+"""What is said of sigmas that the model does not explain, and of parts that disagree."""
+
+import numpy as np
+import pytest
+
+from gnomon.assess.likely_missing import neighbours
+from gnomon.assess.trust_findings import model_incomplete, parts_disagree, trust_note
+from gnomon.diagnostics import SignalFit
+from gnomon.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
+
+
+def trust(*ratios, clusters=True, splits=None):
+    return Trust(
+        clusters=Clusters(count=20, length_s=2.5, memory_s=1.0) if clusters else None,
+        names=("cam0.time_shift_cam_imu",),
+        ordinary_sigma=np.array([1e-5]),
+        sigma=np.array([3e-5]),
+        ratios=tuple(SigmaRatio(block=f"block{i}", ratio=ratio) for i, ratio in enumerate(ratios)),
+        splits=splits,
+    )
+
+
+def parts(z):
+    block = BlockAgreement(
+        block="cam0.T_cam_imu.rotation", comparisons=12, z_rms=z, z_rms_ordinary=z, largest=2 * z,
+        where="[1], first half and second half",
+    )  # fmt: skip
+    return Splits(splits=("halves", "thirds"), blocks=(block,), z_rms=z, z_rms_ordinary=z, limit=1.3)
+
+
+def test_large_ratios_are_told_the_worst_first():
+    assert model_incomplete(trust(1.0, 1.99)) == []
+    assert model_incomplete(trust(3.0, clusters=False)) == []
+    (finding,) = model_incomplete(trust(2.5, 1.0, 6.0, 3.0, 4.0), ["the board"], cure="Print it anew.")
+    assert (finding.code, finding.severity) == ("model-incomplete", "info")
+    assert "block2 6 times, block4 4 times, block3 3 times and 1 more" in finding.message
+    assert "Likely missing: the board." in finding.consequence
+    assert finding.cure == "Print it anew."
+
+
+def test_parts_disagree_beyond_the_limit_only():
+    assert parts_disagree(None) == []
+    assert parts_disagree(parts(1.3)) == []
+    (finding,) = parts_disagree(parts(1.9))
+    assert (finding.code, finding.severity) == ("parts-disagree", "warning")
+    assert "cam0.T_cam_imu.rotation by 3.8 sigma: [1], first half and second half" in finding.message
+
+
+def test_note_keeps_what_counts():
+    note = trust_note(trust(2.5, splits=parts(1.1)))
+    assert (note.covariance, note.clusters, note.cluster_s) == ("cluster-robust", 20, 2.5)
+    assert note.sigma_ratio == {"block0": 2.5}
+    assert note.split_z == 1.1
+    note = trust_note(trust(1.0, clusters=False))
+    assert (note.covariance, note.clusters) == ("ordinary", 0)
+    assert np.isnan(note.split_z)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6])
+def test_correlation_of_neighbouring_residuals(share):
+    rng = np.random.default_rng(1)
+    white = rng.normal(size=(5001, 3))
+    residual = white[1:] + share * white[:-1]
+    fit = SignalFit(
+        t_s=np.arange(5000) / 200, measured=residual, predicted=np.zeros_like(residual), basic=None,
+        used=np.ones(5000, dtype=bool), sigma=1.0, unit="rad/s",
+    )  # fmt: skip
+    assert neighbours(fit) == pytest.approx(share / (1 + share**2), abs=0.03)
