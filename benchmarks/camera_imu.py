@@ -3,6 +3,7 @@
     python benchmarks/camera_imu.py                    on the recordings in $GNOMON_DATA
     python benchmarks/camera_imu.py --long 5 10 30     simulated recordings of so many minutes, too
     python benchmarks/camera_imu.py --write            keep the tables in benchmarks/results-camera-imu.md
+    python benchmarks/camera_imu.py --only trust       one table: memory, trust, stages or processes
     python benchmarks/camera_imu.py --write --date 2026-11-21
 
 All times are CPU time (user and system) of one thread, medians over several runs. On a shared machine the same work
@@ -16,7 +17,8 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +29,8 @@ import numpy as np
 from imu import DATA, HERE, Table, child, machine
 
 import gnomon
+from gnomon.calibrate import camera_imu as recipe
+from gnomon.calibrate import camera_imu_model as model_choice
 
 RUNS = 5
 PROCESS_RUNS = 3
@@ -155,6 +159,80 @@ def in_memory(found: list[Recorded]) -> Table:
     return table
 
 
+@contextmanager
+def clocked(seconds: dict[str, list[float]]) -> Generator[None]:
+    """Note the CPU time of each call of what makes up a calibration."""
+    pieces = (
+        (recipe, "_estimated"),
+        (recipe, "chosen_model"),
+        (recipe, "uncertainty"),
+        (recipe, "recording_trust"),
+        (model_choice, "solved"),
+        (model_choice, "cluster_sums"),
+    )
+
+    def noting(name: str, work: Callable[..., object]) -> Callable[..., object]:
+        def noted(*arguments: object, **named: object) -> object:
+            start = time.process_time()
+            found = work(*arguments, **named)
+            seconds.setdefault(name, []).append(time.process_time() - start)
+            return found
+
+        return noted
+
+    kept = [getattr(module, name) for module, name in pieces]
+    for (module, name), work in zip(pieces, kept, strict=True):
+        setattr(module, name, noting(name, work))
+    try:
+        yield
+    finally:
+        for (module, name), work in zip(pieces, kept, strict=True):
+            setattr(module, name, work)
+
+
+def trust(found: list[Recorded]) -> Table:
+    """Tell what the choice of the model and the covariance from clusters of time cost beside the solve."""
+    table = Table(
+        "Model \"auto\": what its choice and the covariance from clusters of time cost",
+        ("", "base solve [s]", "larger models [s]", "judging models [s]", "CR3 and splits [s]", "of all solving",
+         "**calibration [s]**", "of the reference", "joined the model"),
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "walk"
+        if child(["-m", "gnomon", "simulate-camera-imu", "-o", str(folder), "--duration-s", "60", "--seed", "1"])[2]:
+            raise SystemExit("the simulation failed")
+        healthy = Recorded(name="simulated, 60 s, nothing wrong", folder=folder, stated=folder, model="auto")
+        for one in (healthy, *found):
+            recording, target = one.read()
+            rows: list[tuple[float, ...]] = []
+            for _ in range(PROCESS_RUNS):
+                seconds: dict[str, list[float]] = {}
+                before, start = reference(), time.process_time()
+                with clocked(seconds):
+                    result = gnomon.calibrate_camera_imu(recording, target)
+                total = time.process_time() - start
+                (base,), larger, sums = seconds["_estimated"], sum(seconds.get("solved", [])), seconds["cluster_sums"]
+                judging = seconds["chosen_model"][0] - larger - sums[-1]
+                cr3 = sums[-1] + seconds["uncertainty"][0] + seconds["recording_trust"][0]
+                relative = 2 * total / (before + reference())
+                rows.append((base, larger, judging, cr3, 100 * cr3 / (base + larger), total, relative))
+            base, larger, judging, cr3, share, total, relative = (
+                statistics.median(each) for each in zip(*rows, strict=True)
+            )
+            note = result.calibration.assessment.trust
+            table.add(
+                one.name.partition(", full")[0].partition(", basic")[0], f"{base:.2f}", f"{larger:.2f}",
+                f"{judging:.2f}", f"{cr3:.2f}", f"{share:.0f} %", f"**{total:.2f}**", f"{relative:.0f}",
+                ", ".join(note.added) if note is not None else "",
+            )  # fmt: skip
+    table.note = (
+        f"Medians of {PROCESS_RUNS} runs. Larger models: estimating along what joined the model. Judging: the sums of "
+        "clusters of models that were not the last, and the pattern of the board's corners. CR3 and splits: the sums "
+        "of clusters of the last model, the covariance and halves and thirds from them."
+    )
+    return table
+
+
 _ALONE = """
 import sys, time
 import gnomon
@@ -256,6 +334,9 @@ def long_recordings(minutes: list[float]) -> Table:
     return table
 
 
+MEASURES = {"memory": in_memory, "trust": trust, "stages": stages, "processes": whole_process}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Measure how long camera-IMU calibrations take.")
     parser.add_argument("--data", type=Path, default=DATA, help="folder of recordings (default: $GNOMON_DATA)")
@@ -263,6 +344,8 @@ def main() -> None:
         "--long", type=float, nargs="*", default=[], metavar="MINUTES", help="simulate so long recordings"
     )
     parser.add_argument("--write", action="store_true", help="keep the tables in benchmarks/results-camera-imu.md")
+    parser.add_argument("--only", nargs="*", choices=MEASURES, default=list(MEASURES), help="tables, of all")
+    parser.add_argument("--remark", default="", help="what else to write with them, such as the machine's load")
     parser.add_argument("--date", default="", help="date to be written with them")
     options = parser.parse_args()
     tables: list[Table] = []
@@ -274,8 +357,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         found = recordings(options.data, Path(scratch))
         if found:
-            for measure in (in_memory, stages, whole_process):
-                show(measure(found))
+            for name in options.only:
+                show(MEASURES[name](found))
         else:
             print(
                 f"{options.data} holds no recording of camera and IMU: state --data, or $GNOMON_DATA.", file=sys.stderr
@@ -283,10 +366,15 @@ def main() -> None:
     if options.long:
         show(long_recordings(options.long))
     if options.write and tables:
-        when = f" {options.date}." if options.date else ""
         head = "# Speed of camera-IMU calibrations\n\nWritten by `python benchmarks/camera_imu.py --write`."
-        text = "\n".join([f"{head}{when} {machine()}.\n", *map(str, tables)])
-        (HERE / "results-camera-imu.md").write_text(text, encoding="utf-8")
+        path = HERE / "results-camera-imu.md"
+        kept = path.read_text(encoding="utf-8").split("\n## ")[1:] if path.exists() else []
+        sections = {text.partition("\n")[0]: f"## {text.strip()}\n" for text in kept}
+        for table in tables:
+            table.note = " ".join(filter(None, [table.note, options.remark, options.date]))
+            sections[table.title] = f"{str(table).strip()}\n"
+        text = "\n".join([f"{head} {machine()}.\n", *sections.values()])
+        path.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,15 @@ import tyro.conf
 import gnomon
 from gnomon.cli.commands import COMMANDS
 from gnomon.options import CameraImuOptions, ImuOptions, NoiseOptions
-from gnomon.simulate import CameraImuScenario, FieldScenario, PoseScenario, Scenario, TurntableScenario
+from gnomon.simulate import (
+    CameraImuPlan,
+    CameraImuScenario,
+    FieldScenario,
+    ImuPlan,
+    PoseScenario,
+    Scenario,
+    TurntableScenario,
+)
 from gnomon.triad_options import MagnetometerOptions, TurntableOptions
 
 DOCS = Path(__file__).parent
@@ -40,7 +48,9 @@ Results go to standard output, progress and errors to standard error.
 | 0 | finished, and usable (verdict pass or warn) |
 | 2 | wrong usage: an option that does not exist or makes no sense |
 | 3 | bad input, or a place that cannot be written; nothing was written |
-| 4 | finished, but the verdict says do not use; for `check`: a problem was found |
+| 4 | finished, but the verdict says do not use; for `check`: a problem was found; \
+for `compare`: two calibrations contradict each other; \
+for `plan`, `plan-imu`: such a recording would not do |
 | 1, 130 | a bug in gnomon (please report it; `GNOMON_DEBUG=1` shows where); interrupted |
 """
 
@@ -64,6 +74,8 @@ _COMMAND_OF = {
     PoseScenario: "simulate-poses",
     TurntableScenario: "simulate-turntable",
     FieldScenario: "simulate-magnetometer",
+    CameraImuPlan: "plan",
+    ImuPlan: "plan-imu",
 }
 """Options -> the command whose help describes each of them."""
 
@@ -79,6 +91,9 @@ _SECTIONS = {
         "rate_from_video",
         "calibrate_magnetometer",
         "identify_noise",
+        "judge",
+        "plan",
+        "read_hardware",
         "save",
         "save_camera_imu_files",
         "save_noise",
@@ -86,13 +101,17 @@ _SECTIONS = {
         "load_noise",
         "load_foreign",
         "convert",
+        "compare",
         "write_report",
         "write_noise_report",
+        "write_comparison_report",
         "simulate",
         "simulate_camera_imu",
         "simulate_poses",
         "simulate_turntable",
         "simulate_magnetometer",
+        "faults",
+        "simulate_fault",
     ),
     "What one chooses": (
         "ImuOptions",
@@ -106,7 +125,12 @@ _SECTIONS = {
         "PoseScenario",
         "TurntableScenario",
         "FieldScenario",
+        "CameraImuPlan",
+        "ImuPlan",
+        "Use",
         "Units",
+        "Fault",
+        "FaultyRecording",
     ),
     "What was measured": ("Recording", "ImuSamples", "TriadSamples", "Poses", "CameraFrames"),
     "What is known beforehand": ("Target", "Camera", "ImuNoise"),
@@ -121,6 +145,8 @@ _SECTIONS = {
         "ForeignCalibration",
         "SensorNoise",
         "NoiseResult",
+        "PlanResult",
+        "Comparison",
         "PlatterRate",
         "Covariance",
         "Finding",
@@ -188,7 +214,7 @@ def command_options(command: type) -> Iterator[Option]:
             yield from command_options(hint)
             continue
         words = metavar or _metavar(hint)
-        flag = f"--{field.name.replace('_', '-')}"
+        flag = f"--{_name_of(hints[field.name], field.name).replace('_', '-')}"
         if _POSITIONAL in getattr(hints[field.name], "__metadata__", ()):
             written, default = words or field.name.upper(), ""
         elif hint is bool:
@@ -198,6 +224,12 @@ def command_options(command: type) -> Iterator[Option]:
             written = ", ".join(f"`{name} {words}`".replace("|", "\\|") for name in names).strip("`")
             default = _default(field.default)
         yield Option(words=f"`{written}`", meaning=meanings[field.name], default=default)
+
+
+def _name_of(hint: Any, name: str) -> str:
+    """Return what an argument is called: the name that Annotated gives it, or that of its field."""
+    given = (getattr(extra, "name", None) for extra in getattr(hint, "__metadata__", ()))
+    return next((found for found in given if found), name)
 
 
 def _unwrapped(hint: Any) -> tuple[Any, str | None, tuple[str, ...]]:

@@ -33,6 +33,7 @@ from gnomon.diagnostics import (
 )
 from gnomon.findings import Finding
 from gnomon.recording import Source
+from trust_example import example_trust
 
 # The same examples on every run: what fails here fails for everyone.
 hypothesis.settings.register_profile("steady", derandomize=True)
@@ -199,6 +200,7 @@ def make_result() -> Callable[..., Result]:
                     ),
                 ),
                 noise={"accelerometer.density": 7.8e-4, "gyroscope.density": 5.9e-4},
+                trust=example_trust(),
             ),
         )
 

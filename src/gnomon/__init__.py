@@ -35,6 +35,7 @@ from .simulate import (
 )
 
 if TYPE_CHECKING:
+    from .assess.comparison import Comparison
     from .assess.doctor import check
     from .calibrate import (
         calibrate_camera_imu,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
         read_camera_imu,
         read_hardware,
     )
+    from .calibrate.comparison import compare
     from .calibrate.planning import PlanResult
     from .calibration import (
         AccelerometerCalibration,
@@ -72,9 +74,11 @@ if TYPE_CHECKING:
     from .readers.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
+    from .report.comparison import write_comparison_report
     from .report.noise import write_noise_report
     from .requirements import Use
     from .sensor_noise import NoiseResult, SensorNoise
+    from .simulate.faults import Fault, FaultyRecording, faults, simulate_fault
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers import Loss, convert, save, save_camera_imu_files
@@ -103,12 +107,19 @@ _HOMES = {
     "Units": "units",
     "calibrate_camera_imu": "calibrate",
     "calibrate_imu": "calibrate",
+    "Comparison": "assess.comparison",
+    "Fault": "simulate.faults",
+    "FaultyRecording": "simulate.faults",
     "PlanResult": "calibrate.planning",
     "Use": "requirements",
     "judge": "calibrate",
     "plan": "calibrate",
     "read_hardware": "calibrate",
     "check": "assess.doctor",
+    "compare": "calibrate.comparison",
+    "faults": "simulate.faults",
+    "simulate_fault": "simulate.faults",
+    "write_comparison_report": "report.comparison",
     "convert": "writers",
     "load": "readers",
     "load_foreign": "readers.foreign_files",
@@ -145,8 +156,11 @@ __all__ = [
     "CameraImuOptions",
     "CameraImuPlan",
     "CameraImuScenario",
+    "Comparison",
     "Covariance",
     "DetectionError",
+    "Fault",
+    "FaultyRecording",
     "FieldScenario",
     "Finding",
     "ForeignCalibration",
@@ -189,7 +203,9 @@ __all__ = [
     "calibrate_magnetometer",
     "calibrate_turntable",
     "check",
+    "compare",
     "convert",
+    "faults",
     "identify_noise",
     "judge",
     "load",
@@ -206,9 +222,11 @@ __all__ = [
     "save_noise",
     "simulate",
     "simulate_camera_imu",
+    "simulate_fault",
     "simulate_magnetometer",
     "simulate_poses",
     "simulate_turntable",
+    "write_comparison_report",
     "write_noise_report",
     "write_report",
 ]

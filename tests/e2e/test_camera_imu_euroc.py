@@ -89,7 +89,8 @@ def euroc(euroc_recording):
 
 
 def test_euroc_beside_what_was_published(euroc):
-    result = euroc()
+    """With lens and board as published, as those who published it had them."""
+    result = euroc(model="full")
     assert result.calibration.verdict != "fail"
     assert result.calibration.assessment.camera_imu.converged
     cameras = result.calibration.cameras
@@ -101,7 +102,7 @@ def test_euroc_beside_what_was_published(euroc):
     assert all(used > 0.75 * fit.frames_found[name] for name, used in fit.frames_used.items())
 
 
-@pytest.mark.parametrize("options", [{}, KALIBRS_WEIGHTS], ids=["estimated noise", "Kalibr's weights"])
+@pytest.mark.parametrize("options", [{"model": "full"}, KALIBRS_WEIGHTS], ids=["estimated noise", "Kalibr's weights"])
 def test_euroc_baseline(euroc, options):
     """The distance of the cameras rests on none of the IMU's errors."""
     baseline = euroc(**options).diagnostics.baselines["cam1_cam0"]
@@ -123,6 +124,21 @@ def test_parts_of_euroc_agree_as_the_sigmas_say(euroc_recording, camera):
     assert calibration.sigma("cam0.T_cam_imu.translation").max() < 2e-3
     assert 1 <= trust.clusters.length_s <= 4
     assert {"model-incomplete"} <= {f.code for f in calibration.assessment.findings}
+
+
+@pytest.mark.slow
+def test_what_euroc_proves_is_added_and_its_parts_agree(euroc):
+    """Lever arms, lens and board; see the design note on real data for their sizes from another program."""
+    result = euroc()
+    trust, calibration = result.diagnostics.trust, result.calibration
+    assert calibration.assessment.trust.added == ("lever arms", "intrinsics", "k3", "board")
+    assert trust.splits.z_rms < 1.4 < 4 < trust.splits.z_rms_ordinary
+    assert max(calibration.sigma(f"{name}.T_cam_imu.translation").max() for name in calibration.cameras) < 2e-3
+    arms = 1e3 * calibration.imus["imu0"].accelerometer.lever_arms_m
+    np.testing.assert_allclose(arms[1:, :2], [[7.5, -11.6], [7.4, -11.2]], atol=1.5)
+    published = np.linalg.inv(T_IMU_CAM["cam1"]) @ T_IMU_CAM["cam0"]
+    baseline = result.diagnostics.baselines["cam1_cam0"]
+    assert abs(np.linalg.norm(baseline[:3, 3]) - np.linalg.norm(published[:3, 3])) < 0.5e-3
 
 
 def test_euroc_with_kalibrs_weights(euroc):
@@ -190,7 +206,7 @@ def estimates(result):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("options", [{}, KALIBRS_WEIGHTS], ids=["estimated noise", "Kalibr's weights"])
+@pytest.mark.parametrize("options", [{"model": "full"}, KALIBRS_WEIGHTS], ids=["estimated noise", "Kalibr's weights"])
 def test_halves_of_euroc(euroc_recording, options):
     """Print how far the first and the second 24 s differ, beside the sigmas.
 

@@ -87,7 +87,10 @@ def doubtful_lens(walks, tmp_path):
 
 def test_stated_intrinsics_that_are_off_are_noticed(calibrated, doubtful_lens):
     *_, earlier = calibrated()
-    result, truth, _, _ = calibrated("--cam", doubtful_lens(), corners=earlier)
+    taken_up, truth, _, _ = calibrated("--cam", doubtful_lens(), corners=earlier)
+    assert recorded.most_sigmas(taken_up, truth) < MOST_SIGMAS
+    assert "intrinsics" in taken_up.assessment.trust.added
+    result, truth, _, _ = calibrated("--cam", doubtful_lens(), "--model", "full", corners=earlier)
     assert recorded.most_sigmas(result, truth) > MOST_SIGMAS
     assert "intrinsics-doubtful" in {
         finding.code for finding in result.assessment.findings if finding.severity in {"warning", "problem"}

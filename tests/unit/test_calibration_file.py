@@ -153,7 +153,7 @@ def test_other_files_are_refused(tmp_path, content):
 def test_missing_file_and_folder(tmp_path):
     with pytest.raises(FormatError, match="there is no such file"):
         gnomon.load(tmp_path / "none.yaml")
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match="this is a folder"):
         gnomon.load(tmp_path)
 
 

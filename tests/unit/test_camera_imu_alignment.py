@@ -91,7 +91,7 @@ def test_scatter_of_a_frame_counts_no_wrong_corners():
     lengths = np.diff(exposures.start)
     sums = CornerSums(
         gram=np.empty((0, 0, 0)), cost=np.empty(0), mean_square=np.empty(0), valid=lengths, lengths=lengths,
-        residual=residual, weight=np.ones(len(residual)),
+        residual=residual, weight=np.ones(len(residual)), corner_cost=np.empty(0),
     )  # fmt: skip
     known = np.ones(len(exposures), dtype=bool)
     known[3] = False

@@ -31,7 +31,9 @@ def dense(system):
     """Return the normal equations as one matrix, and their right-hand sides."""
     border = system.border
     if system.wide is not None:
-        border = np.concatenate([border, system.wide.coupling(0, len(border)).transpose(1, 2, 0)], axis=2)
+        n, d, _ = border.shape
+        wide = system.wide.transposed_times(np.eye(n * d).reshape(n, d, n * d))
+        border = np.concatenate([border, wide.T.reshape(n, d, -1)], axis=2)
     n, d, p = border.shape
     matrix = np.zeros((n * d + p, n * d + p))
     starts = system.starts()

@@ -206,7 +206,9 @@ def test_domain_is_the_widest_cone_that_is_one_to_one(projection, distortion):
             further = [exact([mp.sin(angle), 0, mp.cos(angle)]) for angle in (theta[seen] + 1e-3, theta[seen] + 1.1e-3)]
             parameters = exact(cam.parameters)
             here, there = (reference(cam, parameters, point)[0] for point in further)
-            tangential = distortion.startswith("radtan") and cam.distortion_coeffs[2:].any() and cam.distortion_limit < 1e20
+            tangential = (
+                distortion.startswith("radtan") and cam.distortion_coeffs[2:].any() and cam.distortion_limit < 1e20
+            )
             assert here - parameters[-len(cam.distortion_coeffs) - 2] < 0 or there < here or tangential
 
 
@@ -240,7 +242,7 @@ def test_radtan_gains_a_third_coefficient_that_does_nothing():
     assert more.distortion == "radtan5"
     assert more.parameter_symbols[-1] == "k3"
     assert more.distortion_limit == pytest.approx(cam.distortion_limit, rel=1e-12)
-    points = np.random.default_rng(0).normal(0, 0.3, (20, 3)) + [0, 0, 1]
+    points = np.random.default_rng(0).normal(0, 0.3, (20, 3)) + np.array([0, 0, 1])
     np.testing.assert_allclose(more.project(points).pixels, cam.project(points).pixels, rtol=1e-14)
     fisheye = camera(distortion="equidistant")
     assert more.with_k3() is more

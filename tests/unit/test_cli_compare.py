@@ -89,6 +89,20 @@ def test_renamed_sensors(rig):
     assert out.startswith("warn: mon and k differ in")
 
 
+def test_samples_in_other_units_are_shown_apart(rig, random_calibration):
+    gnomon.save(random_calibration(2, units=("count", "count")), rig / "counts.yaml")
+    code, out, err = run("compare", "mon-gnomon", "counts.yaml", "--no-report")
+    assert code in {0, 4}, err
+    line = next(line for line in out.splitlines() if line.startswith("  scale of the accelerometer"))
+    assert line.split()[4] == "-"
+
+
+def test_the_folders_in_a_folder_are_named(rig):
+    code, _, err = run("compare", "mon-gnomon", ".")
+    assert code == 3
+    assert "Name one of the folders in it (kalibr, mon-gnomon, tue-gnomon, wed-gnomon)" in " ".join(err.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [

@@ -180,6 +180,7 @@ def test_biases_are_apart(random_calibration):
     assert found.verdict == "pass"
     assert not found.block("imu0.gyroscope.bias").judged
     assert any(one.code == "bias-instability" and "57 deg/s" in one.message for one in found.findings)
+    assert sum(one.code == "bias-instability" for one in found.findings) == 1  # the accelerometer's did not move
 
 
 def test_what_one_holds_ideal_is_said(random_calibration, tmp_path):

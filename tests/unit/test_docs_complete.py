@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import re
+import sys
 import typing
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,7 @@ from gnomon.readers.pose_table import pose_column
 from gnomon.readers.use_file import read_use
 from gnomon.recording import FrameQuality
 from gnomon.requirements import QUANTITIES, USES, stated
+from gnomon.simulate.faults import fault_named, faults
 from gnomon.trust import WeakDirection
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.calibration_file import calibration_text
@@ -61,12 +63,18 @@ def as_if_from_images(frames):
     return replace(frames, quality=quality, sigma_px=np.full(len(frames.frame), 0.3))
 
 
+def page_maker(name):
+    """Return a program of docs/, as a module."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # where dataclasses look for what their fields mean
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture(scope="module")
 def generated():
-    spec = importlib.util.spec_from_file_location("make_reference", DOCS / "make_reference.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.pages()
+    return page_maker("make_reference").pages()
 
 
 @pytest.mark.parametrize("name", ["cli.md", "python.md"])
@@ -274,6 +282,27 @@ def test_every_unit_and_file_of_a_study_is_documented():
     section = text("files.md").split("## Studies")[1].split("\n## ")[0]
     assert {name for name in TABLES if f"`{name}.csv`" not in section} == set()
     assert f"`{PAGE}`" in section
+
+
+def test_the_gallery_shows_every_fault():
+    entries = text("gallery.md").split("\n### ")[1:]
+    sound = [entry for entry in entries if entry.startswith("Nothing is wrong")]
+    assert len(sound) == 2
+    assert all("Verdict pass" in entry for entry in sound)
+    titles = [entry.partition("\n")[0] for entry in entries]
+    assert len(set(titles)) == len(titles) == len(faults()) + len(sound)
+    for fault, entry in zip(faults(), [entry for entry in entries if entry not in sound], strict=True):
+        assert entry.startswith(fault.title.replace("²", "^2")), fault.name
+        assert " ".join(fault.symptom.split()) in " ".join(entry.split()), fault.name
+    shown = set(re.findall(r"\]\(gallery/([\w-]+\.png)\)", text("gallery.md")))
+    assert shown == {path.name for path in (DOCS / "gallery").iterdir()}
+    assert max(path.stat().st_size for path in (DOCS / "gallery").iterdir()) < 60_000
+
+
+def test_an_entry_of_the_gallery_is_what_gnomon_says():
+    entry = page_maker("make_gallery").faulty_entry(fault_named("gyroscope-clips"), pictures=False)
+    assert f"### {entry.title}\n" in text("gallery.md")
+    assert f"Verdict {entry.verdict}:\n\n{entry.said}\n" in text("gallery.md")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -450,7 +450,7 @@ def test_binary_and_missing_files(tmp_path):
     for path, message in (
         (tmp_path / "x", "no text file"),
         (tmp_path / "y", "there is no such file"),
-        (tmp_path, "cannot be"),
+        (tmp_path, "this is a folder"),
     ):
         with pytest.raises(FormatError, match=message):
             load_foreign(path)

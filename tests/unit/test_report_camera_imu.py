@@ -9,6 +9,7 @@ import pytest
 
 from camera_imu_result import C_GYRO_IMU, G_SENSITIVITY, GYRO_SENSITIVITY, T_CAM_IMU, make_camera_imu_result
 from gnomon.calibration import Covariance
+from gnomon.cli.summary import held_facts
 from gnomon.diagnostics import SignalFit
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -158,6 +159,15 @@ def test_extrinsics_are_right_and_so_are_their_sigmas(uncertain):
     shift, sigma = shown(groups, "Time")
     assert shift == pytest.approx([7.12])
     assert sigma == pytest.approx(1e3 * uncertain.sigma("cam1.time_shift_cam_imu"), rel=0.05)
+
+
+def test_what_the_recording_does_not_determine_is_marked(result):
+    assert result.calibration.assessment.held_by_prior == ("imu0.B_g[4]",)
+    groups = imu_section(result.calibration).blocks[0].groups
+    marked = [group.title for group in groups if "not measured" in group.note]
+    assert marked == ["Gyroscope g-sensitivity"]
+    said = " ".join(" ".join(held_facts(result.calibration)).split())
+    assert said.startswith("not measured imu0.B_g (at least in part): held by an assumption")
 
 
 def test_baseline_is_right_and_so_is_its_sigma(uncertain, result):

@@ -10,69 +10,9 @@ from gnomon.calibration import Assessment
 from gnomon.cli.summary import trust_facts
 from gnomon.report.page import Figure, Prose, Table
 from gnomon.report.trust_section import trust_section
-from gnomon.trust import (
-    BlockAgreement,
-    BlockChange,
-    Clusters,
-    ModelStep,
-    Need,
-    SigmaRatio,
-    Splits,
-    Trust,
-    TrustNote,
-    WeakDirection,
-)
+from gnomon.trust import Clusters, Trust, TrustNote
 from gnomon.writers.diagnostics_file import diagnostic_arrays
-
-_NEED = Need(block="rotation of cam0", sigma=0.31, needed=0.1, unit="deg", verdict="fail", cure="Turn about x.")
-_STEP = ModelStep(
-    name="lever arms",
-    parameters=6,
-    gain=412.3,
-    gain_sigma=31.0,
-    needed=88.0,
-    used=True,
-    changes=(BlockChange(block="imu0.M_a", change=5.1e-3, unit="rad", sigmas=7.2),),
-)
-
-
-def _trust() -> Trust:
-    blocks = (
-        BlockAgreement(
-            block="cam0.T_cam_imu.translation",
-            comparisons=12,
-            z_rms=1.21,
-            z_rms_ordinary=6.8,
-            largest=2.4,
-            where="[2], halves",
-        ),
-        BlockAgreement(
-            block="imu0.gyroscope.sensitivity",
-            comparisons=36,
-            z_rms=0.97,
-            z_rms_ordinary=5.1,
-            largest=2.2,
-            where="[0,1], thirds",
-        ),
-    )
-    return Trust(
-        clusters=Clusters(count=24, length_s=2.0, memory_s=0.7),
-        names=("imu0.accelerometer.bias[0]",),
-        ordinary_sigma=np.array([1e-3]),
-        sigma=np.array([4e-3]),
-        ratios=(SigmaRatio(block="imu0.accelerometer.bias", ratio=4.0), SigmaRatio(block="imu0.gyroscope", ratio=1.1)),
-        splits=Splits(splits=("halves", "thirds"), blocks=blocks, z_rms=1.04, z_rms_ordinary=5.5, limit=1.38),
-        models=(_STEP, ModelStep(name="board", parameters=425, gain=1.2, gain_sigma=3.0, needed=9.0, used=False)),
-        weak=(
-            WeakDirection(
-                shares=(("cam0.T_cam_imu.translation[2]", 0.98),),
-                determined=0.2,
-                words="The translation of cam0 along its optical axis is hardly determined.",
-                cure="Shake the rig towards the board and back.",
-                held=True,
-            ),
-        ),
-    )
+from trust_example import NEED, example_trust
 
 
 def _assessment(**note: object) -> Assessment:
@@ -84,7 +24,7 @@ def test_nothing_known_makes_no_section() -> None:
 
 
 def test_all_that_is_known_is_said() -> None:
-    section = trust_section(_assessment(use="vio", needs=(_NEED,)), _trust())
+    section = trust_section(_assessment(use="vio", needs=(NEED,)), example_trust())
     assert section is not None
     tables = {block.title: block for block in section.blocks if isinstance(block, Table)}
     needs = tables["What vio needs"]
@@ -102,7 +42,7 @@ def test_all_that_is_known_is_said() -> None:
 
 
 def test_the_figure_has_a_row_for_every_block_and_places_larger_z_farther_right() -> None:
-    section = trust_section(_assessment(), _trust())
+    section = trust_section(_assessment(), example_trust())
     assert section is not None
     figure = next(block for block in section.blocks if isinstance(block, Figure))
     assert "cam0.T_cam_imu.translation" in figure.svg
@@ -130,7 +70,7 @@ def test_diagnostics_keep_all_of_it_without_pickle(tmp_path: Path) -> None:
 
 
 def _saved(folder: Path) -> Path:
-    np.savez(folder / "trust.npz", **dict(diagnostic_arrays(_trust())))
+    np.savez(folder / "trust.npz", **dict(diagnostic_arrays(example_trust())))
     return folder / "trust.npz"
 
 
@@ -143,7 +83,7 @@ def test_the_terminal_says_where_sigmas_come_from_and_what_a_use_lacks() -> None
         split_z=1.04,
         added=("lever arms",),
         use="vio",
-        needs=(_NEED,),
+        needs=(NEED,),
     )
     lines = list(trust_facts(note))
     assert any("24 clusters of 2 s, 2.5 x those of white noise" in line for line in lines)

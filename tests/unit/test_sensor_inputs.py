@@ -183,6 +183,22 @@ def test_noise_of_every_project(tmp_path, real_data):
     assert read_imus(write(tmp_path / "sensor.yaml", {**euroc, **NOISE}))["imu0"].update_rate_hz == 200
 
 
+def test_yaml_in_flow_style_begins_like_json(tmp_path):
+    noise = ", ".join(f"{key}: {value}" for key, value in NOISE.items())
+    found = read_imus(write(tmp_path / "imu.yaml", f"{{update_rate: 200.0, {noise}}}"))["imu0"]
+    assert (found.update_rate_hz, found.noise.gyroscope_noise_density) == (200, 8.73e-5)
+    assert (
+        read_imus(write(tmp_path / "imu.json", json.dumps({"update_rate": 100.0, **NOISE})))["imu0"].noise
+        == found.noise
+    )
+    chain = yaml.safe_dump({"cam0": CAM}, default_flow_style=True, width=1000)
+    assert chain.startswith("{cam0")
+    read = read_cameras(write(tmp_path / "camchain.yaml", chain))["cam0"].camera
+    assert read.intrinsics.tolist() == CAM["intrinsics"]
+    with pytest.raises(FormatError, match=r"imu.yaml, line 1: this is not JSON"):
+        read_imus(write(tmp_path / "imu.yaml", "{update_rate: [200.0"))
+
+
 def test_basalt_without_noise(tmp_path):
     path = write(tmp_path / "c.json", json.dumps({"value0": {"T_imu_cam": [], "intrinsics": [], "resolution": []}}))
     with pytest.raises(FormatError, match="no usable accel_noise_std"):

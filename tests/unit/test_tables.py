@@ -158,5 +158,5 @@ def test_summary(random_calibration):
     rows = {row.name: row.value for row in summary_table(random_calibration(gyroscope=False)).rows}
     assert rows["verdict"] == "pass"
     assert rows["static intervals used"] == "38 of 40"
-    assert rows["gravity (given)"] == "9.8100 ± 0.0030"
+    assert rows["gravity"] == "9.8100 ± 0.0030"
     assert "held-out rotations, rms" not in rows

@@ -29,6 +29,7 @@ def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters)
 
 
 def _lever_arms(name: str, places: Floats) -> Finding:
+    origin = next((axis for axis, place in zip("xyz", places.tolist(), strict=True) if not any(place)), "x")
     apart = ", ".join(
         f"{axis} at {' '.join(f'{1e3 * value:.1f}' for value in place)} mm"
         for axis, place in zip("xyz", places.tolist(), strict=True)
@@ -37,8 +38,8 @@ def _lever_arms(name: str, places: Floats) -> Finding:
     return Finding(
         severity="info",
         code="lever-arms-found",
-        message=f"The accelerometers of {name} do not sit at one point: seen from x, {apart}.",
-        consequence="The model has taken that up; T_cam_imu holds for the place of the x accelerometer.",
+        message=f"The accelerometers of {name} do not sit at one point: seen from {origin}, {apart}.",
+        consequence=f"The model has taken that up; T_cam_imu holds for the place of the {origin} accelerometer.",
         cure="Where a filter takes the IMU for one point, fast rotation will look like acceleration by that much.",
     )
 

@@ -65,10 +65,15 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,
-        model="full" if evidence.options.model == "auto" else evidence.options.model,
+        model=_model_name(evidence),
         held_by_prior=held,
         camera_imu=fit,
     )
+
+
+def _model_name(evidence: CameraImuEvidence) -> str:
+    """Return the model of the IMU; "auto" is the full one, to which blocks are added."""
+    return "full" if evidence.options.model == "auto" else evidence.options.model
 
 
 def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> CameraImuFit:
@@ -323,7 +328,7 @@ def _model(evidence: CameraImuEvidence) -> list[Finding]:
         Finding(
             severity="warning",
             code="model-too-simple",
-            message=f"The residuals ask for {_listed(wanting)}, which the model {evidence.options.model} holds at the "
+            message=f"The residuals ask for {_listed(wanting)}, which the model {_model_name(evidence)} holds at the "
             "values of an ideal IMU.",
             consequence="Extrinsics, time shift and biases take up what the model leaves out, by many of their sigmas.",
             cure="Estimate the full model: --model full, or name what to estimate with --free.",

@@ -57,6 +57,9 @@ _EXPLAINS: dict[str, frozenset[str]] = {
             "need",
         }
     ),
+    "not-observable": frozenset(
+        {"uncertainty-accelerometer", "uncertainty-gyroscope", "holdout-accelerometer", "holdout-rotation", "imprecise"}
+    ),
     "accelerometer-drift": frozenset({"holdout-accelerometer", "beyond-noise", "model-incomplete", "parts-disagree"}),
 }
 """Cause -> what it explains; causes in the order in which they are told, the most fundamental first."""

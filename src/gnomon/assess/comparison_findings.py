@@ -231,7 +231,9 @@ def _assumed(comparison: Comparison) -> Iterator[Finding]:
             message=f"{name} holds at ideal or given values what another finds to differ: "
             f"{_first_of(list(texts.values()))}.",
             consequence=f"What {name} does not model is in its other parameters.",
-            cure=f"Calibrate {name} with the larger model (Kalibr: --imu-models scale-misalignment).",
+            cure=f"Calibrate the lens of {name} anew, or calibrate both with the same one."
+            if all(comparison.block(path).kind == "lens" for path in texts)
+            else f"Calibrate {name} with the larger model (Kalibr: --imu-models scale-misalignment).",
         )
 
 
@@ -385,6 +387,8 @@ def _biases(comparison: Comparison) -> Iterator[Finding]:
         if block.kind != "bias" or len(block.names) < 2:
             continue
         span = np.ptp(block.values, axis=0)
+        if not span.any():
+            continue
         yield Finding(
             severity="info",
             code="bias-instability",

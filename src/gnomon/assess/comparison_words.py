@@ -29,6 +29,7 @@ _SHOWN = {
     "line delay": (1e6, "us"),
     "misalignment": (1e3, "mrad"),
 }
+_PIXELS = frozenset({"fu", "fv", "pu", "pv"})
 _VECTORS = ("rotation", "translation")
 
 
@@ -62,6 +63,20 @@ def shown_unit(kind: str, unit: str) -> tuple[float, str]:
     return 1.0, unit
 
 
+def typical_size(block: Repeatability, values: Floats) -> tuple[float, str]:
+    """Return the root mean square of a block's scalars, nan where none is known, and its unit; of a lens those in px.
+
+    Parameters
+    ----------
+    values : (k,) in the block's unit
+    """
+    factor, unit = shown_unit(block.kind, block.unit)
+    if block.kind == "lens":
+        values, unit = values[[element in _PIXELS for element in block.elements]], "px"
+    known = values[np.isfinite(values)]
+    return (factor * float(np.sqrt(np.mean(known**2))) if known.size else np.nan), unit
+
+
 def size_text(block: Repeatability, values: Floats, z: Floats) -> str:
     """Return how large a difference is: of a vector its length, else that of the scalar that differs most.
 
@@ -77,7 +92,7 @@ def size_text(block: Repeatability, values: Floats, z: Floats) -> str:
     k = int(np.argmax(size))
     element = block.elements[k]
     where = f" ({element})" if element else ""
-    if block.kind == "lens" and element[:1] in {"f", "p"} and len(element) == 2 and element[1] in "uv":
+    if block.kind == "lens" and element in _PIXELS:
         unit = "px"
     return f"{abs(float(values[k])) * factor:.2g} {unit}".rstrip() + where
 

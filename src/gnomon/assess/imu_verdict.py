@@ -24,7 +24,6 @@ _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
 _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = 0.02, 0.2
 _UNIT_FACTOR = 1.5
-_ADDED = ("drift", "accelerometer drift")
 
 
 def assess(
@@ -63,6 +62,7 @@ def assess(
         *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
     ]
     ordered = worst_first(findings)
+    drifts = (("drift", evidence.fit.drift), ("accelerometer drift", evidence.fit.accelerometer_drift))
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,
@@ -75,7 +75,7 @@ def assess(
         held_by_prior=_held_names(evidence.fit.held_by_prior),
         trust=replace(
             trust_note(evidence.trust),
-            added=tuple(step.name for step in evidence.trust.models if step.used and step.name in _ADDED),
+            added=tuple(name for name, drift in drifts if drift.any()),
             tries=len(evidence.trust.models),
         ),
     )

@@ -5,10 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..diagnostics import SignalFit
-from ..estimate.camera_imu.residual_patterns import Pattern, board_evidence, lens_evidence
+from ..estimate.camera_imu.residual_patterns import Pattern, board_evidence, corner_correlation, lens_evidence
 from ..estimate.camera_imu.solution import Solution
 
 _CHANCE, _SHARE = 0.01, 0.02
+_LASTING = 0.2
+"""Correlation of a corner's residuals in frames that follow each other, from which on they are no noise."""
 _COLOURED = 0.2
 """Correlation of neighbouring residuals of an IMU: of white noise it is a little below zero."""
 
@@ -31,6 +33,11 @@ def likely_missing(solution: Solution, signals: Mapping[str, SignalFit]) -> list
         found.append(
             f"a lens that is not quite the stated one, {lens.rms_px:.2g} px off in the same parts of all images"
         )
+    if not found and (lasting := _lasting(solution)) > _LASTING:
+        found.append(
+            "errors of the detector that depend on attitude and distance, or a lens that its model cannot follow (a "
+            f"corner's residual is correlated by {lasting:.2g} from frame to frame)"
+        )
     for name, fit in signals.items():
         correlation = neighbours(fit)
         if correlation > _COLOURED:
@@ -39,6 +46,11 @@ def likely_missing(solution: Solution, signals: Mapping[str, SignalFit]) -> list
                 f"correlated by {correlation:.2g})"
             )
     return found
+
+
+def _lasting(solution: Solution) -> float:
+    """Return the largest correlation, of any camera, of a corner's residual with that in the next frame."""
+    return max((found.over_time[0] for found in corner_correlation(solution).values()), default=0.0)
 
 
 def neighbours(fit: SignalFit) -> float:

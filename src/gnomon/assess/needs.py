@@ -303,7 +303,7 @@ def _not_estimated(asked: list[Offer], use: Use) -> Iterator[Finding]:
             severity="info",
             code="use-not-estimated",
             message=f"{use.name} needs the {', the '.join(missing)}, which this calibration did not estimate.",
-            consequence="They are taken as they were known beforehand, and were not judged.",
+            consequence="What the model holds it at, zero or a value known beforehand, was not judged.",
         )
 
 

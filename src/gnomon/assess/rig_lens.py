@@ -85,8 +85,8 @@ def _tag_spacing(name: str, fit: LensFit, target: Target) -> list[Finding]:
                 severity="info",
                 code="tag-spacing",
                 message=message,
-                consequence="As little as that comes of white that bleeds into black, in the print or in a bright "
-                "image, too: corners are then shifted alike on all tags.",
+                consequence="So small a difference may also come from white that bleeds into black, in the print or in "
+                "a bright image: the corners of all tags are then shifted alike.",
                 cure="Measure a tag and the gap beside it; expose for a white of 150 to 220.",
             )
         ]

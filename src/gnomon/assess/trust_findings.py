@@ -51,8 +51,8 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
             message="Errors that last for "
             f"{trust.clusters.memory_s:.2g} s make parameters scatter more than independent errors would: "
             f"{listed}{more}.",
-            consequence="The model does not explain all that was measured. The stated sigmas hold nevertheless: they "
-            f"come from the scatter between {trust.clusters.count} stretches of time.{missing}",
+            consequence="The model is incomplete: it does not explain all that was measured. The stated sigmas hold "
+            f"nevertheless: they come from the scatter between {trust.clusters.count} stretches of time.{missing}",
             cure=cure,
         )
     ]

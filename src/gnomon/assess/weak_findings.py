@@ -134,7 +134,7 @@ def weak_findings(weak: Sequence[WeakDirection], *, with_camera: bool) -> list[F
                 severity="problem" if vital or not with_camera else "warning",
                 code="not-observable",
                 message=one.words,
-                consequence="A weak assumption holds it; it must not be used as if it had been measured.",
+                consequence="Only a weak assumption holds this; do not use it as if it had been measured.",
                 cure=one.cure,
             )
         )

@@ -29,9 +29,6 @@ Progress = Callable[[str], None]
 _ROUNDS = 3
 """Larger models that are estimated: what is in one may show, or refute, another block."""
 
-_ROUGHLY = 4
-"""Iterations without the corners of the board, before they join."""
-
 _BOARD = "board"
 _BLOCKS = {name: LADDER[name] for name in EXTRAS} | {"k3": ("distortion_coeffs",), _BOARD: ("offsets",)}
 _BOARD_CHANCE = 0.01 / (len(EXTRAS) + 1)
@@ -97,7 +94,12 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
         judged = _judged(_estimated_along(solution, asked, options, tell), stated) if asked else base
         steps |= {step.name: step for step in judged.steps}
         asked, inside = _asked(steps, stated), asked
-    told = [step if step.name in stated else replace(step, used=step.name in inside) for step in steps.values()]
+    told = [
+        replace(step, forced=options.model != "auto" or step.name not in LADDER or step.name in EXTRAS)
+        if step.name in stated
+        else replace(step, used=step.name in inside)
+        for step in steps.values()
+    ]
     told.sort(key=lambda step: (*LADDER, _BOARD).index(step.name))
     return replace(judged, steps=tuple(told), added=inside, tries=len(steps.keys() - stated.keys()))
 
@@ -181,23 +183,18 @@ def _with_k3(solution: Solution) -> tuple[State, Parameters]:
 
 
 def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraImuOptions, tell: Progress) -> Solution:
-    """Return the solution with further blocks, from one without them; the costly corners of the board come last."""
+    """Return the solution with further blocks, from one without them."""
     state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
-    fewer = tuple(name for name in asked if name != _BOARD)
-    larger = replace(solution, state=state)
-    for names in dict.fromkeys((fewer, tuple(asked))) if fewer else (asked,):
-        most = options.max_iterations if names == tuple(asked) else min(_ROUGHLY, options.max_iterations)
-        chosen = choices(origin, options, added=[block for name in names for block in _BLOCKS[name]])
-        larger = solved(
-            larger.measurements,
-            larger.state,
-            layout(origin, chosen.status, chosen.prior_sigma),
-            layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
-            larger.noise,
-            estimate_noise=options.noise != "nominal",
-            estimate_walks=options.noise == "coloured",
-            gate=options.robust,
-            max_iterations=most,
-            tell=tell,
-        )
-    return larger
+    chosen = choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
+    return solved(
+        solution.measurements,
+        state,
+        layout(origin, chosen.status, chosen.prior_sigma),
+        layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
+        solution.noise,
+        estimate_noise=options.noise != "nominal",
+        estimate_walks=options.noise == "coloured",
+        gate=options.robust,
+        max_iterations=options.max_iterations,
+        tell=tell,
+    )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError
@@ -29,7 +30,7 @@ from .results import (
     write_result,
 )
 from .study_actions import study
-from .terminal import Terminal
+from .terminal import WIDTH, Terminal
 from .turntable_actions import simulate_turntable, turntable
 from .use_option import judged_result, read_use_option
 
@@ -93,7 +94,7 @@ def _show(command: commands.Show, terminal: Terminal) -> int:
     _say_tables((summary_table(calibration), *form_tables(calibration, command.form)), terminal)
     from . import summary
 
-    if lines := list(summary.advice(calibration.assessment.findings)):
+    if lines := [*summary.held_facts(calibration), *summary.advice(calibration.assessment.findings)]:
         terminal.say("\n".join(lines))
     terminal.document(calibration_document(calibration))
     return USABLE
@@ -115,7 +116,7 @@ def _say_tables(tables: "Sequence[Table]", terminal: Terminal) -> None:
         names = max(len(row.name) for row in table.rows)
         values = max(len(row.value) for row in table.rows)
         terminal.say(table.title, "bold")
-        terminal.say(table.note, "dim")
+        terminal.say("\n".join(wrap(table.note, WIDTH - 1)), "dim")
         for row in table.rows:
             terminal.say(f"  {row.name:<{names}}  {row.value:>{values}}  {row.unit}".rstrip())
         terminal.say("")

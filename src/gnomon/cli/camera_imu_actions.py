@@ -136,10 +136,11 @@ def refuse_overwriting(folder: Path, recording: Path, inputs: dict[str, Any]) ->
 
 def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
     from .camera_imu_summary import camera_lines, facts
-    from .summary import parameter_lines, trust_facts
+    from .summary import held_facts, parameter_lines, trust_facts
 
     say_verdict(result.calibration, terminal)
-    terminal.say("\n".join([*facts(result), *trust_facts(result.calibration.assessment.trust)]))
+    trusted = (*trust_facts(result.calibration.assessment.trust), *held_facts(result.calibration))
+    terminal.say("\n".join([*facts(result), *trusted]))
     say_advice(result.calibration, terminal)
     terminal.say("\nestimate +- standard deviation\n" + "\n".join(camera_lines(result.calibration)))
     terminal.say("\nIMU; rows: sensor axes, columns: body axes")

@@ -6,8 +6,6 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from .compare_command import Compare, renames_of, sources_of
 from .places import result_folder
 from .results import UNUSABLE, USABLE, result_files
@@ -80,7 +78,7 @@ def _lines(found: "Comparison") -> Iterator[str]:
     from ..assess.comparison_words import block_words
 
     two = len(found.calibrations) == 2
-    rows = [("", "differ" if two else "scatter", "sigma", "", "z rms", "|z|")]
+    rows = [("", "differ" if two else "scatter", "sigma", "", "z rms", "max |z|")]
     for block in found.blocks:
         known = [item.largest for item in found.differences if item.path == block.path and isfinite(item.largest)]
         ratios = (f"{block.z_rms:.2f}" if isfinite(block.z_rms) else "-", f"{max(known):.1f}" if known else "-")
@@ -95,17 +93,14 @@ def _lines(found: "Comparison") -> Iterator[str]:
 
 def _sizes(found: "Comparison", block: "Repeatability") -> tuple[str, str, str]:
     """Return how far a block scatters, or two differ, its sigma, and the unit; root mean squares over its scalars."""
-    from ..assess.comparison_words import shown_unit
+    from ..assess.comparison_words import typical_size
 
-    factor, unit = shown_unit(block.kind, block.unit)
     numbers = block.scatter, block.predicted
-    if len(found.calibrations) == 2:
-        item = next(item for item in found.differences if item.path == block.path)
-        numbers = item.values, item.sigmas
-    texts: list[str] = []
-    for values in numbers:
-        known = values[np.isfinite(values)]
-        texts.append(f"{factor * float(np.sqrt(np.mean(known**2))):.2g}" if known.size else "-")
+    pair = [item for item in found.differences if item.path == block.path]
+    if len(found.calibrations) == 2 and pair:  # none where only one has the sensor
+        numbers = pair[0].values, pair[0].sigmas
+    (size, unit), (sigma, _) = (typical_size(block, values) for values in numbers)
+    texts = [f"{number:.2g}" if isfinite(number) else "-" for number in (size, sigma)]
     return texts[0], texts[1], unit
 
 

@@ -59,7 +59,7 @@ def _say(result: "PlanResult", terminal: Terminal) -> None:
     if result.changes:
         terminal.say("\nwhat would help, the worst quantity over what is needed of it")
     for change in result.changes:
-        terminal.say(f"  {change.before:.2g} -> {change.worst:.2g}  {change.words}")
+        terminal.say(f"  {number_words(change.before)} -> {number_words(change.worst)}  {change.words}")
 
 
 def _document(result: "PlanResult") -> dict[str, Any]:

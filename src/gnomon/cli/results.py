@@ -81,7 +81,9 @@ def say_result(
     from . import summary
 
     say_verdict(calibration, terminal)
-    terminal.say("\n".join([*facts, *summary.trust_facts(calibration.assessment.trust)]))
+    terminal.say(
+        "\n".join([*facts, *summary.trust_facts(calibration.assessment.trust), *summary.held_facts(calibration)])
+    )
     say_advice(calibration, terminal)
     if parameters:
         terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")

@@ -10,6 +10,7 @@ from ..calibration import Calibration, parameters
 from ..findings import Finding
 from ..recording import Floats
 from ..trust import TrustNote
+from ..writers.context import held_names
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 from ..writers.units_text import parameter_unit
 
@@ -56,6 +57,14 @@ def trust_facts(note: TrustNote) -> Iterator[str]:
         short = [need.block for need in note.needs if need.verdict != "pass"]
         words = f"{len(short)} of {len(note.needs)} needs not met" if short else f"all {len(note.needs)} needs met"
         yield f"  {'for ' + note.use:<18} {words}"
+
+
+def held_facts(calibration: Calibration) -> Iterator[str]:
+    """Yield lines on what is held by an assumption, since the recording does not determine it."""
+    held = list(dict.fromkeys(name.split("[")[0] for name in held_names(calibration)))
+    if held:
+        words = f"{', '.join(held)} (at least in part): held by an assumption, not determined by the recording"
+        yield from _paragraph(words, "  not measured       ", " " * 21)
 
 
 def advice(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:

@@ -90,8 +90,9 @@ def differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits: Sequ
     where = [pair[4] for pair in pairs for _ in pair[0]]
     own, assumed = np.diag(by_errors), np.diag(by_prior)
     ordinary = np.sqrt(own + assumed)
-    told = assumed <= _MOST_PRIOR * ordinary**2
-    correlation = (by_errors + by_prior) / np.outer(ordinary, ordinary)
+    told = (ordinary > 0) & (assumed <= _MOST_PRIOR * ordinary**2)  # what nothing moves is held by the model
+    size = np.where(ordinary > 0, ordinary, 1.0)
+    correlation = (by_errors + by_prior) / np.outer(size, size)
     return Differences(
         scalar=scalar[told],
         where=tuple(np.array(where, dtype=object)[told]),

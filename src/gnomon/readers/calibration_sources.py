@@ -16,6 +16,7 @@ _KALIBR = ("camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
 _SUFFIXES = {".yaml", ".yml", ".json", ".txt", ".calib", ".csv", ".params", ".parm", ".param"}
 _LARGEST = 4_000_000  # bytes of a calibration file; tables of samples are passed over
 _MOST_FILES = 200
+_SHOWN = 5  # folders that a message names
 
 AnyPath = str | PathLike[str]
 
@@ -75,9 +76,9 @@ def files_of_folder(folder: Path) -> list[Path]:
     own = [path for path in candidates if _is_own_calibration(path)]
     found = own if len(own) == 1 else [path for path in candidates if _readable(path)]
     if not found:
-        raise FormatError(
-            f"{folder}: there is no calibration file in this folder. Name a calibration.yaml or its folder."
-        )
+        inside = sorted(path.name for path in folder.iterdir() if path.is_dir())
+        which = f"one of the folders in it ({', '.join(inside[:_SHOWN])})" if inside else "a calibration.yaml"
+        raise FormatError(f"{folder}: there is no calibration file in this folder. Name {which}.")
     return found
 
 

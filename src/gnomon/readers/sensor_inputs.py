@@ -1,5 +1,6 @@
 """What a camera-IMU calibration is told of its sensors beforehand, in whichever file it stands."""
 
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 
@@ -38,10 +39,8 @@ def read_cameras(path: str | PathLike[str], notes: list[str] | None = None) -> d
     """
     said: list[str] = [] if notes is None else notes
     text = read_text(path)
-    if text.lstrip().startswith("{"):
-        root = read_json(path)
-        if is_basalt(root):
-            return _of_basalt(path, basalt_of(root), said)
+    if (found := _basalt(path, text)) is not None:
+        return _of_basalt(path, found, said)
     if is_kalibr_cam_results(text):
         return read_cam_results(path, said)
     root = read_foreign_yaml(path, said)
@@ -69,13 +68,24 @@ def read_imus(path: str | PathLike[str], notes: list[str] | None = None) -> dict
         If the file cannot be read, is none of these, or a noise is missing or not above zero.
     """
     said: list[str] = [] if notes is None else notes
-    if read_text(path).lstrip().startswith("{"):
-        root = read_json(path)
-        if is_basalt(root):
-            found = basalt_of(root)
-            said.extend(found.notes)
-            return _noise_of_basalt(path, found, said)
+    if (found := _basalt(path, read_text(path))) is not None:
+        said.extend(found.notes)
+        return _noise_of_basalt(path, found, said)
     return read_imu_input(path, said)
+
+
+def _basalt(path: str | PathLike[str], text: str) -> ForeignCalibration | None:
+    """Return Basalt's calibration, or None of anything else, such as YAML in flow style, which begins like JSON."""
+    if not text.lstrip().startswith("{"):
+        return None
+    try:
+        root = read_json(path)
+    except FormatError as error:
+        with suppress(FormatError):
+            read_foreign_yaml(path, [])
+            return None
+        raise error from None
+    return basalt_of(root) if is_basalt(root) else None
 
 
 def _own(path: str | PathLike[str]) -> dict[str, CameraInput]:

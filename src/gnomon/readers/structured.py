@@ -238,6 +238,10 @@ def read_text(path: str | PathLike[str]) -> str:
         return Path(path).read_bytes().decode("utf-8-sig")
     except FileNotFoundError as error:
         raise FormatError(f"{path}: there is no such file. Check the path.") from error
+    except IsADirectoryError as error:
+        inside = Path(path) / "calibration.yaml"
+        which = f"{inside}" if inside.is_file() else "a file in it"
+        raise FormatError(f"{path}: this is a folder, not a file. Name {which}.") from error
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error.strerror or error}). Name a file that can be.") from error
     except UnicodeDecodeError as error:

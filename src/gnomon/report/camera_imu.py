@@ -146,8 +146,10 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
 
 def _origin(calibration: Calibration) -> str:
     sensors = [imu.accelerometer for imu in calibration.imus.values() if imu.accelerometer is not None]
-    if any(sensor.lever_arms_m is not None for sensor in sensors):
-        return "Its origin is the x accelerometer; where the others lie was estimated."
+    known = [sensor.lever_arms_m for sensor in sensors if sensor.lever_arms_m is not None]
+    if known:
+        at = next((axis for axis, place in zip("xyz", known[0].tolist(), strict=True) if not any(place)), "x")
+        return f"Its origin is the {at} accelerometer; where the others lie was estimated."
     return "Its origin is where accelerometer and gyroscope sit, taken as one point."
 
 

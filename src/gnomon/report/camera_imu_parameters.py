@@ -23,7 +23,7 @@ from .page import Parameter, ParameterGroup, Table
 AXES = "xyz"
 _DEG = degrees(1.0)
 _STEP = 1e-6
-NOT_ABOVE = "not above its σ"
+NOT_ABOVE = "within its σ"
 """Marks an entry that the recording does not tell from an ideal sensor's (the rule of document B, section 5.2)."""
 
 

@@ -1,5 +1,6 @@
 """The sections of a camera-IMU report that show the estimate: cameras, IMU, every scalar, noise and solution."""
 
+from dataclasses import replace
 from math import degrees, isfinite
 
 import numpy as np
@@ -22,7 +23,7 @@ from .camera_imu_parameters import (
 )
 from .imu_parameters import readable_unit
 from .numbers import fixed, number
-from .page import Code, Figure, Legend, Parameters, Section, Table
+from .page import Code, Figure, Legend, ParameterGroup, Parameters, Section, Table
 from .wording import matrix_text
 
 _AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
@@ -32,6 +33,21 @@ _IMU_GROUPS = 8
 """Groups of parameters of an IMU that is wholly estimated."""
 _STRONG = 0.5
 """Correlation from which a pair is listed."""
+_SYMBOLS = {
+    "Accelerometer scale": "S_a",
+    "Accelerometer misalignment": "M_a",
+    "Accelerometer bias": "b_a",
+    "Gyroscope scale": "S_g",
+    "Gyroscope misalignment": "M_g",
+    "Gyroscope bias": "b_g",
+    "Gyroscope rotation": "q_bg",
+    "Gyroscope g-sensitivity": "B_g",
+    "Attitude": "T_cam_imu.rotation",
+    "Translation": "T_cam_imu.translation",
+    "Position": "T_cam_imu.translation",
+    "Time": "time_shift_cam_imu",
+}
+"""Title of a group of parameters -> their name in the estimation."""
 
 
 def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Section | None:
@@ -51,7 +67,7 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         blocks += [
             Parameters(
                 title=name,
-                groups=camera_groups(calibration, name),
+                groups=_marked(camera_groups(calibration, name), calibration, name),
                 caption=_rotation_text(camera.T_cam_imu) + _started(diagnostics.initial_time_shift_s.get(name)),
             ),
             Code(
@@ -68,6 +84,17 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         lead="Where each camera sits on the IMU, and by how much its clock differs, each with its standard deviation "
         "σ. Bars show the estimate, whiskers ±2σ.",
         blocks=tuple(blocks),
+    )
+
+
+def _marked(groups: tuple[ParameterGroup, ...], calibration: Calibration, sensor: str) -> tuple[ParameterGroup, ...]:
+    """Mark the groups of which the recording does not determine all."""
+    held = {name.split("[")[0] for name in calibration.assessment.held_by_prior}
+    return tuple(
+        replace(group, note="; ".join(part for part in (group.note, "not measured: held by an assumption") if part))
+        if f"{sensor}.{_SYMBOLS.get(group.title)}" in held
+        else group
+        for group in groups
     )
 
 
@@ -94,7 +121,7 @@ def imu_section(calibration: Calibration) -> Section:
     several, shown = len(calibration.imus) > 1, 0
     for name, imu in calibration.imus.items():
         caption = gyroscope_quaternion(imu.gyroscope.sensitivity) if imu.gyroscope is not None else ""
-        groups = imu_groups(calibration, name)
+        groups = _marked(imu_groups(calibration, name), calibration, name)
         shown += len(groups)
         blocks.append(Parameters(title=name if several else "", groups=groups, caption=caption))
         table = other_reading(calibration, name)

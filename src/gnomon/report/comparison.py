@@ -8,13 +8,13 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.comparison import Comparison, Difference, Repeatability
-from ..assess.comparison_words import block_words, shown_unit
+from ..assess.comparison_words import block_words, shown_unit, typical_size
 from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
 from .comparison_figures import color_of, deviations, drawn_blocks
 from .imu_parameters import readable_unit
-from .numbers import MISSING, fixed, number, rms
+from .numbers import MISSING, fixed, number
 from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
 
 _MOST_PAIRS = 10  # calibrations of which all pairs are shown
@@ -72,7 +72,11 @@ def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
 
 def _shown(block: Repeatability) -> tuple[float, str]:
     factor, unit = shown_unit(block.kind, block.unit)
-    return factor, "°" if unit == "deg" else readable_unit(unit).replace("us", "µs")
+    return factor, _written(unit)
+
+
+def _written(unit: str) -> str:
+    return "°" if unit == "deg" else readable_unit(unit).replace("us", "µs")
 
 
 def _summary(comparison: Comparison) -> Section:
@@ -100,8 +104,7 @@ def _summary(comparison: Comparison) -> Section:
 def _summary_table(comparison: Comparison) -> Table:
     rows: list[tuple[str, ...]] = []
     for block in comparison.blocks:
-        factor, unit = _shown(block)
-        scatter, predicted = (factor * rms(values) for values in (block.scatter, block.predicted))
+        (scatter, unit), (predicted, _) = (typical_size(block, values) for values in (block.scatter, block.predicted))
         z_rms = f"{number(block.z_rms, 3)} (≤ {number(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
         held = f"held by {', '.join(block.assumed)}" if block.assumed else ""
         note = ", ".join(part for part in ("" if block.judged else "not judged", held) if part)
@@ -111,7 +114,7 @@ def _summary_table(comparison: Comparison) -> Table:
                 str(len(block.names)),
                 number(scatter, 2),
                 number(predicted, 2),
-                unit,
+                _written(unit),
                 z_rms,
                 note,
             )
@@ -120,10 +123,12 @@ def _summary_table(comparison: Comparison) -> Table:
         title="Scatter against predicted sigma",
         head=("block", "estimated by", "scatter", "predicted σ", "unit", "z rms", ""),
         rows=tuple(rows),
-        caption="Scatter: standard deviation over the calibrations, root mean square over the scalars of the block. "
+        caption="Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, "
+        "of a lens over those in px. "
         "z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas exceed in one of a "
         "hundred comparisons.",
         dense=True,
+        remarked=True,
     )
 
 
@@ -141,7 +146,7 @@ def _pairs(comparison: Comparison) -> Table:
 
     rows = tuple((one, *(cell(one, other) if one != other else "" for other in names)) for one in names)
     caption = f"Up to {number(comparison.z_limit, 2)} σ is chance."
-    return Table(title="Largest difference of each pair", head=("", *names), rows=rows, caption=caption, dense=True)
+    return Table(title="Largest difference of each pair", head=("", *names), rows=rows, caption=caption, prose=True)
 
 
 def _blocks(comparison: Comparison) -> Section:

@@ -81,7 +81,7 @@ class Table:
     """Rows of texts; the first column is the row's name.
 
     `marked` is the index of the row that was chosen, `faint` are those of rows that matter less. A `dense` table is set
-    small, since it has many rows or columns.
+    small, since it has many rows or columns. The last column of a `remarked` table holds remarks, which may break.
     """
 
     title: str
@@ -92,6 +92,7 @@ class Table:
     faint: frozenset[int] = frozenset()
     prose: bool = False
     dense: bool = False
+    remarked: bool = False
     kind: str = "table"
 
 

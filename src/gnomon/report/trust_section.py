@@ -5,7 +5,7 @@ from math import isfinite
 import numpy as np
 
 from ..calibration import Assessment
-from ..trust import ModelStep, Need, Splits, Trust, WeakDirection
+from ..trust import BlockChange, ModelStep, Need, Splits, Trust, WeakDirection
 from .numbers import MISSING, number
 from .page import Block, Figure, Legend, Prose, Section, Table
 from .trust_figure import agreement
@@ -118,6 +118,8 @@ def _splits(splits: Splits) -> list[Block]:
             rows=(*rows, pooled),
             caption="The limit is what right standard deviations exceed in one of a hundred recordings. Errors that "
             "all parts share, as those of a wrong lens, do not show here.",
+            dense=True,
+            remarked=True,
         ),
     ]
 
@@ -131,7 +133,7 @@ def _models(models: tuple[ModelStep, ...]) -> Table:
             number(step.needed, 3),
             _decision(step),
             "; ".join(
-                f"{change.block} {number(change.change, 2)}\u00a0{change.unit} ({number(change.sigmas, 2)} σ)"
+                f"{change.block} {_change(change)} ({number(change.sigmas, 2)}\u00a0σ)"
                 for change in step.changes[:_SHOWN]
             )
             or MISSING,
@@ -145,11 +147,21 @@ def _models(models: tuple[ModelStep, ...]) -> Table:
         faint=frozenset(i for i, step in enumerate(models) if not step.used),
         caption="Each block is judged by the log-likelihood of clusters of time that were left out of the estimate, "
         "beyond the model of the blocks used before it. What is needed grows with the number of blocks tried.",
+        dense=True,
+        remarked=True,
     )
 
 
+def _change(change: BlockChange) -> str:
+    """Return by how much a block moved, with its unit, where it has one."""
+    unit = "" if change.unit == "1" else change.unit
+    return f"{number(change.change, 2)}\u00a0{unit}".rstrip("\u00a0")
+
+
 def _decision(step: ModelStep) -> str:
-    return ("yes" if step.used else "no") + (", as stated" if step.forced else "")
+    if step.forced:
+        return "yes, as stated" if step.used else "no, as stated"
+    return "no" if not step.used else "yes" if step.gain > step.needed else "yes, always"
 
 
 def _weak(weak: tuple[WeakDirection, ...]) -> Table:

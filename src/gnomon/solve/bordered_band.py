@@ -25,7 +25,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import (
-    dsyrk,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
     dtrsm,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
     dtrsv,  # pyright: ignore[reportAttributeAccessIssue, reportUnknownVariableType]
 )
@@ -63,16 +62,12 @@ class WideBorder(Protocol):
         """Number of parameters."""
         ...
 
-    def coupling(self, first: int, count: int) -> Floats:
-        """Return the blocks of these parameters and some control points, (size, count, d)."""
-        ...
-
     def times(self, parameters: Floats) -> Floats:
         """Return the product (n, d, k) of all blocks with values (size, k) of the parameters."""
         ...
 
-    def transposed_times(self, controls: Floats) -> Floats:
-        """Return the product (size, k) of all blocks, transposed, with values (n, d, k) of the control points."""
+    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
+        """Return the product (size, k) of transposed blocks with values (c, d, k) of control points from `first` on."""
         ...
 
 
@@ -132,20 +127,20 @@ class BorderedBand:
         corner = np.einsum("ii->i", self.corner)
         corner += damping * corner
 
-    def factorised(self, carried: Floats | None = None) -> "Factor":
+    def factorised(self, similar: "Factor | None" = None) -> "Factor":
         """Return the factor, which is valid until the next one is made in the same workspace.
 
         Parameters
         ----------
-        carried : (w, w) what the chain takes from the wide part, from the factor of similar equations; to make it anew
-            is most of the work. The right-hand sides are exact all the same.
+        similar : of similar equations, whose `taken` serves for these, since to make it anew is most of the work;
+            everything else is exact
 
         Raises
         ------
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        return _factorise(self, carried)
+        return _factorise(self, similar)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,6 +156,7 @@ class Factor:
     controls, size : number of control points, scalars of each
     wide : the wide part of the border, or None
     taken : (w, w) what the chain takes from the wide part of the Schur complement
+    borrowed : whether that is from similar equations
     """
 
     lower: Floats
@@ -171,11 +167,21 @@ class Factor:
     size: int
     wide: WideBorder | None = None
     taken: Floats | None = None
+    borrowed: bool = False
 
     @property
     def narrow(self) -> int:
         """Number p of border parameters that are not wide; they come first."""
         return len(self.schur) - (self.wide.size if self.wide is not None else 0)
+
+    def exact(self) -> "Factor":
+        """Return the factor with nothing from similar equations."""
+        if self.wide is None or self.taken is None or not self.borrowed:
+            return self
+        taken = _taken(self.wide, self)
+        schur = self.schur.copy()
+        schur[self.narrow :, self.narrow :] += self.taken - taken
+        return replace(self, schur=schur, taken=taken, borrowed=False)
 
     @property
     def _border(self) -> slice:
@@ -249,28 +255,6 @@ class Factor:
             dtrsm(1.0, self.lower[k].T, found[k].T, lower=1, overwrite_b=1)
         return found
 
-    def wide_eliminated(self) -> Floats:
-        """Return L^-1 F of the wide part of the border, transposed, (b, w, s)."""
-        blocks, s = self.lower.shape[:2]
-        if self.wide is None:
-            return np.zeros((blocks, 0, s))
-        found = np.empty((blocks, self.wide.size, s))
-        for k, rows in _wide_rows(self.wide, self.lower, self.eliminated, self.size, self.controls):
-            found[k] = rows
-        return found
-
-    def wide_solutions(self) -> Floats:
-        """Return (band alone)^-1 F of the wide part of the border, (n, d, w)."""
-        s = self.lower.shape[1]
-        found = self.wide_eliminated()
-        following = np.zeros(found.shape[1:])
-        for k in range(len(found) - 1, -1, -1):
-            found[k] -= following @ self.eliminated[k, :s]
-            dtrsm(1.0, self.lower[k].T, found[k].T, lower=1, trans_a=1, overwrite_b=1)
-            following = found[k]
-        shape = len(found) * s // self.size, self.size, found.shape[1]
-        return np.ascontiguousarray(found.transpose(0, 2, 1)).reshape(shape)[: self.controls]
-
     def marginals(self, free: NDArray[np.intp], schur_inverse: Floats) -> tuple[Floats, Floats]:
         """Return the covariances of super-blocks, with the border parameters' uncertainty in them.
 
@@ -281,7 +265,10 @@ class Factor:
         """
         blocks, s = self.lower.shape[:2]
         border, wide = s + free[free < self.narrow], free[free >= self.narrow] - self.narrow
-        beyond = self.wide_eliminated()[:, wide] if len(wide) else np.zeros((blocks, 0, s))
+        beyond = np.empty((blocks, len(wide), s))
+        if self.wide is not None and len(wide):
+            for k, rows in _wide_rows(self.wide, self):
+                beyond[k] = rows[wide]
         result, following = np.empty((blocks, s, s)), np.empty((max(blocks - 1, 0), s, s))
         own, z_next = np.zeros((s, s)), np.zeros((s, len(free)))
         for k in range(blocks - 1, -1, -1):
@@ -298,7 +285,7 @@ class Factor:
         return result, following
 
 
-def _factorise(system: BorderedBand, carried: Floats | None) -> Factor:
+def _factorise(system: BorderedBand, similar: Factor | None) -> Factor:
     p, q = system.border.shape[2], system.rhs.shape[2]
     lower, chain = _gathered(system)
     blocks, s = lower.shape[:2]
@@ -329,49 +316,47 @@ def _factorise(system: BorderedBand, carried: Floats | None) -> Factor:
     )
     if system.wide is None or not system.wide.size:
         return factor
-    if carried is None:
-        taken, cross = _wide_products(system.wide, factor)
+    if similar is None or similar.taken is None:
+        taken = _taken(system.wide, factor)
     else:
-        taken, cross = carried, system.wide.transposed_times(factor.chain_solutions(np.arange(p + q)))
+        before = np.diag(similar.schur)[similar.narrow :] + np.diag(similar.taken)
+        size = np.sqrt(np.diag(schur)[p:] / before)
+        taken = similar.taken * np.outer(size, size)
+    cross = system.wide.transposed_times(factor.chain_solutions(np.arange(p + q)))
     schur[p:, p:] -= taken
     schur[p:, :p] -= cross[:, :p]
     schur[:p, p:] -= cross[:, :p].T
     sides[p:] -= cross[:, p:]
-    return replace(factor, taken=taken)
+    return replace(factor, taken=taken, borrowed=similar is not None)
 
 
-_TOGETHER = 4  # blocks whose products are summed up at once: fewer and larger calls
+_TOGETHER = 8  # blocks whose products are summed up at once: fewer and larger calls
 
 
-def _wide_products(wide: WideBorder, factor: Factor) -> tuple[Floats, Floats]:
-    """Return F' (band alone)^-1 of the wide part F of the border times itself (w, w) and all else (w, p + q)."""
-    w, s = wide.size, factor.lower.shape[1]
-    own, cross = np.zeros((w, w), order="F"), np.zeros((w, factor.eliminated.shape[1] - s))
-    stacked = np.zeros((w, _TOGETHER * s))
-    for k, rows in _wide_rows(wide, factor.lower, factor.eliminated, factor.size, factor.controls):
-        cross += rows @ factor.eliminated[k, s:].T
+def _taken(wide: WideBorder, factor: Factor) -> Floats:
+    """Return F' (band alone)^-1 F of the wide part F of the border, (w, w)."""
+    s = factor.lower.shape[1]
+    found = np.zeros((wide.size, wide.size))
+    stacked = np.zeros((wide.size, _TOGETHER * s))
+    for k, rows in _wide_rows(wide, factor):
         place = k % _TOGETHER
         stacked[:, place * s : (place + 1) * s] = rows
         if place == _TOGETHER - 1 or k == len(factor.lower) - 1:
             part = stacked[:, : (place + 1) * s]
-            own = dsyrk(1.0, part, beta=1.0, c=own, overwrite_c=1, lower=1)
-    return np.tril(own) + np.tril(own, -1).T, cross
+            found += part @ part.T
+    return found
 
 
-def _wide_rows(
-    wide: WideBorder, lower: Floats, chain: Floats, size: int, controls: int
-) -> Iterator[tuple[int, Floats]]:
+def _wide_rows(wide: WideBorder, factor: Factor) -> Iterator[tuple[int, Floats]]:
     """Yield L^-1 F of the wide border, transposed (w, s), block after block."""
-    s = lower.shape[1]
-    per_block = s // size
+    s, d = factor.lower.shape[1], factor.size
     before = np.zeros((wide.size, s))
-    for k in range(len(lower)):
-        count = min(per_block, controls - k * per_block)
-        rows = np.zeros((wide.size, s))
-        rows[:, : count * size] = wide.coupling(k * per_block, count).reshape(wide.size, count * size)
+    for k in range(len(factor.lower)):
+        inverse = dtrtri(factor.lower[k].T, lower=1)[0].T
+        first = k * (s // d)
+        rows = wide.transposed_times(inverse.reshape(-1, d, s)[: factor.controls - first], first)
         if k:
-            rows -= before @ chain[k - 1, :s].T
-        dtrsm(1.0, lower[k].T, rows.T, lower=1, overwrite_b=1)
+            rows -= before @ (factor.eliminated[k - 1, :s].T @ inverse)
         before = rows
         yield k, rows
 
@@ -387,22 +372,27 @@ def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
     blocks, s = -(-n // per_block), per_block * d
     lower = system.workspace.zeros("lower", (blocks, s, s))
     chain = system.workspace.zeros("chain", (blocks, s + p + q, s))
-    diagonal = lower.reshape(blocks, per_block, d, per_block, d)
-    ahead = chain[:, :s].reshape(blocks, per_block, d, per_block, d)  # E': control point of the column comes first
+    following = system.workspace.zeros("following", (blocks, s, s))  # E
+    diagonal, ahead = (each.reshape(blocks, per_block, d, per_block, d) for each in (lower, following))
     starts = system.starts()
+    pairs = [
+        (g, slice(starts[g], starts[g + 1]), h, slice(starts[h], starts[h + 1]))
+        for g, h in np.ndindex(len(system.groups), len(system.groups))
+    ]
     for row in range(per_block):
         count = len(range(row, n, per_block))
         within = min(order, per_block - row)  # control points that are in the same block
-        for g, h in np.ndindex(len(system.groups), len(system.groups)):
-            rows, columns = slice(starts[g], starts[g + 1]), slice(starts[h], starts[h + 1])
+        for g, rows, h, columns in pairs:
             part = system.band[g][h][row::per_block]
-            diagonal[:count, row, rows, row : row + within, columns] += part[:, :, :within]
+            diagonal[:count, row, rows, row : row + within, columns] = part[:, :, :within]
+            ahead[:count, row, rows, : order - within, columns] = part[:, :, within:]
+        for g, rows, h, columns in pairs:
             if g != h:  # the control point with itself: its other triangle
-                diagonal[:count, row, columns, row, rows] += np.swapaxes(part[:, :, 0], 1, 2)
-            beyond = order - within
-            ahead[:count, :beyond, columns, row, rows] += part[:, :, within:].transpose(0, 2, 3, 1)
-        place = slice(row * d, (row + 1) * d)
-        chain[:count, s:, place] = np.swapaxes(system.tail[row::per_block], 1, 2)
+                diagonal[:count, row, columns, row, rows] += np.swapaxes(system.band[g][h][row::per_block, :, 0], 1, 2)
+    whole = n // per_block
+    chain[:, :s] = following.transpose(0, 2, 1)
+    chain[:whole, s:] = system.tail[: whole * per_block].reshape(whole, s, p + q).transpose(0, 2, 1)
+    chain[whole:, s:, : (n - whole * per_block) * d] = system.tail[whole * per_block :].reshape(-1, p + q).T
     # LAPACK reads one triangle only: the lower one of the Fortran view, the upper one of these rows.
     alone = np.arange((n - (blocks - 1) * per_block) * d, s)  # padding control points are unit and alone
     lower[-1, alone, alone] = 1.0

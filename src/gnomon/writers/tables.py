@@ -236,17 +236,19 @@ def summary_table(calibration: Calibration) -> Table:
     """Return what concerns the calibration as a whole: verdict, frame, gravity, and what it rests on."""
     assessment, gravity = calibration.assessment, calibration.gravity
     camera_imu = assessment.camera_imu
+    note = f"gnomon {calibration.provenance.gnomon_version}"
     rows = [
         Row(name="verdict", value=calibration.verdict, unit=""),
         Row(name="body frame", value=calibration.frame, unit=""),
     ]
     if rests_on_gravity(calibration):
         value = value_text(gravity.value, gravity.sigma)
-        rows.append(Row(name=f"gravity ({gravity.source})", value=value, unit="m/s^2"))
+        rows.append(Row(name="gravity", value=value, unit="m/s^2"))
+        note += f"; gravity: {gravity.source}"
     if assessment.model != "none":
         rows.append(Row(name=f"{modelled_thing(calibration)} model", value=assessment.model, unit=""))
     rows += _magnitude_rows(calibration) if camera_imu is None else _camera_imu_rows(camera_imu)
-    return Table(title="calibration", note=f"gnomon {calibration.provenance.gnomon_version}", rows=tuple(rows))
+    return Table(title="calibration", note=note, rows=tuple(rows))
 
 
 def _magnitude_rows(calibration: Calibration) -> Iterator[Row]:

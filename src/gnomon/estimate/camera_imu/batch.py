@@ -7,6 +7,7 @@ sigma = 1 has sigma^2 = chi^2 / (number of residuals - trace of its part of the 
 random signs carried along as a further right-hand side.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,7 +164,7 @@ def linearised(
     inertial, visual = error_terms(measurements, state, layout, noise, columns, probing=probing)
     summed_up(system, grid, columns, (*inertial, *visual))
     if board is not None:
-        board.fill(system, [coupling for term in visual if (coupling := term.coupling(system.workspace)) is not None])
+        board.fill(system, [coupling for term in visual if (coupling := term.coupling()) is not None])
     chi2 = [_chi2(inertial, i) for i in range(imus)]
     cost = 0.5 * float(np.sum(chi2)) + sum(term.cost for term in visual)
     cost += add_walks(system, trajectory, noise.walks)
@@ -184,9 +185,21 @@ def linearised(
 
 
 def error_terms(
-    measurements: Measurements, state: State, layout: Layout, noise: Noise, columns: Columns, *, probing: bool
+    measurements: Measurements,
+    state: State,
+    layout: Layout,
+    noise: Noise,
+    columns: Columns,
+    *,
+    probing: bool,
+    parts: Sequence[Integers] | None = None,
 ) -> tuple[list[InertialTerms], list[VisualTerms]]:
-    """Return the error terms of everything that was measured, at a state; see `linearised`."""
+    """Return the error terms of everything that was measured, at a state; see `linearised`.
+
+    Parameters
+    ----------
+    parts : for each camera, what `VisualTerms` takes as `part`
+    """
     imus = len(noise.imus)
     inertial = [
         InertialTerms(
@@ -215,8 +228,9 @@ def error_terms(
             ),
             used=used,
             probe=1 + 2 * imus + data.camera if probing else None,
+            part=None if parts is None else parts[number],
         )
-        for data, used in zip(measurements.visual, measurements.used, strict=True)
+        for number, (data, used) in enumerate(zip(measurements.visual, measurements.used, strict=True))
     ]
     return inertial, visual
 
@@ -250,8 +264,26 @@ def _signs(data: VisualData) -> Floats:
     return 2.0 * rng.integers(0, 2, data.exposures.pixels.shape).astype(np.float64) - 1.0
 
 
-def gauss_newton_step(lin: Linearisation, damping: float = 0.0) -> Step:
+def gauss_newton_step(lin: Linearisation, damping: float = 0.0, similar: Factor | None = None) -> Step:
     """Solve the normal equations.
+
+    Parameters
+    ----------
+    damping : added to the diagonal, as a share of it
+    similar : of similar equations, see `BorderedBand.factorised`; the step is an approximation then
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If they are not positive definite.
+    """
+    if damping:
+        lin.system.damped(damping)
+    return step_by(lin.system.factorised(similar), lin.layout)
+
+
+def step_by(factor: Factor, layout: Layout) -> Step:
+    """Return the step by a factor of the normal equations.
 
     Where the model of an IMU would leave the range of its weak priors in one step, which happens far from the minimum
     in directions that the recording hardly determines, it is held this time.
@@ -259,12 +291,8 @@ def gauss_newton_step(lin: Linearisation, damping: float = 0.0) -> Step:
     Raises
     ------
     numpy.linalg.LinAlgError
-        If they are not positive definite.
+        If the Schur complement is not positive definite.
     """
-    system, layout = lin.system, lin.layout
-    if damping:
-        system.damped(damping)
-    factor = system.factorised()
     free = layout.free_index
     parameters, covariance = _border_step(factor, free)
     leaves = layout.of_imu & layout.weak & (np.abs(parameters) > layout.prior_sigma)

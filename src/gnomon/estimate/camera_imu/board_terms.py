@@ -8,8 +8,10 @@ of `BorderedBand`); with everything else summed up over the exposures.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from scipy.sparse import bsr_array, csr_array  # pyright: ignore[reportUnknownVariableType]
 
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand
@@ -17,7 +19,8 @@ from .trajectory import BIAS, POSE
 
 _TWIST = 6
 _AXES = 3
-_FEW = 30  # exposures of a super-block up to which all corners of the board are gone through
+_TOGETHER = 60  # control points that are multiplied at once
+_DENSE = 0.1  # share of the board's corners in an exposure, from which on zeros for all others cost less
 
 
 class CornerProducts:
@@ -71,30 +74,92 @@ class CornerProducts:
                     self.squares[:, j, i] += product
 
 
+class PoseProducts(Protocol):
+    """Products (6 e, 3 k) of the poses of exposures and the offsets of corners, dense or sparse."""
+
+    @property
+    def T(self) -> "PoseProducts":
+        """Transposed."""
+        ...
+
+    def __getitem__(self, rows: slice, /) -> "PoseProducts": ...
+
+    def __matmul__(self, values: Floats, /) -> Floats: ...
+
+
+def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[int, int]) -> PoseProducts:
+    """Return the products of exposures with all corners of the board; sparse where an exposure sees few of them.
+
+    Parameters
+    ----------
+    place, point : (m,) exposure, ascending, and number of each corner
+    by_twist : (m, 6, 3) products of each corner
+    shape : number of exposures and of the board's corners
+    """
+    exposures, points = shape
+    if len(place) > _DENSE * exposures * points:
+        dense = np.zeros((exposures, POSE, points, _AXES))
+        dense[place, :, point] = by_twist
+        return dense.reshape(exposures * POSE, points * _AXES)
+    # Rolling shutter: each corner has an exposure of its own.
+    rows = POSE * place[:, None, None] + np.arange(POSE)[:, None]
+    columns = _AXES * point[:, None, None] + np.arange(_AXES)
+    at = np.broadcast_to(rows, by_twist.shape).ravel(), np.broadcast_to(columns, by_twist.shape).ravel()
+    return csr_array((by_twist.ravel(), at), shape=(exposures * POSE, points * _AXES))
+
+
+def multiplied(blocks: Floats, products: PoseProducts) -> PoseProducts:
+    """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6)."""
+    if isinstance(products, np.ndarray):
+        return np.matmul(blocks, products.reshape(len(blocks), POSE, -1)).reshape(products.shape)
+    every = np.arange(len(blocks) + 1)
+    return bsr_array((blocks, every[:-1], every)).tocsr() @ products
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coupling:
     """What the corners of one camera's used exposures have in common with everything else.
 
     Attributes
     ----------
-    first : (m,) first control point of the span of each corner, ascending
-    exposure : (m,) its exposure
-    value : (e, k) basis functions of all exposures
-    point : (m,) its number on the board
-    by_pose : (m, 6, 3) products of its offset with the pose
-    border : (b, 3 k) products of the offsets with the border's other columns
-    sides : (3 k, q) right-hand sides
-    squares : (k, 3, 3) products of the offsets with each other
+    first : (e,) first control point of the span of each exposure, ascending
+    value : (e, k) its basis functions
+    by_pose : (6 e, 3 k) products of the poses and the offsets
+    border : (r, b, 3 k) products of the offsets with the border's other columns, summed up over each of r parts
+    sides : (r, 3 k, q) right-hand sides
+    squares : (r, k, 3, 3) products of the offsets with each other
     """
 
     first: Integers
-    exposure: Integers
     value: Floats
-    point: Integers
-    by_pose: Floats
+    by_pose: PoseProducts
     border: Floats
     sides: Floats
     squares: Floats
+
+    def moved(self, controls: Floats) -> Floats:
+        """Return how the poses follow where control points (n, d, q) do, (6 e, q)."""
+        found = np.zeros((len(self.first), POSE, controls.shape[2]))
+        for k, value in enumerate(self.value.T):
+            found += value[:, None, None] * controls[self.first + k, :POSE]
+        return found.reshape(-1, controls.shape[2])
+
+    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
+        """Return the product (3 k, q) of the offsets with values (c, d, q) of control points from `first` on."""
+        (count, order), width = (len(controls), self.value.shape[1]), controls.shape[2]
+        found = np.zeros((self.squares.shape[1] * _AXES, width))
+        for begin in range(0, count, _TOGETHER):
+            part = controls[begin : begin + _TOGETHER, :POSE]
+            start = first + begin
+            some = slice(*np.searchsorted(self.first, [start - order + 1, start + len(part)]).tolist())
+            if some.start == some.stop:
+                continue
+            at = self.first[some] - start + order - 1
+            weight = np.zeros((len(at), len(part) + 2 * (order - 1)))
+            weight[np.arange(len(at))[:, None], at[:, None] + np.arange(order)] = self.value[some]
+            moved = weight[:, order - 1 : order - 1 + len(part)] @ part.reshape(len(part), -1)
+            found += self.by_pose[POSE * some.start : POSE * some.stop].T @ moved.reshape(-1, width)
+        return found
 
 
 def corners_of(exposures: Integers, start: Integers) -> tuple[Integers, Integers]:
@@ -132,43 +197,27 @@ class BoardBorder:
         blocks = system.corner[p:, p:].reshape(self._points, _AXES, self._points, _AXES)
         every = np.arange(self._points)
         for camera in cameras:
-            system.corner[:p, p:] += camera.border
-            system.corner[p:, :p] += camera.border.T
-            blocks[every, :, every, :] += camera.squares
-            system.corner_rhs[p:] += camera.sides
-
-    def coupling(self, first: int, count: int) -> Floats:
-        """Return the blocks of all offsets and some control points, (size, count, d)."""
-        found = np.zeros((count, self._points * POSE * _AXES))
-        for camera in self._cameras:
-            some = slice(*np.searchsorted(camera.first, [first - self._order + 1, first + count]).tolist())
-            if some.start == some.stop:
-                continue
-            begins = np.flatnonzero(np.diff(camera.exposure[some], prepend=-1))  # of exposures
-            basis = first + np.arange(count)[:, None] - camera.first[some][begins]
-            near = (basis >= 0) & (basis < self._order)
-            weight = camera.value[camera.exposure[some][begins], np.where(near, basis, 0)] * near  # (count, e)
-            products = camera.by_pose[some].reshape(-1, POSE * _AXES)
-            if len(begins) <= _FEW:
-                dense = np.zeros((len(begins), self._points, POSE * _AXES))
-                lengths = np.diff(begins, append=len(products))
-                dense[np.repeat(np.arange(len(begins)), lengths), camera.point[some]] = products
-                found += weight @ dense.reshape(len(begins), -1)
-            else:  # rolling shutter: each corner has an exposure of its own
-                place = (camera.point[some, None] * (POSE * _AXES) + np.arange(POSE * _AXES)).ravel()
-                of_corner = np.repeat(weight, np.diff(begins, append=len(products)), axis=1)
-                for control, each in enumerate(of_corner):
-                    found[control] += np.bincount(place, (each[:, None] * products).ravel(), found.shape[1])
-        blocks = np.zeros((self._points, _AXES, count, self._width))
-        blocks[..., :POSE] = found.reshape(count, self._points, POSE, _AXES).transpose(1, 3, 0, 2)
-        return blocks.reshape(self.size, count, self._width)
+            border = camera.border.sum(axis=0)
+            system.corner[:p, p:] += border
+            system.corner[p:, :p] += border.T
+            blocks[every, :, every, :] += camera.squares.sum(axis=0)
+            system.corner_rhs[p:] += camera.sides.sum(axis=0)
 
     def times(self, parameters: Floats) -> Floats:
         """Return the product (n, d, k) of all blocks with offsets (size, k)."""
-        offsets = parameters.reshape(self._points, _AXES, -1)
-        found = np.zeros((self._controls, self._width, offsets.shape[2]))
+        found = np.zeros((self._controls, self._width, parameters.shape[1]))
         for camera in self._cameras:
-            begins, exposure = camera.exposures
-            pull = np.zeros((len(begins), POSE, offsets.shape[2]))
-            for corners in _chunks(begins, len(camera.point)):
-                pulls = np.matmul(camera.by_pose[corners], offsets[camera.point[corners]])
+            if not len(camera.first):
+                continue
+            pull = (camera.by_pose @ parameters).reshape(len(camera.first), POSE, -1)
+            begins = np.flatnonzero(np.diff(camera.first, prepend=-1))  # exposures of one span
+            for k, value in enumerate(camera.value.T):
+                found[camera.first[begins] + k, :POSE] += np.add.reduceat(value[:, None, None] * pull, begins)
+        return found
+
+    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
+        """Return the product (size, k) of transposed blocks with values (c, d, k) of control points from `first` on."""
+        found = np.zeros((self.size, controls.shape[2]))
+        for camera in self._cameras:
+            found += camera.transposed_times(controls, first)
+        return found

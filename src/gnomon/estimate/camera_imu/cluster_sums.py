@@ -23,11 +23,10 @@ from ...recording import Floats, Integers
 from ..clusters import ClusterSums
 from .assembly import TRIAD, Columns, by_span
 from .batch import error_terms
-from .board_terms import corners_of
 from .prior_terms import FIRST_BIAS_SIGMA, links, second_differences
 from .solution import Solution
 from .trajectory import BIAS, POSE, Grid, Trajectory
-from .visual_terms import VisualData, instants
+from .visual_terms import instants
 
 STRETCH_S = 0.5
 """Length of a stretch: short against the memory of residuals that matter."""
@@ -135,51 +134,26 @@ def _add_board(
     With U the rows that are summed up already, and J_o the columns of the shifts, which follow by A,
     (U + J_o A)'(U + J_o A) lacks A'J_o'U + U'J_o A + A'J_o'J_o A.
     """
-    measurements, state, layout = solution.measurements, solution.state, solution.layout
-    for data, used in zip(measurements.visual, measurements.used, strict=True):
-        places = state.trajectory.grid.places(instants(data, state.parameters.cameras[data.camera]))
-        chosen = np.flatnonzero(places.inside & used)
-        number = stretch[places.first[chosen]]
-        for k in np.unique(number):
-            exposures = chosen[number == k]
-            some = replace(
-                measurements, inertial=(), visual=(_some(data, exposures),), used=(np.ones(len(exposures), bool),)
-            )
-            term = error_terms(some, state, layout, solution.noise, columns, probing=False)[1][0]
-            coupling = term.coupling()
-            assert coupling is not None
-            squares = coupling.squares
-            cross = np.zeros((squares.shape[0], 3, follows.shape[2]))
-            value, first = coupling.value[coupling.exposure], coupling.first
-            for exposure in np.unique(coupling.exposure):
-                corners = np.flatnonzero(coupling.exposure == exposure)
-                at = first[corners[0]] + np.arange(columns.order)
-                moved = np.tensordot(value[corners[0]], follows[at, :POSE], axes=1)
-                cross[coupling.point[corners]] += np.swapaxes(coupling.by_pose[corners], 1, 2) @ moved
-            flat = cross.reshape(-1, follows.shape[2])
-            flat[:, : columns.parameters] += coupling.border.T
+    visual, state = solution.measurements.visual, solution.state
+    grid = state.trajectory.grid
+    of_camera = [grid.places(instants(data, state.parameters.cameras[data.camera])) for data in visual]
+    parts = [np.where(places.inside, stretch[places.first], 0) for places in of_camera]
+    alone = replace(solution.measurements, inertial=())
+    terms = error_terms(alone, state, solution.layout, solution.noise, columns, probing=False, parts=parts)[1]
+    for term in terms:
+        coupling = term.coupling()
+        assert coupling is not None
+        moved = coupling.moved(follows)
+        edges = POSE * np.searchsorted(stretch[coupling.first], np.arange(len(coupling.squares) + 1))
+        for k, (start, stop) in enumerate(pairwise(edges.tolist())):
+            if start == stop:
+                continue
+            flat = coupling.by_pose[start:stop].T @ moved[start:stop]
+            flat[:, : columns.parameters] += coupling.border[k].T
             towards = shifts.T @ flat
-            moved = squares @ shifts.reshape(len(squares), 3, -1)
-            sums.information[k] += towards + towards.T + shifts.T @ moved.reshape(flat.shape)
-            sums.pull[k] += shifts.T @ coupling.sides[:, 0]
-
-
-def _some(data: VisualData, exposures: Integers) -> VisualData:
-    """Return some exposures of a camera, with their corners."""
-    whole = data.exposures
-    corners, _ = corners_of(exposures, whole.start)
-    lengths = np.diff(whole.start)[exposures]
-    part = replace(
-        whole,
-        frame=whole.frame[exposures],
-        start=np.concatenate([[0], np.cumsum(lengths)]),
-        points=whole.points[corners],
-        pixels=whole.pixels[corners],
-        delay_rows=whole.delay_rows[exposures],
-        spread=None if whole.spread is None else whole.spread[corners],
-        point=None if whole.point is None else whole.point[corners],
-    )
-    return replace(data, exposures=part, t_s=data.t_s[exposures])
+            own = coupling.squares[k] @ shifts.reshape(-1, 3, shifts.shape[1])
+            sums.information[k] += towards + towards.T + shifts.T @ own.reshape(flat.shape)
+            sums.pull[k] += shifts.T @ coupling.sides[k, :, 0]
 
 
 def _local(follows: Floats, columns: Columns, grid: Grid, begin: int, end: int) -> Floats:

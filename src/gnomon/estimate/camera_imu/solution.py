@@ -1,13 +1,14 @@
 """From a first guess to the estimate: descend, find the noise and the frames that do not belong, and come to rest."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...errors import SolveError
 from ...recording import Floats
-from ...solve.bordered_band import Workspace
+from ...solve.bordered_band import Factor, Workspace
 from .batch import (
     Iteration,
     Linearisation,
@@ -20,6 +21,7 @@ from .batch import (
     gauss_newton_step,
     linearised,
     moved,
+    step_by,
 )
 from .corner_sums import CornerSums, Exposures, frame_scatter
 from .inertial_terms import InertialNoise
@@ -33,7 +35,7 @@ _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames 
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
 _AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell;
-_WIDE_AT_REST = 0.1  # with the corners of a board, whose errors make sigmas of independent errors too small by far
+_WIDE_AT_REST = 0.5  # with the corners of a board, whose errors make sigmas of independent errors too small by far
 _NOISE_AT_REST, _NOISE_ROUGHLY = 0.06, 0.2  # relative change of a level
 _WALK_SHARE = 0.3  # by which a relative change of a random walk counts: sigmas follow it less
 _FEW = 0.01
@@ -117,8 +119,11 @@ def solved(
             tolerance = _NOISE_AT_REST if settled else _NOISE_ROUGHLY
             same_noise = not estimate_noise or noise_change(proposed, noise) < tolerance
             same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
-            left = step.largest * min(1.0, step.largest / max(previous, 1e-12))
-            if same_noise and same_frames and left < (_AT_REST if layout.dense == len(layout) else _WIDE_AT_REST):
+            rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
+            if (at_rest := same_noise and same_frames and _left(step, previous) < rest) and step.factor.borrowed:
+                step = _exact(lin, step)
+                at_rest = _left(step, previous) < rest
+            if at_rest:
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
                 converged = True
@@ -129,7 +134,7 @@ def solved(
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
                 lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
-                previous, step = step.largest, _step(lin)
+                previous, step = step.largest, _step(lin, step.factor)
                 continue
         if _stalled(iterations):
             break
@@ -144,11 +149,13 @@ def solved(
             workspace=workspace,
         )
         iterations += tried
-        previous, step = step.largest, _step(lin)
+        previous, step = step.largest, _step(lin, step.factor)
     if not lin.probing:
         lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)
         found = estimated_noise(lin, step, noise)
+    if step.factor.borrowed:
+        step = _exact(lin, step)
     return Solution(
         state=state,
         measurements=measurements,
@@ -168,7 +175,21 @@ def _stalled(iterations: list[Iteration]) -> bool:
     return len(steps) > _PATIENCE and min(steps[-_PATIENCE // 2 :]) > 0.5 * min(steps[: -_PATIENCE // 2])
 
 
-def _step(lin: Linearisation) -> Step:
+def _left(step: Step, previous: float) -> float:
+    """Return how far the minimum lies from the end of a step, in sigmas, as it and the previous one foretell."""
+    return step.largest * min(1.0, step.largest / max(previous, 1e-12))
+
+
+def _exact(lin: Linearisation, step: Step) -> Step:
+    """Return the step by the equations themselves instead of similar ones."""
+    return step_by(step.factor.exact(), lin.layout)
+
+
+def _step(lin: Linearisation, similar: Factor | None = None) -> Step:
+    """Return the step to the minimum; with many corners of a board by similar equations, if these will do."""
+    if similar is not None and similar.taken is not None:
+        with suppress(np.linalg.LinAlgError):
+            return gauss_newton_step(lin, similar=similar)
     try:
         return gauss_newton_step(lin)
     except np.linalg.LinAlgError as error:

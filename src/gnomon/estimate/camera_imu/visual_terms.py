@@ -12,20 +12,18 @@ twist (tau_r, x x tau_r) about the camera's origin, and
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from ...geometry.so3 import skew
 from ...recording import Floats, Integers
-from ...solve.bordered_band import Workspace
 from .assembly import Columns
 from .board import OFFSETS
-from .board_terms import CornerProducts, Coupling, corners_of
+from .board_terms import CornerProducts, Coupling, corners_of, multiplied, spread_out
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 from .parameters import CameraParameters, Layout, Parameters
 from .trajectory import POSE, Bases, Motion, Trajectory
-
-_CHUNK = 20_000  # corners that are mapped at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,6 +75,7 @@ class VisualTerms:
         noise: CornerNoise,
         used: np.ndarray,
         probe: int | None,
+        part: Integers | None = None,
     ) -> None:
         """Sum up the corners of every exposure.
 
@@ -88,7 +87,10 @@ class VisualTerms:
         noise : weights
         used : (e,) exposures that shall take part
         probe : right-hand side of the probe, or None
+        part : (e,) part of the recording that each exposure counts for in `coupling`, ascending with time; None for one
         """
+        self._part = np.zeros(len(data.t_s), np.int64) if part is None else part
+        self._parts = int(self._part.max(initial=0)) + 1
         grid = trajectory.grid
         self._entry = entry = parameters.cameras[data.camera]
         places = grid.places(instants(data, entry))
@@ -103,7 +105,9 @@ class VisualTerms:
             assert exposures.point is not None
             counted = np.repeat(places.inside & used, np.diff(exposures.start))
             width = len(own) + scale_column + 1 + (noise.probe_sign is not None)
-            offsets = CornerProducts(exposures.point, counted, len(board.points), width)
+            points = len(board.points)
+            number = exposures.point + points * np.repeat(self._part, np.diff(exposures.start))
+            offsets = CornerProducts(number, counted, points * self._parts, width)
         self.sums = corner_sums(
             exposures,
             entry.camera,
@@ -116,7 +120,7 @@ class VisualTerms:
         )
         self._exposures, self._offsets = exposures, offsets
         self._maps = _maps(layout, data, entry, self._motion)
-        self._columns, self._probe, self._camera = columns, probe, data.camera
+        self._columns, self._probe = columns, probe
         self.known = places.inside & (self.sums.valid > 0)
         self.inside = self.known & used
         chosen = np.flatnonzero(self.inside)
@@ -133,46 +137,38 @@ class VisualTerms:
         """Robust cost of all exposures that take part."""
         return float(self.sums.cost[self.inside].sum())
 
-    def coupling(self, workspace: Workspace | None = None) -> Coupling | None:
-        """Return what the offsets of the corners have in common with everything else, where they have columns.
-
-        Made in a workspace it is valid until the next one is made there.
-        """
+    def coupling(self) -> Coupling | None:
+        """Return what the offsets of the corners have in common with everything else, where they have columns."""
         if self._offsets is None or self._exposures.point is None:
             return None
-        products, columns = self._offsets, self._columns
-        corner, place = corners_of(self._order, self._exposures.start)
-        exposure, point = self._order[place], self._exposures.point[corner]
-        points = len(products.squares)
-        border = np.zeros((columns.parameters, points, 3))
-        memory = workspace or Workspace()
-        by_pose = memory.zeros(f"board {self._camera}", (len(corner), POSE, 3))
-        from_pose = np.swapaxes(self._by_pose(), 1, 2)
-        for begin in range(0, len(corner), _CHUNK):
-            some = slice(begin, begin + _CHUNK)
-            twists = products.by_twist[corner[some]]
-            np.matmul(from_pose[exposure[some]], twists, out=by_pose[some])
-            for at, way in self._maps.twists:
-                each = np.broadcast_to(way, (len(twists), *way.shape[1:])) if len(way) == 1 else way[exposure[some]]
-                for column, along in zip(range(at.start, at.stop), each.transpose(2, 0, 1), strict=True):
-                    pulls = np.einsum("mw,mwj->jm", along, twists)
-                    border[column] += np.stack([np.bincount(point[some], pull, points) for pull in pulls], axis=1)
+        products, columns, order = self._offsets, self._columns, self._order
+        corner, place = corners_of(order, self._exposures.start)
+        parts, points = self._parts, len(products.squares) // self._parts
+        shape = len(order), points
+        by_twist = spread_out(place, self._exposures.point[corner], products.by_twist[corner], shape)
+        turned = np.swapaxes(self._by_pose()[order], 1, 2)
+        rest = products.rest.reshape(-1, parts, points * 3)
+        border = np.zeros((parts, columns.parameters, points * 3))
+        edges = TWIST * np.searchsorted(self._part[order], np.arange(parts + 1))
+        for at, way in self._maps.twists:
+            along = np.broadcast_to(way, (len(self._part), *way.shape[1:]))[order].reshape(-1, way.shape[2])
+            for part, (start, stop) in enumerate(pairwise(edges.tolist())):
+                if start < stop:
+                    border[part, at] = (by_twist[start:stop].T @ along[start:stop]).T
         for column, index in self._maps.own:
-            border[column] = products.rest[index]
+            border[:, column] = rest[index]
         residual = len(self._maps.own)
-        sides = np.zeros((columns.sides, points, 3))
-        sides[0] = -products.rest[residual]
+        sides = np.zeros((parts, points * 3, columns.sides))
+        sides[:, :, 0] = -rest[residual]
         if self._probe is not None:
-            sides[self._probe] = products.rest[residual + 1]
+            sides[:, :, self._probe] = rest[residual + 1]
         return Coupling(
-            first=self._first[place],
-            exposure=exposure,
-            value=self._bases.value,
-            point=point,
-            by_pose=by_pose,
-            border=border.reshape(columns.parameters, 3 * points),
-            sides=sides.reshape(columns.sides, 3 * points).T,
-            squares=products.squares,
+            first=self._first,
+            value=self._bases.value[order],
+            by_pose=multiplied(turned, by_twist),
+            border=border,
+            sides=sides,
+            squares=products.squares.reshape(parts, points, 3, 3),
         )
 
     def _by_pose(self) -> Floats:
