@@ -388,7 +388,7 @@ def _calibration(case, corners, estimated) -> Calibration:
         )
     }
     cameras = {
-        name: CameraCalibration(T_cam_imu=T_CAM_IMU[i], time_shift_cam_imu=SHIFTS[i], camera=_camera())
+        name: CameraCalibration(T_cam_body=T_CAM_IMU[i], time_shift_cam_imu=SHIFTS[i], camera=_camera())
         for i, name in enumerate(corners)
     }
     names = covariance_names(imus, cameras)

@@ -8,10 +8,10 @@ import numpy as np
 
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.images import Grey
+from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Floats, Integers
-from gnomon.simulate.board_pattern import board_pattern
 from gnomon.simulate.clutter import cluttered_wall
 from gnomon.simulate.rendering import Optics, render
 

@@ -31,6 +31,7 @@ __all__ = [
     "Calibration",
     "CameraCalibration",
     "CameraImuFit",
+    "CamerasFit",
     "Covariance",
     "Gravity",
     "GyroscopeCalibration",
@@ -67,6 +68,43 @@ class CameraImuFit:
     reprojection_rms_px: Mapping[str, float]
     duration_s: float
     converged: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CamerasFit:
+    """What a calibration of cameras alone rests on.
+
+    Attributes
+    ----------
+    views_found : "cam0" -> frames in which the board was detected
+    views_used : "cam0" -> frames that were used, chosen by their information
+    corners_used : "cam0" -> corners
+    reprojection_rms_px : "cam0" -> rms of the residuals of the corners used, per axis [px]
+    holdout_rms_px : "cam0" -> the same of views that the estimate had not seen, each with a pose of its own [px]
+    coverage : "cam0" -> share of the image in which corners were used, 0 to 1
+    models : "cam0" -> lens models that were tried, the one that was taken first
+    board_added : what of the board was estimated since the views prove it, such as "target.aspect" or "target.bow"
+    aspect, aspect_sigma : the board's scale along y over that along x, minus 1; both zero where it was not estimated
+    bow_m, bow_sigma_m : how far the middle of the board bulges towards the viewer [m]; the same
+    print_scale, print_scale_sigma : true over stated size of the board, where a known baseline tells it; else nan
+    converged : whether the solver came to rest
+    """
+
+    views_found: Mapping[str, int]
+    views_used: Mapping[str, int]
+    corners_used: Mapping[str, int]
+    reprojection_rms_px: Mapping[str, float]
+    holdout_rms_px: Mapping[str, float]
+    coverage: Mapping[str, float]
+    models: Mapping[str, tuple[str, ...]]
+    board_added: tuple[str, ...] = ()
+    aspect: float = 0.0
+    aspect_sigma: float = 0.0
+    bow_m: float = 0.0
+    bow_sigma_m: float = 0.0
+    print_scale: float = float("nan")
+    print_scale_sigma: float = float("nan")
+    converged: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,11 +163,12 @@ class Assessment:
     verdict : "pass", "warn" or "fail"
     findings : reasons and advice, worst first
     model : the model that was estimated; of the gyroscope for an IMU alone, "basic" or "g-sensitivity", "none" without
-        one; of the IMU with cameras, "basic", "scale-misalignment" or "full"
+        one; of the IMU with cameras, "basic", "scale-misalignment" or "full"; of cameras alone, their lenses
     holdout : errors on unseen data, nan where nothing was held out
     intervals_found, intervals_used, rotations_found, rotations_used : counts, of a multi-position recording
     held_by_prior : names of parameters that the recording does not determine
-    camera_imu : what a camera-IMU calibration rests on; None for an IMU alone
+    camera_imu : what a camera-IMU calibration rests on; else None
+    cameras : what a calibration of cameras alone rests on; else None
     trust : where the uncertainty comes from, how parts of the recording agree, and what a use needs
     """
 
@@ -143,6 +182,7 @@ class Assessment:
     rotations_used: int = 0
     held_by_prior: tuple[str, ...] = ()
     camera_imu: CameraImuFit | None = None
+    cameras: CamerasFit | None = None
     trust: TrustNote = field(default_factory=TrustNote)
 
 
@@ -172,11 +212,12 @@ class Calibration:
 
     Attributes
     ----------
-    imus : mapping "imu0" -> ImuCalibration
+    imus : mapping "imu0" -> ImuCalibration; empty for cameras alone
     cameras : mapping "cam0" -> CameraCalibration; empty for an IMU alone
     frame : body frame, "accel-x", "accel-z" or "user"; without accelerometer "gyro-x" (x along the sensitivity axis of
-        the x gyroscope, that of the y gyroscope in the x-y plane) or "mag-x" (the same of a magnetometer)
-    gravity : what was taken for the magnitude of gravity
+        the x gyroscope, that of the y gyroscope in the x-y plane) or "mag-x" (the same of a magnetometer); of cameras
+        alone "cam0"
+    gravity : what was taken for the magnitude of gravity; of no meaning for cameras alone
     uncertainty : covariance of every scalar of every IMU, then of every camera; zero rows where the frame or the model
         fixes a scalar
     assessment, provenance : see there

@@ -361,11 +361,86 @@ class CameraImuDiagnostics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensTrial:
+    """One lens model of one camera, with its error on views that it had not seen.
+
+    Attributes
+    ----------
+    camera : such as "cam0"
+    model : such as "pinhole-radtan"
+    chosen : whether it was taken
+    holdout_rms_px : rms per axis of views that the estimate had not seen, each with a pose of its own [px]; nan where
+        the model could not be fitted
+    rms_px : rms per axis of the views used [px]
+    parameters : how many the lens has
+    """
+
+    camera: str
+    model: str
+    chosen: bool
+    holdout_rms_px: float
+    rms_px: float
+    parameters: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewPose:
+    """The board as one view saw it.
+
+    Attributes
+    ----------
+    t_ns : stamp of the view [ns]
+    cameras : those whose corners were used
+    R_target_cam0, p_target_cam0 : (3, 3) and (3,) pose of cam0 in the board's frame [m]
+    information : what the view adds to what the others know of the lenses, in nats; nan where it was not asked
+    """
+
+    t_ns: int
+    cameras: tuple[str, ...]
+    R_target_cam0: Floats
+    p_target_cam0: Floats
+    information: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CamerasDiagnostics:
+    """How a calibration of cameras alone came about.
+
+    Attributes
+    ----------
+    corners : "cam0", ... -> CornerFit; frame_used tells the views that the estimate rests on, and frames that were held
+        out or not chosen have residuals about a pose of their own
+    views : the views that were used, in the order of time
+    coverage : "cam0" -> (rows, cols) corners used in each cell of the image
+    trials : lens models that were tried, of each camera
+    parameters : every scalar that could be estimated, also the fixed ones
+    correlation : (p, p) of the parameters that were estimated, in their order
+    noise : levels, "cam0.corners"
+    steps : iterations of the solution, in order
+    board_points : (k, 3) stated places of the board's points [m]
+    board_shifts : (k, 3) from there to where they are by the estimate [m]; zero where the board was taken as stated
+    trust : what the recording tells of its own calibration's uncertainty
+    """
+
+    corners: dict[str, CornerFit]
+    views: tuple[ViewPose, ...]
+    coverage: dict[str, np.ndarray]
+    trials: tuple[LensTrial, ...]
+    parameters: tuple[EstimatedParameter, ...]
+    correlation: Floats
+    noise: tuple[NoiseLevel, ...]
+    steps: tuple[SolverStep, ...]
+    board_points: Floats
+    board_shifts: Floats
+    trust: Trust | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
     """A calibration, and how it came about."""
 
     calibration: Calibration
-    diagnostics: ImuDiagnostics | CameraImuDiagnostics | TriadDiagnostics
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics | CamerasDiagnostics | TriadDiagnostics
 
     def _repr_html_(self) -> str:
         return self.calibration._repr_html_()  # pyright: ignore[reportPrivateUsage]

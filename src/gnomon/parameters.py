@@ -38,10 +38,12 @@ def parameters(
         if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
             yield f"{name}.accelerometer.lever_arms_m", imu.accelerometer.lever_arms_m
     for name, camera in cameras.items():
-        yield f"{name}.T_cam_imu.rotation", rotvec_from_rotation(camera.T_cam_imu[:3, :3])
-        yield f"{name}.T_cam_imu.translation", camera.T_cam_imu[:3, 3]
-        yield f"{name}.time_shift_cam_imu", np.array(camera.time_shift_cam_imu)
-        yield f"{name}.line_delay", np.array(camera.camera.line_delay_s)
+        if name != camera.body:
+            yield f"{name}.{camera.link}.rotation", rotvec_from_rotation(camera.T_cam_body[:3, :3])
+            yield f"{name}.{camera.link}.translation", camera.T_cam_body[:3, 3]
+        if camera.body == "imu0":
+            yield f"{name}.time_shift_cam_imu", np.array(camera.time_shift_cam_imu)
+            yield f"{name}.line_delay", np.array(camera.camera.line_delay_s)
         yield f"{name}.intrinsics", camera.camera.intrinsics
         yield f"{name}.distortion_coeffs", camera.camera.distortion_coeffs
 
@@ -136,7 +138,7 @@ def moved_to_origin(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, Ca
     for name, camera in cameras.items():
         T = camera.T_cam_imu.copy()
         T[:3, 3] += T[:3, :3] @ shift
-        placed[name] = replace(camera, T_cam_imu=T)
+        placed[name] = replace(camera, T_cam_body=T)
         rotation, row = starts[f"{name}.T_cam_imu.rotation"], starts[f"{name}.T_cam_imu.translation"]
         if arms_at is not None:
             jacobian[row : row + 3, rotation : rotation + 3] = -T[:3, :3] @ skew(shift)

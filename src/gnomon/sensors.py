@@ -11,7 +11,7 @@ The models of documents A, B and C and of other projects are exact views of it.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,26 +223,51 @@ def interpolate_triad(source: TriadSamples, target: TriadSamples) -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCalibration:
-    """How one camera sees what imu0 feels.
+    """How one camera sees what imu0 feels; or, of cameras that were calibrated without an IMU, what cam0 sees.
 
     The covariance of a Calibration holds, for camera "cam0", the scalars "cam0.T_cam_imu.rotation[0..2]" (small
     rotation delta on the right, R_cam_imu Exp(delta), body frame) [rad], "cam0.T_cam_imu.translation[0..2]" (the last
     column of T_cam_imu) [m], "cam0.time_shift_cam_imu" [s], "cam0.line_delay" [s], "cam0.intrinsics[0..]" [px; the
     projection's own parameters without unit] and "cam0.distortion_coeffs[0..]"; zero rows where a scalar was fixed.
+    Without an IMU the body is cam0: the pose is then "cam1.T_cam_cam0", cam0 has none, and no camera has a time shift
+    or a line delay.
 
     Attributes
     ----------
-    T_cam_imu : (4, 4) body (imu0) coordinates to camera coordinates, p_cam = T_cam_imu @ p_imu [m]
-    time_shift_cam_imu : t_imu = t_cam + time_shift_cam_imu [s]
+    T_cam_body : (4, 4) body coordinates to camera coordinates, p_cam = T_cam_body @ p_body [m]
+    time_shift_cam_imu : t_imu = t_cam + time_shift_cam_imu [s]; zero without an IMU
     camera : lens and intrinsics, as used or as estimated
+    body : sensor whose frame is the body's, "imu0" or "cam0"
     """
 
-    T_cam_imu: Floats
+    T_cam_body: Floats
     time_shift_cam_imu: float
     camera: Camera
+    body: Literal["imu0", "cam0"] = "imu0"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "T_cam_imu", frozen_array(self.T_cam_imu))
+        object.__setattr__(self, "T_cam_body", frozen_array(self.T_cam_body))
+
+    @property
+    def T_cam_imu(self) -> Floats:
+        """Coordinates of the IMU to those of the camera, p_cam = T_cam_imu @ p_imu, (4, 4) [m].
+
+        Raises
+        ------
+        OptionError
+            If the cameras were calibrated without an IMU.
+        """
+        if self.body != "imu0":
+            raise OptionError(
+                "this calibration is of cameras alone: it does not tell where an IMU is. Calibrate both with gnomon "
+                "camera-imu, and give it this calibration with --cam."
+            )
+        return self.T_cam_body
+
+    @property
+    def link(self) -> str:
+        """Name of the pose: "T_cam_imu", or "T_cam_cam0" without an IMU."""
+        return "T_cam_imu" if self.body == "imu0" else "T_cam_cam0"
 
 
 def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
@@ -268,6 +293,6 @@ def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
 
 def rotated_camera(camera: CameraCalibration, rotation: Floats) -> CameraCalibration:
     """Return the camera with the body frame turned: f_new = rotation @ f_old, (3, 3); the body's origin stays."""
-    moved = camera.T_cam_imu.copy()
-    moved[:3, :3] = camera.T_cam_imu[:3, :3] @ rotation.T
-    return replace(camera, T_cam_imu=moved)
+    moved = camera.T_cam_body.copy()
+    moved[:3, :3] = camera.T_cam_body[:3, :3] @ rotation.T
+    return replace(camera, T_cam_body=moved)

@@ -129,4 +129,4 @@ def test_repeated_recordings_of_a_rig():
 def pushed(camera):
     T = camera.T_cam_imu.copy()
     T[:3, 3] += 0.01
-    return replace(camera, T_cam_imu=T)
+    return replace(camera, T_cam_body=T)

@@ -59,7 +59,7 @@ def camera_calibration(random_calibration) -> Callable[..., Calibration]:
                 projection=projection, intrinsics=intrinsics, distortion=distortion, distortion_coeffs=coeffs,
                 resolution=(640, 480), line_delay_s=line_delay, topic=f"/cam{i}/image_raw",
             )  # fmt: skip
-            chain[f"cam{i}"] = CameraCalibration(T_cam_imu=T, time_shift_cam_imu=rng.normal(0, 0.01), camera=camera)
+            chain[f"cam{i}"] = CameraCalibration(T_cam_body=T, time_shift_cam_imu=rng.normal(0, 0.01), camera=camera)
         names = covariance_names(alone.imus, chain)
         old = len(alone.uncertainty.names)
         fixed = ("line_delay", "intrinsics", "distortion_coeffs")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from gnomon.detect.aprilgrid import detect_aprilgrid
+from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.board_pattern import board_pattern
 from gnomon.simulate.rendering import Optics, render
 from rendered import FACING, Ranges, rendered_views
 

@@ -10,11 +10,11 @@ from gnomon.calibrate.board_corners import BoardCorners, CameraImages, detect_co
 from gnomon.calibrate.corner_cache import cache_file, keep_corners, kept_corners
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.images import Frame, Grey, ImageStream
+from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.readers.kalibr_camchain import CameraInput
 from gnomon.recording import Source
-from gnomon.simulate.board_pattern import board_pattern
 from gnomon.simulate.rendering import render
 from rendered import FACING
 

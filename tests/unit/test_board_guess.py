@@ -87,7 +87,7 @@ def test_no_board():
 
 
 def _pattern():
-    from gnomon.simulate.board_pattern import board_pattern
+    from gnomon.models.board_pattern import board_pattern
 
     return board_pattern(BOARDS["april"])
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from gnomon import OptionError
+from gnomon.models.board_pattern import board_pattern, tag_cells
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.board_pattern import board_pattern, tag_cells
 from gnomon.simulate.rendering import Optics, render
 from rendered import FACING, euroc_camera
 

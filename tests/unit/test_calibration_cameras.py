@@ -103,7 +103,7 @@ def perturbed(calibration, x):
         T[:3, :3] = T[:3, :3] @ rotation_from_rotvec(values[f"{name}.T_cam_imu.rotation"])
         T[:3, 3] += values[f"{name}.T_cam_imu.translation"]
         cameras[name] = CameraCalibration(
-            T_cam_imu=T,
+            T_cam_body=T,
             time_shift_cam_imu=camera.time_shift_cam_imu + values[f"{name}.time_shift_cam_imu"].item(),
             camera=camera.camera,
         )
@@ -269,7 +269,9 @@ def test_mirrored_camera_is_refused(camera_calibration, tmp_path):
     camera = calibration.cameras["cam0"]
     T = camera.T_cam_imu.copy()
     T[:, 0] = -T[:, 0]
-    text = calibration_text(replace(calibration, cameras={**calibration.cameras, "cam0": replace(camera, T_cam_imu=T)}))
+    text = calibration_text(
+        replace(calibration, cameras={**calibration.cameras, "cam0": replace(camera, T_cam_body=T)})
+    )
     (tmp_path / "c.yaml").write_text(text)
     with pytest.raises(FormatError, match="no rotation matrix"):
         gnomon.load(tmp_path / "c.yaml")

@@ -10,9 +10,9 @@ import gnomon.detect.checkerboard as module
 from gnomon.detect.checkerboard import CheckerboardTracker, detect_checkerboard, find_board
 from gnomon.detect.checkerboard_grid import Board, board_at, completed
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.board_pattern import board_pattern
 from gnomon.simulate.clutter import cluttered_wall
 from gnomon.simulate.rendering import Optics, render
 from rendered import FACING, Ranges, rendered_views

@@ -33,7 +33,7 @@ def rig(camera_calibration, tmp_path, monkeypatch):
     for name, away in (("mon", 0.0), ("tue", 0.0), ("wed", 0.05)):
         T = calibration.cameras["cam0"].T_cam_imu.copy()
         T[0, 3] += away
-        cameras = {**calibration.cameras, "cam0": replace(calibration.cameras["cam0"], T_cam_imu=T)}
+        cameras = {**calibration.cameras, "cam0": replace(calibration.cameras["cam0"], T_cam_body=T)}
         provenance = replace(calibration.provenance, inputs=(Source(name=f"{name}.bag", sha256=name * 8),))
         (tmp_path / f"{name}-gnomon").mkdir()
         made = replace(calibration, cameras=cameras, provenance=provenance)

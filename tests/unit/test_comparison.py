@@ -29,7 +29,7 @@ def shifted(
     T[:3, :3] = T[:3, :3] @ rotation_from_rotvec(np.array(rotation))
     T[:3, 3] += translation
     T = np.linalg.inv(T) if inverse else T
-    moved = replace(camera, T_cam_imu=T, time_shift_cam_imu=camera.time_shift_cam_imu + shift)
+    moved = replace(camera, T_cam_body=T, time_shift_cam_imu=camera.time_shift_cam_imu + shift)
     return replace(calibration, cameras={**calibration.cameras, "cam0": moved})
 
 

@@ -178,7 +178,7 @@ def test_directions_and_signs(rig):
     R_imu_cam = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]])
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R_imu_cam.T, -R_imu_cam.T @ [0.1, 0.2, 0.3]
-    cameras = {"cam0": replace(calibration.cameras["cam0"], T_cam_imu=T)}
+    cameras = {"cam0": replace(calibration.cameras["cam0"], T_cam_body=T)}
     calibration = calibration_of(calibration.imus, cameras)
     texts = {form: exported(calibration, form, imu=STATED).files for form in ESTIMATORS}
     plain = {

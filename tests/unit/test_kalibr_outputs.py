@@ -52,7 +52,7 @@ def sample(request, real_data):
     imus = read_kalibr(folder / "data-imu.yaml").imus
     cameras = {
         name: CameraCalibration(
-            T_cam_imu=np.array(yaml.safe_load(texts["camchain-imucam.yaml"])[name]["T_cam_imu"]),
+            T_cam_body=np.array(yaml.safe_load(texts["camchain-imucam.yaml"])[name]["T_cam_imu"]),
             time_shift_cam_imu=stated.time_shift_cam_imu_s,
             camera=stated.camera,
         )

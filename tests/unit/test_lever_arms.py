@@ -87,7 +87,7 @@ def moved_by(calibration, k, step):
         return replace(calibration, imus={"imu0": replace(imu, accelerometer=accelerometer)})
     T = camera.T_cam_imu.copy()
     T[:3, :3] = T[:3, :3] @ rotation_from_rotvec(step * np.eye(3)[int(name[-2])])
-    return replace(calibration, cameras={**calibration.cameras, "cam0": replace(camera, T_cam_imu=T)})
+    return replace(calibration, cameras={**calibration.cameras, "cam0": replace(camera, T_cam_body=T)})
 
 
 @pytest.mark.parametrize("axis", "xyz")

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.models.board_pattern import board_pattern, tag_codes
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.board_pattern import board_pattern, tag_codes
 from gnomon.simulate.clutter import cluttered_wall
 from gnomon.simulate.coverage import coverage
 from gnomon.simulate.rendering import Optics, render

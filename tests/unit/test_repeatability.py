@@ -83,7 +83,7 @@ def dataset(numbers):
             sensitivity=triad(S_g, M_g) @ C_bg.T, bias=zero, g_sensitivity=np.zeros((3, 3)), unit="rad/s"
         ),
     )
-    camera = CameraCalibration(T_cam_imu=T, time_shift_cam_imu=0.0, camera=LENS)
+    camera = CameraCalibration(T_cam_body=T, time_shift_cam_imu=0.0, camera=LENS)
     return ForeignCalibration(imus={"imu0": imu}, frame="accel-x", cameras={"cam0": camera}, format="document B")
 
 

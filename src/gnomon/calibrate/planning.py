@@ -108,7 +108,7 @@ def read_hardware(
         first = next(iter(usual.cameras.values()))
         cameras = {
             name: CameraCalibration(
-                T_cam_imu=first.T_cam_imu if found.T_cam_imu is None else found.T_cam_imu,
+                T_cam_body=first.T_cam_imu if found.T_cam_imu is None else found.T_cam_imu,
                 time_shift_cam_imu=found.time_shift_cam_imu_s or 0.0,
                 camera=found.camera,
             )

@@ -22,6 +22,7 @@ ParameterKind = Literal["projection", "focal", "principal", "distortion"]
 
 _LINEAR = ("fu", "fv", "pu", "pv")
 _NEAREST_M, _FARTHEST_M = 1e-100, 1e100  # beyond them the squares would leave the range of floating point numbers
+_NOMINAL_FOCAL = 0.785  # over the width: 65 degrees from left to right
 _BLOCK = 8192  # points at a time: the intermediate arrays of a block stay in the cache
 
 
@@ -102,6 +103,21 @@ class Camera:
         object.__setattr__(self, "distortion_coeffs", coeffs)
         object.__setattr__(self, "resolution", _resolution(self.resolution))
         object.__setattr__(self, "distortion_limit", distortion.limit(coeffs))
+
+    @classmethod
+    def nominal(cls, resolution: tuple[int, int], topic: str = "") -> Self:
+        """Return a lens that stands in where none is known: a pinhole 65 degrees wide, centred in the image."""
+        width, height = _resolution(resolution)
+        focal = _NOMINAL_FOCAL * width
+        middle = ((width - 1) / 2, (height - 1) / 2)
+        return cls(
+            projection="pinhole",
+            intrinsics=np.array([focal, focal, *middle]),
+            distortion="none",
+            distortion_coeffs=np.empty(0),
+            resolution=(width, height),
+            topic=topic,
+        )
 
     def with_k3(self) -> Self:
         """Return the same lens with k3 = 0 as a further parameter where it is radtan; any other as it is."""

@@ -8,6 +8,10 @@ The board's frame is the world of a camera calibration; z = 0 on the board.
     checkerboard  inner corners; point r cols + c is at (r row_spacing, c col_spacing, 0).
     circlegrid    centres; point r cols + c is at (r spacing, c spacing, 0), and on the asymmetric grid at
                   ((2 c + r mod 2) spacing, r spacing, 0).
+    charuco       inner corners of a chessboard whose white squares carry ArUco markers, as OpenCV has it: numbered
+                  along rows of cols - 1 corners, from the uppermost row down, from left to right (OpenCV's ids); x
+                  right, y up, z to the viewer, from the lower left inner corner. The markers are numbered along the
+                  rows of squares from the upper left, from first_tag.
 """
 
 from dataclasses import dataclass, field
@@ -21,33 +25,38 @@ from ..errors import OptionError, RecordingError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-TargetKind = Literal["aprilgrid", "checkerboard", "circlegrid"]
+TargetKind = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
 
-_FEWEST = {"aprilgrid": 1, "checkerboard": 2, "circlegrid": 2}
+_FEWEST = {"aprilgrid": 1, "checkerboard": 2, "circlegrid": 2, "charuco": 3}
 _LENGTHS = {
     "aprilgrid": ("tag_size_m", "tag_spacing"),
     "checkerboard": ("row_spacing_m", "col_spacing_m"),
     "circlegrid": ("spacing_m",),
+    "charuco": ("square_size_m", "marker_size_m"),
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Target:
-    """A calibration board; made by `Target.aprilgrid`, `Target.checkerboard` or `Target.circlegrid`.
+    """A calibration board; made by `Target.aprilgrid`, `.checkerboard`, `.circlegrid` or `.charuco`.
 
     Attributes
     ----------
-    kind : "aprilgrid", "checkerboard" or "circlegrid"
-    cols, rows : number of tags, of inner corners or of circles
+    kind : "aprilgrid", "checkerboard", "circlegrid" or "charuco"
+    cols, rows : number of tags, of inner corners, of circles or of the squares of a ChArUco board
     tag_size_m : side of a tag (aprilgrid) [m]
     tag_spacing : gap between two tags over the side of a tag (aprilgrid)
     border_bits : width of the black border of a tag in units of its code's cells (aprilgrid); Kalibr prints 2, with
         black squares between the corners of the tags, other tools 1, without
-    first_tag : id printed on the tag at the lower left (aprilgrid)
+    first_tag : id printed on the tag at the lower left (aprilgrid), or on the first marker, at the upper left (charuco)
     row_spacing_m, col_spacing_m : distance between rows and between columns (checkerboard) [m]
     spacing_m : distance between circles (circlegrid) [m]; on the asymmetric grid that between rows, and half of that
         between neighbours in a row
     asymmetric : whether every other row of circles is shifted (circlegrid)
+    square_size_m, marker_size_m : side of a square and of the marker in it (charuco) [m]
+    dictionary : OpenCV's name of the markers without "DICT_", such as "4X4_50" (charuco)
+    legacy : whether the square at the upper left is white where the number of rows is even, as OpenCV before 4.6 had
+        it; otherwise it is always black (charuco)
     points : (n, 3) the points in the board's frame, in Kalibr's order [m]; follows from the rest
 
     Raises
@@ -77,6 +86,10 @@ class Target:
     col_spacing_m: float = 0.0
     spacing_m: float = 0.0
     asymmetric: bool = False
+    square_size_m: float = 0.0
+    marker_size_m: float = 0.0
+    dictionary: str = ""
+    legacy: bool = False
     points: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -99,6 +112,11 @@ class Target:
             raise OptionError(f"first_tag {self.first_tag!r} of the {self.kind} must be a whole number from 0.")
         for name in ("border_bits", "first_tag"):
             object.__setattr__(self, name, int(getattr(self, name)))
+        if self.kind == "charuco" and not self.marker_size_m < self.square_size_m:
+            raise OptionError(
+                f"marker_size_m {self.marker_size_m:g} of the charuco must be less than square_size_m "
+                f"{self.square_size_m:g}, the side of the square around it."
+            )
         object.__setattr__(self, "points", self._points())
 
     @classmethod
@@ -137,6 +155,30 @@ class Target:
         """Return a grid of circles."""
         return cls(kind="circlegrid", cols=cols, rows=rows, spacing_m=spacing_m, asymmetric=asymmetric)
 
+    @classmethod
+    def charuco(
+        cls,
+        *,
+        cols: int,
+        rows: int,
+        square_size_m: float,
+        marker_size_m: float,
+        dictionary: str = "4X4_50",
+        first_marker: int = 0,
+        legacy: bool = False,
+    ) -> Self:
+        """Return a ChArUco board; `cols` and `rows` count its squares, as OpenCV's squaresX and squaresY do."""
+        return cls(
+            kind="charuco",
+            cols=cols,
+            rows=rows,
+            square_size_m=square_size_m,
+            marker_size_m=marker_size_m,
+            dictionary=dictionary,
+            first_tag=first_marker,
+            legacy=legacy,
+        )
+
     def __len__(self) -> int:
         return len(self.points)
 
@@ -163,6 +205,11 @@ class Target:
             row, col = _millimetres(self.row_spacing_m), _millimetres(self.col_spacing_m)
             squares = f"squares of {row}" if row == col else f"rows {row}, columns {col} apart"
             return f"Checkerboard {grid} inner corners, {squares}"
+        if self.kind == "charuco":
+            square, marker = _millimetres(self.square_size_m), _millimetres(self.marker_size_m)
+            first = f", ids from {self.first_tag}" if self.first_tag else ""
+            old = ", as OpenCV before 4.6 drew it" if self.legacy else ""
+            return f"ChArUco {grid} squares of {square}, markers {self.dictionary} of {marker}{first}{old}"
         kind = "Asymmetric circle grid" if self.asymmetric else "Circle grid"
         return f"{kind} {grid}, spacing {_millimetres(self.spacing_m)}"
 
@@ -198,6 +245,11 @@ class Target:
 
     def _points(self) -> Floats:
         """Return the points (n, 3), read-only."""
+        if self.kind == "charuco":
+            row, col = np.divmod(np.arange((self.rows - 1) * (self.cols - 1)), self.cols - 1)
+            points = self.square_size_m * np.column_stack([col, self.rows - 2 - row, np.zeros_like(row)])
+            points.flags.writeable = False
+            return points
         per_tag = 2 if self.kind == "aprilgrid" else 1
         row, col = np.divmod(np.arange(per_tag * self.rows * per_tag * self.cols), per_tag * self.cols)
         points = np.zeros((len(row), 3))

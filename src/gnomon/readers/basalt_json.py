@@ -142,7 +142,7 @@ def _cameras(keys: dict[str, Node], top: Node) -> dict[str, CameraCalibration]:
         )
     shift = keys["cam_time_offset_ns"].number() * 1e-9 if "cam_time_offset_ns" in keys else 0.0
     return {
-        f"cam{i}": CameraCalibration(T_cam_imu=_T_cam_imu(pose), time_shift_cam_imu=shift, camera=_camera(lens, size))
+        f"cam{i}": CameraCalibration(T_cam_body=_T_cam_imu(pose), time_shift_cam_imu=shift, camera=_camera(lens, size))
         for i, (pose, lens, size) in enumerate(zip(poses, lenses, sizes, strict=True))
     }
 

@@ -59,7 +59,7 @@ def camera_entry(node: Node) -> CameraCalibration:
     except OptionError as error:
         raise node.fail(str(error)) from None
     return CameraCalibration(
-        T_cam_imu=_pose(keys["T_cam_imu"]),
+        T_cam_body=_pose(keys["T_cam_imu"]),
         time_shift_cam_imu=keys["time_shift_cam_imu"].number(),
         camera=camera,
     )

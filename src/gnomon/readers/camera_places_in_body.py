@@ -23,7 +23,7 @@ def seen_from_camera(T_imu_cam: Floats) -> Floats:
 
 def placed(T_imu_cam: Floats, shift_s: float, camera: Camera) -> CameraCalibration:
     """Return a camera by its place in the IMU's frame, and t_imu - t_cam."""
-    return CameraCalibration(T_cam_imu=seen_from_camera(T_imu_cam), time_shift_cam_imu=shift_s, camera=camera)
+    return CameraCalibration(T_cam_body=seen_from_camera(T_imu_cam), time_shift_cam_imu=shift_s, camera=camera)
 
 
 def numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats:

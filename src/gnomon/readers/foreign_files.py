@@ -166,7 +166,7 @@ def _cameras(found: Mapping[str, CameraInput], notes: list[str]) -> ForeignCalib
         if camera.time_shift_cam_imu_s is None:
             notes.append(f"The time shift of {name} is not stated; taken: zero.")
         placed[name] = CameraCalibration(
-            T_cam_imu=camera.T_cam_imu, time_shift_cam_imu=camera.time_shift_cam_imu_s or 0.0, camera=camera.camera
+            T_cam_body=camera.T_cam_imu, time_shift_cam_imu=camera.time_shift_cam_imu_s or 0.0, camera=camera.camera
         )
     lenses = {name: camera.camera for name, camera in found.items() if name not in placed}
     return ForeignCalibration(

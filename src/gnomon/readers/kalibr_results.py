@@ -171,7 +171,7 @@ class _Page:
         }
         node = Node(file=self.file, path=name, value=document)
         camera: Camera = camera_of(node, {child.key: child for child in node.entries()}, notes)
-        return CameraCalibration(T_cam_imu=T, time_shift_cam_imu=self.shift.get(name, 0.0), camera=camera)
+        return CameraCalibration(T_cam_body=T, time_shift_cam_imu=self.shift.get(name, 0.0), camera=camera)
 
     def imu(self, name: str) -> ImuCalibration:
         """Return one IMU."""

@@ -122,7 +122,7 @@ class _Table:
         except OptionError as error:
             raise FormatError(f"{self.path}: {name}: {error}") from None
         shift = float(self.take(f"{name}.time_shift_cam_imu", ())[0])
-        return CameraCalibration(T_cam_imu=T, time_shift_cam_imu=shift, camera=camera)
+        return CameraCalibration(T_cam_body=T, time_shift_cam_imu=shift, camera=camera)
 
     def words(self, name: str) -> str:
         """Return a value that is no number."""

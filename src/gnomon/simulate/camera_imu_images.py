@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 
 from ..images import Frame, Grey, ImageRecording, ImageStream
+from ..models.board_pattern import Pattern, board_pattern
 from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import Floats
-from .board_pattern import Pattern, board_pattern
 from .camera_imu import CameraImuSimulation
 from .camera_imu_path import CameraPath
 from .clutter import Wall, cluttered_wall

@@ -157,11 +157,11 @@ def drawn_cameras(scenario: CameraImuScenario, rng: np.random.Generator) -> dict
     time_shift_s = scenario.time_shift_s
     if scenario.time_shift_range_s is not None:
         time_shift_s = scenario.time_shift_range_s * shift
-    cameras = {"cam0": CameraCalibration(T_cam_imu=T_cam_imu, time_shift_cam_imu=time_shift_s, camera=lens(scenario))}
+    cameras = {"cam0": CameraCalibration(T_cam_body=T_cam_imu, time_shift_cam_imu=time_shift_s, camera=lens(scenario))}
     if scenario.cameras == 2:
         T_cam1_cam0 = _transform(rotation_from_rotvec(_TILT_CAM1_CAM0), np.array([-scenario.baseline_m, 0.0, 0.0]))
         cameras["cam1"] = CameraCalibration(
-            T_cam_imu=T_cam1_cam0 @ T_cam_imu,
+            T_cam_body=T_cam1_cam0 @ T_cam_imu,
             time_shift_cam_imu=time_shift_s + scenario.time_shift_difference_s,
             camera=lens(scenario),
         )

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .board_pattern import tag_cells, tag_codes
+from ..models.board_pattern import tag_cells, tag_codes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

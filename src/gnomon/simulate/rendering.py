@@ -12,9 +12,9 @@ from functools import lru_cache
 import numpy as np
 
 from ..images import Grey
+from ..models.board_pattern import Pattern
 from ..models.camera import Booleans, Camera
 from ..recording import Floats, Integers
-from .board_pattern import Pattern
 from .clutter import Wall
 from .coverage import Singles, coverage
 

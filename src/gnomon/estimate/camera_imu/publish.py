@@ -68,7 +68,7 @@ def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) 
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = entry.R_cam_imu, entry.p_cam_imu
         calibrated[entry.name] = CameraCalibration(
-            T_cam_imu=T, time_shift_cam_imu=entry.time_shift_s, camera=entry.camera
+            T_cam_body=T, time_shift_cam_imu=entry.time_shift_s, camera=entry.camera
         )
         rows.append(_camera_rows(entry, column, width))
     jacobian = np.concatenate(rows)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..models.target import Target
-from ..recording import Floats, Integers, frozen_array
+from .target import Floats, Integers, Target
 
 Cells = NDArray[np.bool_]
 
@@ -43,9 +42,10 @@ class Pattern:
     sheet: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "edges", frozen_array(self.edges))
-        object.__setattr__(self, "area", frozen_array(self.area, np.int64))
-        object.__setattr__(self, "sheet", frozen_array(self.sheet))
+        for name, kind in (("edges", np.float64), ("area", np.int64), ("sheet", np.float64)):
+            array = np.array(getattr(self, name), dtype=kind)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
 
 
 def board_pattern(target: Target, *, margin_m: float | None = None, corner_squares: bool | None = None) -> Pattern:
@@ -62,7 +62,7 @@ def board_pattern(target: Target, *, margin_m: float | None = None, corner_squar
     Raises
     ------
     OptionError
-        If the family 36h11 has not as many tags.
+        If the family of the tags, or the dictionary of the markers, has not as many of them.
     """
     if target.kind == "aprilgrid":
         areas = _tags(target, corner_squares)
@@ -70,6 +70,9 @@ def board_pattern(target: Target, *, margin_m: float | None = None, corner_squar
     elif target.kind == "checkerboard":
         outer = np.array([target.row_spacing_m, target.col_spacing_m])  # rows of points run along x
         areas, rim_m = _squares(target, outer), _RIM * float(outer.max())
+    elif target.kind == "charuco":
+        outer, rim_m = np.full(2, target.square_size_m), _RIM * target.square_size_m
+        areas = _charuco(target)
     else:
         apart_m = target.spacing_m * (np.sqrt(2) if target.asymmetric else 1.0)
         outer, rim_m = np.full(2, _RADIUS * apart_m), _RIM * apart_m
@@ -130,6 +133,50 @@ def _squares(target: Target, size: Floats) -> list[Floats]:
         for row, col in np.ndindex(target.rows + 1, target.cols + 1)
         if (row + col) % 2 == 0
     ]
+
+
+@lru_cache(maxsize=8)
+def marker_cells(dictionary: str, marker: int) -> Cells:
+    """Return the cells of an ArUco marker as OpenCV draws it, white ones true; top row first, its border of 1 included.
+
+    Raises
+    ------
+    OptionError
+        If there is no such dictionary, or no such marker in it.
+    """
+    import cv2
+
+    number = getattr(cv2.aruco, f"DICT_{dictionary}", None)
+    if not isinstance(number, int):
+        known = sorted(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))
+        raise OptionError(f"there is no dictionary {dictionary!r} of markers; OpenCV has {', '.join(known)}.")
+    family = cv2.aruco.getPredefinedDictionary(number)
+    if not 0 <= marker < len(family.bytesList):
+        raise OptionError(
+            f"there is no marker {marker} in {dictionary}; it has markers 0 to {len(family.bytesList) - 1}."
+        )
+    return cv2.aruco.generateImageMarker(family, marker, family.markerSize + 2) > 0
+
+
+def _charuco(target: Target) -> list[Floats]:
+    """Return the outlines of the black squares of a ChArUco board, and of the markers in the white ones."""
+    square, marker = target.square_size_m, target.marker_size_m
+    areas: list[Floats] = []
+    number = target.first_tag
+    for row, col in np.ndindex(target.rows, target.cols):  # rows from the top; the points' origin is one square inside
+        origin = np.array([col - 1, target.rows - 2 - row]) * square
+        if black_square(target, row, col):
+            areas.append(_outline(_ONE, origin, np.full(2, square)))
+            continue
+        cells = marker_cells(target.dictionary, number)
+        areas.append(_outline(~cells[::-1], origin + (square - marker) / 2, np.full(2, marker / len(cells))))
+        number += 1
+    return areas
+
+
+def black_square(target: Target, row: int, col: int) -> bool:
+    """Tell whether a square of a ChArUco board is black; rows from the top, columns from the left."""
+    return (row + col) % 2 == (1 if target.legacy and target.rows % 2 == 0 else 0)
 
 
 def _outline(black: Cells, origin: Floats, size: Floats) -> Floats:

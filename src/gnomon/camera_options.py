@@ -1,0 +1,45 @@
+"""What a person may choose about the calibration of cameras; the command line is made from these classes."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from .errors import OptionError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOptions:
+    """How to calibrate one or several cameras from views of a board."""
+
+    model: tuple[str, ...] = ()
+    """Lens model of every camera, such as pinhole-radtan, or of each, cam0=pinhole-radtan cam1=ds-none; chosen by
+    hold-out where it is not given."""
+
+    board: Literal["auto", "stated", "aspect", "bow", "corners"] = "auto"
+    """What of the board is estimated: nothing (stated), its scale along y over that along x (aspect), how it bends too
+    (bow), the place of every corner (corners), or what the views prove to be there (auto)."""
+
+    views: int | None = None
+    """Most views to use, those that tell most; chosen by what further ones would add where it is not given."""
+
+    baseline: float | None = None
+    """Measured distance of cam1 from cam0 in metres, which tells the true size of the board."""
+
+    baseline_sigma: float = 1e-4
+    """Standard deviation of that distance in metres."""
+
+    robust: bool = True
+    """Single corners that fit badly count less (Huber), and whole views that do are left out; with --no-robust all of
+    them count alike."""
+
+    covariance: Literal["robust", "ordinary"] = "robust"
+    """Take the uncertainty from the scatter between views, which holds where the errors of a view are correlated
+    (robust), or count all errors as independent (ordinary)."""
+
+    max_iterations: int = 50
+    """Most iterations of one solution."""
+
+    def __post_init__(self) -> None:
+        for name in ("views", "baseline", "baseline_sigma", "max_iterations"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise OptionError(f"{name} {value:g} must be greater than zero.")
