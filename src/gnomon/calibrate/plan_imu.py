@@ -66,35 +66,9 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
     SolveError
         If such attitudes determine no calibration.
     """
-    options = ImuOptions(gravity=plan.gravity, latitude=plan.latitude)
-    gravity = local_gravity(options)
-    planned = planned_rests(plan, gravity.value, seed)
-    margin = np.full(len(planned.start_s), min(_BESIDE_MOTION_S, 0.2 * plan.hold_s))
-    starts = planned.start_s + margin * (planned.start_s > 0)
-    stops = planned.stop_s - margin * (planned.stop_s < planned.stop_s[-1])
-    still = StaticIntervals(
-        start=np.searchsorted(planned.t_s, starts), stop=np.searchsorted(planned.t_s, stops, side="right")
-    )
-
-    def stream(values: Floats, density: float) -> TriadStream:
-        return TriadStream(
-            t_s=planned.t_s,
-            values=values,
-            saturated=np.zeros(len(values), dtype=bool),
-            rate_hz=plan.rate_hz,
-            density=np.full(3, density**2),
-            density_in_motion=np.full(3, density**2),
-            intervals=still,
-        )
-
-    cosine_squared = 2 / 3 if plan.latitude is None else float(np.cos(np.radians(plan.latitude)) ** 2)
-    problem = build_problem(
-        stream(planned.f_imu, noise.accelerometer_noise_density),
-        stream(planned.omega_imu, noise.gyroscope_noise_density),
-        EARTH_RATE_RAD_S**2 * cosine_squared / 2,
-    )
+    gravity = local_gravity(ImuOptions(gravity=plan.gravity, latitude=plan.latitude))
+    problem, up = _planned_problem(plan, noise, gravity.value, seed)
     walk = (noise.gyroscope_random_walk / problem.gyroscope.spread) ** 2
-    up = interval_means(planned.f_imu, still)
     fit = _at_the_truth(problem, up, walk, g_sensitivity=plan.model == "g-sensitivity")
     estimate = unscaled(
         fit,
@@ -127,6 +101,39 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
         ),
         provenance=Provenance(gnomon_version=__version__, method="plan", options=changed_options(plan), seed=seed),
     )
+
+
+def _planned_problem(
+    plan: ImuPlan, noise: ImuNoise, gravity_m_s2: float, seed: int
+) -> tuple[MultiPositionProblem, Floats]:
+    """Return the problem of exact samples with the stated noise, and the specific force (n, 3) of each rest."""
+    planned = planned_rests(plan, gravity_m_s2, seed)
+    margin = np.full(len(planned.start_s), min(_BESIDE_MOTION_S, 0.2 * plan.hold_s))
+    starts = planned.start_s + margin * (planned.start_s > 0)
+    stops = planned.stop_s - margin * (planned.stop_s < planned.stop_s[-1])
+    still = StaticIntervals(
+        start=np.searchsorted(planned.t_s, starts), stop=np.searchsorted(planned.t_s, stops, side="right")
+    )
+
+    def stream(values: Floats, density: float) -> TriadStream:
+        """Return exact samples (n, 3) with white noise of a density."""
+        return TriadStream(
+            t_s=planned.t_s,
+            values=values,
+            saturated=np.zeros(len(values), dtype=bool),
+            rate_hz=plan.rate_hz,
+            density=np.full(3, density**2),
+            density_in_motion=np.full(3, density**2),
+            intervals=still,
+        )
+
+    cosine_squared = 2 / 3 if plan.latitude is None else float(np.cos(np.radians(plan.latitude)) ** 2)
+    problem = build_problem(
+        stream(planned.f_imu, noise.accelerometer_noise_density),
+        stream(planned.omega_imu, noise.gyroscope_noise_density),
+        EARTH_RATE_RAD_S**2 * cosine_squared / 2,
+    )
+    return problem, interval_means(planned.f_imu, still)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from ..calibration import Calibration
 from .context import Context
 from .export import Export, Loss
-from .flight_parameters import FlightImu, conversion_lines, flight_losses, require_flight_imus
+from .flight_parameters import FlightImu, ParameterNames, flight_head, flight_losses, require_flight_imus
 
 FILE = "ardupilot.param"
 
@@ -33,23 +33,19 @@ def export(calibration: Calibration, context: Context) -> Export:
         If there is neither accelerometer nor gyroscope.
     """
     imus = require_flight_imus(calibration, "ArduPilot", _IMUS)
-    rows = [f"{name},{value!r}\n" for i, imu in enumerate(imus.values()) for name, value in _rows(i, imu)]
-    head = _HEAD.format(frame=calibration.frame) + context.comment()
-    head += "".join(f"# {line}\n" for line in conversion_lines(calibration))
+    rows = [f"{name},{value!r}\n" for i, imu in enumerate(imus.values()) for name, value in _names(i).values(imu)]
+    head = flight_head(_HEAD, calibration, context)
     losses = (*flight_losses(calibration, "ArduPilot", _IMUS), *_range_losses(imus), *_start_losses(imus))
     return Export(files={FILE: head + "".join(rows)}, losses=losses)
 
 
-def _rows(index: int, imu: FlightImu) -> Iterator[tuple[str, float]]:
+def _names(index: int) -> ParameterNames:
     number = str(index + 1) if index else ""
-    if imu.accelerometer is not None:
-        for axis, offset in zip("XYZ", imu.accelerometer.offset.tolist(), strict=True):
-            yield f"INS_ACC{number}OFFS_{axis}", offset
-        for axis, scale in zip("XYZ", imu.accelerometer.scale.tolist(), strict=True):
-            yield f"INS_ACC{number}SCAL_{axis}", scale
-    if imu.gyroscope is not None:
-        for axis, offset in zip("XYZ", imu.gyroscope.offset.tolist(), strict=True):
-            yield f"INS_GYR{number}OFFS_{axis}", offset
+    return ParameterNames(
+        accelerometer_offset=f"INS_ACC{number}OFFS_{{axis}}",
+        accelerometer_scale=f"INS_ACC{number}SCAL_{{axis}}",
+        gyroscope_offset=f"INS_GYR{number}OFFS_{{axis}}",
+    )
 
 
 def _range_losses(imus: Mapping[str, FlightImu]) -> Iterator[Loss]:

@@ -12,6 +12,8 @@ import numpy as np
 from ..calibration import Calibration, ImuCalibration
 from ..errors import OptionError
 from ..models.diagonal_forms import DiagonalTriad
+from ..recording import Floats
+from .context import Context
 from .export import Loss, camera_losses, g_sensitivity_losses, magnetometer_losses, uncertainty_loss
 from .sensor_losses import lever_arm_losses, rest_size, si_sensitivity
 from .si_units import conversions, count_losses
@@ -53,6 +55,33 @@ def require_flight_imus(calibration: Calibration, whose: str, most: int) -> dict
             "Convert to c-header or csv."
         )
     return imus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterNames:
+    """What a program calls the parameters of one IMU, with {axis} for X, Y or Z."""
+
+    accelerometer_offset: str
+    accelerometer_scale: str
+    gyroscope_offset: str
+
+    def values(self, imu: FlightImu) -> Iterator[tuple[str, float]]:
+        """Yield name and value of each."""
+        known: list[tuple[str, Floats]] = []
+        if imu.accelerometer is not None:
+            known += [(self.accelerometer_offset, imu.accelerometer.offset)]
+            known += [(self.accelerometer_scale, imu.accelerometer.scale)]
+        if imu.gyroscope is not None:
+            known += [(self.gyroscope_offset, imu.gyroscope.offset)]
+        for name, triad in known:
+            for axis, value in zip("XYZ", triad.tolist(), strict=True):
+                yield name.format(axis=axis), value
+
+
+def flight_head(head: str, calibration: Calibration, context: Context) -> str:
+    """Return the comment above the parameters: `head` with the frame filled in, the origin, and what samples are."""
+    lines = "".join(f"# {line}\n" for line in conversion_lines(calibration))
+    return head.format(frame=calibration.frame) + context.comment() + lines
 
 
 def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[Loss]:

@@ -4,12 +4,10 @@ PX4 corrects f = (a - OFF) SCALE, element by element, and w = y - OFF, before it
 the vehicle's. Read back by `readers.flight_parameters`.
 """
 
-from collections.abc import Iterator
-
 from ..calibration import Calibration
 from .context import Context
 from .export import Export, Loss
-from .flight_parameters import FlightImu, conversion_lines, flight_losses, require_flight_imus
+from .flight_parameters import ParameterNames, flight_head, flight_losses, require_flight_imus
 
 FILE = "px4.params"
 
@@ -35,10 +33,11 @@ def export(calibration: Calibration, context: Context) -> Export:
     """
     imus = require_flight_imus(calibration, "PX4", _IMUS)
     rows = [
-        f"1\t1\t{name}\t{value!r}\t{_FLOAT}\n" for i, imu in enumerate(imus.values()) for name, value in _rows(i, imu)
+        f"1\t1\t{name}\t{value!r}\t{_FLOAT}\n"
+        for i, imu in enumerate(imus.values())
+        for name, value in _names(i).values(imu)
     ]
-    head = _HEAD.format(frame=calibration.frame) + context.comment()
-    head += "".join(f"# {line}\n" for line in conversion_lines(calibration))
+    head = flight_head(_HEAD, calibration, context)
     text = f"{head}#\n# Vehicle-Id Component-Id Name Value Type\n{''.join(rows)}"
     identity = Loss(
         what="identity of the sensor",
@@ -48,12 +47,9 @@ def export(calibration: Calibration, context: Context) -> Export:
     return Export(files={FILE: text}, losses=(*flight_losses(calibration, "PX4", _IMUS), identity))
 
 
-def _rows(index: int, imu: FlightImu) -> Iterator[tuple[str, float]]:
-    if imu.accelerometer is not None:
-        for axis, offset in zip("XYZ", imu.accelerometer.offset.tolist(), strict=True):
-            yield f"CAL_ACC{index}_{axis}OFF", offset
-        for axis, scale in zip("XYZ", imu.accelerometer.scale.tolist(), strict=True):
-            yield f"CAL_ACC{index}_{axis}SCALE", scale
-    if imu.gyroscope is not None:
-        for axis, offset in zip("XYZ", imu.gyroscope.offset.tolist(), strict=True):
-            yield f"CAL_GYRO{index}_{axis}OFF", offset
+def _names(index: int) -> ParameterNames:
+    return ParameterNames(
+        accelerometer_offset=f"CAL_ACC{index}_{{axis}}OFF",
+        accelerometer_scale=f"CAL_ACC{index}_{{axis}}SCALE",
+        gyroscope_offset=f"CAL_GYRO{index}_{{axis}}OFF",
+    )
