@@ -25,6 +25,10 @@ def peers(kind: str) -> dict[str, Detector]:
     """Return the detectors for a kind of board, by name."""
     if kind == "checkerboard":
         return {"OpenCV findChessboardCornersSB": _chessboard_sb, "OpenCV findChessboardCorners": _chessboard}
+    if kind == "charuco":
+        return {"OpenCV CharucoDetector": _charuco}
+    if kind == "circlegrid":
+        return {"OpenCV findCirclesGrid": _circles}
     found: dict[str, Detector] = {"OpenCV aruco": _aruco}
     try:
         from aprilgrid import Detector as Aprilgrid
@@ -102,6 +106,35 @@ def _chessboard(image: Grey, target: Target) -> BoardView:
 def _chessboard_sb(image: Grey, target: Target) -> BoardView:
     found, corners = cv2.findChessboardCornersSB(image, (target.cols, target.rows), flags=cv2.CALIB_CB_ACCURACY)
     return _grid(image, corners, target) if found else nothing_seen()
+
+
+def _charuco(image: Grey, target: Target) -> BoardView:
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{target.dictionary}"))
+    ids = np.arange(target.first_tag, target.first_tag + (target.cols * target.rows + 1) // 2)
+    size = (target.cols, target.rows)
+    board = cv2.aruco.CharucoBoard(size, target.square_size_m, target.marker_size_m, family, ids[: _white(target)])
+    board.setLegacyPattern(target.legacy)
+    corners, found, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(image)
+    if found is None or not len(found):
+        return nothing_seen()
+    order = np.argsort(np.ravel(found))
+    pixels = np.reshape(corners, (-1, 2))[order].astype(float)
+    return BoardView(point=np.ravel(found)[order], pixels=pixels, sigma_px=np.full(len(order), SIGMA_PX))
+
+
+def _white(target: Target) -> int:
+    from gnomon.models.board_pattern import black_square
+
+    return sum(not black_square(target, row, col) for row, col in np.ndindex(target.rows, target.cols))
+
+
+def _circles(image: Grey, target: Target) -> BoardView:
+    kind = cv2.CALIB_CB_ASYMMETRIC_GRID if target.asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
+    found, centres = cv2.findCirclesGrid(image, (target.cols, target.rows), flags=kind)
+    if not found:
+        return nothing_seen()
+    pixels = np.reshape(centres, (-1, 2)).astype(float)
+    return BoardView(point=np.arange(len(target)), pixels=pixels, sigma_px=np.full(len(target), SIGMA_PX))
 
 
 def _grid(image: Grey, corners: Floats, target: Target) -> BoardView:

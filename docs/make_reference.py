@@ -20,11 +20,13 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import tyro.conf
 
 import gnomon
+from gnomon.camera_options import CameraOptions
 from gnomon.cli.commands import COMMANDS
 from gnomon.options import CameraImuOptions, ImuOptions, NoiseOptions
 from gnomon.simulate import (
     CameraImuPlan,
     CameraImuScenario,
+    CamerasScenario,
     FieldScenario,
     ImuPlan,
     PoseScenario,
@@ -66,11 +68,13 @@ each), and the names of parameters are the paths in [calibration.yaml](files.md#
 _COMMAND_OF = {
     ImuOptions: "imu",
     CameraImuOptions: "camera-imu",
+    CameraOptions: "camera",
     TurntableOptions: "turntable",
     MagnetometerOptions: "magnetometer",
     NoiseOptions: "noise",
     Scenario: "simulate",
     CameraImuScenario: "simulate-camera-imu",
+    CamerasScenario: "simulate-cameras",
     PoseScenario: "simulate-poses",
     TurntableScenario: "simulate-turntable",
     FieldScenario: "simulate-magnetometer",
@@ -83,10 +87,12 @@ _SECTIONS = {
     "What one does": (
         "read",
         "read_camera_imu",
+        "read_camera_views",
         "read_turntable",
         "check",
         "calibrate_imu",
         "calibrate_camera_imu",
+        "calibrate_cameras",
         "calibrate_turntable",
         "rate_from_video",
         "calibrate_magnetometer",
@@ -96,6 +102,7 @@ _SECTIONS = {
         "read_hardware",
         "save",
         "save_camera_imu_files",
+        "save_camera_files",
         "save_noise",
         "load",
         "load_noise",
@@ -107,6 +114,7 @@ _SECTIONS = {
         "write_comparison_report",
         "simulate",
         "simulate_camera_imu",
+        "simulate_cameras",
         "simulate_poses",
         "simulate_turntable",
         "simulate_magnetometer",
@@ -116,12 +124,14 @@ _SECTIONS = {
     "What one chooses": (
         "ImuOptions",
         "CameraImuOptions",
+        "CameraOptions",
         "TurntableOptions",
         "StatedRate",
         "MagnetometerOptions",
         "NoiseOptions",
         "Scenario",
         "CameraImuScenario",
+        "CamerasScenario",
         "PoseScenario",
         "TurntableScenario",
         "FieldScenario",

@@ -116,8 +116,9 @@ def _posed(
         "aprilgrid": target.tag_size_m,
         "checkerboard": min(target.row_spacing_m, target.col_spacing_m),
         "circlegrid": target.spacing_m,
+        "charuco": target.square_size_m,
     }[target.kind]
-    partial = target.kind == "aprilgrid" if ranges.partial is None else ranges.partial
+    partial = target.kind in _PARTS if ranges.partial is None else ranges.partial
     focal, resolution = float(camera.intrinsics[-4]), np.array(camera.resolution)
     middle = (target.points.min(axis=0) + target.points.max(axis=0)) / 2
     for attempt in range(2000):
@@ -159,7 +160,7 @@ def _seen(target: Target, camera: Camera, R: Floats, positions: Floats) -> tuple
 
 def _covers(target: Target, pixels: Floats, seen: Floats, most: int, rng: np.random.Generator) -> list[Floats]:
     """Return patches (4, 2) over some of what is seen, as hands and cables are."""
-    if target.kind != "aprilgrid" or not most:
+    if target.kind not in _PARTS or not most:
         return []
     patches = []
     for _ in range(int(rng.integers(0, most + 1))):
@@ -186,9 +187,11 @@ def _tags(target: Target, pixels: Floats, usable: Floats, covers: list[Floats]) 
     if target.kind == "aprilgrid":
         corners = target.point_of_tag_corner(np.arange(target.tags)[:, None], np.arange(4))
     else:
-        row, col = np.divmod(np.arange((target.rows - 1) * (target.cols - 1)), target.cols - 1)
-        at = row * target.cols + col
-        corners = np.column_stack([at, at + 1, at + 1 + target.cols, at + target.cols])
+        less = 1 if target.kind == "charuco" else 0  # whose squares are counted, not its corners
+        rows, cols = target.rows - less, target.cols - less
+        row, col = np.divmod(np.arange((rows - 1) * (cols - 1)), cols - 1)
+        at = row * cols + col
+        corners = np.column_stack([at, at + 1, at + 1 + cols, at + cols])
     outline = pixels[corners]
     whole = usable[corners].all(axis=1)
     x, y = outline[..., 0], outline[..., 1]
@@ -201,5 +204,6 @@ def _tags(target: Target, pixels: Floats, usable: Floats, covers: list[Floats]) 
     return np.flatnonzero(whole), side
 
 
+_PARTS = ("aprilgrid", "charuco")  # boards of which a part is enough
 _STEP_PX = 0.6  # between the instants at which a moving board is drawn
 _CAMERA = euroc_camera()

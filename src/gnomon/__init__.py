@@ -22,6 +22,7 @@ from .errors import (
 from .simulate import (
     CameraImuPlan,
     CameraImuScenario,
+    CamerasScenario,
     FieldScenario,
     ImuPlan,
     PoseScenario,
@@ -29,6 +30,7 @@ from .simulate import (
     TurntableScenario,
     simulate,
     simulate_camera_imu,
+    simulate_cameras,
     simulate_magnetometer,
     simulate_poses,
     simulate_turntable,
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from .assess.doctor import check
     from .calibrate import (
         calibrate_camera_imu,
+        calibrate_cameras,
         calibrate_imu,
         calibrate_magnetometer,
         calibrate_turntable,
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
         plan,
         rate_from_video,
         read_camera_imu,
+        read_camera_views,
         read_hardware,
     )
     from .calibrate.comparison import compare
@@ -60,6 +64,7 @@ if TYPE_CHECKING:
         ImuCalibration,
         MagnetometerCalibration,
     )
+    from .camera_options import CameraOptions
     from .detect.platter_rate import PlatterRate
     from .diagnostics import Result
     from .findings import Finding
@@ -82,6 +87,7 @@ if TYPE_CHECKING:
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers import Loss, convert, save, save_camera_imu_files
+    from .writers.camera_files import save_camera_files
     from .writers.noise_file import save_noise
 
 _HOMES = {
@@ -95,6 +101,7 @@ _HOMES = {
     "Camera": "models.camera",
     "CameraFrames": "recording",
     "CameraImuOptions": "options",
+    "CameraOptions": "camera_options",
     "ForeignCalibration": "readers.foreign",
     "ImuNoise": "models.noise",
     "ImuOptions": "options",
@@ -106,6 +113,7 @@ _HOMES = {
     "TriadSamples": "recording",
     "Units": "units",
     "calibrate_camera_imu": "calibrate",
+    "calibrate_cameras": "calibrate",
     "calibrate_imu": "calibrate",
     "Comparison": "assess.comparison",
     "Fault": "simulate.faults",
@@ -125,7 +133,9 @@ _HOMES = {
     "load_foreign": "readers.foreign_files",
     "read": "readers",
     "read_camera_imu": "calibrate",
+    "read_camera_views": "calibrate",
     "save": "writers",
+    "save_camera_files": "writers.camera_files",
     "save_camera_imu_files": "writers",
     "write_report": "report",
     "MagnetometerCalibration": "calibration",
@@ -156,6 +166,8 @@ __all__ = [
     "CameraImuOptions",
     "CameraImuPlan",
     "CameraImuScenario",
+    "CameraOptions",
+    "CamerasScenario",
     "Comparison",
     "Covariance",
     "DetectionError",
@@ -199,6 +211,7 @@ __all__ = [
     "Use",
     "__version__",
     "calibrate_camera_imu",
+    "calibrate_cameras",
     "calibrate_imu",
     "calibrate_magnetometer",
     "calibrate_turntable",
@@ -215,13 +228,16 @@ __all__ = [
     "rate_from_video",
     "read",
     "read_camera_imu",
+    "read_camera_views",
     "read_hardware",
     "read_turntable",
     "save",
+    "save_camera_files",
     "save_camera_imu_files",
     "save_noise",
     "simulate",
     "simulate_camera_imu",
+    "simulate_cameras",
     "simulate_fault",
     "simulate_magnetometer",
     "simulate_poses",

@@ -12,6 +12,7 @@ import numpy as np
 
 from .errors import FormatError, OptionError
 from .findings import Finding
+from .models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from .parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from .recording import Floats, Source, frozen_array
 from .sensors import (
@@ -24,8 +25,10 @@ from .sensors import (
     rotated,
 )
 from .trust import TrustNote, Verdict
+from .units import STANDARD_GRAVITY_M_S2
 
 __all__ = [
+    "UNSTATED_GRAVITY",
     "AccelerometerCalibration",
     "Assessment",
     "Calibration",
@@ -114,6 +117,12 @@ class Gravity:
     value: float
     sigma: float
     source: str
+
+
+UNSTATED_GRAVITY = Gravity(
+    value=STANDARD_GRAVITY_M_S2, sigma=WORLD_GRAVITY_SIGMA_M_S2, source="standard gravity, as no place was stated"
+)
+"""What gravity is taken for where nothing tells it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

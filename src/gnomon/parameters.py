@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from .errors import OptionError
 from .geometry.rotation_vector import rotvec_from_rotation
 from .geometry.so3 import skew
 from .models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
@@ -85,8 +86,12 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
     Raises
     ------
     OptionError
-        If `frame` is neither, or an IMU has no accelerometer to define it.
+        If `frame` is neither, an IMU has no accelerometer to define it, or there are cameras alone.
     """
+    if not imus:
+        raise OptionError(
+            f"{frame} is a body frame of an IMU, and this calibration is of cameras alone: its body is cam0."
+        )
     moved: dict[str, ImuCalibration] = {}
     jacobian = np.eye(len(covariance_names(imus, cameras)))
     turn, by_sensitivity = np.eye(3), np.zeros((3, 9))
@@ -116,6 +121,8 @@ def moved_to_origin(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, Ca
     """
     starts: dict[str, int] = {}
     count = 0
+    if not imus:
+        return Moved(imus={}, cameras=dict(cameras), jacobian=np.eye(len(covariance_names(imus, cameras))))
     for path, value in parameters(imus, cameras):
         starts[path] = count
         count += value.size

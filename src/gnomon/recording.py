@@ -1,6 +1,6 @@
 """What was measured: samples, as recorded, with their stamps and their unit."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Self
@@ -219,6 +219,39 @@ class CameraFrames:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KnownRig:
+    """Cameras as a calibration without an IMU knows them: their poses to cam0, and how sure that is.
+
+    Attributes
+    ----------
+    T_cam_cam0 : "cam1", ... -> (4, 4) p_cam = T_cam_cam0 @ p_cam0 [m]
+    names : (n,) scalars of all lenses and poses, such as "cam0.intrinsics[0]" and "cam1.T_cam_cam0.rotation[0]" (of a
+        small rotation on the right), as in `Calibration.uncertainty`
+    covariance : (n, n) their joint covariance
+    """
+
+    T_cam_cam0: Mapping[str, Floats]
+    names: tuple[str, ...]
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        poses = {name: frozen_array(T) for name, T in self.T_cam_cam0.items()}
+        object.__setattr__(self, "T_cam_cam0", MappingProxyType(poses))
+        object.__setattr__(self, "covariance", frozen_array(self.covariance))
+
+    def of(self, cameras: Collection[str]) -> "KnownRig":
+        """Return what is known of some of the cameras; without cam0 no pose."""
+        poses = {name: T for name, T in self.T_cam_cam0.items() if name in cameras and "cam0" in cameras}
+        kept = [
+            i
+            for i, name in enumerate(self.names)
+            if name.partition(".")[0] in (poses if ".T_cam_cam0." in name else cameras)
+        ]
+        names = tuple(self.names[i] for i in kept)
+        return KnownRig(T_cam_cam0=poses, names=names, covariance=self.covariance[np.ix_(kept, kept)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Poses:
     """Averages of an IMU at rest in several attitudes, one row a pose: a table that somebody made, or a file per pose.
 
@@ -304,6 +337,7 @@ class Recording:
     pieces : the parts of the only IMU's samples, where each was recorded on its own; a pose each
     sources : the files that were read
     assumptions : sentences on what the reader had to assume, such as units or the rate
+    rig : what a calibration of the cameras alone tells of them, where one was given; None without
     """
 
     imus: Mapping[str, ImuSamples]
@@ -313,6 +347,7 @@ class Recording:
     findings: tuple[Finding, ...] = ()
     poses: Poses | None = None
     pieces: tuple[Piece, ...] = ()
+    rig: KnownRig | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))

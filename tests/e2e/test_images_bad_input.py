@@ -254,7 +254,7 @@ REFUSED = {
         edit=board(SQUARES.format(9, 6)),
         words=(SEES_SQUARES, "The stated one has 9 x 6: correct targetCols and targetRows"),
     ),
-    "circles": Case(edit=board(CIRCLES), words=("not found in images yet", "cam0_corners.csv"), code=USAGE),
+    "circles": Case(edit=board(CIRCLES), words=(SEES_TAGS, "State that board instead of a circlegrid")),
     "an unknown board": Case(
         edit=board("target_type: apriltag\n"), words=("target.yaml: target_type", "expected one of aprilgrid")
     ),

@@ -35,7 +35,7 @@ def test_page_fits_and_is_clean(browser, report, width, height, mobile, scheme):
     for left, right, tall in seen["plots"]:
         assert left >= 0
         assert right <= width
-        assert tall > 60
+        assert tall > 100
     assert seen["text"] >= 9
     dark = seen["paper"] == "rgb(18, 23, 28)"
     assert dark == (scheme == "dark")

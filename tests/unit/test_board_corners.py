@@ -156,14 +156,10 @@ def test_a_board_that_is_nowhere_is_named():
         detect_corners(camera(frames([blank, blank])), BOARD)
 
 
-def test_boards_without_a_detector_are_refused_before_anything_is_read(views):
-    def stream(_: list[str]) -> Iterator[Frame]:
-        raise AssertionError("nothing should be read")
-        yield
-
-    images = CameraImages(name="cam0", stream=ImageStream(frames=stream), known=KNOWN)
-    with pytest.raises(OptionError, match="such boards are not found in images yet"):
-        detect_corners(images, Target.circlegrid(cols=4, rows=5, spacing_m=0.02))
+def test_markers_of_an_unknown_dictionary_are_refused():
+    board = Target.charuco(cols=5, rows=7, square_size_m=0.03, marker_size_m=0.02, dictionary="4X4_51")
+    with pytest.raises(OptionError, match="no dictionary '4X4_51'"):
+        detect_corners(camera(frames([np.full((240, 320), 128, np.uint8)])), board)
 
 
 def test_kept_corners_come_back_as_they_were(views, tmp_path):

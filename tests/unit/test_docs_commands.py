@@ -19,6 +19,9 @@ from gnomon.writers.kalibr_text import kalibr_yaml
 PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 RIG = shlex.split("--duration-s 10 --camera-rate-hz 5 --imu-rate-hz 100 --target-cols 3 --target-rows 3")
 """Options of a small simulated rig."""
+LENS = shlex.split("--intrinsics 460 458.5 322.4 237.1 --distortion-coeffs -0.28 0.075 0.0002 -0.00015")
+VIEWS = ["--views", "12", "--resolution", "640", "480", *LENS]
+"""Options of a few images of the board by the camera of the simulated rig."""
 SIX = shlex.split("simulate-poses -o six.npz --attitudes seven --samples 1000 --sensor drawn --units si")
 """A static experiment."""
 DISC = shlex.split("--steady-s 8 --rest-s 2 --handling-s 2 --gyroscope-range 10 --sensor-seed 1")
@@ -40,10 +43,11 @@ def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
     with_cameras = ["simulate-camera-imu", "check", "camera-imu", "show", "convert", "apply", "convert"]
     turned = ["simulate-turntable", "simulate-platter-video", "rate", "turntable"]
     at_rest = ["simulate-noise", "noise", "camera-imu"]
-    assert [words[0] for words in commands] == alone + with_cameras + turned + at_rest
+    a_lens = ["target", "simulate-cameras", "camera", "show", "camera-imu"]
+    assert [words[0] for words in commands] == alone + with_cameras + turned + at_rest + a_lens
     for words in commands:
         run(words)
-    for part in ("first/result", "second/result", "third/result", "third/noise"):
+    for part in ("first/result", "second/result", "third/result", "third/noise", "fourth/result"):
         assert (tmp_path / part / "report.html").exists()
     files = re.findall(r"^\| `([\w.-]+)` \|", text("tutorial.md"), re.MULTILINE)
     assert {name for name in files if not (tmp_path / "second" / "result" / name).exists()} == set()
@@ -62,19 +66,21 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
         run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
     run(["simulate-camera-imu", "-o", "rig", "--images", *RIG])
     run(["convert", "rig", "--to", "ros1", "-o", "rig.bag"])
+    run(["simulate-cameras", "-o", "photographs", "--images", *VIEWS])
     for name in ("camchain.yaml", "imu.yaml", "target.yaml"):
         shutil.copy(f"rig/{name}", name)
     make_single_sensors()
     page = ROOT / "README.md"
     commands = list(shell_commands(page))
     alone, calibrated = ["check", "imu", "show", "apply", "convert"], ["camera-imu", "show", "camera-imu", "camera-imu"]
+    cameras = ["target", "camera", "simulate-cameras", "camera"]
     with_cameras = ["camera-imu", "check", *calibrated, "convert", "convert", "simulate-camera-imu"]
     trust = ["show", "compare", "plan"]
     single = ["imu", "turntable", "rate", "noise", "magnetometer", "imu"]
-    assert [words[0] for words in commands] == alone + with_cameras + trust + single
+    assert [words[0] for words in commands] == alone + cameras + with_cameras + trust + single
     for words in commands:
         once = words[:2] == ["camera-imu", "rig"] and "-o" not in words
-        run(words + ["--no-report"] * (words[0] == "camera-imu" and not once))
+        run(words + ["--no-report"] * (words[0] in {"camera", "camera-imu"} and not once))
     for block in PYTHON.findall(page.read_text(encoding="utf-8")):
         with contextlib.redirect_stdout(io.StringIO()):
             exec(compile(block, "README.md", "exec"), {})
@@ -136,6 +142,28 @@ def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     shutil.copy("rig/imu.yaml", "rest-gnomon/imu.yaml")
     for number, words in enumerate(commands):
         run([*words, "--no-report", "-o", f"result-{number}"])
+
+
+def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    section = text("how-to.md").split("## By task: cameras alone")[1].split("\n## ")[0]
+    (tmp_path / "section.md").write_text(section, encoding="utf-8")
+    run(["simulate-cameras", "-o", "photographs", "--images", *VIEWS])
+    run(["simulate-cameras", "-o", "pair", "--images", "--cameras", "2", "--form", "ros1", *VIEWS])
+    shutil.copy(next(Path("pair").glob("*.bag")), "pair.bag")
+    for name in ("stereo", "corners"):
+        run(["simulate-cameras", "-o", name, "--cameras", "2", "--views", "20"])
+    shutil.copy("stereo/target.yaml", "target.yaml")
+    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
+    commands = list(shell_commands(tmp_path / "section.md"))
+    assert {"target", "camera", "camera-imu", "simulate-cameras"} == {words[0] for words in commands}
+    for number, words in enumerate(commands):
+        if words[0] == "camera-imu":  # its board is a smaller one
+            words = ["rig/target.yaml" if word == "target.yaml" else word for word in words]
+        if "--images" in words:
+            words = [*words, "--views", "3"]
+        elsewhere = ["--no-report", "-o", f"result-{number}"] if number > 1 else ["--no-report"]
+        run(words + elsewhere * (words[0] in {"camera", "camera-imu"}), may_fail=words[0] == "camera")
 
 
 def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ import yaml
 
 import gnomon
 import triad_result
+from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, ROOT, shell_commands, text
 from gnomon.calibrate import corner_cache
 from gnomon.calibration import parameters
@@ -54,6 +55,11 @@ def rig_result():
     cameras = {name: as_if_from_images(frames) for name, frames in made.recording.cameras.items()}
     recording = replace(made.recording, cameras=cameras)
     return gnomon.calibrate_camera_imu(recording, made.target, gnomon.CameraImuOptions(compare=True))
+
+
+@pytest.fixture(scope="module")
+def lenses_result():
+    return make_cameras_result()
 
 
 def as_if_from_images(frames):
@@ -130,7 +136,7 @@ def keys_of(node, path=""):
         yield from keys_of(node[0], path)
 
 
-@pytest.mark.parametrize("which", ["result", "rig_result", *triad_result.RESULTS])
+@pytest.mark.parametrize("which", ["result", "rig_result", "lenses_result", *triad_result.RESULTS])
 def test_every_key_of_the_calibration_file_is_documented(which, request):
     section = text("files.md").split("## calibration.yaml")[1].split("\n## ")[0]
     made = triad_result.RESULTS[which]() if which in triad_result.RESULTS else request.getfixturevalue(which)
@@ -142,7 +148,8 @@ def test_every_key_of_the_calibration_file_is_documented(which, request):
     last = {path.rsplit(".", 1)[-1] for path in keys_of(document)} - {*sensors, *document["provenance"]["options"]}
     sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in parameters(calibration.imus)}
     if calibration.cameras:
-        sigmas |= {key for path, key in SIGMAS.items() if not path.startswith("T_cam_imu")}
+        of_imu = {"time_shift_cam_imu", "line_delay"} if not calibration.imus else set()
+        sigmas |= {key for path, key in SIGMAS.items() if not path.startswith("T_cam_") and path not in of_imu}
     assert sigmas < last
     assert {key for key in last - sigmas if not re.search(rf"[`.]{key}[`.]", section)} == set()
 
@@ -159,8 +166,8 @@ def keys_but_trust(diagnostics):
 
 def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
-    heads = "Of poses, a turntable|Of cameras and an IMU|Of all of them"
-    alone, from_magnitudes, with_cameras, trusted = re.split(heads, section)
+    heads = "Of poses, a turntable|Of cameras and an IMU|Of cameras alone|Of all of them"
+    alone, from_magnitudes, with_cameras, _, trusted = re.split(heads, section)
     assert documented_keys(alone) == keys_but_trust(result.diagnostics)
     names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name in keys_but_trust(rig_result.diagnostics)}
     assert "corners.cam0.quality.dropped.REASON" in names
@@ -181,9 +188,29 @@ def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     assert documented_keys(trusted) == names
 
 
+def test_every_key_of_the_diagnostics_of_cameras_alone_is_documented(lenses_result):
+    section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
+    of_rigs, of_lenses = re.split("Of cameras and an IMU|Of cameras alone|Of all of them", section)[1:3]
+    names = keys_but_trust(lenses_result.diagnostics)
+    names = {re.sub(r"^views\.\d+", "views.0", name).replace("cam1", "cam0") for name in names}
+    names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name in names}
+    shared = {name for name in names if name.split(".")[0] in {"corners", "parameters", "correlation", "noise", "steps"}}
+    assert shared <= documented_keys(of_rigs)
+    assert documented_keys(of_lenses) == names - shared
+
+
+def test_every_key_of_kalibrs_results_of_cameras_alone_is_documented(lenses_result, tmp_path):
+    section = text("files.md").split("## Kalibr's results of cameras alone")[1].split("\n## ")[0]
+    for path in gnomon.save_camera_files(lenses_result, BOARD, tmp_path):
+        assert f"`{path.name}`" in section
+        if path.suffix == ".yaml":
+            keys = {key.rsplit(".", 1)[-1] for key in keys_of(yaml.safe_load(path.read_text(encoding="utf-8")))}
+            assert {key for key in keys - {"cam0", "cam1"} if f"`{key}`" not in section} == set()
+
+
 def test_every_key_of_kalibrs_results_is_documented(rig_result, tmp_path):
     made = gnomon.simulate_camera_imu(WAVED, seed=2)
-    section = text("files.md").split("## Kalibr's results")[1].split("\n## ")[0]
+    section = text("files.md").split("## Kalibr's results\n")[1].split("\n## ")[0]
     inputs = text("files.md").split("## Kalibr's files")[1].split("\n## ")[0]
     for path in gnomon.save_camera_imu_files(rig_result, made.recording, made.target, tmp_path):
         assert f"`{path.name}`" in section or f"## {path.name}" in text("files.md")

@@ -467,7 +467,7 @@ def test_plain_tags_and_the_first_id(board, key) -> None:
     ("changes", "message"),
     [
         ({"target_type": None}, "the key target_type is missing. Expected one of aprilgrid, checkerboard, circlegrid"),
-        ({"target_type": "charuco"}, 'target_type: found "charuco", expected one of aprilgrid'),
+        ({"target_type": "marker wall"}, 'target_type: found "marker wall", expected one of aprilgrid'),
         ({"target_type": 6}, "target_type: found 6, expected text"),
         ({"tagCols": None}, "the key tagCols is missing. Expected a count"),
         ({"tagCols": 6.5}, "tagCols: found 6.5, expected a whole number"),

@@ -18,6 +18,7 @@ from gnomon.readers.foreign import Residuals, Statistics
 from gnomon.readers.kalibr_camchain import read_camchain
 from gnomon.readers.kalibr_imu import read_kalibr
 from gnomon.readers.kalibr_imu_input import read_imu_input
+from gnomon.readers.kalibr_results import read_kalibr_results
 from gnomon.readers.kalibr_target import read_target
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.camera_imu_files import camera_imu_texts, residuals, save_camera_imu_files
@@ -194,6 +195,16 @@ def test_results_of_several_cameras(camera_calibration):
     for line in ("  Omni xi: 0.9", "  EUCM alpha: 0.6", "  EUCM beta: 1.1", "  DS xi: -0.2", "  DS alpha: 0.55"):
         assert line in text.splitlines()
     assert "  Focal length: [290.25, 291.5]\n  Principal point: [319.0, 241.0]\n  DS xi" in text
+
+
+def test_charuco_of_which_kalibr_knows_nothing(camera_calibration, tmp_path):
+    target = Target.charuco(
+        cols=8, rows=6, square_size_m=0.03, marker_size_m=0.022, dictionary="6X6_250", first_marker=3, legacy=True
+    )
+    (tmp_path / "results-imucam.txt").write_text(results_of(camera_calibration(cameras=1), target))
+    found = read_kalibr_results(tmp_path / "results-imucam.txt").target
+    assert found.describe() == target.describe()
+    assert np.array_equal(found.points, target.points)
 
 
 def test_circles(camera_calibration):

@@ -355,8 +355,8 @@ def test_without_imu(tmp_path):
 
 
 def two_folders(root):
-    write_images(root / "left", stamps(3))
-    write_images(root / "right", stamps(3))
+    write_images(root / "day", stamps(3))
+    write_images(root / "night", stamps(3))
 
 
 def stamps_of(values):
@@ -393,7 +393,7 @@ BAD = {
         "img0000.png to img0080.png, number the images",
     ),
     "names without stamps": (lambda root: write_images(root / "cam0", list("abc")), "a.png holds no stamp"),
-    "two folders": (two_folders, r"2 of its folders may be the camera \(left/, right/\). Name those"),
+    "two folders": (two_folders, r"2 of its folders may be the camera \(day/, night/\). Name those"),
     "zero stamps": (stamps_of([0, 0, 0, 0]), "3 of 4 images have the same stamp as another one; the first is 0 ns"),
     "a stray stamp": (stamps_of([START, START + STEP, 5, START + 2 * STEP]), "row 3: the stamp 5 ns is more than half"),
     "a stamp in words": (stamps_of([START, "later", START + STEP, START + 2 * STEP]), "data.csv, line 3"),

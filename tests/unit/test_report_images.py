@@ -24,7 +24,7 @@ def with_corners(result, change) -> Result:
 
 
 def test_section(result) -> None:
-    section = images_section(result.diagnostics)
+    section = images_section(result.diagnostics.corners)
     assert [block.title for block in section.blocks] == [
         "Images of cam0",
         "How certain the corners of cam0 are",
@@ -49,13 +49,13 @@ def test_sigma_of_the_detector_against_residuals(result) -> None:
         sigma = rng.uniform(0.02, 0.2, len(fit.frame))
         return replace(fit, corner_sigma_px=sigma, residual=rng.normal(0, 1, fit.residual.shape) * 2 * sigma[:, None])
 
-    section = images_section(with_corners(result, honest).diagnostics)
+    section = images_section(with_corners(result, honest).diagnostics.corners)
     caption = section.blocks[1].caption
     assert float(re.search(r"Residuals are ([\d.]+) times", caption)[1]) == pytest.approx(2, abs=0.1)
 
 
 def test_no_section_without_images() -> None:
-    assert images_section(make_camera_imu_result(duration_s=10).diagnostics) is None
+    assert images_section(make_camera_imu_result(duration_s=10).diagnostics.corners) is None
 
 
 def test_board_never_found_and_no_sigma(result, tmp_path) -> None:
@@ -66,7 +66,7 @@ def test_board_never_found_and_no_sigma(result, tmp_path) -> None:
         )
 
     odd = with_corners(result, nothing)
-    section = images_section(odd.diagnostics)
+    section = images_section(odd.diagnostics.corners)
     assert [block.title for block in section.blocks] == ["Images of cam0", "Images of cam1", "In numbers"]
     write_report(odd, tmp_path / "report.html")
 

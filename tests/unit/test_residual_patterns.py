@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.camera_imu.board import Board
-from gnomon.estimate.camera_imu.residual_patterns import _along_board, _neighbours, _pattern
+from gnomon.estimate.camera_imu.residual_patterns import _neighbours, _pattern, along_board
 from gnomon.models.target import Target
 
 LABELS, RATE_HZ = 40, 10.0
@@ -54,8 +54,8 @@ def test_residuals_are_turned_along_the_board(angle):
     # The board's x axis points along (cos, sin) of the image, its y axis, which points up, a quarter turn before it.
     x, y = np.array([np.cos(angle), np.sin(angle)]), np.array([np.sin(angle), -np.cos(angle)])
     by_place = 400.0 * np.stack([x, y], axis=1)[None]
-    np.testing.assert_allclose(_along_board(by_place, 2 * x[None]), [[2, 0]], atol=1e-12)
-    np.testing.assert_allclose(_along_board(by_place, 3 * y[None]), [[0, 3]], atol=1e-12)
+    np.testing.assert_allclose(along_board(by_place, 2 * x[None]), [[2, 0]], atol=1e-12)
+    np.testing.assert_allclose(along_board(by_place, 3 * y[None]), [[0, 3]], atol=1e-12)
 
 
 def test_neighbours_of_tags_are_the_same_corners_of_the_next_tag():

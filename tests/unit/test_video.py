@@ -31,7 +31,7 @@ def test_a_video_without_loss(tmp_path):
         np.testing.assert_allclose(t_ns, 50_000_000 * np.arange(8), atol=1)
         for number, found in enumerate(images):
             np.testing.assert_array_equal(found, image(number))
-    assert "clock has nothing to do with that of an IMU" in " ".join(recording.assumptions)
+    assert "the shift to the clock of the IMU is searched for" in " ".join(recording.assumptions)
     assert [source.name for source in recording.sources] == ["ride.mkv", "ride_imu.csv"]
 
 

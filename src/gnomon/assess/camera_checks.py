@@ -74,9 +74,9 @@ def imu_stamps(imus: Mapping[str, ImuSamples]) -> dict[str, Integers]:
 
 
 def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Finding]:
-    impossible = _impossible(name, frames, target)
-    if impossible is not None:
-        return [impossible]
+    wrong = impossible(name, frames, target)
+    if wrong is not None:
+        return [wrong]
     seen = views(frames, target)
     findings = [_count(name, frames, seen, target)]
     if findings[0].severity == "problem":
@@ -91,7 +91,8 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     return findings + _image(name, frames, seen)
 
 
-def _impossible(name: str, frames: CameraFrames, target: Target) -> Finding | None:
+def impossible(name: str, frames: CameraFrames, target: Target) -> Finding | None:
+    """Return why no calibration can use the frames of a camera, or None."""
     back = np.flatnonzero(np.diff(frames.t_ns) <= 0)
     if len(back):
         return Finding(

@@ -9,7 +9,7 @@ the derivatives of all of it.
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Self
+from typing import Literal, Self, cast
 
 import numpy as np
 
@@ -79,7 +79,7 @@ class Candidate:
                 cameras=found.cameras,
                 frame=found.frame,
                 covariance=found.uncertainty if own or stated else None,
-                gravity=found.gravity if own else None,
+                gravity=found.gravity if own and found.imus else None,
                 inputs=found.provenance.inputs,
                 verdict=found.verdict if own else "",
             )
@@ -113,7 +113,12 @@ class Candidate:
         if len({names.get(name, name) for name in there}) < len(there):
             raise OptionError(f"{self.name}: two sensors would be called alike ({', '.join(names.values())}).")
         imus = {names.get(name, name): imu for name, imu in self.imus.items()}
-        cameras = {names.get(name, name): camera for name, camera in self.cameras.items()}
+        cameras = {
+            names.get(name, name): camera
+            if camera.body == "imu0"
+            else replace(camera, body=_called(camera.body, names))
+            for name, camera in self.cameras.items()
+        }
         lenses = {names.get(name, name): lens for name, lens in self.lenses.items()}
         covariance = self.covariance
         if covariance is not None:
@@ -121,9 +126,19 @@ class Candidate:
         return replace(self, imus=imus, cameras=cameras, lenses=lenses, covariance=covariance)
 
     @property
+    def bodies(self) -> frozenset[str]:
+        """Sensors to which its cameras are placed: "imu0", or a camera where they were calibrated without an IMU."""
+        return frozenset(camera.body for camera in self.cameras.values())
+
+    @property
     def all_lenses(self) -> dict[str, Camera]:
         """All cameras, with and without a place."""
         return {**{name: camera.camera for name, camera in self.cameras.items()}, **self.lenses}
+
+
+def _called(body: Literal["imu0", "cam0"], names: Mapping[str, str]) -> Literal["imu0", "cam0"]:
+    """Return the name of the camera to which the others are placed after a renaming, whatever it is."""
+    return cast("Literal['imu0', 'cam0']", names.get(body, body))
 
 
 def _with_lever_arms(found: ForeignCalibration) -> dict[str, ImuCalibration]:

@@ -23,6 +23,14 @@ _BENT = frozenset(
 )
 """What a camera-IMU estimation says when something does not fit, whatever it is."""
 
+_MISFIT = frozenset(
+    {
+        *("reprojection", "board-found", "board-bow", "board-aspect", "lens-uncertain", "views-left-out"),
+        *("corners-outlying", "holdout-reprojection", "parts-disagree", "not-converged", "baseline-uncertain"),
+    }
+)
+"""What a calibration of cameras alone says where the lens model is wrong."""
+
 _EXPLAINS: dict[str, frozenset[str]] = {
     "stamps-unit": _BENT | {"streams-apart", "clock-drift"},
     "triads-apart": _BENT | {"never-static", "rotations-left-out", "holdout-rotation", "rests-unsteady"},
@@ -60,6 +68,11 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "not-observable": frozenset(
         {"uncertainty-accelerometer", "uncertainty-gyroscope", "holdout-accelerometer", "holdout-rotation", "imprecise"}
     ),
+    "attitudes-alike": frozenset({"lens-uncertain", "not-converged", "parts-disagree", "holdout-reprojection"}),
+    "views-few": frozenset({"lens-uncertain", "not-converged", "holdout-reprojection", "baseline-uncertain"}),
+    "lens-model": _MISFIT,
+    "board-small": frozenset({"lens-uncertain", "image-coverage", "not-converged", "baseline-uncertain"}),
+    "image-coverage": frozenset({"lens-uncertain"}),
     "accelerometer-drift": frozenset({"holdout-accelerometer", "beyond-noise", "model-incomplete", "parts-disagree"}),
 }
 """Cause -> what it explains; causes in the order in which they are told, the most fundamental first."""

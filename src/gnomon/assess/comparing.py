@@ -42,7 +42,8 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
     _check_number(candidates)
     notes: list[str] = []
     common = [in_common_frame(candidate) for candidate in candidates]
-    statements = {candidate.name: statement_of(candidate) for candidate in common}
+    references = frozenset(body for candidate in common for body in candidate.bodies if body != "imu0")
+    statements = {candidate.name: statement_of(candidate, references) for candidate in common}
     shared = _same_gravity(common)
     _check_units(statements, notes)
     blocks: list[Repeatability] = []
@@ -64,7 +65,7 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
     count = sum(int(np.isfinite(item.z).sum()) for item in both)
     comparison = Comparison(
         calibrations=tuple(_described(candidate) for candidate in candidates),
-        frame=FRAME,
+        frame=_frame(common),
         blocks=tuple(blocks),
         differences=tuple(differences),
         lenses=lenses,
@@ -74,6 +75,13 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
         compared=count,
     )
     return with_words(comparison, common, notes)
+
+
+def _frame(candidates: Sequence[Candidate]) -> str:
+    """Return the body frame in which they are compared: that of a camera where none holds an IMU."""
+    bodies = frozenset[str]().union(*(candidate.bodies for candidate in candidates))
+    imus = any(candidate.imus for candidate in candidates)
+    return FRAME if imus or len(bodies) != 1 else next(iter(bodies)).replace("imu0", FRAME)
 
 
 def _check_number(candidates: Sequence[Candidate]) -> None:

@@ -7,13 +7,11 @@ from itertools import combinations
 import numpy as np
 
 from ..findings import Finding
-from ..geometry.rotation_vector import rotvec_from_rotation
-from ..geometry.so3 import inverse
-from ..recording import Floats
 from ..sensors import ImuCalibration
 from ..trust import Verdict
 from .candidates import Candidate
 from .comparison import Comparison, Difference, standing_out
+from .comparison_poses import pose_findings
 from .comparison_words import block_words, listed, sigma_text, size_text
 from .verdict import worst_first
 
@@ -23,9 +21,6 @@ _KALIBRS_SIGMAS = (
 )
 _MOST = 3  # differences that a sentence names
 _FARTHER = 5.0  # times the largest distance between the others, where no sigmas tell
-_INVERSE = 0.1  # share of the distance that is left when one pose is inverted
-_ARM_M = 0.1  # what a turn of one radian moves, for adding turns and distances
-_SHIFT_S = 1e-3
 _LENS_PX = 0.5
 _GRAVITY = 1e-4  # of it
 
@@ -49,7 +44,7 @@ def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: S
     comparison = replace(comparison, outside=outside)
     findings = [
         *_disagreement(comparison, beyond),
-        *_poses(candidates),
+        *pose_findings(candidates),
         *_too_much_scatter(comparison),
         *_assumed(comparison),
         *_lenses(comparison),
@@ -243,42 +238,17 @@ def _first_of(texts: Sequence[str], most: int = _MOST) -> str:
     return listed([*texts[:most], *([f"{rest} more" if rest > 1 else "one more"] if rest > 0 else [])])
 
 
-def _poses(candidates: Sequence[Candidate]) -> Iterator[Finding]:
-    """Recognise poses that are the inverse of each other, and time shifts of opposite sign."""
-    for first, second in combinations(candidates, 2):
-        for name in [name for name in first.cameras if name in second.cameras]:
-            one, other = first.cameras[name], second.cameras[name]
-            distance = _distance(one.T_cam_imu, other.T_cam_imu)
-            if _distance(inverse(one.T_cam_imu), other.T_cam_imu) < _INVERSE * distance:
-                yield Finding(
-                    severity="problem",
-                    code="pose-inverted",
-                    message=f"T_cam_imu of {name} in {first.name} is nearly the inverse of that in {second.name}.",
-                    consequence="One of them maps camera to IMU coordinates and stands under the name of the other.",
-                    cure="p_cam = T_cam_imu p_imu. Write the inverse under T_imu_cam, which is read as well.",
-                )
-            shifts = one.time_shift_cam_imu, other.time_shift_cam_imu
-            if min(map(abs, shifts)) > _SHIFT_S and abs(sum(shifts)) < _INVERSE * abs(shifts[0] - shifts[1]):
-                yield Finding(
-                    severity="problem",
-                    code="shift-sign",
-                    message=f"The time shifts of {name} in {first.name} and {second.name} have opposite signs: "
-                    f"{1e3 * shifts[0]:.3f} and {1e3 * shifts[1]:.3f} ms.",
-                    consequence="One of them is t_cam - t_imu.",
-                    cure="t_imu = t_cam + time_shift_cam_imu, in gnomon, Kalibr, VINS (td) and Basalt.",
-                )
-
-
-def _distance(first: Floats, second: Floats) -> float:
-    """Return how far two poses lie apart, turns and distances added [rad]."""
-    angle = float(np.linalg.norm(rotvec_from_rotation(first[:3, :3].T @ second[:3, :3])))
-    return angle + float(np.linalg.norm(first[:3, 3] - second[:3, 3])) / _ARM_M
-
-
 def _lenses(comparison: Comparison) -> Iterator[Finding]:
-    """Say that lenses differ, since the pose of a camera depends on its lens."""
+    """Say that lenses differ beyond their sigmas, since the pose of a camera depends on its lens."""
+    alone = not any(sensor.startswith("imu") for one in comparison.calibrations for sensor in one.sensors)
+    chance = {
+        (item.first, item.second, item.path)
+        for item in comparison.differences
+        if item.mutual and item.largest <= comparison.z_limit
+    }
     for lens in comparison.lenses:
-        if lens.rms_px < _LENS_PX / 10:
+        explained = (lens.first, lens.second, f"{lens.camera}.lens") in chance and lens.turned_rms_px <= _LENS_PX
+        if lens.rms_px < _LENS_PX / 10 or explained:
             continue
         models = " and ".join(dict.fromkeys(lens.models))
         sizes = (
@@ -294,7 +264,10 @@ def _lenses(comparison: Comparison) -> Iterator[Finding]:
             f"{lens.rms_px:.2g} px rms, and by {lens.turned_rms_px:.2g} px after a turn of the camera by {turn:.2g} deg"
             f"{sizes}.",
             consequence="The pose of a camera takes up what its lens leaves, so that the poses differ as well.",
-            cure="Calibrate both with the same intrinsics, to compare the rest.",
+            cure="Look at which lens models they have and where in the image each had corners; calibrate both with "
+            "the same model."
+            if alone
+            else "Calibrate both with the same intrinsics, to compare the rest.",
         )
 
 

@@ -30,6 +30,7 @@ _SHOWN = {
     "misalignment": (1e3, "mrad"),
 }
 _PIXELS = frozenset({"fu", "fv", "pu", "pv"})
+_TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 _VECTORS = ("rotation", "translation")
 
 
@@ -40,8 +41,12 @@ def block_words(path: str) -> str:
     --------
     >>> block_words("cam0.time_shift"), block_words("imu0.gyroscope.rotation"), block_words("imu1.gyroscope.bias")
     ('time shift of cam0', 'rotation from body to gyroscope', 'bias of the gyroscope of imu1')
+    >>> block_words("cam1.cam0.rotation")
+    'rotation of cam1 against cam0'
     """
     sensor, *middle, name = path.split(".")
+    if middle and middle[0] not in _TRIADS:
+        return f"{_NAMES.get(name, name)} of {sensor} against {middle[0]}"
     of_imu = "" if sensor == "imu0" else f" of {sensor}"
     if not middle:
         return f"{_NAMES.get(name, name)} of {sensor}"

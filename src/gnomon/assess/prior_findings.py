@@ -6,6 +6,7 @@ from ..evidence import NAMES, Evidence, Known
 from ..findings import Finding
 from ..recording import Floats
 
+_TELLS = 0.1  # information of the recording against that of the prior, from which on it can contradict it
 _SURE = 3.7  # sigmas of a normal variable: one healthy recording of ten thousand
 
 
@@ -34,6 +35,50 @@ def prior_findings(known: Evidence, values: Floats, covariance: Floats) -> list[
                 )
             )
     return findings
+
+
+def cameras_disagree(
+    names: tuple[str, ...], difference: Floats, prior: Floats, ordinary: Floats, covariance: Floats
+) -> list[Finding]:
+    """Return whether a recording contradicts what was known of its cameras, which the estimate rests on, too.
+
+    In coordinates in which the prior's covariance is I and the recording's information diagonal, lambda, the estimate
+    differs from the prior by w, and the recording alone would by w (1 + 1 / lambda), with the variance 1 + f / lambda
+    where f is by how much its errors are larger than independent ones.
+
+    Parameters
+    ----------
+    names : (n,) scalars
+    difference : (n,) estimate minus prior
+    prior : (n, n) covariance of the prior
+    ordinary, covariance : (n, n) of the estimate, for independent errors and as it is published
+    """
+    root = np.linalg.cholesky(prior)
+    left = np.linalg.inv(root)
+    kept, axes = np.linalg.eigh(left @ ordinary @ left.T)  # 1 / (1 + lambda)
+    told = kept < 1 / (1 + _TELLS)
+    if not told.any():
+        return []
+    information = 1 / np.maximum(kept[told], 1e-12) - 1
+    white = axes[:, told].T @ left
+    wider = np.maximum(np.einsum("ij,jk,ik->i", white, covariance, white) / kept[told], 1.0)
+    by_recording = (white @ difference) ** 2 * (1 + 1 / information) ** 2
+    chi2 = float(np.sum(by_recording / (1 + wider / information)))
+    degrees = int(told.sum())
+    if chi2 <= _limit(degrees):
+        return []
+    worst = int(np.argmax(np.abs(difference) / np.sqrt(np.diag(prior))))
+    return [
+        Finding(
+            severity="warning",
+            code="prior-disagrees",
+            message=f"The recording contradicts the calibration of the cameras that was given with --cam: chi squared "
+            f"{chi2:.0f} for {degrees} directions, most of all in {names[worst]}.",
+            consequence="Lenses and poses of the cameras lie between the two and agree with neither.",
+            cure="Calibrate the cameras anew with gnomon camera, from images of this rig as it is now: focus, mounting "
+            "or image size may have changed since, or the board's stated size may be another one.",
+        )
+    ]
 
 
 def prior_used(known: Evidence) -> list[Finding]:

@@ -1,12 +1,13 @@
 """The quantities of a calibration that are compared, block by block, with their joint covariance."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from ..calibration import CameraCalibration, ImuCalibration
+from ..geometry.so3 import inverse, skew
 from ..models.forms import in_own_axes
 from ..models.frames import frame_turn, rotation_jacobian
 from ..parameters import covariance_names, parameters
@@ -84,10 +85,17 @@ class _Part:
     jacobian: Floats
 
 
-def statement_of(candidate: Candidate) -> Statement:
-    """Return what a candidate in the common frame states."""
+def statement_of(candidate: Candidate, references: frozenset[str] = frozenset()) -> Statement:
+    """Return what a candidate in the common frame states.
+
+    Parameters
+    ----------
+    references : cameras to which the other ones are stated as well, where they are placed to an IMU; for comparisons
+        with cameras that were calibrated without one
+    """
     names = covariance_names(candidate.imus, candidate.cameras)
     parts: list[tuple[Quantity, Floats]] = []
+    starts: dict[str, int] = {}
     start = 0
     for name, sensor in (*candidate.imus.items(), *candidate.cameras.items()):
         count = len(
@@ -98,16 +106,19 @@ def statement_of(candidate: Candidate) -> Statement:
             whole = np.zeros((len(part.quantity.elements), len(names)))
             whole[:, start : start + count] = part.jacobian
             parts.append((part.quantity, whole))
+        starts[name] = start
         start += count
+    parts += _between(candidate, references, starts, len(names))
     jacobian = np.concatenate([np.zeros((0, len(names))), *(rows for _, rows in parts)])
     covariance = None if candidate.covariance is None else _carried(jacobian, candidate.covariance.matrix)
     own = candidate.verdict != ""
+    alone = bool(candidate.bodies) and "imu0" not in candidate.bodies
     quantities: dict[str, Quantity] = {}
     row = 0
     for quantity, _ in parts:
         rows = slice(row, row + len(quantity.elements))
         row = rows.stop
-        estimated = _was_estimated(quantity, None if covariance is None else np.diag(covariance)[rows], own)
+        estimated = _was_estimated(quantity, None if covariance is None else np.diag(covariance)[rows], own, alone)
         if estimated is not None:
             values = frozen_array(quantity.values)
             quantities[quantity.path] = replace(quantity, values=values, estimated=estimated, rows=rows)
@@ -132,8 +143,15 @@ def _carried(jacobian: Floats, matrix: Floats) -> Floats:
     return np.asarray(carried, dtype=np.float64)
 
 
-def _was_estimated(quantity: Quantity, variance: Floats | None, own: bool) -> bool | None:
-    """Return whether a quantity was estimated or held; None where nothing is said of it."""
+def _was_estimated(quantity: Quantity, variance: Floats | None, own: bool, alone: bool) -> bool | None:
+    """Return whether a quantity was estimated or held; None where nothing is said of it.
+
+    Parameters
+    ----------
+    variance : (k,) as stated
+    own : whether it is of gnomon's own
+    alone : whether it is of a calibration of cameras alone
+    """
     ideal = not _deviation(quantity).any()
     if variance is not None:
         stated = bool(np.any(~(variance <= 0)))
@@ -141,7 +159,7 @@ def _was_estimated(quantity: Quantity, variance: Floats | None, own: bool) -> bo
     if quantity.kind in {"bias", "line delay"} and ideal:
         return None
     if quantity.kind == "lens":
-        return False  # as far as anybody knows: it was calibrated before
+        return alone  # with an IMU, as far as anybody knows: it was calibrated before
     return not ideal
 
 
@@ -231,19 +249,50 @@ def _imu_parts(name: str, imu: ImuCalibration) -> Iterator[_Part]:
 def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
     """Yield the blocks of a camera, which are those of its scalars."""
     lens = camera.camera
-    T = camera.T_cam_imu
-    turn = Quantity(path=f"{name}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
-    shift, delay = np.array([camera.time_shift_cam_imu]), np.array([lens.line_delay_s])
-    blocks = (
-        replace(turn, rotation=T[:3, :3]),
-        Quantity(path=f"{name}.translation", kind="translation", elements=_AXES, unit="m", values=T[:3, 3]),
-        Quantity(path=f"{name}.time_shift", kind="time shift", elements=("",), unit="s", values=shift),
-        Quantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
-        Quantity(path=f"{name}.lens", kind="lens", elements=lens.parameter_symbols, unit="", values=lens.parameters),
-    )
+    blocks: list[Quantity] = []
+    if name != camera.body:
+        blocks += _pose(name if camera.body == "imu0" else f"{name}.{camera.body}", camera.T_cam_body)
+    if camera.body == "imu0":
+        shift, delay = np.array([camera.time_shift_cam_imu]), np.array([lens.line_delay_s])
+        blocks += [
+            Quantity(path=f"{name}.time_shift", kind="time shift", elements=("",), unit="s", values=shift),
+            Quantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
+        ]
+    symbols, values = lens.parameter_symbols, lens.parameters
+    blocks.append(Quantity(path=f"{name}.lens", kind="lens", elements=symbols, unit="", values=values))
     count = sum(len(block.elements) for block in blocks)
     start = 0
     for block in blocks:
         rows = np.eye(count)[start : start + len(block.elements)]
         start += len(block.elements)
         yield _Part(quantity=block, jacobian=rows)
+
+
+def _pose(path: str, T: Floats) -> tuple[Quantity, Quantity]:
+    """Return rotation and translation of T (4, 4) under a path."""
+    turn = Quantity(path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
+    shift = Quantity(path=f"{path}.translation", kind="translation", elements=_AXES, unit="m", values=T[:3, 3])
+    return replace(turn, rotation=T[:3, :3]), shift
+
+
+def _between(
+    candidate: Candidate, references: frozenset[str], starts: Mapping[str, int], count: int
+) -> Iterator[tuple[Quantity, Floats]]:
+    """Yield the poses of cameras to other cameras where all are placed to an IMU, with derivatives by all scalars.
+
+    With T_10 = T_1 T_0^-1, small rotations on the right give d = R_0 (d_1 - d_0), and the translation moves by
+    dt_1 - R_10 dt_0 + R_10 [t_0]x d.
+    """
+    for reference in sorted(references & set(candidate.cameras)):
+        zero = candidate.cameras[reference]
+        for name, camera in candidate.cameras.items():
+            if name == reference or {camera.body, zero.body} != {"imu0"}:
+                continue
+            T = camera.T_cam_body @ inverse(zero.T_cam_body)
+            R, R_0, t_0 = T[:3, :3], zero.T_cam_body[:3, :3], zero.T_cam_body[:3, 3]
+            one, other = starts[name], starts[reference]
+            turn, shift = np.zeros((3, count)), np.zeros((3, count))
+            turn[:, one : one + 3], turn[:, other : other + 3] = R_0, -R_0
+            shift[:, one + 3 : one + 6], shift[:, other + 3 : other + 6] = np.eye(3), -R
+            shift += R @ skew(t_0) @ turn
+            yield from zip(_pose(f"{name}.{reference}", T), (turn, shift), strict=True)

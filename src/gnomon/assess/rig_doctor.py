@@ -17,6 +17,7 @@ from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import FrameQuality, ImuSamples, Integers, Recording
 from .camera_checks import all_stamps, check_cameras, check_common_time, check_rhythm, imu_stamps
+from .cameras_checks import check_views
 from .clock_checks import check_clocks, check_epochs
 from .image_checks import Sight, boxes, check_quality, check_sight
 from .image_samples import ImageLook, check_looks, check_sizes, look_at
@@ -122,8 +123,10 @@ def check_rig(
 def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at a recording of IMUs and of cameras whose corners were detected, before anything is estimated from it.
 
-    Codes: those of `check_cameras`, `check_epochs` and `check_recording_rig`.
+    Codes: those of `check_cameras`, `check_epochs` and `check_recording_rig`; without an IMU those of `check_views`.
     """
+    if not recording.imus:
+        return (*check_imus({}), *check_views(recording, target))
     findings = [*check_cameras(recording, target), *check_epochs(all_stamps(recording))]
     if not any(finding.severity == "problem" for finding in findings):
         findings += check_recording_rig(recording, target)
@@ -131,15 +134,15 @@ def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
 
 
 def check_imus(imus: Mapping[str, ImuSamples]) -> list[Finding]:
-    """Return findings on IMUs that moved with cameras; having none is a problem (code imu-missing)."""
+    """Return findings on IMUs that moved with cameras; having none is told (code imu-missing)."""
     if not imus:
         return [
             Finding(
-                severity="problem",
+                severity="warning",
                 code="imu-missing",
                 message="There is no IMU in this recording.",
-                consequence="Cameras cannot be calibrated against an IMU without its samples.",
-                cure="Record the IMU's topic too, or put its table beside the images as imu0.csv.",
+                consequence="Its cameras can be calibrated alone, with gnomon camera, but not against an IMU.",
+                cure="For that record the IMU's topic too, or put its table beside the images as imu0.csv.",
             )
         ]
     return [finding for name, imu in imus.items() for finding in check_moving_imu(name, imu)]
@@ -254,17 +257,15 @@ def _other_board(images: list[Grey], target: Target | None) -> str:
     return guess_board(images, target)
 
 
-def _detector(target: Target) -> Detector | None:
-    """Return what finds a board in an image; None where there is nothing for this kind of board."""
-    if target.kind == "aprilgrid":
-        from ..detect.aprilgrid import detect_aprilgrid  # OpenCV takes half of a second to load
-
-        return lambda image: detect_aprilgrid(image, target)
+def _detector(target: Target) -> Detector:
+    """Return what finds a board in an image of its own, not in one that follows another."""
     if target.kind == "checkerboard":
         from ..detect.checkerboard import detect_checkerboard
 
         return lambda image: detect_checkerboard(image, target)
-    return None
+    from ..detect.worker import detector
+
+    return detector(target)
 
 
 def _check_stream(name: str, look: StreamLook, camera: Camera | None, target: Target | None) -> list[Finding]:

@@ -13,14 +13,15 @@ _WALKS, _LEAST_RAD_S = 5.0, np.radians(0.1)
 
 def residual_findings(diagnostics: CameraImuDiagnostics) -> list[Finding]:
     """Return findings of codes corners-outlying and gyroscope-drift."""
-    findings = [finding for name, fit in diagnostics.corners.items() for finding in _outlying(name, fit)]
+    findings = [finding for name, fit in diagnostics.corners.items() for finding in outlying_corners(name, fit)]
     for name, track in diagnostics.biases.items():
         if name.endswith(".gyroscope"):
             findings += _drift(name, track)
     return findings
 
 
-def _outlying(name: str, fit: CornerFit) -> list[Finding]:
+def outlying_corners(name: str, fit: CornerFit) -> list[Finding]:
+    """Return what to say where many corners lie far from where they should."""
     used = fit.frame_used[fit.frame] & np.isfinite(fit.residual[:, 0])
     if not used.any():
         return []

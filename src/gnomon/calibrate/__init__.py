@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .camera_imu import calibrate_camera_imu
     from .camera_imu_reading import read_camera_imu
+    from .camera_reading import read_camera_views
+    from .cameras import calibrate_cameras
     from .imu import calibrate_imu
     from .judging import judge
     from .magnetometer import calibrate_magnetometer
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "calibrate_camera_imu": "camera_imu",
+    "calibrate_cameras": "cameras",
     "calibrate_imu": "imu",
     "calibrate_magnetometer": "magnetometer",
     "calibrate_turntable": "turntable",
@@ -24,11 +27,13 @@ _HOMES = {
     "plan": "planning",
     "rate_from_video": "platter_rate",
     "read_camera_imu": "camera_imu_reading",
+    "read_camera_views": "camera_reading",
     "read_hardware": "planning",
 }
 
 __all__ = [
     "calibrate_camera_imu",
+    "calibrate_cameras",
     "calibrate_imu",
     "calibrate_magnetometer",
     "calibrate_turntable",
@@ -37,6 +42,7 @@ __all__ = [
     "plan",
     "rate_from_video",
     "read_camera_imu",
+    "read_camera_views",
     "read_hardware",
 ]
 

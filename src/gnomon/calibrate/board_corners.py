@@ -21,8 +21,9 @@ from threadpoolctl import threadpool_limits
 from ..detect.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from ..detect.tag_spacing import tag_spacing
 from ..detect.worker import BoardProcess, ProcessLostError, detector
-from ..errors import DetectionError, OptionError, RecordingError
+from ..errors import DetectionError, RecordingError
 from ..images import Frame, Grey, ImageStream
+from ..models.camera import Camera
 from ..models.target import Target
 from ..readers.kalibr_camchain import CameraInput
 from ..recording import CameraFrames, FrameQuality
@@ -48,11 +49,13 @@ class CameraImages:
     name : "cam0", "cam1", ...
     stream : its images
     known : lens, intrinsics, and guesses of the extrinsics
+    lens_known : whether what is known is its lens, rather than a stand-in for the size of its images
     """
 
     name: str
     stream: ImageStream
     known: CameraInput
+    lens_known: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,6 +63,7 @@ class _Seen:
     """What became of one frame."""
 
     t_ns: int
+    where: str
     view: BoardView
     size: tuple[int, int] | None
     damage: str = ""
@@ -93,10 +97,9 @@ def detect_corners(
     DetectionError
         If the board is in none of them.
     OptionError
-        If boards of this kind cannot be found in images.
+        If the board has markers of a dictionary that does not exist.
     """
     notes: list[str] = []
-    _refuse_unknown(target)
     tell = progress or (lambda _: None)
     seen: list[_Seen] = []
     step = max(images.stream.count // _TOLD, 1)
@@ -108,16 +111,8 @@ def detect_corners(
         seen.append(item)
     _check(images, seen, target, notes)
     seen = _in_order(images.name, seen, notes)
-    views = _numbered_alike(seen, target, images.known)
+    views = _numbered_alike(seen, target, images.known.camera if images.lens_known else None)
     return BoardCorners(frames=_camera_frames(seen, views, images.known), notes=tuple(notes))
-
-
-def _refuse_unknown(target: Target) -> None:
-    if target.kind not in {"aprilgrid", "checkerboard"}:
-        raise OptionError(
-            f"{target.describe()}: such boards are not found in images yet. Detect the corners with another program "
-            "and give them as cam0_corners.csv, or use an AprilGrid or a checkerboard."
-        )
 
 
 def _all_frames(source: Iterator[Frame], target: Target, workers: int, count: int) -> Iterator[_Seen]:
@@ -176,9 +171,9 @@ def _run(frames: list[Frame], target: Target, processes: Processes) -> list[_See
     images = [_decoded(frame) for frame in frames]
     views = iter(_views([image for image in images if not isinstance(image, str)], target, processes))
     return [
-        _Seen(t_ns=frame.t_ns, view=nothing_seen(), size=None, damage=image)
+        _Seen(t_ns=frame.t_ns, where=frame.where, view=nothing_seen(), size=None, damage=image)
         if isinstance(image, str)
-        else _Seen(t_ns=frame.t_ns, view=next(views), size=(image.shape[1], image.shape[0]))
+        else _Seen(t_ns=frame.t_ns, where=frame.where, view=next(views), size=(image.shape[1], image.shape[0]))
         for frame, image in zip(frames, images, strict=True)
     ]
 
@@ -206,6 +201,14 @@ def _check_size(images: CameraImages, item: _Seen, before: list[_Seen]) -> None:
     wanted = images.known.camera.resolution
     if item.size is None or item.size == wanted:
         return
+    if not images.lens_known:
+        other = next((other for other in before if other.size is not None), None)
+        found = f"{item.where} of {item.size[0]} x {item.size[1]} px"
+        than = f"{other.where} of {wanted[0]} x {wanted[1]} px" if other else f"{wanted[0]} x {wanted[1]} px stated"
+        raise RecordingError(
+            f"{images.name}: the images are of different sizes, such as {than} and {found}. One lens is calibrated at "
+            "one image size: keep the images of one size, and do not crop, scale or turn any of them."
+        )
     sizes = dict.fromkeys(size for size in (*(other.size for other in before), item.size) if size is not None)
     found = " and ".join(f"{width} x {height}" for width, height in sizes)
     raise RecordingError(
@@ -290,15 +293,19 @@ def _in_order(name: str, seen: list[_Seen], notes: list[str]) -> list[_Seen]:
     return [seen[i] for i in order[once]]
 
 
-def _numbered_alike(seen: list[_Seen], target: Target, known: CameraInput) -> tuple[BoardView, ...]:
-    """Return the views with their corners numbered from one end of the board, as far as the images tell it."""
+def _numbered_alike(seen: list[_Seen], target: Target, camera: Camera | None) -> tuple[BoardView, ...]:
+    """Return the views with their corners numbered from one end of the board, as far as the images tell it.
+
+    Without a lens the motion in the image tells it, and where that is not certain the numbers stay as they were found;
+    several cameras are then numbered alike where they are brought together.
+    """
     views = tuple(item.view for item in seen)
-    if target.kind != "checkerboard":
+    if target.kind not in {"checkerboard", "circlegrid"}:
         return views
     from ..detect.checkerboard_order import consistent_order
 
     t_ns = np.array([item.t_ns for item in seen], dtype=np.int64)
-    return consistent_order(views, t_ns, target, camera=known.camera).views
+    return consistent_order(views, t_ns, target, camera=camera).views
 
 
 def _camera_frames(seen: list[_Seen], views: tuple[BoardView, ...], known: CameraInput) -> CameraFrames:

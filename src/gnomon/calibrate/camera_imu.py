@@ -34,11 +34,12 @@ from ..estimate.camera_imu.visual_terms import VisualData
 from ..evidence import Priors
 from ..models.target import Target
 from ..options import CameraImuOptions
-from ..recording import Recording
+from ..recording import KnownRig, Recording
 from .board_order import numbered_alike
 from .camera_imu_model import chosen_model, considered
 from .camera_imu_preparation import PreparedCameraImu, prepare_camera_imu, with_looks
-from .camera_imu_prior import evidence_of_imu, known_imu
+from .camera_imu_prior import cameras_moved, evidence_of_imu, known_imu
+from .camera_imu_shutter import LINE_DELAY, shutters_estimated, with_line_delays
 from .preparation import local_gravity, stated_options
 
 Progress = Callable[[str], None]
@@ -95,8 +96,12 @@ def _calibrated(
     prepared = replace(prepared, findings=(*prepared.findings, *prior_used(known), *ends))
     found = looks(recording.cameras, target, prepared.origin_ns, stream)
     prepared = with_looks(prepared, found, target, stream, imu=next(iter(recording.imus)))
+    stated = options
+    options, rolling = with_line_delays(options, found, prepared.findings)
     tell("estimating")
-    chosen = chosen_model(_estimated(prepared, found, gravity, options, tell, known=known_imu(known)), options, tell)
+    chosen = chosen_model(
+        _estimated(prepared, found, gravity, options, tell, known=known_imu(known), rig=recording.rig), options, tell
+    )
     solution, start = chosen.solution, chosen.solution.layout.start
     certain = uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None)
     basic = _basic(start, solution, options, tell) if options.compare and options.model != "basic" else None
@@ -124,20 +129,28 @@ def _calibrated(
     diagnostics = replace(described, trust=trust)
     likely = likely_missing(solution, described.signals) if incomplete(trust) else []
     took_up = added_findings(chosen.added, start, solution.state.parameters)
-    doubts = (*took_up, *model_incomplete(trust, likely), *parts_disagree(trust.splits))
-    assessment = assess((*prepared.findings, *doubts), evidence, diagnostics)
+    doubts = (
+        *cameras_moved(solution, certain),
+        *took_up,
+        *model_incomplete(trust, likely),
+        *parts_disagree(trust.splits),
+    )
+    uncertain = Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance)
+    noticed = shutters_estimated(prepared.findings, result.cameras, uncertain)
+    assessment = assess((*noticed, *doubts), evidence, diagnostics)
+    added, tries = (*chosen.added, *((LINE_DELAY,) if rolling else ())), chosen.tries + rolling
     calibration = Calibration(
         imus=result.imus,
         cameras=result.cameras,
         frame="accel-x",
         gravity=gravity,
-        uncertainty=Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance),
-        assessment=replace(assessment, trust=replace(trust_note(trust), added=chosen.added, tries=chosen.tries)),
+        uncertainty=uncertain,
+        assessment=replace(assessment, trust=replace(trust_note(trust), added=added, tries=tries)),
         provenance=Provenance(
             gnomon_version=__version__,
             method="camera-imu",
             inputs=recording.sources,
-            options=stated_options(replace(options, compare=False)),  # what is drawn changes no number
+            options=stated_options(replace(stated, compare=False)),  # what is drawn changes no number
         ),
     )
     return Result(calibration=calibration, diagnostics=diagnostics)
@@ -151,10 +164,12 @@ def _estimated(
     tell: Progress,
     *,
     known: ImuParameters | None,
+    rig: KnownRig | None,
 ) -> Solution:
     """Return the solution with the options' model; begin anew where a time shift would leave the trajectory's span."""
     stream = imu_stream(prepared.inertial)
     parameters = _with_line_delay(first_parameters(found, gravity.value, options), options)
+    parameters = replace(parameters, rig=rig)
     if known is not None:
         parameters = replace(parameters, imus=(replace(known, origin=parameters.imus[0].origin),))
     pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)

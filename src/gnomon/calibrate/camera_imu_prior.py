@@ -1,13 +1,18 @@
-"""What is known of an IMU beforehand, in the letters of document B."""
+"""What is known beforehand: of an IMU, in the letters of document B, and of the cameras together."""
 
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from ..assess.prior_findings import cameras_disagree
 from ..calibration import Gravity
 from ..estimate.camera_imu.parameters import ImuParameters
+from ..estimate.camera_imu.rig_prior import from_known
+from ..estimate.camera_imu.solution import Solution
+from ..estimate.camera_imu.uncertainty import Uncertainty
 from ..evidence import SCALARS, TRIADS, Evidence, Priors, known_beforehand
+from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.forms import KrebsAccelerometer, KrebsGyroscope
 from ..models.pattern import LOWER
@@ -43,6 +48,26 @@ def known_imu(found: Evidence) -> ImuParameters | None:
     if own:
         jacobian[_Q_BG] = 0.0  # a gyroscope known in its own frame says nothing of how it lies in the body
     return replace(start, covariance=jacobian @ covariance @ jacobian.T)
+
+
+def cameras_moved(solution: Solution, certain: Uncertainty) -> list[Finding]:
+    """Return whether the recording contradicts what was known of the cameras together, lenses and poses."""
+    layout, parameters = solution.layout, solution.state.parameters
+    rig = layout.start.rig
+    if rig is None:
+        return []
+    found = from_known(rig, layout, parameters)
+    at = [i for i, name in enumerate(rig.names) if name in found.names]
+    order = [found.names.index(rig.names[i]) for i in at]
+    free = layout.free_index
+    jacobian, size = found.jacobian[order][:, free], len(free)
+    return cameras_disagree(
+        tuple(rig.names[i] for i in at),
+        found.residual[order],
+        rig.covariance[np.ix_(at, at)],
+        jacobian @ certain.ordinary[:size, :size] @ jacobian.T,
+        jacobian @ certain.covariance[:size, :size] @ jacobian.T,
+    )
 
 
 def _joint_covariance(found: Evidence) -> tuple[Floats, bool]:

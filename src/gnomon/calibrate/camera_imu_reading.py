@@ -5,14 +5,14 @@ read target, lenses and noise -> open the recording -> find the board in the ima
 A folder that holds corners already, which another program detected, is read as it is.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
 
 from ..assess.clock_checks import check_clocks
-from ..errors import OptionError, RecordingError
+from ..errors import OptionError
 from ..findings import Finding
 from ..images import ImageRecording, ImageStream
 from ..models.target import Target
@@ -23,13 +23,11 @@ from ..readers.image_recording import open_images
 from ..readers.kalibr_camchain import CameraInput
 from ..readers.kalibr_imu_input import ImuInput
 from ..readers.kalibr_target import read_target
-from ..readers.sensor_inputs import read_cameras, read_imus
+from ..readers.sensor_inputs import read_cameras, read_imus, read_rig
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..units import Units
-from .board_corners import BoardCorners, CameraImages, detect_corners
-from .corner_cache import cache_file, keep_corners, kept_corners
+from .board_reading import Progress, corners_of_camera, stated_cameras
 
-Progress = Callable[[str], None]
 _RATE_TOLERANCE = 0.05
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})
 
@@ -87,7 +85,8 @@ def read_camera_imu(
                 "--cam is missing: Kalibr's file of the cameras and their intrinsics. Name it, or put it into "
                 f"{path} as camchain.yaml."
             )
-        return read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
+        recording, board = read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
+        return _with_rig(recording, cam), board
     notes: list[str] = []
     board = read_target(target, notes)
     stated = {} if cam is None else read_cameras(cam, notes)
@@ -99,7 +98,7 @@ def read_camera_imu(
     tell = progress or (lambda _: None)
     cameras: dict[str, CameraFrames] = {}
     for name, entry in known.items():
-        found = _corners(images, name, entry, board, workers=workers, cache=cache, progress=tell)
+        found = corners_of_camera(images, name, entry, board, workers=workers, cache=cache, progress=tell)
         cameras[name] = found.frames
         notes.extend(found.notes)
     files = [Path(file) for file in (cam, imu, target) if file is not None]
@@ -110,7 +109,18 @@ def read_camera_imu(
         assumptions=(*images.assumptions, *notes),
         findings=_clocks(images, tuple(cameras)),
     )
-    return recording, board
+    return _with_rig(recording, cam), board
+
+
+def _with_rig(recording: Recording, cam: str | PathLike[str] | None) -> Recording:
+    """Return the recording with what a calibration of its cameras alone tells of them together, where there is one."""
+    known = None if cam is None else read_rig(cam)
+    if known is None or cam is None:
+        return recording
+    rig = known.of(recording.cameras)
+    what = "the lenses and the poses of the cameras to each other" if rig.T_cam_cam0 else "the lenses"
+    said = f"{what} are known by {Path(cam).name}, and estimated along with its covariance as their prior."
+    return replace(recording, rig=rig, assumptions=(*recording.assumptions, said))
 
 
 def _clocks(images: ImageRecording, cameras: tuple[str, ...]) -> tuple[Finding, ...]:
@@ -139,26 +149,7 @@ def _known_cameras(
         notes.append("the lenses are those that the recording states.")
         return {name: entry for name, entry in known.items() if entry is not None}
     assert cam is not None
-    both = [name for name in stated if name in images.streams]
-    if not both:
-        raise RecordingError(
-            f"{path}: there are images of {', '.join(images.streams)}, but {Path(cam).name} describes "
-            f"{', '.join(stated)}. Rename one of them."
-        )
-    notes.extend(
-        f"{name} of {Path(cam).name} has no images here and was left out." for name in stated if name not in both
-    )
-    notes.extend(
-        f"the images of {name} were left out: {Path(cam).name} does not describe it."
-        for name in images.streams
-        if name not in both
-    )
-    return {name: _with_topic(stated[name], images.streams[name].topic) for name in both}
-
-
-def _with_topic(known: CameraInput, topic: str) -> CameraInput:
-    """Return what is known of a camera with the topic that was read, whatever the file of the cameras says."""
-    return replace(known, camera=replace(known.camera, topic=topic)) if topic else known
+    return stated_cameras(images, stated, path, Path(cam).name, notes)
 
 
 def _as_recorded(stream: ImageStream) -> CameraInput | None:
@@ -167,31 +158,6 @@ def _as_recorded(stream: ImageStream) -> CameraInput | None:
     return CameraInput(
         camera=stream.camera, T_cam_imu=stream.T_cam_imu, time_shift_cam_imu_s=stream.time_shift_cam_imu_s
     )
-
-
-def _corners(
-    images: ImageRecording,
-    name: str,
-    known: CameraInput,
-    target: Target,
-    *,
-    workers: int | None,
-    cache: str | PathLike[str] | None,
-    progress: Progress,
-) -> BoardCorners:
-    """Return the corners of one camera: as they are kept, else as they are found, and keep them then."""
-    stream = images.streams[name]
-    file = None if cache is None else cache_file(Path(cache), images.sources, name, stream.topic, target)
-    kept = None if file is None else kept_corners(file, known)
-    if kept is not None and file is not None:
-        said = f"{name}: the corners are those that an earlier run found in the same images ({file.name})."
-        return BoardCorners(frames=kept.frames, notes=(*kept.notes, said))
-    found = detect_corners(
-        CameraImages(name=name, stream=stream, known=known), target, workers=workers, progress=progress
-    )
-    if file is not None:
-        keep_corners(file, found)
-    return found
 
 
 def _with_noise(name: str, samples: ImuSamples, stated: ImuInput | None, notes: list[str]) -> ImuSamples:

@@ -31,10 +31,16 @@ _HASH = 16  # digits
 _ARRAYS = ("t_ns", "frame", "point", "pixels", "sigma_px", "blur_px", "black", "white")
 
 
-def cache_file(folder: Path, images: tuple[Source, ...], camera: str, topic: str, target: Target) -> Path:
-    """Return the file in which the corners of one camera are kept."""
+def cache_file(
+    folder: Path, images: tuple[Source, ...], camera: str, topic: str, target: Target, *, lens_known: bool = True
+) -> Path:
+    """Return the file in which the corners of one camera are kept; a lens helps to number those without codes."""
     size = [target.tag_size_m, target.tag_spacing, target.row_spacing_m, target.col_spacing_m, target.spacing_m]
     board = [target.kind, target.cols, target.rows, *size, target.asymmetric, target.border_bits, target.first_tag]
+    if target.kind == "charuco":
+        board += [target.marker_size_m, target.square_size_m, target.dictionary, target.legacy]
+    if target.kind in {"checkerboard", "circlegrid"} and not lens_known:
+        board += ["numbered without the lens"]
     what = json.dumps([__version__, DETECTORS, [source.sha256 for source in images], camera, topic, board])
     return folder / f"{PREFIX}{camera}-{hashlib.sha256(what.encode()).hexdigest()[:_HASH]}{SUFFIX}"
 

@@ -4,6 +4,7 @@ from os import PathLike
 
 from ..assess.needs import judged
 from ..calibration import Calibration
+from ..errors import OptionError
 from ..readers.use_file import read_use
 from ..requirements import GENERAL, Use
 
@@ -23,7 +24,8 @@ def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibrati
     Raises
     ------
     OptionError
-        If there is no such use; FormatError where the file is not as it should be.
+        If there is no such use, or the calibration is of cameras alone; FormatError where the
+        file is not as it should be.
 
     Examples
     --------
@@ -34,7 +36,15 @@ def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibrati
     >>> fit_for.assessment.trust.use, len(fit_for.assessment.trust.needs)
     ('ahrs', 6)
     """
-    return judged(calibration, stated_use(use))
+    found = stated_use(use)
+    if not calibration.imus:
+        if found is None:
+            return calibration
+        raise OptionError(
+            f"what {found.name} needs is of an IMU, alone or with cameras, and this calibration is of cameras alone: "
+            "its verdict is by the errors on views that it had not seen."
+        )
+    return judged(calibration, found)
 
 
 def stated_use(use: str | PathLike[str] | Use) -> Use | None:

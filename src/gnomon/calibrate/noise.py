@@ -25,9 +25,11 @@ from ..estimate.allan_fit import AllanFit, AxisFit
 from ..estimate.allan_model import KINDS
 from ..findings import Finding
 from ..options import NoiseOptions
+from ..readers.device_log import is_device_log
 from ..readers.files import file_source
 from ..readers.folder import recording_files
 from ..readers.recognise import gyroscope_unit
+from ..readers.recordings import read
 from ..readers.sample_stream import SampleStream
 from ..readers.stream import open_stream, stream_of
 from ..recording import Floats, Recording, Source, TriadSamples
@@ -111,9 +113,11 @@ def _opened(
     rate_hz: float | None,
     units: Units | None,
 ) -> tuple[SampleStream, tuple[Source, ...]]:
+    paths = () if isinstance(recording, Recording) else (recording,) if isinstance(recording, str | Path) else recording
+    if not isinstance(recording, Recording) and is_device_log(paths):
+        recording = read(*paths, columns=columns, rate_hz=rate_hz, units=units)
     if isinstance(recording, Recording):
         return stream_of(next(iter(recording.imus.values())), 1 << 18), recording.sources
-    paths = (recording,) if isinstance(recording, str | Path) else tuple(recording)
     stream = open_stream(
         *paths,
         expected=Units(),

@@ -17,8 +17,10 @@ from ..calibration import Calibration
 from ..errors import GnomonError
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
+from ..readers.kalibr_camchain import CameraInput
 from ..readers.kalibr_target import read_target
 from ..readers.sensor_inputs import read_cameras, read_imus
+from ..recording import Floats
 from ..requirements import GENERAL_IMU, GENERAL_RIG, Use
 from ..sensors import CameraCalibration
 from ..simulate.planned_views import PlannedRig, usual_rig
@@ -108,7 +110,7 @@ def read_hardware(
         first = next(iter(usual.cameras.values()))
         cameras = {
             name: CameraCalibration(
-                T_cam_body=first.T_cam_imu if found.T_cam_imu is None else found.T_cam_imu,
+                T_cam_body=_place(found, first.T_cam_imu),
                 time_shift_cam_imu=found.time_shift_cam_imu_s or 0.0,
                 camera=found.camera,
             )
@@ -124,6 +126,13 @@ def read_hardware(
         noise=noise,
         imu_rate_hz=rate_hz or _USUAL_RATE_HZ,
     )
+
+
+def _place(camera: CameraInput, first: Floats) -> Floats:
+    """Return T_cam_imu (4, 4) as it is stated, else by the pose to cam0, of which `first` is the usual T_cam_imu."""
+    if camera.T_cam_imu is not None:
+        return camera.T_cam_imu
+    return first if camera.T_cam_cam0 is None else camera.T_cam_cam0 @ first
 
 
 def plan(

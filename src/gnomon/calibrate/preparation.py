@@ -6,7 +6,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..assess.doctor import check
-from ..calibration import AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
+from ..calibration import UNSTATED_GRAVITY, AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
+from ..camera_options import CameraOptions
 from ..detect.noise import resting_noise
 from ..detect.repair import repaired
 from ..detect.saturation import saturated
@@ -19,13 +20,11 @@ from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals
 from ..models.gravity import (
     NORMAL_GRAVITY_SIGMA_M_S2,
-    WORLD_GRAVITY_SIGMA_M_S2,
     normal_gravity_m_s2,
 )
 from ..options import CameraImuOptions, ImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..triad_options import MagnetometerOptions, TurntableOptions
-from ..units import STANDARD_GRAVITY_M_S2
 
 _SURELY_STILL = 10.0  # times the resting level of s^2
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
@@ -140,12 +139,12 @@ def local_gravity(options: ImuOptions | CameraImuOptions | TurntableOptions) -> 
         value = normal_gravity_m_s2(options.latitude, options.altitude)
         source = f"normal gravity at latitude {options.latitude:g} deg, altitude {options.altitude:g} m"
         return Gravity(value=value, sigma=NORMAL_GRAVITY_SIGMA_M_S2, source=source)
-    return Gravity(
-        value=STANDARD_GRAVITY_M_S2, sigma=WORLD_GRAVITY_SIGMA_M_S2, source="standard gravity, as no place was stated"
-    )
+    return UNSTATED_GRAVITY
 
 
-def stated_options(options: ImuOptions | CameraImuOptions | TurntableOptions | MagnetometerOptions) -> dict[str, str]:
+def stated_options(
+    options: ImuOptions | CameraImuOptions | CameraOptions | TurntableOptions | MagnetometerOptions,
+) -> dict[str, str]:
     """Return the options that differ from their default, as text."""
     return {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
 

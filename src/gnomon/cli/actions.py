@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError
 from . import commands
+from .camera_actions import camera
 from .camera_imu_actions import camera_imu, simulate_camera_imu
 from .check_actions import check
 from .command_parts import PosesInput
@@ -29,7 +30,9 @@ from .results import (
     say_result,
     write_result,
 )
+from .simulate_cameras_actions import simulate_cameras
 from .study_actions import study
+from .target_actions import print_target
 from .terminal import WIDTH, Terminal
 from .turntable_actions import simulate_turntable, turntable
 from .use_option import judged_result, read_use_option
@@ -128,7 +131,13 @@ def _apply(command: commands.Apply, terminal: Terminal) -> int:
     from ..writers.apply import apply_files
 
     source = command.recording
-    name, imu = next(iter(load(command.calibration).imus.items()))
+    imus = load(command.calibration).imus
+    if not imus:
+        raise OptionError(
+            f"{command.calibration}: this calibration is of cameras alone; only samples of an IMU are corrected. Give "
+            "the calibration of the IMU."
+        )
+    name, imu = next(iter(imus.items()))
     rows = apply_files(
         imu,
         *source.paths,
@@ -193,6 +202,7 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
 
 _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.Imu: _imu,
+    commands.CameraCommand: camera,
     commands.CameraImu: camera_imu,
     commands.Turntable: turntable,
     commands.Rate: rate,
@@ -201,6 +211,7 @@ _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.Check: check,
     commands.Plan: plan,
     commands.PlanImu: plan,
+    commands.PrintTarget: print_target,
     commands.Show: _show,
     commands.Apply: _apply,
     commands.Convert: convert,
@@ -211,6 +222,7 @@ _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.SimulatePlatterVideo: simulate_platter_video,
     commands.SimulateMagnetometer: simulate_magnetometer,
     commands.SimulateNoise: simulate_noise,
+    commands.SimulateCameras: simulate_cameras,
     commands.SimulateCameraImu: simulate_camera_imu,
     commands.Study: study,
     commands.Demo: _demo,

@@ -4,7 +4,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import OptionError, OutputError, RecordingError
+from ..errors import OptionError, RecordingError
 from . import commands
 from .places import CAMERA_IMU_FILES, default_folder, result_folder
 from .prior_files import read_priors
@@ -18,6 +18,7 @@ from .results import (
     say_verdict,
     write_result,
 )
+from .simulate_cameras_actions import SCENARIO, TRUTH, refuse_other
 from .terminal import Terminal
 from .topics import topics_of
 from .use_option import judged_result, read_use_option
@@ -33,8 +34,12 @@ _INPUTS = {
 }
 """Option -> Kalibr's file that is taken from the recording's folder, and what it describes."""
 
-_SIMULATED = ("imu0.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0")
-SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
+NO_TARGET = (
+    "--target is missing: the file that describes the board. Name it, or put it into {folder} as target.yaml; "
+    "of an AprilGrid it holds five lines, such as target_type: aprilgrid, tagCols: 6, tagRows: 6, "
+    "tagSize: 0.088 (metres), tagSpacing: 0.3 (gap over tagSize)."
+)
+_SIMULATED = ("imu0.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
 
 
 def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
@@ -95,11 +100,7 @@ def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[st
     names = [_INPUTS[option][0] for option in found]
     taken = [f"{_listed(names)} in the recording's folder {'is' if len(names) == 1 else 'are'} used."] if names else []
     if files["target"] is None:
-        raise OptionError(
-            f"--target is missing: the file that describes the board. Name it, or put it into {folder} as target.yaml; "
-            "of an AprilGrid it holds five lines, such as target_type: aprilgrid, tagCols: 6, tagRows: 6, "
-            "tagSize: 0.088 (metres), tagSpacing: 0.3 (gap over tagSize)."
-        )
+        raise OptionError(NO_TARGET.format(folder=folder))
     return files, tuple(taken)
 
 
@@ -113,8 +114,10 @@ def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def refuse_overwriting(folder: Path, recording: Path, inputs: dict[str, Any]) -> None:
-    """Refuse a folder in which the result would take the place of an input: both know an imu.yaml.
+def refuse_overwriting(
+    folder: Path, recording: Path, inputs: dict[str, Any], files: tuple[str, ...] = CAMERA_IMU_FILES
+) -> None:
+    """Refuse a folder in which the result, some `files`, would take the place of an input: both know an imu.yaml.
 
     Raises
     ------
@@ -124,11 +127,11 @@ def refuse_overwriting(folder: Path, recording: Path, inputs: dict[str, Any]) ->
     place = folder.resolve()
     if recording.is_dir() and place == recording.resolve():
         raise OptionError(
-            f"{folder}: this is the recording's folder, whose imu.yaml the result would replace. "
+            f"{folder}: this is the recording's folder, whose {files[-2]} the result would replace. "
             "Choose another folder with -o."
         )
     for option, file in inputs.items():
-        if file is not None and file.resolve() in {place / name for name in CAMERA_IMU_FILES}:
+        if file is not None and file.resolve() in {place / name for name in files}:
             raise OptionError(
                 f"{file}: the result would replace this file of --{option}. Choose another folder with -o."
             )
@@ -166,14 +169,13 @@ def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal)
     from ..writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
 
     folder = command.output
-    if not (folder / SCENARIO).exists() and any((folder / name).exists() for name in _SIMULATED):
-        raise OutputError(
-            f"{folder}: this folder holds a recording that was not simulated. Choose another one with -o."
-        )
+    refuse_other(folder, _SIMULATED)
+    if command.form != "folder" and not command.options.images:
+        raise OptionError(f"--form {command.form} is a form of images. Add --images, or leave out --form.")
     with result_folder(folder, own=CAMERA_FILES) as staging:
         terminal.progress("simulating")
         simulation = simulate_camera_imu(command.options, command.seed)
-        files = save_camera_imu_recording(simulation, staging, terminal.progress)
+        files = save_camera_imu_recording(simulation, staging, terminal.progress, command.form)
         names = [path.relative_to(staging) for path in files]
     terminal.close()
     cameras = {name: len(frames.t_ns) for name, frames in simulation.recording.cameras.items()}

@@ -67,13 +67,18 @@ def _check_imu(command: commands.Check, terminal: Terminal) -> int:
 
 
 def _check_corners(command: commands.Check, terminal: Terminal) -> int:
-    from ..calibrate import read_camera_imu
+    from ..calibrate import read_camera_imu, read_camera_views
+    from ..readers.camera_folder import holds_imu, recording_folder
 
     known = _Known.of(command)
     if known.files["cam"] is None or known.files["target"] is None:
         return _check_corner_stamps(command, known, terminal)
     files: dict[str, Any] = dict(known.files)
-    recording, target = read_camera_imu(command.recording.path, **files, units=command.recording.units)
+    path, units = command.recording.path, command.recording.units
+    if holds_imu(recording_folder(path)):
+        recording, target = read_camera_imu(path, **files, units=units)
+    else:
+        recording, target = read_camera_views(path, cam=files["cam"], target=files["target"], units=units)
     from ..assess.rig_doctor import check_corners
 
     findings = check_corners(recording, target)

@@ -10,6 +10,7 @@ from ..errors import OptionError
 from ..options import CameraImuOptions, ImuOptions
 from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
+from .camera_command import CameraCommand
 from .command_parts import CalibrationPath, FileOption, Flat, Input, PosesInput, Switch, Topics, output_option
 from .compare_command import Compare
 from .magnetometer_command import Magnetometer, SimulateMagnetometer
@@ -17,7 +18,9 @@ from .noise_command import Noise, SimulateNoise
 from .plan_command import Plan, PlanImu
 from .platter_command import Rate, SimulatePlatterVideo
 from .poses_command import SimulatePoses
+from .simulate_cameras_command import ImagesAs, SimulateCameras
 from .study_command import Study
+from .target_command import PrintTarget
 from .topics import topics_of
 from .turntable_command import SimulateTurntable, Turntable
 from .use_option import UseOption
@@ -225,6 +228,9 @@ class SimulateCameraImu:
     """Folder for the recording."""
     scenario: Annotated[Path | None, FileOption] = None
     """A scenario.yaml that states the options below; those that are given here as well replace its own."""
+    form: ImagesAs = "folder"
+    """With --images: images in folders cam0, ... beside a table of the samples (folder), or all of it in EuRoC's layout
+    (euroc), a ROS 1 bag (ros1), a ROS 2 bag in SQLite (ros2), or an MCAP file (mcap)."""
     seed: int = 0
     """All random numbers follow from it."""
     json: Annotated[bool, Switch] = False
@@ -266,6 +272,7 @@ class Demo:
 
 Command = (
     Imu
+    | CameraCommand
     | CameraImu
     | Turntable
     | Rate
@@ -274,6 +281,7 @@ Command = (
     | Check
     | Plan
     | PlanImu
+    | PrintTarget
     | Show
     | Apply
     | Convert
@@ -284,6 +292,7 @@ Command = (
     | SimulatePlatterVideo
     | SimulateMagnetometer
     | SimulateNoise
+    | SimulateCameras
     | SimulateCameraImu
     | Study
     | Demo
@@ -291,6 +300,7 @@ Command = (
 
 COMMANDS: dict[str, type[Command]] = {
     "imu": Imu,
+    "camera": CameraCommand,
     "camera-imu": CameraImu,
     "turntable": Turntable,
     "rate": Rate,
@@ -299,6 +309,7 @@ COMMANDS: dict[str, type[Command]] = {
     "check": Check,
     "plan": Plan,
     "plan-imu": PlanImu,
+    "target": PrintTarget,
     "show": Show,
     "apply": Apply,
     "convert": Convert,
@@ -309,6 +320,7 @@ COMMANDS: dict[str, type[Command]] = {
     "simulate-platter-video": SimulatePlatterVideo,
     "simulate-magnetometer": SimulateMagnetometer,
     "simulate-noise": SimulateNoise,
+    "simulate-cameras": SimulateCameras,
     "simulate-camera-imu": SimulateCameraImu,
     "study": Study,
     "demo": Demo,

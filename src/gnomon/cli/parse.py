@@ -10,7 +10,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from .._version import __version__
-from .commands import COMMANDS, Command, SimulateCameraImu
+from .commands import COMMANDS, Command, SimulateCameraImu, SimulateCameras
 
 DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
@@ -58,13 +58,14 @@ def parse(arguments: Sequence[str]) -> Command:
 
 def _scenario_default(name: str, arguments: Sequence[str]) -> Any:
     """Return the command that a scenario file describes, whose options are then the defaults; None without one."""
-    if COMMANDS[name] is not SimulateCameraImu:
+    command = COMMANDS[name]
+    if command is not SimulateCameraImu and command is not SimulateCameras:
         return None
     for i, word in enumerate(arguments):
         option, equals, path = word.partition("=")
         file = path if equals else next(iter(arguments[i + 1 :]), "")
         if option == "--scenario" and file:
-            return SimulateCameraImu.with_scenario(Path(file))
+            return command.with_scenario(Path(file))
     return None
 
 

@@ -13,6 +13,9 @@ from ..errors import OutputError
 RESULT_FILES = ("calibration.yaml", "report.html", "diagnostics.npz")
 """gnomon's own files in the folder of a result."""
 
+CAMERA_FILES = (*RESULT_FILES, "camchain.yaml", "results-cam.txt")
+"""The same of a calibration of cameras; the last two are Kalibr's."""
+
 CAMERA_IMU_FILES = (*RESULT_FILES, "trajectory.txt", "camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
 """The same of a camera-IMU calibration; the last three are Kalibr's."""
 

@@ -69,7 +69,7 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
             )
         noise = _noise(path)
         if noise is None:
-            calibrations.append(load(path))
+            calibrations.append(_of_imu(path, load(path)))
         else:
             noises.append(noise)
     if len(noises) > 1:
@@ -80,6 +80,15 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
         noise=noises[0] if noises else None,
         sources=tuple(file_source(path) for path in files),
     )
+
+
+def _of_imu(path: Path, calibration: "Calibration") -> "Calibration":
+    """Return the calibration if it tells of an IMU."""
+    if not calibration.imus:
+        raise OptionError(
+            f"--prior {path}: this calibration is of cameras alone. Give it to gnomon camera-imu as --cam."
+        )
+    return calibration
 
 
 def _noise(path: Path) -> "ImuNoise | None":

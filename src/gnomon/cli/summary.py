@@ -48,7 +48,8 @@ def trust_facts(note: TrustNote) -> Iterator[str]:
     if note.covariance == "cluster-robust":
         ratios = [ratio for ratio in note.sigma_ratio.values() if math.isfinite(ratio)]
         times = f", {np.median(ratios):.2g} x those of white noise" if ratios else ""
-        yield f"  sigmas             from {note.clusters} clusters of {note.cluster_s:.3g} s{times}"
+        of = f"clusters of {note.cluster_s:.3g} s" if note.cluster_s else "views"
+        yield f"  sigmas             from {note.clusters} {of}{times}"
     if math.isfinite(note.split_z):
         yield f"  halves and thirds  differ by {note.split_z:.2g} of their sigmas (rms)"
     if note.added:

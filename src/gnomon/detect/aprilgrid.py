@@ -20,6 +20,7 @@ from ..recording import Floats, Integers
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .corner_fit import CornerFits, CornerKind, fit_corners, joined
 from .quads import LARGE_IMAGE_PX, Search, black_quads, search_scale
+from .straight import without_bow
 from .tag_places import (
     TAG,
     Booleans,
@@ -344,9 +345,10 @@ class _Board:
         kept = kept[np.argsort(point[kept])]
         if not len(kept):
             return nothing_seen(+dropped)
+        places = self._target.points[point[kept], :2]
         return BoardView(
             point=point[kept],
-            pixels=fits.pixels[kept],
+            pixels=without_bow(places, fits.only(kept), self._image.shape[::-1]),
             sigma_px=fits.sigma_px[kept],
             blur_px=_middle(fits.blur_px[kept]),
             black=_middle(fits.black[kept]),

@@ -12,6 +12,7 @@ from ..images import Grey
 from ..models.target import Target
 from ..recording import Floats, Integers
 from .board import DIFFERS
+from .board_guess_others import circles_shown, markers_shown
 from .checkerboard import board_near, reduced, search_scale
 from .checkerboard_grid import completed
 from .lattice import Lattice, find_lattices
@@ -48,16 +49,41 @@ def guess_board(images: Sequence[Grey], stated: Target) -> str:
     checkerboard, part = _checkerboard(looked)
     if tags is not None and tags.count >= _FEWEST_TAGS and tags.numbers:
         return _about_tags(tags, stated)
-    if checkerboard is not None:
-        return _about_checkerboard(checkerboard, stated)
+    return (
+        _about_markers(markers_shown(looked, stated), stated)
+        or _about_circles(circles_shown(looked), stated)
+        or _about_squares(checkerboard, part, stated)
+    )
+
+
+def _about_markers(shown: str, stated: Target) -> str:
+    if not shown:
+        return ""
+    text = f"They show a ChArUco board, or ArUco markers: {shown}."
+    if stated.kind != "charuco":
+        return f"{text} State that board instead of the {stated.kind}."
+    return f"{text} Compare columns, rows, dictionary, first marker and legacy of the stated {stated.describe()}."
+
+
+def _about_circles(shown: str, stated: Target) -> str:
+    if not shown:
+        return ""
+    if stated.kind != "circlegrid":
+        return f"They show {shown}. State that board instead of the {stated.kind}."
+    return f"They show {shown}. The stated one is: {stated.describe()}. It must be in the image as a whole."
+
+
+def _about_squares(whole: tuple[int, int] | None, part: tuple[int, int] | None, stated: Target) -> str:
+    if whole is not None:
+        return _about_checkerboard(whole, stated)
     if part is not None:
         return (
             f"They show parts of a checkerboard, {_by(part)} inner corners and perhaps more. A checkerboard must be in "
             "the image as a whole, with a white margin around it."
         )
     return (
-        "They show no board that can be recognised: neither tags of the family 36h11 nor a checkerboard. Check that "
-        "the board is in view, sharp, well lit, and large enough in the image."
+        "They show no board that can be recognised: neither tags of the family 36h11, nor ArUco markers, circles or a "
+        "checkerboard. Check that the board is in view, sharp, well lit, and large enough in the image."
     )
 
 

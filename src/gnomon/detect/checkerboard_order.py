@@ -135,6 +135,10 @@ def _followed(
 
 def ambiguous_turns(target: Target) -> tuple[int, ...]:
     """Return the quarter turns after which a board cannot be told from itself."""
+    if target.kind == "circlegrid":
+        if target.asymmetric:  # half a turn puts the shifted rows in the places of others if their number is odd
+            return (0,) if target.rows % 2 else (0, 2)
+        return (0, 2) if target.rows != target.cols else (0, 1, 2, 3)
     if target.kind != "checkerboard":
         return (0,)
     if target.rows != target.cols:
@@ -227,9 +231,9 @@ def _lengthwise(views: Sequence[BoardView], target: Target, turns: Integers, pie
 
     Views from aside stretch it, too, but on the whole as often along one axis as along the other.
     """
-    stated = np.log(target.row_spacing_m / target.col_spacing_m)
-    if target.kind != "checkerboard" or target.rows != target.cols or stated == 0:
+    if target.kind != "checkerboard" or target.rows != target.cols or target.row_spacing_m == target.col_spacing_m:
         return turns
+    stated = np.log(target.row_spacing_m / target.col_spacing_m)
     turns = turns.copy()
     for number in range(int(piece.max(initial=-1)) + 1):
         those = np.flatnonzero(piece == number)

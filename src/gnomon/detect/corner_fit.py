@@ -69,6 +69,9 @@ class CornerFits:
     blur_px : (m,) standard deviation of the blur, root mean square across both edges [px]
     black, white : (m,) grey levels
     misfit : (m,) rms of the residuals over the contrast
+    normals : (m, 2, 2) unit normals of both edges
+    bow : (m, 2, 2) by how much the corner is found beside its place, as columns, for an edge that bends towards its
+        normal with a curvature of one, the first or the second [px^2]
     good : (m,) whether the picture is that of such a corner, near the guess
     """
 
@@ -78,6 +81,8 @@ class CornerFits:
     black: Floats
     white: Floats
     misfit: Floats
+    normals: Floats
+    bow: Floats
     good: Booleans
 
     def __len__(self) -> int:
@@ -156,14 +161,19 @@ def fit_corners(
     crowded = (
         np.zeros(count) if kind == "crossing" else _crowding(state, np.broadcast_to(np.asarray(radius, float), count))
     )
-    return _judged(state, place, variance, crowded, (guess - middle, middle, reach))
+    fits = _judged(state, place, variance, crowded, (guess - middle, middle, reach))
+    good = np.flatnonzero(fits.good)
+    fits.bow[good] = _bow(windows.only(good), state[good], kind) if len(good) else 0.0
+    return fits
 
 
 def _no_fits() -> CornerFits:
     none = np.empty(0)
+    two = none.reshape(0, 2, 2)
     return CornerFits(
-        pixels=none.reshape(0, 2), sigma_px=none, blur_px=none, black=none, white=none, misfit=none, good=none > 0
-    )
+        pixels=two[:, 0], sigma_px=none, blur_px=none, black=none, white=none, misfit=none, normals=two, bow=two,
+        good=none > 0,
+    )  # fmt: skip
 
 
 def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floats:
@@ -215,6 +225,26 @@ def _normal_equations(windows: Windows, state: Floats, kind: CornerKind) -> tupl
 
     The columns are offsets of the corner along both normals, angles, blurs, correlation, grey levels, residual.
     """
+    columns, _ = _columns(windows, state, kind)
+    normal = np.matmul(columns, columns.transpose(0, 2, 1)).astype(np.float64)
+    return normal, np.square(columns[:, _MID]).sum(axis=1)
+
+
+def _bow(windows: Windows, state: Floats, kind: CornerKind) -> Floats:
+    """Return the moves of corners in pixels for edges of curvature one, (m, 2, 2): what the fit makes of l^2 / 2."""
+    columns, leavers = _columns(windows, state, kind)
+    known = columns[:, :-1]
+    bent = columns[:, :2] * np.square(leavers) / 2
+    matrix = np.matmul(known, known.transpose(0, 2, 1)).astype(np.float64)
+    diagonal = np.einsum("mii->mi", matrix)
+    diagonal *= 1 + _DAMPING
+    diagonal += 1e-6
+    sides = np.matmul(known, bent.transpose(0, 2, 1)).astype(np.float64)
+    return _by_normals(state, np.asarray(np.linalg.solve(matrix, sides), np.float64)[:, :2])
+
+
+def _columns(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Singles, Singles]:
+    """Return the derivatives of the pixels with their residuals as last row, (m, 10, n), and `_frame`'s leavers."""
     distances, leavers = _frame(windows.place, state)
     s = state.astype(np.float32)
     picture, by_distance, by_rho = _crossing_or_tip(distances, s[:, _RHO, None], kind)
@@ -232,8 +262,7 @@ def _normal_equations(windows: Windows, state: Floats, kind: CornerKind) -> tupl
     columns[:, _MID] = weight
     np.multiply(-weight, picture, out=columns[:, _AMPLITUDE])
     np.multiply(weight, windows.values - model, out=columns[:, -1])
-    normal = np.matmul(columns, columns.transpose(0, 2, 1)).astype(np.float64)
-    return normal, np.square(weight).sum(axis=1)
+    return columns, leavers
 
 
 def _frame(place: Singles, state: Floats) -> tuple[Singles, Singles]:
@@ -261,7 +290,7 @@ def _crossing_or_tip(a: Singles, rho: Singles, kind: CornerKind) -> tuple[Single
 
     These are those by both distances `a` (m, 2, n), (m, 2, n), and by rho (m, 1), (m, n).
     """
-    signed, phi = _normal_distribution(a)
+    signed, phi = normal_distribution(a)
     both = phi[:, 0] * phi[:, 1]
     both *= 4 if kind == "crossing" else 2
     product = a[:, 0] * a[:, 1]
@@ -284,7 +313,7 @@ def _crossing_or_tip(a: Singles, rho: Singles, kind: CornerKind) -> tuple[Single
     return picture, by_a, both
 
 
-def _normal_distribution(a: Singles) -> tuple[Singles, Singles]:
+def normal_distribution(a: Singles) -> tuple[Singles, Singles]:
     """Return 2 Phi(a) - 1 and phi(a); the former to 2.5e-5 (Abramowitz and Stegun 7.1.25)."""
     square = a * a
     np.minimum(square, _FAR, out=square)  # beyond, there is nothing but denormal numbers, which are slow
@@ -390,5 +419,7 @@ def _judged(
         black=state[:, _MID] - state[:, _AMPLITUDE],
         white=state[:, _MID] + state[:, _AMPLITUDE],
         misfit=misfit,
+        normals=np.stack([np.cos(angles), np.sin(angles)], axis=2),
+        bow=np.zeros((len(state), 2, 2)),
         good=good,
     )

@@ -33,10 +33,12 @@ class Lattice:
     ----------
     place : (n, 2) integer places, each once, from (0, 0); which axis is which, and its direction, is arbitrary
     pixels : (n, 2) [px]
+    node : (n,) which of all crossings, or discs, they are
     """
 
     place: Integers
     pixels: Floats
+    node: Integers
 
     def __len__(self) -> int:
         return len(self.place)
@@ -53,6 +55,19 @@ class Lattice:
         grid = self.grid()
         steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=2) for axis in (0, 1)]
         return min((float(np.nanmedian(step)) for step in steps if np.isfinite(step).any()), default=float("inf"))
+
+    def handed(self) -> float:
+        """Return the area that a step along the first axis and one along the second span, signed [px^2]; 0 of a line.
+
+        It is below zero where the second axis is a quarter turn on from the first, seen with y upwards.
+        """
+        grid = self.grid()
+        steps = [np.diff(grid, axis=axis).reshape(-1, 2) for axis in (0, 1)]
+        known = [step[np.isfinite(step[:, 0])] for step in steps]
+        if not (len(known[0]) and len(known[1])):
+            return 0.0
+        first, second = known[0].mean(axis=0), known[1].mean(axis=0)
+        return float(first[0] * second[1] - first[1] * second[0])
 
     def grid(self) -> Floats:
         """Return the pixels at their places, (size, size, 2), nan where there are none."""
@@ -73,17 +88,29 @@ def find_lattices(image: Grey, saddles: Saddles) -> list[Lattice]:
         return []
     directions, following = _neighbours(image, saddles)
     onward = _onward(directions, following)
+    return laid_out(saddles.pixels, following, onward)
+
+
+def laid_out(pixels: Floats, following: Integers, onward: Integers) -> list[Lattice]:
+    """Return the lattices of nodes that are joined, the largest first.
+
+    Parameters
+    ----------
+    pixels : (n, 2) of the nodes
+    following : (n, 4) the next node in each of four directions, to and fro, and to and fro across; -1 where none is
+    onward : (n, 4, 4) at the next node in one direction, its direction that goes the same way as each of a node's own
+    """
     links = (following >= 0).sum(axis=1)
     free = links > 0
     next_ones, same_ways = following.tolist(), onward.tolist()
     lattices: list[Lattice] = []
     for seed in np.argsort(-links, kind="stable"):
         if free[seed]:
-            nodes, places = _laid_out(int(seed), next_ones, same_ways)
+            nodes, places = _together(int(seed), next_ones, same_ways)
             free[nodes] = False
             if len(nodes) >= _FEWEST:
-                place = np.array(places)
-                lattices.append(Lattice(place=place - place.min(axis=0), pixels=saddles.pixels[nodes]))
+                place, node = np.array(places), np.array(nodes)
+                lattices.append(Lattice(place=place - place.min(axis=0), pixels=pixels[node], node=node))
     return sorted(lattices, key=len, reverse=True)
 
 
@@ -157,7 +184,7 @@ def _onward(directions: Floats, following: Integers) -> Integers:
     return onward
 
 
-def _laid_out(
+def _together(
     seed: int, following: list[list[int]], onward: list[list[list[int]]]
 ) -> tuple[list[int], list[tuple[int, int]]]:
     """Return the corners that hang together with one, and their places; its edges 0 and 1 are the axes."""

@@ -191,12 +191,12 @@ def _shares(board: Floats, asked: Floats | Integers, around: tuple[tuple[int, in
 
 
 def _interpolated(board: Floats, pixels: Floats, points: Floats, near: Integers, share: Floats) -> Floats:
-    H = _homography(board, pixels)
+    H = homography(board, pixels)
     displaced = through(np.asarray(np.linalg.inv(H), np.float64)[None], pixels)[0] - board
     return through(H[None], points + np.einsum("nk,nkd->nd", share, displaced[near]))[0]
 
 
-def _homography(points: Floats, pixels: Floats) -> Floats:
+def homography(points: Floats, pixels: Floats) -> Floats:
     """Return the homography (3, 3) that maps points (m, 2) to pixels (m, 2) best, by algebraic distance."""
     (from_, p), (to, q) = _normalised(points), _normalised(pixels)
     p = np.column_stack([p, np.ones(len(p))])

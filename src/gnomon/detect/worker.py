@@ -9,6 +9,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any
 
 from ..images import Grey
@@ -78,20 +79,27 @@ def detector(target: Target) -> Detector:
 
     Parameters
     ----------
-    target : an AprilGrid or a checkerboard
+    target : the board
     """
     if target.kind == "aprilgrid":
         from .aprilgrid import detect_aprilgrid
 
         return lambda image: detect_aprilgrid(image, target)
+    if target.kind == "charuco":
+        from .charuco import detect_charuco
+
+        return lambda image: detect_charuco(image, target)
+    if target.kind == "circlegrid":
+        from .circlegrid import CircleGridDetector
+
+        return CircleGridDetector(target).detect
     from .checkerboard import CheckerboardTracker
 
     return CheckerboardTracker(target).detect
 
 
 def _stated(target: Target) -> dict[str, Any]:
-    names = ("kind", "cols", "rows", "tag_size_m", "tag_spacing", "row_spacing_m", "col_spacing_m", "spacing_m")
-    return {name: getattr(target, name) for name in (*names, "asymmetric", "border_bits", "first_tag")}
+    return {item.name: getattr(target, item.name) for item in fields(target) if item.init}
 
 
 def main() -> None:

@@ -56,7 +56,7 @@ def open_bag(
     topics: Mapping[str, str] = _NONE,
     suggested: Mapping[str, str] = _NONE,
     units: Units | None = None,
-    need_imu: bool = True,
+    need_imu: bool | None = True,
 ) -> ImageRecording:
     """Open a bag: read the samples of its IMUs, and prepare the streams of its cameras.
 
@@ -67,7 +67,7 @@ def open_bag(
         gyroscope that have topics of their own are "/a,/b"
     suggested : the same as Kalibr's files name them; used where the bag holds them
     units : of the IMUs' samples where they are not in m/s^2 and rad/s, as sensor_msgs/Imu has them
-    need_imu : whether a bag without IMU is an error
+    need_imu : whether a bag without IMU is an error; None to pass over IMUs
 
     Returns
     -------
@@ -109,14 +109,14 @@ class _Order:
     topics: Mapping[str, str]
     suggested: Mapping[str, str]
     units: Units
-    need_imu: bool
+    need_imu: bool | None
 
 
 def _recording(
     bag: Bag, order: _Order, hashing: Callable[[], "Future[tuple[Source, ...]]"], notes: list[str]
 ) -> ImageRecording:
     cameras = camera_topics(bag, order.topics, order.suggested, notes)
-    candidates = imu_candidates(bag, order.topics)
+    candidates = [] if order.need_imu is None else imu_candidates(bag, order.topics)
     if not candidates and order.need_imu:
         raise RecordingError(
             f"{bag.name}: no topic holds samples of an IMU (sensor_msgs/Imu). Record them in the same bag, or give a "

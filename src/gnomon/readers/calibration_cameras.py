@@ -1,11 +1,11 @@
-"""The cameras of gnomon's own calibration file, schema "gnomon/1.1"."""
+"""The cameras of gnomon's own calibration file, from schema "gnomon/1.1" on; without an IMU from "gnomon/1.4" on."""
 
 import math
 from typing import get_args
 
 import numpy as np
 
-from ..calibration import CameraCalibration, CameraImuFit
+from ..calibration import CameraCalibration, CameraImuFit, CamerasFit
 from ..errors import OptionError
 from ..models.camera import Camera
 from ..models.distortions import DistortionName
@@ -16,6 +16,8 @@ from .structured import Node
 SIGMAS = {
     "T_cam_imu.rotation": "T_cam_imu_rotation_sigma",
     "T_cam_imu.translation": "T_cam_imu_translation_sigma",
+    "T_cam_cam0.rotation": "T_cam_cam0_rotation_sigma",
+    "T_cam_cam0.translation": "T_cam_cam0_translation_sigma",
     "time_shift_cam_imu": "time_shift_cam_imu_sigma",
     "line_delay": "line_delay_sigma",
     "intrinsics": "intrinsics_sigma",
@@ -23,9 +25,12 @@ SIGMAS = {
 }
 """Parameter of a camera -> the key of its standard deviation."""
 
-_KEYS = (
-    "T_cam_imu",
-    "time_shift_cam_imu",
+VIEW_COUNTS = ("views_found", "views_used", "corners_used")
+VIEW_NUMBERS = ("reprojection_rms_px", "holdout_rms_px", "coverage")
+BOARD_NUMBERS = ("aspect", "aspect_sigma", "bow_m", "bow_sigma_m", "print_scale", "print_scale_sigma")
+"""Keys of what a calibration of cameras alone rests on, of each camera and of the board, as in `CamerasFit`."""
+
+_LENS = (
     "camera_model",
     "intrinsics",
     "distortion_model",
@@ -36,18 +41,36 @@ _KEYS = (
 )
 
 
-def camera_entry(node: Node) -> CameraCalibration:
-    """Return one camera.
+_LENS_SIGMAS = ("intrinsics_sigma", "distortion_coeffs_sigma")
+
+
+def camera_entry(node: Node, *, alone: bool = False) -> CameraCalibration:
+    """Return one camera, of cameras alone its pose to cam0.
 
     Raises
     ------
     FormatError
         If a key is missing or unknown, or a value is not as expected.
     """
-    keys = node.mapping(_KEYS, tuple(SIGMAS.values()))
+    if alone:
+        pose = () if node.key == "cam0" else ("T_cam_cam0",)
+        sigmas = tuple(f"{name}_{part}_sigma" for name in pose for part in ("rotation", "translation"))
+        keys = node.mapping((*pose, *_LENS), (*sigmas, *_LENS_SIGMAS))
+        T = _pose(keys["T_cam_cam0"]) if pose else np.eye(4)
+        return CameraCalibration(T_cam_body=T, time_shift_cam_imu=0.0, camera=_lens(node, keys), body="cam0")
+    sigmas = tuple(key for name, key in SIGMAS.items() if not name.startswith("T_cam_cam0"))
+    keys = node.mapping(("T_cam_imu", "time_shift_cam_imu", *_LENS), sigmas)
+    return CameraCalibration(
+        T_cam_body=_pose(keys["T_cam_imu"]),
+        time_shift_cam_imu=keys["time_shift_cam_imu"].number(),
+        camera=_lens(node, keys),
+    )
+
+
+def _lens(node: Node, keys: dict[str, Node]) -> Camera:
     width, height = (item.integer() for item in _pair(keys["resolution"]))
     try:
-        camera = Camera(
+        return Camera(
             projection=keys["camera_model"].text(get_args(ProjectionName)),  # pyright: ignore[reportArgumentType]
             intrinsics=_numbers(keys["intrinsics"]),
             distortion=keys["distortion_model"].text(get_args(DistortionName)),  # pyright: ignore[reportArgumentType]
@@ -58,11 +81,6 @@ def camera_entry(node: Node) -> CameraCalibration:
         )
     except OptionError as error:
         raise node.fail(str(error)) from None
-    return CameraCalibration(
-        T_cam_body=_pose(keys["T_cam_imu"]),
-        time_shift_cam_imu=keys["time_shift_cam_imu"].number(),
-        camera=camera,
-    )
 
 
 def _numbers(node: Node) -> Floats:
@@ -109,6 +127,48 @@ def camera_imu_entry(node: Node, cameras: tuple[str, ...]) -> CameraImuFit:
         corners_used=corners,
         reprojection_rms_px={name: _known(entry["reprojection_rms_px"]) for name, entry in entries.items()},
         duration_s=keys["duration_s"].number(),
+        converged=keys["converged"].value,
+    )
+
+
+def cameras_entry(node: Node, cameras: tuple[str, ...]) -> CamerasFit:
+    """Return what a calibration of cameras alone rests on; there is an entry for each of the cameras.
+
+    Raises
+    ------
+    FormatError
+        If a key is missing or unknown, or a value is not as expected.
+    """
+    keys = node.mapping(("converged", "board", "cameras"))
+    if not isinstance(keys["converged"].value, bool):
+        raise keys["converged"].fail("expected true or false.")
+    board = keys["board"].mapping(("added", *BOARD_NUMBERS))
+    entries = {
+        name: entry.mapping((*VIEW_COUNTS, *VIEW_NUMBERS, "models"))
+        for name, entry in keys["cameras"].mapping(cameras).items()
+    }
+
+    def counts(key: str) -> dict[str, int]:
+        return {name: entry[key].integer() for name, entry in entries.items()}
+
+    def numbers(key: str) -> dict[str, float]:
+        return {name: _known(entry[key]) for name, entry in entries.items()}
+
+    return CamerasFit(
+        views_found=counts("views_found"),
+        views_used=counts("views_used"),
+        corners_used=counts("corners_used"),
+        reprojection_rms_px=numbers("reprojection_rms_px"),
+        holdout_rms_px=numbers("holdout_rms_px"),
+        coverage=numbers("coverage"),
+        models={name: tuple(item.text() for item in entry["models"].items()) for name, entry in entries.items()},
+        board_added=tuple(item.text() for item in board["added"].items()),
+        aspect=_known(board["aspect"]),
+        aspect_sigma=_known(board["aspect_sigma"]),
+        bow_m=_known(board["bow_m"]),
+        bow_sigma_m=_known(board["bow_sigma_m"]),
+        print_scale=_known(board["print_scale"]),
+        print_scale_sigma=_known(board["print_scale_sigma"]),
         converged=keys["converged"].value,
     )
 

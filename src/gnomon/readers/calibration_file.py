@@ -1,10 +1,11 @@
-"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.3"; `writers.calibration_file` writes it.
+"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.4"; `writers.calibration_file` writes it.
 
 A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
 newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
 assessment.camera_imu, which stands there in place of the counts of a multi-position recording. "gnomon/1.2" added
 magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
-"gnomon/1.3" added lever arms of accelerometers, and assessment.trust.
+"gnomon/1.3" added lever arms of accelerometers, and assessment.trust. "gnomon/1.4" added cameras without an IMU: body
+frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras.
 """
 
 import re
@@ -14,6 +15,7 @@ from os import PathLike
 import numpy as np
 
 from ..calibration import (
+    UNSTATED_GRAVITY,
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -33,24 +35,15 @@ from ..models.forms import in_frame
 from ..recording import Floats, Source
 from ..trust import Need, TrustNote
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry
+from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry, cameras_entry
 from .own_root import read_own
 from .structured import Node
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 3
+SCHEMA_MINOR = 4
 
-TOP_KEYS = (
-    "schema",
-    "verdict",
-    "body_frame",
-    "gravity",
-    "imus",
-    "cameras",
-    "assessment",
-    "provenance",
-    "covariance",
-)
+_ALWAYS = ("schema", "verdict", "body_frame", "cameras", "assessment", "provenance", "covariance")
+_OF_IMUS = ("gravity", "imus")
 FIELD_UNITS = ("uT", "local field")
 """Units of a calibrated magnetic field."""
 _VERDICTS = ("pass", "warn", "fail")
@@ -73,7 +66,9 @@ def load(path: str | PathLike[str]) -> Calibration:
     """
     root = read_own(path)
     minor = _checked_minor(root)
-    top = root.mapping(TOP_KEYS)
+    if minor >= 4 and root.value.get("body_frame") == "cam0":
+        return _checked(root.mapping(_ALWAYS), _cameras_alone(root.mapping(_ALWAYS)))
+    top = root.mapping((*_ALWAYS, *_OF_IMUS))
     imus = {node.key: _imu(node, minor) for node in top["imus"].entries()}
     if minor == 0:
         top["cameras"].mapping()
@@ -87,6 +82,31 @@ def load(path: str | PathLike[str]) -> Calibration:
         provenance=provenance_entry(top["provenance"]),
         cameras=cameras,
     )
+    return _checked(top, calibration)
+
+
+def _cameras_alone(top: dict[str, Node]) -> Calibration:
+    """Return a calibration of cameras without an IMU."""
+    cameras = {node.key: camera_entry(node, alone=True) for node in top["cameras"].entries()}
+    if not cameras:
+        raise top["cameras"].fail("found no camera; a calibration holds an IMU or a camera.")
+    node = top["assessment"]
+    keys = node.mapping(("verdict", "model", "held_by_prior", "findings"), ("cameras", "trust"))
+    common = _common_assessment(keys)
+    fit = cameras_entry(keys["cameras"], tuple(cameras)) if "cameras" in keys else None
+    return Calibration(
+        imus={},
+        frame="cam0",
+        gravity=UNSTATED_GRAVITY,
+        uncertainty=_covariance(top["covariance"], covariance_names({}, cameras)),
+        assessment=replace(common, cameras=fit),
+        provenance=provenance_entry(top["provenance"]),
+        cameras=cameras,
+    )
+
+
+def _checked(top: dict[str, Node], calibration: Calibration) -> Calibration:
+    """Return the calibration if what stands twice in its file agrees."""
     if top["verdict"].text(_VERDICTS) != calibration.verdict:
         raise top["verdict"].fail(
             f'"{top["verdict"].value}" contradicts assessment.verdict, "{calibration.verdict}". They are one thing.'
@@ -238,20 +258,25 @@ def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
     with_cameras = minor > 0 and isinstance(node.value, dict) and "camera_imu" in node.value
     basis = ("camera_imu",) if with_cameras else ("holdout", *counts)
     keys = node.mapping(("verdict", "model", *basis, "held_by_prior", "findings"), ("trust",) if minor >= 3 else ())
-    verdict = keys["verdict"].text(_VERDICTS)
-    common = Assessment(
-        verdict=verdict,  # pyright: ignore[reportArgumentType]
-        findings=tuple(finding_entry(item) for item in keys["findings"].items()),
-        model=keys["model"].text(),
-        held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
-        trust=_trust(keys["trust"]) if "trust" in keys else TrustNote(),
-    )
+    common = _common_assessment(keys)
     if with_cameras:
         return replace(common, camera_imu=camera_imu_entry(keys["camera_imu"], cameras))
     newer = ("rate_rms", "field_rms") if minor >= 2 else ()
     holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"), newer)
     rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
     return replace(common, holdout=Holdout(**rms), **{name: keys[name].integer() for name in counts})
+
+
+def _common_assessment(keys: dict[str, Node]) -> Assessment:
+    """Return the part of an assessment that calibrations of every kind have."""
+    verdict = keys["verdict"].text(_VERDICTS)
+    return Assessment(
+        verdict=verdict,  # pyright: ignore[reportArgumentType]
+        findings=tuple(finding_entry(item) for item in keys["findings"].items()),
+        model=keys["model"].text(),
+        held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
+        trust=_trust(keys["trust"]) if "trust" in keys else TrustNote(),
+    )
 
 
 def _trust(node: Node) -> TrustNote:

@@ -60,6 +60,11 @@ def imu_files(folder: Path) -> dict[str, Path]:
     return found
 
 
+def holds_imu(folder: Path) -> bool:
+    """Tell whether a folder of corners holds samples of an IMU, too."""
+    return bool(_matching(folder, _IMU, r"imu\d*"))
+
+
 def recording_folder(path: Path) -> Path:
     """Return the folder of a recording; of EuRoC's layout the folder mav0 in it.
 

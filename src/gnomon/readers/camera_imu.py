@@ -1,12 +1,12 @@
 """A recording of cameras and IMUs in front of a board, with Kalibr's files that describe them."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
 from ..errors import RecordingError
 from ..models.target import Target
-from ..recording import CameraFrames, Recording, Source
+from ..recording import CameraFrames, Recording
 from ..units import Units
 from .camera_folder import CornerStream, corner_streams, imu_files, recording_folder
 from .corner_frames import camera_frames
@@ -15,6 +15,7 @@ from .files import file_source
 from .imu_stream import read_imu
 from .kalibr_camchain import CameraInput
 from .kalibr_target import read_target
+from .read_log import ReadLog
 from .sensor_inputs import read_cameras, read_imus
 
 
@@ -52,53 +53,65 @@ def read_corner_recording(
     OptionError
         If `units` names no unit.
     """
-    log = _Log(units=Units.parse(units) if isinstance(units, str) else units or Units())
+    log = ReadLog(units=Units.parse(units) if isinstance(units, str) else units or Units())
     board = read_target(target, log.notes)
     known = read_cameras(cam, log.notes)
     noise = {} if imu is None else read_imus(imu, log.notes)
     log.sources.extend(file_source(Path(file)) for file in (cam, imu, target) if file is not None)
     folder = recording_folder(Path(path))
-    streams = corner_streams(folder)
     imus = {
         name: read_imu(name, (file,), noise.get(name), units=log.units, sources=log.sources, notes=log.notes)
         for name, file in imu_files(folder).items()
     }
     log.notes.extend(f"{name} of {Path(imu or '').name} has no samples here." for name in noise if name not in imus)
-    names = _in_both(streams, known, folder, Path(cam), log)
-    cameras = {name: _frames(streams[name], known[name], board, log) for name in names}
+    cameras = corners_of(folder, known, Path(cam).name, board, log)
     recording = Recording(imus=imus, cameras=cameras, sources=tuple(log.sources), assumptions=tuple(log.notes))
     return recording, board
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Log:
-    """What was stated, and what was read so far: the files, and sentences on what was assumed."""
+def corners_of(
+    folder: Path, known: Mapping[str, CameraInput], cam: str, target: Target, log: ReadLog
+) -> dict[str, CameraFrames]:
+    """Return the cameras of a folder of tables of corners.
 
-    units: Units
-    sources: list[Source] = field(default_factory=list[Source])
-    notes: list[str] = field(default_factory=list[str])
+    Parameters
+    ----------
+    folder : as `recording_folder` returns it
+    known : lens and image size of each camera
+    cam : what says so, for messages
+    target : the board
+    log : units that were stated; the files that are read, and sentences on what was assumed, are added
+
+    Raises
+    ------
+    RecordingError
+        If the tables cannot be read, or do not fit the target or the cameras.
+    """
+    streams = corner_streams(folder)
+    names = _in_both(streams, known, folder, cam, log)
+    return {name: _frames(streams[name], known[name], target, log) for name in names}
 
 
 def _in_both(
-    streams: dict[str, CornerStream], known: dict[str, CameraInput], folder: Path, cam: Path, log: _Log
+    streams: Mapping[str, CornerStream], known: Mapping[str, CameraInput], folder: Path, cam: str, log: ReadLog
 ) -> list[str]:
     """Return the cameras that have corners and intrinsics."""
     both = [name for name in known if name in streams]
     if not both:
         raise RecordingError(
-            f"{folder}: there are corners of {', '.join(streams)}, but {cam.name} describes {', '.join(known)}. "
+            f"{folder}: there are corners of {', '.join(streams)}, but {cam} describes {', '.join(known)}. "
             "Rename one of them."
         )
     for name in known:
         if name not in streams:
-            log.notes.append(f"{name} of {cam.name} has no corners here and was left out.")
+            log.notes.append(f"{name} of {cam} has no corners here and was left out.")
     for name, stream in streams.items():
         if name not in known:
-            log.notes.append(f"{stream.corners.name} was left out: {cam.name} does not describe {name}.")
+            log.notes.append(f"{stream.corners.name} was left out: {cam} does not describe {name}.")
     return both
 
 
-def _frames(stream: CornerStream, known: CameraInput, target: Target, log: _Log) -> CameraFrames:
+def _frames(stream: CornerStream, known: CameraInput, target: Target, log: ReadLog) -> CameraFrames:
     table = read_corner_table(stream.corners, log.units.time)
     log.sources.append(table.file.source)
     log.notes.extend(table.notes)

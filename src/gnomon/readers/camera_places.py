@@ -11,10 +11,11 @@ from .frame_stamps import is_frame_table
 from .image_file import is_image_name
 
 _CAMERA = re.compile(r"(?:cam(?:era)?|image)[-_]?0*(\d+)", re.IGNORECASE)
-_OF_A_CAMERA = re.compile(r"(cam\d+)[-_]", re.IGNORECASE)
+_OF_A_CAMERA = re.compile(r"(cam\d+(?=[-_])|left|right)", re.IGNORECASE)
+_PAIR = {"left": "cam0", "right": "cam1"}
 _USUAL = {"images", "image", "frames", "cam", "camera", "video"}
 _INNER = ("data", "images")
-_STAMPS = "frames|timestamps?|times?|stamps|images?|data"
+_STAMPS = "frames|(?:frame[-_])?timestamps?|times?|stamps|images?|data"
 _TABLE = r"\.(csv|txt|tsv)(\.gz)?"
 EXPECTED = (
     "a ROS bag (.bag, .db3, .mcap); a folder with mav0/cam0/data/*.png (EuRoC, TUM-VI), cam0/*.png (Kalibr) or "
@@ -29,7 +30,7 @@ class CameraPlace:
     Attributes
     ----------
     folder : of the images, or None
-    prefix : with which the names of its images begin, where several cameras share the folder
+    prefix : with which the names of its images begin, in lower case, where several cameras share the folder
     video : the file, or None
     table : with the stamps of its frames, or None
     sensor : its sensor.yaml, or None
@@ -48,7 +49,7 @@ def image_names(folder: Path, prefix: str = "") -> Iterator[str]:
     """Yield the names of the images in a folder, in no order."""
     with os.scandir(folder) as entries:
         for entry in entries:
-            if is_image_name(entry.name) and entry.name.startswith(prefix) and entry.is_file():
+            if is_image_name(entry.name) and entry.name.lower().startswith(prefix) and entry.is_file():
                 yield entry.name
 
 
@@ -79,7 +80,9 @@ def has_cameras(root: Path) -> bool:
     inside = [path for path in root.iterdir() if not path.name.startswith(".")]
     if any(path.is_dir() and _images_of(path) is not None for path in inside):
         return True
-    return any(path.is_file() and _is_video(path) for path in inside)
+    folders = [path for path in inside if path.is_dir() and path.name.lower() in _USUAL]
+    files = [path for folder in folders for path in folder.iterdir() if not path.name.startswith(".")]
+    return any(path.is_file() and _is_video(path) for path in (*inside, *files))
 
 
 def video_place(video: Path) -> CameraPlace:
@@ -99,6 +102,11 @@ def _named(root: Path) -> Iterator[tuple[str, CameraPlace]]:
         folder = _images_of(path) if match and path.is_dir() else None
         if match and folder is not None:
             yield f"cam{int(match[1])}", _folder_place(folder, path, root)
+    pair = {_PAIR[path.name.lower()]: path for path in entries if path.is_dir() and path.name.lower() in _PAIR}
+    inside = {name: folder for name, path in pair.items() if (folder := _images_of(path)) is not None}
+    if len(inside) == len(_PAIR):
+        for name, folder in inside.items():
+            yield name, _folder_place(folder, pair[name], root)
 
 
 def _unnamed(root: Path, notes: list[str]) -> dict[str, CameraPlace]:
@@ -106,12 +114,19 @@ def _unnamed(root: Path, notes: list[str]) -> dict[str, CameraPlace]:
     entries = sorted(path for path in root.iterdir() if not path.name.startswith("."))
     top = [match[1].lower() if (match := _OF_A_CAMERA.match(name)) else "" for name in image_names(root)]
     cameras = set(top)
-    if cameras and "" not in cameras:
-        return {name: CameraPlace(label=f"{name}_*", folder=root, prefix=name) for name in sorted(cameras)}
+    if cameras and "" not in cameras and (len(cameras) > 1 or not cameras & set(_PAIR)):
+        found = {name: CameraPlace(label=f"{name}*", folder=root, prefix=name) for name in sorted(cameras)}
+        return {_PAIR.get(name, name): place for name, place in found.items()}
     places = [CameraPlace(label=f"{root.name}/", folder=root)] if top else []
     inner = [(path, _images_of(path)) for path in entries if path.is_dir()]
     inside = [_folder_place(folder, path, root) for path, folder in inner if folder is not None]
-    videos = [CameraPlace(label=path.name, video=path) for path in entries if path.is_file() and _is_video(path)]
+    without = [path for path, images in inner if images is None and path.name.lower() in _USUAL]
+    files = [path for folder in (root, *without) for path in sorted(folder.iterdir()) if path.is_file()]
+    videos = [
+        CameraPlace(label=path.relative_to(root).as_posix(), video=path)
+        for path in files
+        if not path.name.startswith(".") and _is_video(path)
+    ]
     usual = [place for place in inside if place.label.rstrip("/").lower() in _USUAL]
     candidates = places or (usual if len(usual) == 1 else inside) or videos
     if len(candidates) > 1:

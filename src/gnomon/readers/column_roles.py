@@ -86,6 +86,7 @@ def _named(names: list[ColumnName], layout: Layout, where: str, origin: str) -> 
     triads: list[TriadColumns] = []
     for quantity in ("accelerometer", "gyroscope", "unnamed", "magnetometer"):
         axes = {axis: [i for i, n in enumerate(names) if (n.quantity, n.axis) == (quantity, axis)] for axis in range(3)}
+        axes = {axis: _with_gravity(columns, layout.header) for axis, columns in axes.items()}
         found = sum(len(columns) for columns in axes.values())
         if not found:
             continue
@@ -104,6 +105,17 @@ def _named(names: list[ColumnName], layout: Layout, where: str, origin: str) -> 
     if not triads:
         raise RecordingError(f"{where}: {origin} names no accelerometer, no gyroscope and no magnetometer. {HELP}")
     return Roles(time=time_columns(names, layout), triads=tuple(named))
+
+
+def _with_gravity(columns: list[int], header: tuple[str, ...]) -> list[int]:
+    """Return, of several columns for one axis, those that are not said to be without gravity, as apps on phones do.
+
+    AndroSensor has LINEAR ACCELERATION beside ACCELEROMETER, Physics Toolbox ax (linear) beside gFx (in g).
+    """
+    if len(columns) < 2 or not header:
+        return columns
+    in_g = [i for i in columns if header[i].startswith("gF")]
+    return in_g or [i for i in columns if "linear" not in header[i].lower()] or columns
 
 
 def time_columns(names: list[ColumnName], layout: Layout) -> tuple[tuple[int, str | None], ...]:
@@ -136,7 +148,17 @@ def _by_number(layout: Layout, where: str) -> Roles:
             triads=_triads(1, count),
             notes=(f"{where}: no header; the first column rises steadily and was taken for the time.",),
         )
-    why = "of which the first is no time (it does not rise)" if count in {4, 7} else "without names that gnomon knows"
+    if count in {4, 7} and _rises(layout, count - 1):
+        return Roles(
+            time=((count - 1, None),),
+            triads=_triads(0, count - 1),
+            notes=(f"{where}: no header; the last column rises steadily and was taken for the time.",),
+        )
+    why = (
+        "of which neither the first nor the last is a time (it does not rise)"
+        if count in {4, 7}
+        else "without names that gnomon knows"
+    )
     raise RecordingError(f"{where}: found {layout}, {why}. {HELP}")
 
 
@@ -144,9 +166,9 @@ def _triads(first: int, count: int) -> tuple[TriadColumns, ...]:
     return tuple(TriadColumns(quantity="unnamed", columns=(i, i + 1, i + 2)) for i in range(first, count, 3))
 
 
-def _rises(layout: Layout) -> bool:
-    """Tell whether the first column mostly rises: stamps may stand still or jump back, samples go up and down."""
-    tokens = [row[0].strip('"') for row in layout.sample if is_number(row[0], layout.decimal_comma)]
+def _rises(layout: Layout, column: int = 0) -> bool:
+    """Tell whether a column mostly rises: stamps may stand still or jump back, samples go up and down."""
+    tokens = [row[column].strip('"') for row in layout.sample if is_number(row[column], layout.decimal_comma)]
     numbers = np.array([float(token.replace(",", ".")) for token in tokens])
     steps = np.diff(numbers)
     return len(steps) > 0 and float((steps >= 0).mean()) > 0.9 and numbers[-1] > numbers[0]

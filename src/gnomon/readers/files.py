@@ -11,6 +11,7 @@ from ..recording import Source
 
 _GZIP = b"\x1f\x8b"
 NPZ_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
+_STILL = (b"heic", b"heix", b"mif1", b"avif")
 
 # Files that people try and that hold no table; the name goes into the message.
 _KNOWN_BINARY = {
@@ -76,6 +77,17 @@ def read_text(path: Path) -> TextFile:
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}).") from None
     source = Source(name=path.name, sha256=hashlib.sha256(packed).hexdigest())
+    return TextFile(name=path.name, data=plain_text(packed, path), source=source)
+
+
+def plain_text(packed: bytes, path: Path) -> bytes:
+    """Return the bytes of a text file as UTF-8 without byte order mark, unpacked if it is gzipped.
+
+    Raises
+    ------
+    RecordingError
+        If its gzip stream is broken, or it holds no text; `path` is what it is called then.
+    """
     data = _unpacked(packed, path) if packed.startswith(_GZIP) else packed
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         data = data.decode("utf-16", errors="replace").encode()
@@ -83,7 +95,7 @@ def read_text(path: Path) -> TextFile:
     if data.isspace() or not data:
         raise RecordingError(f"{path}: the file holds no text. Was the recording copied completely?")
     refuse_binary(data, path)
-    return TextFile(name=path.name, data=data, source=source)
+    return data
 
 
 def _unpacked(packed: bytes, path: Path) -> bytes:
@@ -115,6 +127,11 @@ def refuse_binary(data: bytes, path: Path) -> None:
             f"{path}: this is a binary file of a kind that gnomon does not read. Export the samples as CSV "
             "(time, acceleration, angular rate) or as NPZ."
         )
+
+
+def is_mp4_head(head: bytes) -> bool:
+    """Tell by its first bytes whether a file is of the family of MP4, a video that its index tells how to read."""
+    return head[4:8] == b"ftyp" and head[8:12] not in _STILL
 
 
 def file_source(path: Path) -> Source:

@@ -29,6 +29,8 @@ def as_calibration(foreign: ForeignCalibration) -> Calibration:
         raise FormatError(
             f"{foreign.format}: found {found}. Give the file with the poses (T_cam_imu), or that of the IMU's model."
         )
+    if not foreign.imus and all(camera.body == "cam0" for camera in foreign.cameras.values()):
+        return told(foreign, unknown=float("nan"))
     return told(replace(foreign, imus=dict(foreign.imus) or {"imu0": ideal_imu()}), unknown=float("nan"))
 
 

@@ -160,6 +160,15 @@ def _chain(root: Node) -> ForeignCalibration:
 
 def _cameras(found: Mapping[str, CameraInput], notes: list[str]) -> ForeignCalibration:
     placed: dict[str, CameraCalibration] = {}
+    if len(found) > 1 and all(camera.T_cam_imu is None and camera.T_cam_cam0 is not None for camera in found.values()):
+        for name, camera in found.items():
+            assert camera.T_cam_cam0 is not None
+            placed[name] = CameraCalibration(
+                T_cam_body=camera.T_cam_cam0, time_shift_cam_imu=0.0, camera=camera.camera, body="cam0"
+            )
+        return ForeignCalibration(
+            imus={}, frame="cam0", notes=tuple(notes), cameras=placed, format="Kalibr, cameras without an IMU"
+        )
     for name, camera in found.items():
         if camera.T_cam_imu is None:
             continue
@@ -189,14 +198,22 @@ def _joined(parts: Sequence[ForeignCalibration], paths: Sequence[str | PathLike[
         return _together([(values(part), path) for part, path in pairs], exact)
 
     imus, cameras = together(lambda part: part.imus), together(lambda part: part.cameras)
+    lenses = together(lambda part: part.lenses)
+    if imus:  # of cameras that were calibrated without one only the lenses belong to it
+        lenses |= {name: camera.camera for name, camera in cameras.items() if camera.body == "cam0"}
+        cameras = {name: camera for name, camera in cameras.items() if camera.body == "imu0"}
     frames = {part.frame for part, _ in pairs if part.imus}
     return ForeignCalibration(
         imus=imus,
-        frame=frames.pop() if len(frames) == 1 else recognised_frame(imus),
+        frame=frames.pop()
+        if len(frames) == 1
+        else recognised_frame(imus)
+        if imus or not cameras
+        else pairs[0][0].frame,
         sigmas=together(lambda part: part.sigmas),
         notes=tuple(dict.fromkeys(note for part, _ in pairs[: exact or None] for note in part.notes)),
         cameras=cameras,
-        lenses={name: lens for name, lens in together(lambda part: part.lenses).items() if name not in cameras},
+        lenses={name: lens for name, lens in lenses.items() if name not in cameras},
         imu_data=together(lambda part: part.imu_data),
         gravity_target=next((part.gravity_target for part, _ in pairs if part.gravity_target is not None), None),
         residuals=together(lambda part: part.residuals),

@@ -21,6 +21,8 @@ from .text_table import Layout, is_number, numbered_rows, sniff
 _ROW = "time of a frame, name of its file"
 _SPLIT = re.compile(r"(?<!\d)(\d{9,10})[-_](\d{9}|\d{6})$")  # seconds and a fraction with all its zeros
 _LAST_NUMBER = re.compile(r"(\d+(?:\.\d+)?)$")
+_LARGEST_NUMBER = 1e8  # of views; stamps since 1970 are larger in any unit
+_SECOND_NS = 1_000_000_000
 _COUNTER_STEP = 1000  # numbers closer than that, at even steps, count the images
 WHAT_TO_WRITE = (
     "Name the images after their stamps in nanoseconds, such as 1600000000050000000.png, or put a table data.csv "
@@ -114,6 +116,37 @@ def stamps_in_names(files: Sequence[str], time_unit: str | None, where: str) -> 
     t_ns = to_ns(values, unit, where)
     refuse_strayed(t_ns, where, files)
     return t_ns, f"{where}: the names of the images are their stamps in {unit} ({reason})."
+
+
+def are_stamps(files: Sequence[str]) -> bool:
+    """Tell whether files are named after stamps, rather than numbered or named otherwise."""
+    numbers = numbers_in_names(files)
+    return numbers is not None and float(numbers.max()) > _LARGEST_NUMBER
+
+
+def numbers_in_names(files: Sequence[str]) -> NDArray[np.float64] | None:
+    """Return the numbers at the end of the names of files, (n,); None unless each has one of its own."""
+    texts: list[str] = []
+    for name in files:
+        stem = stem_of(name)
+        split, last = _SPLIT.search(stem), _LAST_NUMBER.search(stem)
+        if last is None:
+            return None
+        texts.append(f"{split[1]}.{split[2]}" if split else last[1])
+    return None if len(set(texts)) < len(texts) else np.array(texts).astype(np.float64)
+
+
+def numbered_names(files: Sequence[str], where: str) -> tuple[Integers, str]:
+    """Return numbers of views in place of stamps, a second apart, (n,) [ns], and what was assumed.
+
+    The number at the end of a name is that of the view; without numbers their order is.
+    """
+    numbers = numbers_in_names(files)
+    if numbers is None:
+        said = f"{where}: the images hold no stamps, and were numbered in the order of their names."
+        return np.arange(len(files), dtype=np.int64) * _SECOND_NS, said
+    said = f"{where}: the names of the images number the views; nothing tells when they were taken."
+    return np.rint(numbers * _SECOND_NS).astype(np.int64), said
 
 
 def stem_of(name: str) -> str:

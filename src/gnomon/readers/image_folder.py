@@ -11,7 +11,7 @@ from ..errors import RecordingError
 from ..images import Frame, ImageStream
 from ..recording import Integers, Source, frozen_array
 from .camera_places import CameraPlace, image_names
-from .frame_stamps import FrameTable, read_frame_table, stamps_in_names, stem_of
+from .frame_stamps import FrameTable, are_stamps, numbered_names, read_frame_table, stamps_in_names, stem_of
 from .image_file import hash_of_images, read_grey, used_bits
 from .read_log import ReadLog
 
@@ -33,7 +33,10 @@ def folder_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
     folder = place.folder
     assert folder is not None
     files = sorted(image_names(folder, place.prefix))
-    if place.table is None:
+    if place.table is None and log.cameras_alone and not are_stamps(files):
+        t_ns, note = numbered_names(files, place.label)
+        log.note(note)
+    elif place.table is None:
         t_ns, note = stamps_in_names(files, log.units.time, place.label)
         log.note(note)
     else:

@@ -11,8 +11,11 @@ from ..images import ImageRecording, ImageStream
 from ..recording import ImuSamples
 from ..units import Units
 from .camera_folder import holds_corners
-from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, video_place
+from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, image_names, video_place
+from .device_log import is_device_log
 from .files import first_bytes
+from .frame_stamps import numbers_in_names
+from .gpmf import has_gpmf
 from .image_file import is_image_name
 from .imu_places import EXPECTED as EXPECTED_IMU
 from .imu_places import imu_tables, imu_tables_beside
@@ -46,6 +49,7 @@ def open_images(
     units: str | Units | None = None,
     imu_table: str | PathLike[str] | None = None,
     need_imu: bool = True,
+    cameras_alone: bool = False,
 ) -> ImageRecording:
     """Open a recording of cameras as images; the images themselves are read when they are asked for.
 
@@ -58,6 +62,8 @@ def open_images(
     units : of a table of samples, as for `gnomon.read`; recognised where not given
     imu_table : table of the IMU's samples, where it is not in the recording
     need_imu : whether a recording without IMU is refused
+    cameras_alone : whether an IMU is passed over, as are the lenses that the recording states. Images in folders need
+        no stamps then: by the numbers in their names, or their order, those of several cameras belong together
 
     Raises
     ------
@@ -67,12 +73,13 @@ def open_images(
         If `units` names no unit, or topics are stated for something that is no bag.
     """
     place = Path(path)
-    log = ReadLog(units=Units.parse(units) if isinstance(units, str) else units or Units())
+    stated = Units.parse(units) if isinstance(units, str) else units or Units()
+    log = ReadLog(units=stated, cameras_alone=cameras_alone)
     table = None if imu_table is None else Path(imu_table)
     try:
         if not place.exists():
             raise RecordingError(f"{place}: there is no such file or folder. Check the path.")
-        return _opened(place, topics, suggested, table, log, need_imu=need_imu)
+        return _opened(place, topics, suggested, table, log, need_imu=need_imu and not cameras_alone)
     except OSError as error:
         raise RecordingError(
             f"{error.filename or place}: cannot be read ({error.strerror or error}). Check its permissions."
@@ -114,7 +121,7 @@ def _from_bag(
 ) -> ImageRecording:
     from .bag import open_bag  # rosbags takes its time
 
-    needed = need_imu and table is None
+    needed = None if log.cameras_alone else need_imu and table is None
     recording = open_bag(bag, topics=topics, suggested=suggested, units=log.units, need_imu=needed)
     if table is None:
         return recording
@@ -132,10 +139,16 @@ def _from_bag(
 def _from_folder(path: Path, table: Path | None, log: ReadLog, *, need_imu: bool) -> ImageRecording:
     root = _root(path)
     places = camera_places(root, log.notes)
-    tables = imu_tables(root, _stamp_tables(places)) if table is None else {"imu0": (table,)}
+    if log.cameras_alone:
+        tables: dict[str, tuple[Path, ...]] = {}
+    else:
+        tables = _tables_in(root, places) if table is None else {"imu0": (table,)}
     if not places:
         raise RecordingError(f"{path}: no images of a camera in this folder; found {_contents(root)}. {_cure(tables)}")
     streams = {name: _stream(name, place, log) for name, place in places.items()}
+    if log.cameras_alone:
+        _check_order({place.label: streams[name].count for name, place in places.items() if _in_order_only(place)})
+        return ImageRecording(imus={}, streams=streams, sources=tuple(log.sources), assumptions=tuple(log.notes))
     on_body = {} if table is not None else _imu_sensors(root, tuple(tables), log)
     imus = _imus(tables, on_body, log)
     _check_imu(imus, path, log, need_imu=need_imu)
@@ -150,10 +163,31 @@ def _from_folder(path: Path, table: Path | None, log: ReadLog, *, need_imu: bool
 def _from_video(path: Path, table: Path | None, log: ReadLog, *, need_imu: bool) -> ImageRecording:
     place = video_place(path)
     stream = _stream("cam0", place, log)
-    tables = imu_tables_beside(path, _stamp_tables({"cam0": place})) if table is None else {"imu0": (table,)}
+    if log.cameras_alone:
+        return ImageRecording(
+            imus={}, streams={"cam0": stream}, sources=tuple(log.sources), assumptions=tuple(log.notes)
+        )
+    tables = _tables_of(path, place) if table is None else {"imu0": (table,)}
     imus = _imus(tables, {}, log)
     _check_imu(imus, path, log, need_imu=need_imu)
-    return ImageRecording(imus=imus, streams={"cam0": stream}, sources=tuple(log.sources), assumptions=tuple(log.notes))
+    sources = tuple(dict.fromkeys(log.sources))  # a video with its telemetry is one file
+    return ImageRecording(imus=imus, streams={"cam0": stream}, sources=sources, assumptions=tuple(log.notes))
+
+
+def _tables_in(root: Path, places: Mapping[str, CameraPlace]) -> dict[str, tuple[Path, ...]]:
+    """Return what holds the samples of each IMU of a folder: the log of a phone's app, or tables; or the only video."""
+    if is_device_log((root,)):
+        return {"imu0": (root,)}
+    tables = imu_tables(root, _stamp_tables(places))
+    videos = [place.video for place in places.values() if place.video is not None]
+    if not tables and len(places) == len(videos) == 1 and has_gpmf(videos[0]):
+        return {"imu0": (videos[0],)}
+    return tables
+
+
+def _tables_of(video: Path, place: CameraPlace) -> dict[str, tuple[Path, ...]]:
+    """Return what holds the samples of the IMU of a video: tables beside it, or its own telemetry."""
+    return imu_tables_beside(video, _stamp_tables({"cam0": place})) or ({"imu0": (video,)} if has_gpmf(video) else {})
 
 
 def _stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
@@ -194,6 +228,22 @@ def _check_imu(imus: Mapping[str, ImuSamples], path: Path, log: ReadLog, *, need
     if need_imu:
         raise RecordingError(f"{path}: there are images, but no samples of an IMU {beside}. Expected {EXPECTED_IMU}.")
     log.note(f"there are no samples of an IMU {beside}.")
+
+
+def _in_order_only(place: CameraPlace) -> bool:
+    """Tell whether nothing but their order says which images were taken together with those of another camera."""
+    if place.folder is None or place.table is not None:
+        return False
+    return numbers_in_names(sorted(image_names(place.folder, place.prefix))) is None
+
+
+def _check_order(counts: Mapping[str, int]) -> None:
+    if len(set(counts.values())) > 1:
+        found = " and ".join(f"{count} images in {label}" for label, count in counts.items())
+        raise RecordingError(
+            f"there are {found}, and their names hold no numbers that tell which of them were taken together. Number "
+            "them, such as left01.png and right01.png, or name them after their stamps in nanoseconds."
+        )
 
 
 def _stamp_tables(places: Mapping[str, CameraPlace]) -> set[Path]:

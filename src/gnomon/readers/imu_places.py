@@ -35,10 +35,7 @@ def imu_tables(root: Path, others: set[Path]) -> dict[str, tuple[Path, ...]]:
     if named:
         return named
     tables = [path for path in sorted(root.iterdir()) if _is_table(path) and path not in others]
-    pair = [[path for path in tables if word.search(path.name) and _triads(path) == 1] for word in _PAIR]
-    if [len(files) for files in pair] == [1, 1] and pair[0] != pair[1]:
-        return {"imu0": (pair[0][0], pair[1][0])}
-    return _only([path for path in tables if _triads(path) == 2], root)
+    return _pair(tables) or _only([path for path in tables if _triads(path) == 2], root)
 
 
 def imu_tables_beside(video: Path, others: set[Path]) -> dict[str, tuple[Path, ...]]:
@@ -52,9 +49,18 @@ def imu_tables_beside(video: Path, others: set[Path]) -> dict[str, tuple[Path, .
     own = [
         path
         for path in sorted(video.parent.iterdir())
-        if path.name.startswith(video.stem) and _is_table(path) and path not in others and _triads(path) == 2
+        if path.name.startswith(video.stem) and _is_table(path) and path not in others
     ]
-    return _only(own, video.parent) or _named(video.parent)
+    both = [path for path in own if _triads(path) == 2]
+    return _pair(own) or _only(both, video.parent) or _named(video.parent)
+
+
+def _pair(tables: list[Path]) -> dict[str, tuple[Path, ...]]:
+    """Return the tables of accelerometer and gyroscope, where there is just one of each."""
+    pair = [[path for path in tables if word.search(path.name) and _triads(path) == 1] for word in _PAIR]
+    if [len(files) for files in pair] == [1, 1] and pair[0] != pair[1]:
+        return {"imu0": (pair[0][0], pair[1][0])}
+    return {}
 
 
 def _named(root: Path) -> dict[str, tuple[Path, ...]]:

@@ -61,12 +61,14 @@ class CameraInput:
     time_shift_cam_imu_s : initial guess of t_imu - t_cam [s], or None
     lens_covariance : (k, k) covariance of intrinsics and distortion coefficients, in the order of `Camera.parameters`,
         or None where it is not known
+    T_cam_cam0 : (4, 4) p_cam = T_cam_cam0 @ p_cam0 [m] by the chain of T_cn_cnm1, or None
     """
 
     camera: Camera
     T_cam_imu: Floats | None = None
     time_shift_cam_imu_s: float | None = None
     lens_covariance: Floats | None = None
+    T_cam_cam0: Floats | None = None
 
 
 def read_camchain(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, CameraInput]:
@@ -109,7 +111,9 @@ def cameras_of(root: Node, notes: list[str]) -> dict[str, CameraInput]:
     cameras: dict[str, CameraInput] = {}
     for name, node in nodes.items():
         before = cameras.get(f"cam{int(name.removeprefix('cam')) - 1}")
-        cameras[name] = _chained(_camera_input(node, notes), node, before, notes)
+        found = _camera_input(node, notes)
+        found = replace(found, T_cam_cam0=frozen_array(np.eye(4))) if name == "cam0" else found
+        cameras[name] = _chained(found, node, before, notes)
     return cameras
 
 
@@ -299,6 +303,8 @@ def _chained(camera: CameraInput, node: Node, before: CameraInput | None, notes:
     if before is None:
         passed_over([node.child("T_cn_cnm1")], notes)
         return camera
+    if before.T_cam_cam0 is not None:
+        camera = replace(camera, T_cam_cam0=frozen_array(link @ before.T_cam_cam0))
     if before.T_cam_imu is None:
         return camera
     T = frozen_array(link @ before.T_cam_imu)

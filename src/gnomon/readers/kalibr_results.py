@@ -29,6 +29,7 @@ _RESIDUAL = re.compile(
 _CAMERA, _IMU = re.compile(r"(cam\d+)\s*"), re.compile(r"(IMU\d+):?\s*")
 _MATRICES = {"M": (3, 3), "A": (3, 3), "C_gyro_i": (3, 3), "rx_i": (3,), "ry_i": (3,), "rz_i": (3,)}
 _LENS_KEYS = {"Camera model": "camera_model", "Distortion model": "distortion_model"}
+_BOARD_KEYS = {"Type", "Rows", "Cols", "Size", "Count", "Distance", "Marker size", "Dictionary", "First", "Legacy"}
 _LENS_LISTS = {"Focal length": "focal", "Principal point": "principal", "Distortion coefficients": "distortion_coeffs"}
 
 
@@ -130,7 +131,7 @@ class _Page:
             section[_LENS_LISTS[key]] = self._numbers(i, rest)
         elif found := re.fullmatch(r"(Omni|EUCM|DS) (\w+)", key):
             section[found[2]] = self._number(i, rest)
-        elif key in {"Type", "Rows", "Cols", "Size", "Count", "Distance"} or key.startswith("Spacing"):
+        elif key in _BOARD_KEYS or key.startswith("Spacing"):
             self._board_entry(i, key, rest)
         elif key in {"Model", "Update rate", "Noise density", "Random walk"}:
             name = f"{triad} {key}" if key in {"Noise density", "Random walk"} else key
@@ -146,6 +147,10 @@ class _Page:
     def _board_entry(self, i: int, key: str, rest: str) -> None:
         if key == "Type":
             self.board = {"Type": rest}
+        elif key in {"Dictionary", "Legacy"}:
+            self.board[key] = rest
+        elif key in {"Marker size", "First"}:
+            self.board[key] = self._number(i, rest)
         elif key in {"Rows", "Cols"}:
             self.board["counting"] = key
             if rest:
@@ -220,6 +225,16 @@ class _Page:
                         rows=int(board["Rows Count"]),
                         row_spacing_m=board["Rows Distance"],
                         col_spacing_m=board["Cols Distance"],
+                    )
+                case "charuco":
+                    return Target.charuco(
+                        cols=board["Cols"],
+                        rows=board["Rows"],
+                        square_size_m=board["Size"],
+                        marker_size_m=board["Marker size"],
+                        dictionary=board["Dictionary"],
+                        first_marker=int(board["First"]),
+                        legacy=board["Legacy"] == "yes",
                     )
                 case "circlegrid":
                     notes.append("The file does not say whether the grid of circles is asymmetric; taken: it is not.")

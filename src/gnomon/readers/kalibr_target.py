@@ -1,4 +1,4 @@
-"""Kalibr's target.yaml: AprilGrid, checkerboard or grid of circles."""
+"""Kalibr's target.yaml: AprilGrid, checkerboard or grid of circles; and ChArUco boards in its manner."""
 
 from collections.abc import Callable
 from os import PathLike
@@ -10,10 +10,25 @@ from .foreign_yaml import read_foreign_yaml
 from .kalibr_yaml import file_hint, file_name, passed_over, required, whole_number
 from .structured import Node
 
+DICTIONARIES = (
+    *(f"{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "ARUCO_ORIGINAL",
+    *(f"APRILTAG_{code}" for code in ("16h5", "25h9", "36h10", "36h11")),
+    "ARUCO_MIP_36h12",
+)
+"""OpenCV's names of families of markers, without DICT_."""
+
 _LONGEST_M, _LARGEST_RATIO, _MOST = 10.0, 10.0, 1000
 _FIRST_TAG = ("codeOffset", "firstTag")  # of forks of Kalibr, and ours
 _BORDER = "tagBorderBits"  # ours: Kalibr prints 2
 _FAMILY = ("tagFamily", "tag_family")
+_MARKERS = ("firstMarker", "legacyPattern")  # of a ChArUco board, optional
+_OPENCV = {
+    "squaresX": "squareCols",
+    "squaresY": "squareRows",
+    "squareLength": "squareSize",
+    "markerLength": "markerSize",
+}
 _USUAL_RATIO = (0.1, 1.0)  # gap between tags over their size; boards that people print have 0.2 to 0.5
 
 
@@ -21,7 +36,10 @@ def read_target(path: str | PathLike[str], notes: list[str] | None = None) -> Ta
     """Read a calibration board from Kalibr's target.yaml.
 
     Beyond what Kalibr takes, tagBorderBits: 1 states a grid of plain AprilTags (Kalibr prints a border of 2), and
-    codeOffset, or firstTag, the id of the tag at the lower left.
+    codeOffset, or firstTag, the id of the tag at the lower left. A ChArUco board, which Kalibr does not know, has
+    squareCols, squareRows (squares, not corners), squareSize, markerSize, dictionary, and where they are not 0 and
+    false, firstMarker and legacyPattern; OpenCV's names squaresX, squaresY, squareLength and markerLength are taken,
+    too.
 
     Parameters
     ----------
@@ -49,6 +67,8 @@ def target_of(root: Node, notes: list[str]) -> Target:
     if "target_type" not in keys:
         raise root.fail(f"the key target_type is missing. Expected one of {', '.join(_BOARDS)}.{file_hint(root)}")
     kind = _kind(keys["target_type"])
+    if kind == "charuco":
+        keys = _with_usual_names(keys)
     make, values = _BOARDS[kind]
     arguments = {name: read(required(keys, key, root, _EXPECTED[read])) for key, (name, read) in values.items()}
     optional: tuple[str, ...] = ()
@@ -59,6 +79,9 @@ def target_of(root: Node, notes: list[str]) -> Target:
     if kind == "aprilgrid":
         optional = (*_FIRST_TAG, _BORDER, *_FAMILY)
         arguments |= _tags(keys, notes)
+    if kind == "charuco":
+        optional = _MARKERS
+        arguments |= _markers(keys)
     try:
         target = make(**arguments)
     except OptionError as error:
@@ -69,13 +92,44 @@ def target_of(root: Node, notes: list[str]) -> Target:
     return target
 
 
+_ALSO = {
+    "chessboard": "checkerboard",
+    "apriltaggrid": "aprilgrid",
+    "circlesgrid": "circlegrid",
+    "charucoboard": "charuco",
+    "charucogrid": "charuco",
+}
+
+
 def _kind(node: Node) -> str:
     stated = node.text()
     plain = "".join(letter for letter in stated.lower() if letter.isalnum())
-    kind = {"chessboard": "checkerboard", "apriltaggrid": "aprilgrid", "circlesgrid": "circlegrid"}.get(plain, plain)
+    kind = _ALSO.get(plain, plain)
     if kind not in _BOARDS:
         raise node.fail(f'found "{stated}", expected one of {", ".join(_BOARDS)}.')
     return kind
+
+
+def dictionary_name(stated: str) -> str:
+    """Return OpenCV's name of a family of markers without DICT_, however it is written.
+
+    Raises
+    ------
+    OptionError
+        If there is no such family.
+    """
+    known = {each.upper(): each for each in DICTIONARIES}
+    name = stated.strip().upper().removeprefix("DICT_")
+    if name not in known:
+        raise OptionError(f'dictionary "{stated}": expected one of {", ".join(DICTIONARIES)}.')
+    return known[name]
+
+
+def _dictionary(node: Node) -> str:
+    try:
+        return dictionary_name(node.text())
+    except OptionError as error:
+        raise node.fail(str(error)) from None
 
 
 def _count(node: Node) -> int:
@@ -83,6 +137,10 @@ def _count(node: Node) -> int:
     if not 1 <= value <= _MOST:
         raise node.fail(f"found {value}, expected a count from 1 to {_MOST}.")
     return value
+
+
+def _squares(node: Node) -> int:
+    return _count(node)
 
 
 def _length(node: Node) -> float:
@@ -112,10 +170,12 @@ def _flag(node: Node) -> bool:
     return bool(node.value)
 
 
-_EXPECTED: dict[Callable[[Node], float], str] = {
+_EXPECTED: dict[Callable[[Node], Any], str] = {
     _count: "a count",
+    _squares: "a count of squares, which is one more than that of inner corners",
     _length: "a length in metres",
     _ratio: "the gap between two tags divided by their size",
+    _dictionary: "the name of OpenCV's dictionary of the markers, such as 4X4_50",
 }
 _BOARDS: dict[str, tuple[Callable[..., Target], dict[str, tuple[str, Callable[[Node], Any]]]]] = {
     "aprilgrid": (
@@ -140,6 +200,16 @@ _BOARDS: dict[str, tuple[Callable[..., Target], dict[str, tuple[str, Callable[[N
         Target.circlegrid,
         {"targetCols": ("cols", _count), "targetRows": ("rows", _count), "spacingMeters": ("spacing_m", _length)},
     ),
+    "charuco": (
+        Target.charuco,
+        {
+            "squareCols": ("cols", _squares),
+            "squareRows": ("rows", _squares),
+            "squareSize": ("square_size_m", _length),
+            "markerSize": ("marker_size_m", _length),
+            "dictionary": ("dictionary", _dictionary),
+        },
+    ),
 }
 
 
@@ -160,6 +230,26 @@ def _tags(keys: dict[str, Node], notes: list[str]) -> dict[str, int]:
         for node in (keys[name] for name in _FAMILY if name in keys)
         if "36h11" not in str(node.value)
     ]
+    return found
+
+
+def _with_usual_names(keys: dict[str, Node]) -> dict[str, Node]:
+    """Return the keys of a ChArUco board with those of OpenCV under the names of this file."""
+    for other, usual in _OPENCV.items():
+        if other in keys and usual in keys and keys[other].value != keys[usual].value:
+            raise keys[other].fail(f"{usual} and {other} mean the same and differ.")
+    return {_OPENCV.get(key, key): node for key, node in keys.items()}
+
+
+def _markers(keys: dict[str, Node]) -> dict[str, int]:
+    """Return what is stated of the markers beyond their size."""
+    found: dict[str, int] = {}
+    if "firstMarker" in keys:
+        found["first_marker"] = whole_number(keys["firstMarker"])
+        if found["first_marker"] < 0:
+            raise keys["firstMarker"].fail(f"found {found['first_marker']}, expected an id from 0, at the upper left.")
+    if "legacyPattern" in keys:
+        found["legacy"] = _flag(keys["legacyPattern"])
     return found
 
 

@@ -51,12 +51,12 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
             problem = f"{row[0]} stands here twice" if len(row) == 4 else f"found {len(row)} columns, expected 4"
             raise FormatError(f"{path}, line {number}: {problem}.")
         table[row[0]] = number, row
-    table.pop("body_frame", None)
+    frame = table.pop("body_frame", (0, ["", ""]))[1][1]
     table.pop("gravity", None)
     names = sorted({name.split(".")[0] for name in table})
     notes: list[str] = []
     cameras: dict[str, CameraCalibration] = {}
-    reader = _Table(path, table)
+    reader = _Table(path, table, alone=frame == "cam0")
     for name in [name for name in names if re.fullmatch(r"cam\d+", name)]:
         if f"{name}.resolution" in table:
             cameras[name] = reader.camera(name)
@@ -70,7 +70,7 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
         raise FormatError(f"{path}, line {number}: {name} is no parameter of a calibration.")
     return ForeignCalibration(
         imus=imus,
-        frame=recognised_frame(imus),
+        frame=frame if reader.alone else recognised_frame(imus),
         sigmas=reader.sigmas,
         notes=tuple(notes),
         cameras=cameras,
@@ -81,8 +81,8 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
 class _Table:
     """Takes parameters out of the rows."""
 
-    def __init__(self, path: str | PathLike[str], rows: dict[str, tuple[int, list[str]]]) -> None:
-        self.path, self.rows = path, rows
+    def __init__(self, path: str | PathLike[str], rows: dict[str, tuple[int, list[str]]], *, alone: bool) -> None:
+        self.path, self.rows, self.alone = path, rows, alone
         self.sigmas: dict[str, Floats] = {}
 
     def imu(self, name: str) -> ImuCalibration:
@@ -107,8 +107,11 @@ class _Table:
         if len(sides) != 2 or not all(side.isdigit() for side in sides):
             raise FormatError(f"{self.path}: {name}.resolution is {' '.join(sides)!r}, expected width and height.")
         T = np.eye(4)
-        T[:3, :3] = rotation_from_rotvec(self.take(f"{name}.T_cam_imu.rotation", (3,))[0])
-        T[:3, 3] = self.take(f"{name}.T_cam_imu.translation", (3,))[0]
+        link = f"{name}.{'T_cam_cam0' if self.alone else 'T_cam_imu'}"
+        if not self.alone or name != "cam0":
+            T[:3, :3] = rotation_from_rotvec(self.take(f"{link}.rotation", (3,))[0])
+            T[:3, 3] = self.take(f"{link}.translation", (3,))[0]
+        delayed = not self.alone or f"{name}.line_delay" in self.rows
         try:
             camera = Camera(
                 projection=projection,  # pyright: ignore[reportArgumentType]
@@ -116,11 +119,14 @@ class _Table:
                 distortion=distortion,  # pyright: ignore[reportArgumentType]
                 distortion_coeffs=self.take(f"{name}.distortion_coeffs", (len(bent.names),))[0],
                 resolution=(int(sides[0]), int(sides[1])),
-                line_delay_s=float(self.take(f"{name}.line_delay", ())[0]),
+                line_delay_s=float(self.take(f"{name}.line_delay", ())[0]) if delayed else 0.0,
                 topic=self.words(f"{name}.rostopic") if f"{name}.rostopic" in self.rows else "",
             )
         except OptionError as error:
             raise FormatError(f"{self.path}: {name}: {error}") from None
+        if self.alone:
+            self.sigmas.pop(f"{name}.line_delay", None)
+            return CameraCalibration(T_cam_body=T, time_shift_cam_imu=0.0, camera=camera, body="cam0")
         shift = float(self.take(f"{name}.time_shift_cam_imu", ())[0])
         return CameraCalibration(T_cam_body=T, time_shift_cam_imu=shift, camera=camera)
 

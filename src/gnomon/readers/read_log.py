@@ -8,9 +8,16 @@ from ..units import Units
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadLog:
-    """Units that were stated, and lists that grow: the files, and sentences on what was assumed."""
+    """What was stated, and lists that grow: the files, and sentences on what was assumed.
+
+    Attributes
+    ----------
+    units : of what is read
+    cameras_alone : whether IMUs are passed over; images may be numbered then, where nothing says when they were taken
+    """
 
     units: Units
+    cameras_alone: bool = False
     sources: list[Source] = field(default_factory=list[Source])
     notes: list[str] = field(default_factory=list[str])
 

@@ -44,10 +44,31 @@ def read(
     OptionError
         If an option does not fit the recording.
     """
+    logged = _read_logged(WITH_RESTS, paths, columns, rate_hz, units)
+    if logged is not None:
+        return logged
     poses = _read_poses(paths, columns, rate_hz, units)
     if poses is not None:
         return poses
     return read_recognising(WITH_RESTS, *paths, columns=columns, rate_hz=rate_hz, units=units)
+
+
+def _read_logged(
+    recogniser: Recogniser,
+    paths: tuple[str | Path, ...],
+    columns: str | None,
+    rate_hz: float | None,
+    units: str | Units | None,
+) -> Recording | None:
+    """Read what a camera or a phone logged; None where the paths are something else."""
+    from .device_log import read_device_log
+
+    log = read_device_log(paths, columns, rate_hz)
+    if log is None:
+        return None
+    notes: list[str] = list(log.notes)
+    samples = _samples((log.accelerometer, log.gyroscope, log.magnetometer), _stated(units, None), recogniser, notes)
+    return Recording(imus={"imu0": samples}, sources=log.sources, assumptions=tuple(notes))
 
 
 def _read_poses(
@@ -92,6 +113,9 @@ def read_recognising(
     units: str | Units | None = None,
 ) -> Recording:
     """Read a recording like `read`, with what tells the units from the values where nothing states them."""
+    logged = _read_logged(recogniser, paths, columns, rate_hz, units)
+    if logged is not None:
+        return logged
     stated = _stated(units, rate_hz)
     files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError
-from ..recording import frozen_array
+from ..recording import KnownRig, frozen_array
 from .basalt_json import basalt_of, is_basalt
 from .calibration_file import load
 from .foreign import ForeignCalibration
@@ -15,6 +15,7 @@ from .foreign_yaml import read_foreign_yaml
 from .kalibr_cam_results import is_kalibr_cam_results, read_cam_results
 from .kalibr_camchain import CameraInput, cameras_of
 from .kalibr_imu_input import ImuInput, read_imu_input
+from .own_root import is_own
 from .structured import read_json, read_text
 
 
@@ -47,6 +48,24 @@ def read_cameras(path: str | PathLike[str], notes: list[str] | None = None) -> d
     if isinstance(root.value, dict) and "schema" in root.value:
         return _own(path)
     return cameras_of(root, said)
+
+
+def read_rig(path: str | PathLike[str]) -> KnownRig | None:
+    """Return what a calibration of cameras alone, of gnomon's own, knows of the cameras together; None of other files.
+
+    Raises
+    ------
+    FormatError
+        If it is such a file, and not as it should be.
+    """
+    if not is_own(path):
+        return None
+    calibration = load(path)
+    covariance = calibration.uncertainty.matrix
+    if calibration.imus or not np.isfinite(covariance).all():
+        return None
+    poses = {name: camera.T_cam_body for name, camera in calibration.cameras.items() if name != camera.body}
+    return KnownRig(T_cam_cam0=poses, names=calibration.uncertainty.names, covariance=covariance)
 
 
 def read_imus(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, ImuInput]:
@@ -100,9 +119,10 @@ def _own(path: str | PathLike[str]) -> dict[str, CameraInput]:
         known = np.isfinite(covariance).all() and (np.diag(covariance) > 0).any()
         cameras[name] = CameraInput(
             camera=found.camera,
-            T_cam_imu=found.T_cam_imu,
-            time_shift_cam_imu_s=found.time_shift_cam_imu,
+            T_cam_imu=found.T_cam_imu if found.body == "imu0" else None,
+            time_shift_cam_imu_s=found.time_shift_cam_imu if found.body == "imu0" else None,
             lens_covariance=frozen_array(covariance) if known else None,
+            T_cam_cam0=found.T_cam_body if found.body == "cam0" else None,
         )
     return cameras
 

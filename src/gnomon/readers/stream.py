@@ -13,20 +13,22 @@ import numpy as np
 from ..errors import OptionError, RecordingError
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..units import Units
+from .device_log import is_device_log
 from .files import NPZ_MAGIC, first_bytes
 from .folder import recording_files
+from .recordings import read
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
 
 
-def stream_of(samples: ImuSamples, block: int = 65_536) -> SampleStream:
-    """Return samples in memory as a stream of blocks of at most `block` rows."""
+def stream_of(samples: ImuSamples, block: int = 65_536, triads: Collection[str] = TRIADS) -> SampleStream:
+    """Return samples in memory, of the triads that are wanted, as a stream of blocks of at most `block` rows."""
 
     def blocks(triad: TriadSamples) -> Blocks:
         for i in range(0, len(triad), block):
             yield TriadSamples(t_ns=triad.t_ns[i : i + block], values=triad.values[i : i + block], unit=triad.unit)
 
-    triads = {name: getattr(samples, name) for name in TRIADS}
-    return SampleStream(**{name: blocks(triad) for name, triad in triads.items() if triad is not None and len(triad)})
+    wanted = {name: getattr(samples, name) for name in TRIADS if name in triads}
+    return SampleStream(**{name: blocks(triad) for name, triad in wanted.items() if triad is not None and len(triad)})
 
 
 def open_stream(
@@ -55,6 +57,9 @@ def open_stream(
     OptionError
         If an option does not fit the recording.
     """
+    if imu == "imu0" and is_device_log(paths):
+        recording = read(*paths, units=units, columns=columns, rate_hz=rate_hz)
+        return stream_of(recording.imus[imu], triads=triads)
     choice = UnitChoice(stated=units or Units(), expected=expected)
     files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):

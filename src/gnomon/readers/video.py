@@ -17,14 +17,13 @@ from ..errors import RecordingError
 from ..images import Frame, Grey, ImageStream
 from ..recording import Integers
 from .camera_places import CameraPlace
-from .files import file_source
+from .files import file_source, is_mp4_head
 from .frame_stamps import FrameTable, read_frame_table
 from .read_log import ReadLog
 
 _HEAD = 4096
 _TEXT_MAGIC = b"YUV4MPEG2"  # the only video that begins as text
 _NO_VIDEO = (b"\x1f\x8b", b"PK\x03\x04", b"#ROSBAG", b"\x89MCAP", b"SQLite format 3", b"\x93NUMPY", b"%PDF")
-_STILL = (b"heic", b"heix", b"mif1", b"avif")
 _IMAGES = ("image2", "_pipe")
 _LUMA_FIRST = {"gray", "nv12", "nv21", "nv16", "nv24", "yuva420p", "yuva422p", "yuva444p"} | {
     f"yuv{full}{sampling}p" for full in ("", "j") for sampling in (410, 411, 420, 422, 440, 444)
@@ -69,7 +68,7 @@ def is_video(path: Path) -> bool:
     text = b"\0" not in head and not head.startswith(_TEXT_MAGIC)
     if text or head.startswith(_NO_VIDEO):
         return False
-    if _cut_off_mp4(head):
+    if is_mp4_head(head):
         return True
     try:
         with av.open(str(path)) as container:
@@ -82,7 +81,7 @@ def video_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
     """Return the stream of the frames of a video, in the order in which they are shown.
 
     Stamps come from a table beside it with a row a frame, or are those of the video, which mostly count from its
-    beginning: their clock has nothing to do with that of an IMU.
+    beginning: unless the video holds its telemetry, their clock has nothing to do with that of an IMU.
 
     Parameters
     ----------
@@ -111,8 +110,7 @@ def video_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
         _check_rows(table, facts, place)
     else:
         log.note(
-            f"{place.label}: the frames have the times of the video, whose clock has nothing to do with that of an "
-            "IMU; the shift between them is searched for."
+            f"{place.label}: the frames have the times of the video; the shift to the clock of the IMU is searched for."
         )
     log.sources.append(file_source(path))
     stamps = None if table is None else table.t_ns
@@ -133,27 +131,27 @@ def _opened(path: Path, label: str) -> InputContainer:
     try:
         container = av.open(str(path))
     except (FFmpegError, OSError, ValueError) as error:
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-        if _cut_off_mp4(head):
-            raise RecordingError(
-                f"{label}: the video is cut off or damaged: its index, which mostly stands at the end, is missing. "
-                "Copy it again, or repair it from a whole video of the same device."
-            ) from None
-        raise RecordingError(f"{label}: the video cannot be opened ({_said(error)}).") from None
+        raise cannot_open(path, label, error) from None
     if not container.streams.video:
         container.close()
         raise RecordingError(f"{label}: there are no images in this video file.")
     return container
 
 
+def cannot_open(path: Path, label: str, error: Exception) -> RecordingError:
+    """Return what to say of a video that FFmpeg does not open."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if is_mp4_head(head):
+        return RecordingError(
+            f"{label}: the video is cut off or damaged: its index, which mostly stands at the end, is missing. "
+            "Copy it again, or repair it from a whole video of the same device."
+        )
+    return RecordingError(f"{label}: the video cannot be opened ({_said(error)}).")
+
+
 def _said(error: Exception) -> str:
     return str(getattr(error, "strerror", None) or error)
-
-
-def _cut_off_mp4(head: bytes) -> bool:
-    """Tell by its first bytes whether a file is of the family of MP4, which cannot be opened without its index."""
-    return head[4:8] == b"ftyp" and head[8:12] not in _STILL
 
 
 def _facts(path: Path, label: str) -> _Facts:

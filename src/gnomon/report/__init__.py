@@ -1,12 +1,13 @@
 """Calibration and diagnostics -> one self-contained HTML file.
 
 page.py is the design, the same for every kind of calibration; imu.py says what an IMU calibration puts on it,
-camera_imu.py what a camera-IMU calibration does, triads.py what a calibration from known magnitudes does.
+camera_imu.py what a camera-IMU calibration does, cameras.py what one of cameras alone does, triads.py what a
+calibration from known magnitudes does.
 """
 
 from pathlib import Path
 
-from ..diagnostics import CameraImuDiagnostics, Result
+from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, Result
 from ..output import write_whole
 from ..triad_diagnostics import TriadDiagnostics
 
@@ -33,6 +34,10 @@ def write_report(result: Result, path: str | Path) -> None:
         from .camera_imu import camera_imu_page
 
         page = camera_imu_page(calibration, diagnostics)
+    elif isinstance(diagnostics, CamerasDiagnostics):
+        from .cameras import cameras_page
+
+        page = cameras_page(calibration, diagnostics)
     elif isinstance(diagnostics, TriadDiagnostics):
         from .triads import triad_page
 

@@ -34,7 +34,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         trust_section(calibration.assessment, diagnostics.trust),
         evidence.fit_section(diagnostics),
         evidence.residuals_section(diagnostics, views),
-        images_section(diagnostics),
+        images_section(diagnostics.corners),
         evidence.coverage_section(diagnostics, views),
         evidence.biases_section(diagnostics),
         sections.parameters_section(diagnostics),

@@ -102,10 +102,10 @@ def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, Corner
             )
         )
     for name, view in views.items():
-        blocks += _corner_figures(name, view)
+        blocks += [corner_scatter(name, view), _frames(name, view)]
     if views:
-        blocks.append(_field(views))
-    blocks += _frames_left_out(diagnostics.corners)
+        blocks.append(field_figure(views))
+    blocks += frames_left_out(diagnostics.corners)
     return Section(
         anchor="residuals",
         title="Residuals",
@@ -130,40 +130,43 @@ def _spans(t: Floats) -> tuple[Legend, ...]:
     )
 
 
-def _corner_figures(name: str, view: CornerView) -> tuple[Figure, Figure]:
+def corner_scatter(name: str, view: CornerView) -> Figure:
+    """Return the residuals of one camera: their distributions, and their scatter."""
     fit = view.fit
     outside = int((np.fmax(*np.abs(view.residual.T)) > view.reach).sum())
-    used, corners = np.asarray(fit.frame_used, dtype=bool), np.asarray(fit.frame_corners)
     beyond = f", {outside} lie outside of what is drawn" if outside else ""
     step = images.scatter_step(view)
     share = f" The scatter shows one corner in {step}." if step > 1 else ""
-    left_out = (Legend(mark="ring", color="accent", label="left out"),) if not used.all() else ()
-    empty = int((corners == 0).sum())
     normal = Legend(mark="dash", color="ink", label=f"normal, σ = {number(fit.sigma_px, 3)} px")
     along = (Legend(mark="line", color="x", label="u"), Legend(mark="line", color="y", label="v"))
-    return (
-        Figure(
-            title=f"Corners of {name}",
-            svg=images.corner_residuals(name, view),
-            legend=(*along, normal, *_spans(view.t_s)),
-            caption=f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
-            f"{view.weighed_down} fit less well and were weighed down{beyond}.{share}",
-        ),
-        Figure(
-            title=f"Frames of {name}",
-            svg=images.frames(name, fit),
-            legend=(
-                Legend(mark="dot", color="after", label="used"),
-                *left_out,
-                Legend(mark="dash", color="ink", label="σ of a corner"),
-            ),
-            caption=f"{int(used.sum())} of {len(used)} frames were used."
-            + (f" {empty} show no corner." if empty else ""),
-        ),
+    return Figure(
+        title=f"Corners of {name}",
+        svg=images.corner_residuals(name, view),
+        legend=(*along, normal, *_spans(view.t_s)),
+        caption=f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
+        f"{view.weighed_down} fit less well and were weighed down{beyond}.{share}",
     )
 
 
-def _field(views: dict[str, CornerView]) -> Figure:
+def _frames(name: str, view: CornerView) -> Figure:
+    fit = view.fit
+    used, corners = np.asarray(fit.frame_used, dtype=bool), np.asarray(fit.frame_corners)
+    left_out = (Legend(mark="ring", color="accent", label="left out"),) if not used.all() else ()
+    empty = int((corners == 0).sum())
+    return Figure(
+        title=f"Frames of {name}",
+        svg=images.frames(name, fit),
+        legend=(
+            Legend(mark="dot", color="after", label="used"),
+            *left_out,
+            Legend(mark="dash", color="ink", label="σ of a corner"),
+        ),
+        caption=f"{int(used.sum())} of {len(used)} frames were used." + (f" {empty} show no corner." if empty else ""),
+    )
+
+
+def field_figure(views: dict[str, CornerView]) -> Figure:
+    """Return the mean residual over the images, as arrows."""
     longer = field_magnification(views)
     worst = {name: largest(np.hypot(*view.field.mean.T)) for name, view in views.items()}
     longest = "; ".join(f"{name} {number(size, 2)} px" for name, size in worst.items() if isfinite(size))
@@ -176,8 +179,8 @@ def _field(views: dict[str, CornerView]) -> Figure:
     )
 
 
-def _frames_left_out(corners: dict[str, CornerFit]) -> list[Table]:
-    """Return the reasons for leaving out frames, each with a count and the first times."""
+def frames_left_out(corners: dict[str, CornerFit], title: str = "Frames that were left out") -> list[Table]:
+    """Return the reasons for not using frames, each with a count and the first times."""
     rows: list[tuple[str, ...]] = []
     for name, fit in corners.items():
         groups: dict[str, list[tuple[float, str]]] = {}
@@ -195,8 +198,8 @@ def _frames_left_out(corners: dict[str, CornerFit]) -> list[Table]:
     more = len(rows) - _MOST_ROWS
     return [
         Table(
-            title="Frames that were left out",
-            head=("reason", "frames", "at [s]"),
+            title=title,
+            head=("reason", title.split(maxsplit=1)[0].lower(), "at [s]"),
             rows=tuple(rows[:_MOST_ROWS]),
             caption=f"And {more} more reasons." if more > 0 else "",
             prose=True,

@@ -16,6 +16,8 @@ from .panel import DASHED, Panel
 TIMES = ("t1", "t2", "t3", "t4", "t5")
 """Inks of five equal spans of time."""
 _DOTS = 1500
+_LEAST_MATRIX = 200.0
+"""Side of a matrix of few parameters, so that a small screen shows it as well."""
 
 
 def corner_residuals(name: str, view: CornerView) -> str:
@@ -23,6 +25,7 @@ def corner_residuals(name: str, view: CornerView) -> str:
     residual, reach, sigma = view.residual, view.reach, positive(view.fit.sigma_px, 0.0)
 
     def paint(sheet: Sheet) -> None:
+        """Draw two panels side by side."""
         axes = half_panel(sheet, "Density", 0, top=36, height=314)
         histograms(axes, [(residual[:, 0], "x"), (residual[:, 1], "y")], reach=reach, sigma=sigma)
         sheet.text("residual [px]", x=WIDTH / 2 - 14, y=400, color="muted", align="right")
@@ -71,6 +74,7 @@ def frames(name: str, fit: CornerFit) -> str:
     sigma = positive(fit.sigma_px, 0.0)
 
     def paint(sheet: Sheet) -> None:
+        """Draw the residuals above, the numbers of corners below."""
         axes = sheet.panel("rms residual of the frame [px]", top=36, height=190)
         axes.across(sigma, "ink", width=1.4, dash=DASHED)
         for chosen, color, ring, size in ((used, "after", False, 4.0), (~used, "accent", True, 7.0)):
@@ -92,7 +96,7 @@ def frames(name: str, fit: CornerFit) -> str:
     return draw(f"frames-{name}", 446, alt, paint)
 
 
-def _image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list[Panel]:
+def image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list[Panel]:
     """Return panels in pixels, one per camera: a single image large, several in two columns."""
     panels: list[Panel] = []
     top = 36.0
@@ -107,7 +111,7 @@ def _image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list[Panel]:
         panel.frame = ("left", "right", "top", "bottom")
         panel.x.span(-0.5, view.fit.resolution[0] - 0.5)
         panel.y.span(view.fit.resolution[1] - 0.5, -0.5)
-        panel.x.most = 5 if alone else 4
+        panel.x.most, panel.y.most = (5, 5) if alone else (4, 3)
         panels.append(panel)
         if k % 2:
             top += height + 92
@@ -119,7 +123,7 @@ def _image_size(view: CornerView, *, alone: bool) -> tuple[float, float]:
     return width, width * view.fit.resolution[1] / view.fit.resolution[0]
 
 
-def _images_height(views: Mapping[str, CornerView]) -> float:
+def images_height(views: Mapping[str, CornerView]) -> float:
     """Return the height of a sheet of image panels."""
     alone = len(views) == 1
     heights = [_image_size(view, alone=alone)[1] for view in views.values()]
@@ -131,12 +135,13 @@ def density(views: Mapping[str, CornerView]) -> str:
     """Draw how many corners were seen where in the image."""
 
     def paint(sheet: Sheet) -> None:
-        for panel, view in zip(_image_panels(sheet, views), views.values(), strict=True):
+        """Draw the cells of each image."""
+        for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
             grid = view.density
             level = np.sqrt(grid.count / max(grid.count.max(), 1.0))
             panel.cells(grid.corner, grid.size, level=level, color="after")
 
-    return draw("density", _images_height(views), "Density of the corners over the image of each camera.", paint)
+    return draw("density", images_height(views), "Density of the corners over the image of each camera.", paint)
 
 
 def field(views: Mapping[str, CornerView]) -> str:
@@ -144,15 +149,16 @@ def field(views: Mapping[str, CornerView]) -> str:
     longer = field_magnification(views)
 
     def paint(sheet: Sheet) -> None:
-        for panel, view in zip(_image_panels(sheet, views), views.values(), strict=True):
+        """Draw the arrows over each image."""
+        for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
             known = np.isfinite(view.field.mean).all(axis=1)
             centre = view.field.corner[known] + np.array(view.field.size) / 2
-            _arrows(panel, centre, longer * view.field.mean[known])
+            arrows(panel, centre, longer * view.field.mean[known])
 
-    return draw("field", _images_height(views), "Mean residual of the corners over the image, as arrows.", paint)
+    return draw("field", images_height(views), "Mean residual of the corners over the image, as arrows.", paint)
 
 
-def _arrows(panel: Panel, start: Floats, along: Floats) -> None:
+def arrows(panel: Panel, start: Floats, along: Floats, color: str = "after") -> None:
     """Draw arrows as one path."""
     back = np.array([[-0.3, 0.14], [-0.3, -0.14]])
     aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -160,17 +166,18 @@ def _arrows(panel: Panel, start: Floats, along: Floats) -> None:
     barbs = [tip + b[0] * along + b[1] * aside for b in back]
     gap = np.full_like(start, np.nan)
     line = np.stack([start, tip, gap, barbs[0], tip, barbs[1], gap], axis=1).reshape(-1, 2)
-    panel.line(line[:, 0], line[:, 1], "after", width=1.5, clip=False)
+    panel.line(line[:, 0], line[:, 1], color, width=1.5, clip=False)
 
 
 def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
     """Draw a correlation matrix; labels are groups of parameters: (name of the group, names of its entries)."""
     count = len(matrix)
     left = 232.0
-    pitch = min((WIDTH - left - RIGHT) / max(count, 1), 24.0)
+    pitch = min((WIDTH - left - RIGHT) / max(count, 1), max(24.0, _LEAST_MATRIX / max(count, 1)))
     size = pitch * count
 
     def paint(sheet: Sheet) -> None:
+        """Draw the cells, the lines between groups, and the names."""
         panel = sheet.panel("", top=20, height=size, left=left, right=WIDTH - left - size)
         panel.x.span(0, count)
         panel.y.span(count, 0)

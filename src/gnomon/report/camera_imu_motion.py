@@ -63,6 +63,7 @@ def axes_of_rotation(motion: Motion) -> str:
     most = max(float(count.max(initial=0)) for _, count in counted.values()) or 1.0
 
     def paint(sheet: Sheet) -> None:
+        """Draw the patches of both hemispheres."""
         for side, (spots, count) in counted.items():
             panel = hemisphere(sheet, side)
             panel.rim = np.sqrt(2)
@@ -76,6 +77,7 @@ def rates(motion: Motion) -> str:
     parts = (("Angular rate [°/s]", motion.rate), ("Linear acceleration [m/s²]", motion.acceleration))
 
     def paint(sheet: Sheet) -> None:
+        """Draw two panels side by side."""
         for k, (title, values) in enumerate(parts):
             sizes = np.abs(finite(values))
             reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
@@ -97,6 +99,7 @@ def path(motion: Motion) -> str:
     torn = np.diff(motion.t_s[kept], append=np.inf) > 5 * np.median(np.diff(motion.t_s[kept], append=0.0))
 
     def paint(sheet: Sheet) -> None:
+        """Draw the path in five colours, twice."""
         for k, (title, across, up) in enumerate((("Plane: y over x [m]", 0, 1), ("Depth: z over x [m]", 0, 2))):
             axes = half_panel(sheet, title, k, top=36, height=314)
             axes.x.grid = True
@@ -128,35 +131,37 @@ class _Body:
 
 
 def rig(calibration: Calibration) -> str:
-    """Draw the IMU and the cameras to scale, as triads, seen from behind the first camera, a little from above."""
-    first = next(iter(calibration.cameras.values())).T_cam_imu
-    imu = _Body(name="imu0", origin=first[:3, 3], axes=first[:3, :3])
-    cameras: list[_Body] = []
+    """Draw the IMU, if any, and the cameras to scale, as triads, from behind the first camera, a little from above."""
+    first = next(iter(calibration.cameras.values())).T_cam_body
+    bodies = [_Body(name="imu0", origin=first[:3, 3], axes=first[:3, :3])] if calibration.imus else []
     for name, camera in calibration.cameras.items():
-        T = first @ np.linalg.inv(camera.T_cam_imu)
-        cameras.append(_Body(name=name, origin=T[:3, 3], axes=T[:3, :3], image=True))
-    origins = [body.origin for body in (imu, *cameras)]
+        T = first @ np.linalg.inv(camera.T_cam_body)
+        bodies.append(_Body(name=name, origin=T[:3, 3], axes=T[:3, :3], image=True))
+    origins = [body.origin for body in bodies]
     apart = max(float(np.linalg.norm(a - b)) for a in origins for b in origins)
     length = 0.4 * apart if np.isfinite(apart) and apart > 1e-6 else 0.02
     height = 380.0
 
     def paint(sheet: Sheet) -> None:
+        """Draw lines from the first body to the others, the images of cameras, and all axes."""
         panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=height)
+        cameras = [body for body in bodies if body.image]
         corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
-        tips = [body.origin + length * body.axes.T for body in (imu, *cameras)]
+        tips = [body.origin + length * body.axes.T for body in bodies]
         _fit(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])), height)
+        for body in bodies[1:]:
+            _dashed(panel, bodies[0], body, length)
         for body, image in zip(cameras, corners, strict=True):
-            _dashed(panel, imu, body, length)
             edges = [np.stack([body.origin, corner]) for corner in image]
             for line in (image[[0, 1, 2, 3, 0]], *edges):
                 flat = _flat(line)
                 panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
-        for body in (imu, *cameras):
+        for body in bodies:
             _triad(panel, body, length)
-            _name(panel, body, [b.origin for b in (imu, *cameras) if b is not body], length)
+            _name(panel, body, [b.origin for b in bodies if b is not body], length)
 
-    names = ", ".join(calibration.cameras)
-    return draw("rig", height, f"The axes of imu0 and of {names} in space, drawn to scale.", paint)
+    names = ", ".join(body.name for body in bodies)
+    return draw("rig", height, f"The axes of {names} in space, drawn to scale.", paint)
 
 
 _FRUSTUM = np.array([[-0.5, -0.36, 0.8], [0.5, -0.36, 0.8], [0.5, 0.36, 0.8], [-0.5, 0.36, 0.8]])
@@ -170,12 +175,12 @@ def _flat(points: Floats) -> Floats:
     return (points @ _LOOK.T)[:, :2] * (1, -1)
 
 
-def _dashed(panel: Panel, imu: _Body, camera: _Body, length: float) -> None:
-    """Draw the line from the IMU to a camera, with its length where there is room for it."""
-    ends = _flat(np.stack([imu.origin, camera.origin]))
+def _dashed(panel: Panel, first: _Body, other: _Body, length: float) -> None:
+    """Draw the line between two bodies, with its length where there is room for it."""
+    ends = _flat(np.stack([first.origin, other.origin]))
     panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
     if np.linalg.norm(ends[1] - ends[0]) > 1.5 * length:
-        far = f"{number(1e3 * float(np.linalg.norm(camera.origin - imu.origin)), 3)} mm"
+        far = f"{number(1e3 * float(np.linalg.norm(other.origin - first.origin)), 3)} mm"
         _write(panel, far, ends.mean(axis=0), np.array([0.0, 9.0]))
 
 

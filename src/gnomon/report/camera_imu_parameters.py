@@ -11,7 +11,7 @@ from math import degrees
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnostics import CameraImuDiagnostics, EstimatedParameter
+from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, EstimatedParameter
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.forms import in_own_axes
 from ..recording import Floats
@@ -75,16 +75,16 @@ def camera_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, 
         ("Position", "origin of the camera in the frame of the IMU", "mm"),
     )
     groups = [
-        _triple(title, note, unit, values[3 * i : 3 * i + 3], spreads[3 * i : 3 * i + 3])
+        triple(title, note, unit, values[3 * i : 3 * i + 3], spreads[3 * i : 3 * i + 3])
         for i, (title, note, unit) in enumerate(titles)
     ]
     groups.append(_times(calibration, name))
     if float(np.max(calibration.sigma(f"{name}.intrinsics"), initial=0.0)) > 0:
-        groups.append(_lens(calibration, name))
+        groups.append(lens_group(calibration, name))
     return tuple(groups)
 
 
-def _triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
+def triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
     """Return a group of angles about the axes [°], or of lengths along them."""
     word = "about" if unit == "°" else "along"
     rows: list[Parameter] = []
@@ -117,25 +117,10 @@ def _times(calibration: Calibration, name: str) -> ParameterGroup:
     return ParameterGroup(title="Time", note="", rows=tuple(rows))
 
 
-_INTRINSICS = {
-    "pinhole": ("fu", "fv", "pu", "pv"),
-    "omni": ("xi", "fu", "fv", "pu", "pv"),
-    "eucm": ("alpha", "beta", "fu", "fv", "pu", "pv"),
-    "ds": ("xi", "alpha", "fu", "fv", "pu", "pv"),
-}
-_COEFFICIENTS = {
-    "none": (),
-    "radtan": ("k1", "k2", "p1", "p2"),
-    "radtan5": ("k1", "k2", "p1", "p2", "k3"),
-    "equidistant": ("k1", "k2", "k3", "k4"),
-    "fov": ("w",),
-}
-
-
-def _lens(calibration: Calibration, name: str) -> ParameterGroup:
+def lens_group(calibration: Calibration, name: str) -> ParameterGroup:
+    """Return the parameters of a lens, by their symbols."""
     camera = calibration.cameras[name].camera
-    names = (*_INTRINSICS[camera.projection], *_COEFFICIENTS[camera.distortion])
-    values = np.concatenate([camera.intrinsics, camera.distortion_coeffs])
+    names, values = camera.parameter_symbols, camera.parameters
     spreads = np.concatenate([calibration.sigma(f"{name}.{part}") for part in ("intrinsics", "distortion_coeffs")])
     rows: list[Parameter] = []
     for label, value, spread in zip(names, values.tolist(), spreads.tolist(), strict=True):
@@ -155,12 +140,12 @@ def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> t
             continue
         values, spreads = _baseline(calibration, to, source)
         note = f"origin of {source} in the frame of {to}"
-        translation = _triple(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
+        translation = triple(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
         text, sigma = with_sigma(float(values[3]), float(spreads[3]))
         distance = Parameter(name="distance", value=text, sigma=sigma, unit="mm")
         groups.append(replace(translation, rows=(*translation.rows, distance)))
         note = f"from the axes of {source} to those of {to}"
-        groups.append(_triple("Rotation", note, "°", values[4:], spreads[4:]))
+        groups.append(triple("Rotation", note, "°", values[4:], spreads[4:]))
     return tuple(groups)
 
 
@@ -208,7 +193,7 @@ def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]
     at = imu.gyroscope.sensitivity.ravel()
     own, spreads = _gyroscope(at), sigmas_of(_gyroscope, at, calibration.covariance(f"{path}.sensitivity"))
     groups += [*_triad("Gyroscope", "g", own[:6], spreads[:6]), _bias(calibration, path, "Gyroscope", "g")]
-    turned = _triple("Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:])
+    turned = triple("Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:])
     groups.append(_marked(turned, own[6:], spreads[6:]))
     groups.append(_g_sensitivity(calibration, path, imu.gyroscope.g_sensitivity, imu.gyroscope.unit))
     return groups
@@ -221,7 +206,7 @@ def _lever_arms(calibration: Calibration, path: str) -> list[ParameterGroup]:
         return []
     spreads = calibration.sigma(f"{path}.lever_arms_m")
     return [
-        _triple(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
+        triple(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
         for axis, place, spread in zip(AXES, places, spreads, strict=True)
         if spread.any()
     ]
@@ -352,7 +337,7 @@ def plus_minus(value: float, spread: float, *, sign: bool = False) -> str:
     return f"{text} ± {sigma}" if sigma else text
 
 
-def every_parameter(diagnostics: CameraImuDiagnostics) -> Table:
+def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> Table:
     """Return all scalars of the batch estimation with start, sigma, prior and status."""
     rows: list[tuple[str, ...]] = []
     faint: set[int] = set()
@@ -371,10 +356,16 @@ def every_parameter(diagnostics: CameraImuDiagnostics) -> Table:
         rows=tuple(rows),
         dense=True,
         faint=frozenset(faint),
-        caption="Of rotations and directions the value is the small angle from the start. The priors of estimated "
-        "parameters are weak: they only hold what the recording does not determine. Faint: fixed, or (≤ σ) an "
-        "entry of the IMU no farther from an ideal sensor's than its σ, which document B takes for ideal.",
+        caption=_ALONE if isinstance(diagnostics, CamerasDiagnostics) else _WITH_IMU,
     )
+
+
+_ALONE = "Faint: fixed."
+_WITH_IMU = (
+    "Of rotations and directions the value is the small angle from the start. The priors of estimated parameters are "
+    "weak: they only hold what the recording does not determine. Faint: fixed, or (≤ σ) an entry of the IMU no farther "
+    "from an ideal sensor's than its σ, which document B takes for ideal."
+)
 
 
 def _unit(unit: str) -> str:

@@ -4,7 +4,7 @@ from math import isfinite
 
 import numpy as np
 
-from ..diagnostics import CameraImuDiagnostics, CornerFit
+from ..diagnostics import CornerFit
 from ..recording import Floats, FrameQuality
 from .camera_imu_signals import half_panel
 from .figures import WIDTH, Sheet, coarser, dots, draw, limits, thinned, zigzag
@@ -18,9 +18,9 @@ _FEWEST = 400
 """Corners that a comparison with their residuals needs."""
 
 
-def images_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+def images_section(corners: dict[str, CornerFit]) -> Section | None:
     """Return what the images were like; None where the corners were not found in images here."""
-    known = {name: fit for name, fit in diagnostics.corners.items() if fit.quality is not None}
+    known = {name: fit for name, fit in corners.items() if fit.quality is not None}
     if not known:
         return None
     blocks: list[Figure | Table] = []
@@ -64,6 +64,7 @@ def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
     count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
 
     def paint(sheet: Sheet) -> None:
+        """Draw three panels, one below the other."""
         panels = [
             sheet.panel("Blur [px]", top=36, height=150),
             sheet.panel("Grey levels", top=240, height=110),
@@ -147,6 +148,7 @@ def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
     sigma, scatter = groups
 
     def paint(sheet: Sheet) -> None:
+        """Draw two panels side by side."""
         axes = half_panel(sheet, "Density", 0, top=36, height=200)
         edges = np.linspace(0, reach, 61)
         density = np.histogram(known, edges)[0] / (len(known) * (edges[1] - edges[0]))

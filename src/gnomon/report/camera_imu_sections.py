@@ -1,12 +1,13 @@
 """The sections of a camera-IMU report that show the estimate: cameras, IMU, every scalar, noise and solution."""
 
 from dataclasses import replace
+from functools import reduce
 from math import degrees, isfinite
 
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnostics import CameraImuDiagnostics, EstimatedParameter, NoiseLevel
+from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, EstimatedParameter, NoiseLevel, SolverStep
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..recording import Floats
 from . import camera_imu_images as images
@@ -138,7 +139,7 @@ def imu_section(calibration: Calibration) -> Section:
     return Section(anchor="imu", title="IMU", lead=lead, blocks=tuple(blocks))
 
 
-def parameters_section(diagnostics: CameraImuDiagnostics) -> Section | None:
+def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> Section | None:
     """Return every scalar with its sigma, and how they are correlated; None without any."""
     if not diagnostics.parameters:
         return None
@@ -168,12 +169,20 @@ def parameters_section(diagnostics: CameraImuDiagnostics) -> Section | None:
     )
 
 
+_SHORTER = (
+    ("T_cam_imu.", ""),
+    ("T_cam_cam0.", ""),
+    ("time_shift_cam_imu", "time_shift"),
+    ("distortion_coeffs", "distortion"),
+)
+
+
 def _groups(free: list[EstimatedParameter]) -> list[tuple[str, list[str]]]:
     """Return consecutive parameters of one block under one name, with what tells them apart."""
     groups: list[tuple[str, list[str]]] = []
     for parameter in free:
         name, _, index = parameter.name.partition("[")
-        short = name.replace("T_cam_imu.", "").replace("time_shift_cam_imu", "time_shift")
+        short = reduce(lambda text, pair: text.replace(*pair), _SHORTER, name)
         if not groups or groups[-1][0] != short:
             groups.append((short, []))
         groups[-1][1].append(index.rstrip("]"))
@@ -194,31 +203,44 @@ def _strongest(free: list[EstimatedParameter], matrix: Floats) -> Table:
 
 def solution_section(diagnostics: CameraImuDiagnostics, *, converged: bool) -> Section:
     """Return noise levels, gravity, and the iterations of the solver."""
-    blocks: list[Table] = []
-    if diagnostics.noise:
-        blocks.append(
-            Table(
-                title="Noise",
-                head=("of", "stated", "found in the residuals", "used", "unit"),
-                rows=tuple(_noise_row(level) for level in diagnostics.noise),
-                caption="Noise found in the residuals holds all that the model does not explain, such as vibration.",
-            )
-        )
-    blocks.append(_gravity(diagnostics))
-    if diagnostics.steps:
-        steps = tuple(
-            (str(i + 1), number(s.cost, 7), number(s.largest_step, 3), number(s.damping, 2), _ACCEPTED[s.accepted])
-            for i, s in enumerate(diagnostics.steps[:_MOST_ROWS])
-        )
-        blocks.append(
-            Table(
-                title="Iterations",
-                head=("", "cost before", "largest step [σ]", "damping", ""),
-                rows=steps,
-                caption="The solver came to rest." if converged else "The solver did not come to rest.",
-            )
-        )
+    blocks = [
+        *noise_table(diagnostics.noise),
+        _gravity(diagnostics),
+        *steps_table(diagnostics.steps, converged=converged),
+    ]
     return Section(anchor="solution", title="Noise and solution", blocks=tuple(blocks))
+
+
+def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> list[Table]:
+    """Return noise levels as stated, found and used; none without any."""
+    if not noise:
+        return []
+    return [
+        Table(
+            title="Noise",
+            head=("of", "stated", "found in the residuals", "used", "unit"),
+            rows=tuple(_noise_row(level) for level in noise),
+            caption=f"Noise found in the residuals holds all that the model does not explain, such as {example}.",
+        )
+    ]
+
+
+def steps_table(steps: tuple[SolverStep, ...], *, converged: bool) -> list[Table]:
+    """Return the iterations of the solver; none without any."""
+    if not steps:
+        return []
+    rows = tuple(
+        (str(i + 1), number(s.cost, 7), number(s.largest_step, 3), number(s.damping, 2), _ACCEPTED[s.accepted])
+        for i, s in enumerate(steps[:_MOST_ROWS])
+    )
+    return [
+        Table(
+            title="Iterations",
+            head=("", "cost before", "largest step [σ]", "damping", ""),
+            rows=rows,
+            caption="The solver came to rest." if converged else "The solver did not come to rest.",
+        )
+    ]
 
 
 _ACCEPTED = {True: "accepted", False: "rejected"}

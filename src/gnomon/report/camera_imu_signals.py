@@ -60,6 +60,7 @@ def overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
     unit = readable_unit(fit.unit)
 
     def paint(sheet: Sheet) -> None:
+        """Draw the signal above, what is left of each axis below."""
         axes = sheet.panel(f"Measured [{unit}]", top=36, height=190)
         t, low, high = coarser(fit.t_s, fit.measured, fit.measured, bins=600)
         for i, axis in enumerate(AXES):
@@ -115,6 +116,7 @@ def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> s
     unit = readable_unit(fit.unit)
 
     def paint(sheet: Sheet) -> None:
+        """Draw signal and residual of each axis."""
         for i, axis in enumerate(AXES):
             colors = (axis,) if fit.basic is None else ("accent", axis)
             top = 36 + 292 * i
@@ -153,6 +155,7 @@ def normalised(signals: dict[str, SignalFit]) -> str:
     pitch, top = 330.0, 36.0
 
     def paint(sheet: Sheet) -> None:
+        """Draw a histogram for each signal."""
         for k, name in enumerate(names):
             fit = signals[name]
             left = residual(fit, fit.predicted) / positive(fit.sigma)
@@ -200,6 +203,7 @@ def bias_figure(biases: dict[str, BiasTrack]) -> str:
     last = list(biases)[-1]
 
     def paint(sheet: Sheet) -> None:
+        """Draw a panel for each signal."""
         for k, (name, track) in enumerate(biases.items()):
             middle = np.array([float(np.mean(finite(v))) if finite(v).size else 0.0 for v in track.value.T])
             deviation = track.value - middle

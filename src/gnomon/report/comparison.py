@@ -154,10 +154,14 @@ def _blocks(comparison: Comparison) -> Section:
     return Section(
         anchor="repeatability",
         title="Repeatability",
-        lead=f"Body frame {comparison.frame}. Tables as in document B, appendix B.2: every calibration, the mean of "
+        lead=f"{_frame_text(comparison.frame)} Tables as in document B, appendix B.2: every calibration, the mean of "
         "all, and their standard deviation beside the one that was predicted.",
         blocks=tables or (Prose(lines=("No block was estimated.",)),),
     )
+
+
+def _frame_text(frame: str) -> str:
+    return f"Poses are to {frame}." if frame.startswith("cam") else f"Body frame {frame}."
 
 
 def _biases(comparison: Comparison) -> Iterator[Section]:
@@ -189,8 +193,8 @@ def _table(comparison: Comparison, block: Repeatability) -> Table:
     if block.reference is not None:
         w, x, y, z = quaternion_from_rotation(block.reference)
         caption = (
-            "Small rotations about the body's axes against the mean, whose quaternion (w, x, y, z) is "
-            f"{', '.join(fixed(float(v), 7) for v in (w, x, y, z))}."
+            f"Small rotations about the axes of {_axes_of(block.path)} against the mean, whose quaternion (w, x, y, z) "
+            f"is {', '.join(fixed(float(v), 7) for v in (w, x, y, z))}."
         )
     if block.assumed:
         caption += f" Held at an ideal or a given value by {', '.join(block.assumed)}."
@@ -203,6 +207,12 @@ def _table(comparison: Comparison, block: Repeatability) -> Table:
         dense=True,
         faint=frozenset(range(len(block.names), len(rows))),
     )
+
+
+def _axes_of(path: str) -> str:
+    """Return whose axes the rotations of a block are about: those of the body, or of the camera in the middle."""
+    _, *middle, _ = path.split(".")
+    return middle[0] if middle and middle[0].startswith("cam") else "the body"
 
 
 def _difference_rows(item: Difference, factor: float, decimals: list[int]) -> list[tuple[str, ...]]:
@@ -278,11 +288,21 @@ def _calibrations(comparison: Comparison) -> Section:
 
 
 def _conventions(comparison: Comparison) -> Section:
-    points = (
+    with_imu = any(sensor.startswith("imu") for one in comparison.calibrations for sensor in one.sensors)
+    forms = (
         f"All calibrations were brought into body frame {comparison.frame} and into the form of document B: measured = "
         "S M R x + b, with scales S, M unit lower triangular (yz, zy, zx), and R the rotation from body to triad.",
         "p_cam = T_cam_imu p_imu; t_imu = t_cam + time shift. The rotation of a camera is that from body to camera; "
         "differences of rotations are rotation vectors about the body's axes.",
+    )
+    if not with_imu:
+        forms = (
+            f"The poses of cameras are to {comparison.frame}: p_cam1 = T_cam1_{comparison.frame} p_{comparison.frame}, "
+            "with x to the right of its image, y down, z out of the lens; differences of rotations are rotation "
+            "vectors about these axes.",
+        )
+    points = (
+        *forms,
         "A difference has the variances of both calibrations, less what both share by the same assumed gravity. Where "
         "one states no sigmas it is held against those of the other; where neither does, against those of the rest.",
         f"All {comparison.compared} differences of scalars together exceed {number(comparison.z_limit, 3)} σ in one of "

@@ -35,6 +35,7 @@ def deviations(comparison: Comparison) -> str:
     height = _ROW * len(blocks)
 
     def paint(sheet: Sheet) -> None:
+        """Draw a line of dots for each block."""
         panel = sheet.panel("Deviation from the mean, in sigmas", top=36, height=height, left=RIGHT, x_label="sigmas")
         reach = _reach(blocks)
         panel.x.span(-reach, reach)

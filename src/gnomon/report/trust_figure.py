@@ -8,6 +8,8 @@ from .numbers import finite, highest
 from .panel import DASHED
 
 _ROW, _LEFT, _TOP = 24.0, 270.0, 36.0
+_LEAST = 140.0
+"""Height of all rows together at least, so that a small screen shows two of them as well."""
 
 
 def agreement(splits: Splits) -> str:
@@ -16,9 +18,10 @@ def agreement(splits: Splits) -> str:
     robust = np.array([*(block.z_rms for block in splits.blocks), splits.z_rms])
     ordinary = np.array([*(block.z_rms_ordinary for block in splits.blocks), splits.z_rms_ordinary])
     place = np.arange(0.5, len(names), dtype=np.float64)
-    height = _ROW * len(names)
+    height = max(_ROW * len(names), _LEAST)
 
     def paint(sheet: Sheet) -> None:
+        """Draw two dots a row, joined."""
         label = "z rms (1 is as expected)"
         panel = sheet.panel("", top=_TOP - 18, height=height, left=_LEFT, x_label=label)
         panel.y.ticks, panel.y.grid = (), False

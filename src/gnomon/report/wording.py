@@ -19,6 +19,7 @@ FRAMES = {
     "plane",
     "mag-x": "the x axis of the body is the sensitivity axis of the x magnetometer, and the y magnetometer lies in the "
     "x-y plane",
+    "cam0": "x to the right of the image of cam0, y down, z out of its lens",
     "user": "axes of your own, taken from the poses that you named",
 }
 """What the body frames mean."""

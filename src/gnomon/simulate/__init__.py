@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from .camera_imu_scenario import CameraImuScenario
+from .cameras_scenario import CamerasScenario
 from .field_scenario import FieldScenario
 from .plans import CameraImuPlan, ImuPlan
 from .pose_scenario import PoseScenario
@@ -13,12 +14,14 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..recording import Recording
     from .camera_imu import CameraImuSimulation
+    from .cameras import CamerasSimulation
     from .poses import PoseSimulation
     from .turntable import TurntableSimulation
 
 __all__ = [
     "CameraImuPlan",
     "CameraImuScenario",
+    "CamerasScenario",
     "FieldScenario",
     "ImuPlan",
     "PoseScenario",
@@ -26,6 +29,7 @@ __all__ = [
     "TurntableScenario",
     "simulate",
     "simulate_camera_imu",
+    "simulate_cameras",
     "simulate_magnetometer",
     "simulate_poses",
     "simulate_turntable",
@@ -86,6 +90,34 @@ def simulate_camera_imu(scenario: CameraImuScenario | None = None, seed: int = 0
     from .camera_imu import simulated_camera_imu
 
     return simulated_camera_imu(scenario or CameraImuScenario(), seed)
+
+
+def simulate_cameras(scenario: CamerasScenario | None = None, seed: int = 0) -> "CamerasSimulation":
+    """Make a recording of cameras that see a board in view after view, without an IMU, and what is true of it.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None
+    seed : every random number follows from it; the same scenario and seed give the same recording
+
+    Returns
+    -------
+    simulation : corners as a detector delivers them, the board, and the truth about lenses, poses and corners
+
+    Raises
+    ------
+    OptionError
+        If the scenario's lens or board is impossible, or the board does not fit into the image.
+
+    Examples
+    --------
+    >>> simulation = simulate_cameras(CamerasScenario(views=12), seed=1)
+    >>> len(simulation.recording.cameras["cam0"].t_ns), simulation.truth.frame
+    (12, 'cam0')
+    """
+    from .cameras import simulate_cameras as simulated
+
+    return simulated(scenario or CamerasScenario(), seed)
 
 
 def simulate_poses(scenario: PoseScenario | None = None, seed: int = 0) -> "PoseSimulation":

@@ -146,7 +146,7 @@ def simulated_frames(
     order = np.argsort(stamp_ns, kind="stable")
     order = order[kept[order]]
     pixels, seen = view.corners(exposure_s)
-    if scenario.target_type != "aprilgrid":  # detected whole or not at all
+    if scenario.target_type not in {"aprilgrid", "charuco"}:  # detected whole or not at all
         seen &= seen.all(axis=1, keepdims=True)
     detected, outlier, shifted = _detected(scenario, pixels, streams)
     chosen = seen[order]

@@ -9,16 +9,15 @@ import numpy as np
 from ..images import Frame, Grey, ImageRecording, ImageStream
 from ..models.board_pattern import Pattern, board_pattern
 from ..models.camera import Camera
-from ..models.target import Target
 from ..recording import Floats
 from .camera_imu import CameraImuSimulation
 from .camera_imu_path import CameraPath
 from .clutter import Wall, cluttered_wall
-from .rendering import Optics, render
+from .covers import MovingCovers, moving_covers
+from .outlines import TrueBoard
+from .rendering import Optics, render_moving
 
-_STEP_PX = 0.75  # between the instants of an exposure
-_MOST_INSTANTS = 16
-_LIGHT = Optics(white=205.0, black=28.0, background=90.0, vignetting=0.25, gradient=(0.08, -0.05))
+_LIGHT = Optics(white=205.0, black=28.0, background=90.0, gradient=(0.08, -0.05))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,7 +26,7 @@ class _Exposures:
 
     Attributes
     ----------
-    pattern, wall : what it sees
+    pattern, board, wall, covers : what it sees
     camera : the true lens
     path : of cam0
     T_cam_cam0 : (4, 4) of this camera
@@ -38,7 +37,9 @@ class _Exposures:
     """
 
     pattern: Pattern
+    board: TrueBoard | None
     wall: Wall | None
+    covers: MovingCovers | None
     camera: Camera
     path: CameraPath
     T_cam_cam0: Floats
@@ -49,30 +50,17 @@ class _Exposures:
 
     def image(self, k: int) -> Grey:
         """Return image k; always the same."""
-        count = self._instants(k)
-        instants = self.middle_s[k] + self.exposure_s * ((np.arange(count) + 0.5) / count - 0.5)
-        delay_s, height = self.camera.line_delay_s, self.camera.resolution[1]
-        rows = delay_s * np.arange(height if delay_s else 1)
-        R, p = self._poses((instants[:, None] + rows).ravel())
-        return render(
+        return render_moving(
             self.pattern,
             self.camera,
-            R.reshape(count, len(rows), 3, 3),
-            p.reshape(count, len(rows), 3),
+            lambda t_s: self._poses(self.middle_s[k] + t_s),
+            exposure_s=self.exposure_s,
+            board=self.board,
             options=self.optics,
             wall=self.wall,
+            covers=self.covers.at(self.middle_s[k]) if self.covers else (),
             rng=np.random.default_rng([*self.seed, k]),
         )
-
-    def _instants(self, k: int) -> int:
-        """Return at how many instants the board has to be drawn, so that it moves little between them."""
-        R, p = self._poses(self.middle_s[k] + self.exposure_s * np.array([-0.5, 0.5]))
-        x0, y0, x1, y1 = self.pattern.sheet
-        corners = np.array([(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0), ((x0 + x1) / 2, (y0 + y1) / 2, 0)])
-        ends = [self.camera.project(corners @ R[i].T + p[i], point_jacobian=False).pixels for i in range(2)]
-        moved = np.linalg.norm(ends[1] - ends[0], axis=1)
-        longest = float(np.max(moved[np.isfinite(moved)], initial=0.0))
-        return int(np.clip(np.ceil(longest / _STEP_PX), 1, _MOST_INSTANTS))
 
     def _poses(self, t_s: Floats) -> tuple[Floats, Floats]:
         """Return R_cam_target (n, 3, 3) and p_cam_target (n, 3) [m]."""
@@ -97,19 +85,31 @@ def simulated_images(simulation: CameraImuSimulation) -> ImageRecording:
     simulation : what was simulated; its scenario says how light, blur and noise are
     """
     scenario = simulation.scenario
-    pattern = board_pattern(_scaled(simulation.target, scenario.target_scale))
+    target = simulation.target
+    pattern = board_pattern(target)
+    true = scenario.target_scale * (target.points + simulation.truth_parameters["target.offsets"])
     cameras = simulation.truth.cameras
     streams: dict[str, ImageStream] = {}
     for number, (name, frames) in enumerate(simulation.recording.cameras.items()):
         exposures = _Exposures(
             pattern=pattern,
+            board=TrueBoard.of(target, true),
             wall=cluttered_wall(simulation.seed) if scenario.image_clutter else None,
+            covers=moving_covers(scenario.covers, (simulation.seed, number), scenario.resolution),
             camera=cameras[name].camera,
             path=simulation.trajectory.path,
             T_cam_cam0=cameras[name].T_cam_imu @ np.linalg.inv(cameras["cam0"].T_cam_imu),
             middle_s=simulation.frames[name].exposure_s,
             exposure_s=scenario.exposure_s,
-            optics=replace(_LIGHT, blur_px=scenario.blur_px, noise=scenario.image_noise),
+            optics=replace(
+                _LIGHT,
+                blur_px=scenario.blur_px,
+                defocus_px=scenario.defocus_px,
+                focus_m=scenario.focus_m,
+                noise=scenario.image_noise,
+                shot_noise=scenario.shot_noise,
+                vignetting=scenario.vignetting,
+            ),
             seed=(simulation.seed, number),
         )
         streams[name] = ImageStream(
@@ -119,9 +119,3 @@ def simulated_images(simulation: CameraImuSimulation) -> ImageRecording:
             camera=frames.camera,
         )
     return ImageRecording(imus=simulation.recording.imus, streams=streams)
-
-
-def _scaled(target: Target, scale: float) -> Target:
-    """Return a board all of whose lengths are so many times as large."""
-    lengths = ("tag_size_m", "row_spacing_m", "col_spacing_m", "spacing_m")
-    return replace(target, **{name: scale * getattr(target, name) for name in lengths})

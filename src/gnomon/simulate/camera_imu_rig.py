@@ -219,6 +219,11 @@ def board(scenario: CameraImuScenario) -> Target:
         return Target.aprilgrid(tag_cols=cols, tag_rows=rows, tag_size_m=size, tag_spacing=scenario.target_spacing)
     if scenario.target_type == "checkerboard":
         return Target.checkerboard(cols=cols, rows=rows, row_spacing_m=size, col_spacing_m=size)
+    if scenario.target_type == "charuco":
+        marker = scenario.marker_share * size
+        return Target.charuco(
+            cols=cols, rows=rows, square_size_m=size, marker_size_m=marker, dictionary=scenario.dictionary
+        )
     return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=scenario.target_asymmetric)
 
 
@@ -229,6 +234,12 @@ def corner_offsets(scenario: CameraImuScenario, target: Target, rng: np.random.G
     centred = points - points.mean(axis=0)
     far = np.sum(centred**2, axis=1) / np.max(np.sum(centred**2, axis=1))
     offsets[:, 2] += scenario.board_bow_m * (1 - far)
+    return beside_the_whole(offsets, points)
+
+
+def beside_the_whole(offsets: Floats, points: Floats) -> Floats:
+    """Return offsets (k, 3) of a board's points without what moves, turns or scales the board as a whole."""
+    centred = points - points.mean(axis=0)
     whole = [np.tile(axis, (len(points), 1)) for axis in np.eye(3)]
     whole += [np.cross(axis, centred) for axis in np.eye(3)] + [centred]
     basis = np.linalg.qr(np.array([move.ravel() for move in whole]).T)[0]

@@ -8,7 +8,7 @@ from ..errors import OptionError
 
 MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "slow"]
 ImuPreset = Literal["thesis", "consumer", "ideal"]
-TargetName = Literal["aprilgrid", "checkerboard", "circlegrid"]
+TargetName = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
 
 INTRINSICS = {"pinhole": 4, "omni": 5, "eucm": 6, "ds": 6}
 DISTORTION_COEFFS = {"none": 0, "radtan": 4, "radtan5": 5, "equidistant": 4, "fov": 1}
@@ -35,10 +35,11 @@ class CameraImuScenario:
     """Frame rate of the cameras."""
 
     target_type: TargetName = "aprilgrid"
-    """Kind of board. Of an AprilGrid every corner in the image is detected, of other boards all corners or none."""
+    """Kind of board. Of an AprilGrid and of a ChArUco board every corner in the image is detected, of other boards all
+    corners or none."""
 
     target_cols: int = 6
-    """Tags of an AprilGrid, inner corners of a checkerboard or circles in a row."""
+    """Tags of an AprilGrid, inner corners of a checkerboard, circles, or squares of a ChArUco board in a row."""
 
     target_rows: int = 6
     """Rows of them."""
@@ -51,6 +52,12 @@ class CameraImuScenario:
 
     target_asymmetric: bool = False
     """Whether every other row of a circle grid is shifted."""
+
+    marker_share: float = 0.75
+    """Side of the marker of a ChArUco board, as a fraction of the square's."""
+
+    dictionary: str = "4X4_50"
+    """Markers of a ChArUco board, as OpenCV calls them."""
 
     target_scale: float = 1.0
     """How much larger the true board is than the board that goes with the recording."""
@@ -111,11 +118,27 @@ class CameraImuScenario:
     blur_px: float = 0.6
     """Standard deviation of the blur of lens and focus in the images, in px."""
 
+    defocus_px: float = 0.0
+    """Radius of the disc as which a point out of focus is seen in the images, in px; with focus_m of one far away."""
+
+    focus_m: float | None = None
+    """Distance that is in focus, in metres: the board is the less sharp the farther it is from there, its disc being
+    defocus_px |1 - focus_m / distance|. Without it all distances are alike."""
+
     image_noise: float = 2.0
-    """Standard deviation of the noise in the images, in grey levels."""
+    """Standard deviation of the noise in the images that does not depend on the light, in grey levels."""
+
+    shot_noise: float = 0.0
+    """Variance of the noise that does, over the grey level."""
+
+    vignetting: float = 0.25
+    """Fraction of the light that is lost in the corners of the images."""
 
     image_clutter: bool = False
     """Whether the images have a wall full of edges and foreign AprilTags behind the board, or even grey."""
+
+    covers: int = 0
+    """Hands and cables that move before the board in the images."""
 
     line_delay_s: float = 0.0
     """Time from one image row to the next in seconds (rolling shutter)."""
@@ -248,8 +271,8 @@ class CameraImuScenario:
             for start, length in getattr(self, name):
                 if not (start >= 0 and length > 0):
                     raise OptionError(f"{name} {start:g} {length:g}: give start and length, neither below zero.")
-        if self.images and (self.corner_offset_m or self.board_bow_m):
-            raise OptionError("corner_offset_m and board_bow_m move corners, not the rendered board: leave out images.")
+        if self.covers < 0:
+            raise OptionError(f"covers {self.covers}: give a number of hands and cables, or 0.")
         if self.target_cols < 2 or self.target_rows < 2:
             raise OptionError(f"a board of {self.target_cols} x {self.target_rows} is too small; give at least 2 x 2.")
         if len(self.accelerometer_arms_m) not in (0, 6):
@@ -269,7 +292,7 @@ class CameraImuScenario:
             _check(name, getattr(self, name), lowest=0.0, inclusive=True)
         for name in _FINITE:
             _check(name, getattr(self, name))
-        for name in ("dropped_samples", "outliers", "dropped_frames", "late_frames", "shifted_frames"):
+        for name in ("vignetting", "dropped_samples", "outliers", "dropped_frames", "late_frames", "shifted_frames"):
             if not 0 <= getattr(self, name) < 1:
                 raise OptionError(f"{name} {getattr(self, name):g}: give a fraction from 0 to below 1.")
         if self.earth_rate_latitude is not None and not -90 <= self.earth_rate_latitude <= 90:
@@ -299,11 +322,11 @@ class CameraImuScenario:
 
 _POSITIVE = (
     *("duration_s", "imu_rate_hz", "camera_rate_hz", "target_size_m", "target_scale", "distance_m", "gravity"),
-    *("accelerometer_range", "gyroscope_range"),
+    *("accelerometer_range", "gyroscope_range", "focus_m", "marker_share"),
 )
 _NOT_NEGATIVE = (
     *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s", "corner_offset_m"),
-    *("exposure_s", "blur_px", "image_noise"),
+    *("exposure_s", "blur_px", "image_noise", "defocus_px", "shot_noise"),
     *("accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density", "gyroscope_random_walk"),
     *("noise_factor", "scale_range", "misalignment_range", "gyroscope_rotation_range", "g_sensitivity_range"),
     *("accelerometer_bias_range", "gyroscope_bias_range", "outlier_px", "shift_px", "imu_jitter_s", "camera_jitter_s"),

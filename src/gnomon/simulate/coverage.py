@@ -12,7 +12,7 @@ from ..recording import Floats
 
 Singles = NDArray[np.float32]
 
-_BLOCK = 32768  # pieces at a time: the intermediate arrays of a block stay in the cache
+_BLOCK = 2048  # pieces at a time: the intermediate arrays of a block stay in the cache
 
 
 def coverage(start: Floats, end: Floats, shape: tuple[int, int]) -> Singles:
@@ -26,52 +26,77 @@ def coverage(start: Floats, end: Floats, shape: tuple[int, int]) -> Singles:
     """
     rows, cols = shape
     flat = np.zeros(rows * (cols + 1))
-    start, end = _near(start, end, shape)
-    for first in range(0, len(start), _BLOCK):
-        _add(flat, start[first : first + _BLOCK], end[first : first + _BLOCK], shape)
-    return np.cumsum(flat.reshape(rows, cols + 1)[:, :-1], axis=1, dtype=np.float32)
+    pieces = _near(start, end, shape)
+    for first in range(0, pieces.shape[1], _BLOCK):
+        _add(flat, pieces[:, first : first + _BLOCK], shape)
+    change = flat.reshape(rows, cols + 1)[:, :-1].astype(np.float32)
+    return np.cumsum(change, axis=1, out=change)
 
 
-def _add(flat: Floats, start: Floats, end: Floats, shape: tuple[int, int]) -> None:
-    """Add what pieces contribute to the differences between neighbours in a row, (rows (cols + 1),)."""
+def _add(flat: Floats, pieces: Floats, shape: tuple[int, int]) -> None:
+    """Add what pieces (4, n), x0 y0 x1 y1, contribute to the differences between neighbours in a row."""
     rows, cols = shape
-    piece, row = _runs(start[:, 1], end[:, 1], rows)
-    (x0, y0), (x1, y1) = start[piece].T, end[piece].T
-    top, bottom = np.clip(y0, row, row + 1), np.clip(y1, row, row + 1)
+    x0, y0, x1, y1 = pieces
+    low, high = np.minimum(y0, y1), np.maximum(y0, y1)
+    first, number = _cells(low, high, rows)
+    row = _counted(first, number)
+    low, high = (np.repeat(value, number) for value in (low, high))
+    top, bottom = np.maximum(low, row, out=low), np.minimum(high, row + 1, out=high)
     slope = (x1 - x0) / (y1 - y0)
-    left, right = x0 + (top - y0) * slope, x0 + (bottom - y0) * slope
-    down = bottom - top
-    piece, col = _runs(left, right, cols)
-    whole = (right - left)[piece]
-    from_x, to_x = np.clip(left[piece], col, col + 1), np.clip(right[piece], col, col + 1)
-    share = np.divide(to_x - from_x, whole, out=np.ones_like(whole), where=np.abs(whole) > 1e-9)
-    down = down[piece] * share
-    beyond = down * ((from_x + to_x) / 2 - col)
-    at = row[piece] * (cols + 1) + col
+    from_y, from_x, slope, way = (np.repeat(value, number) for value in (y0, x0, slope, np.sign(y1 - y0)))
+    left, right = (top - from_y) * slope, (bottom - from_y) * slope
+    left += from_x
+    right += from_x
+    down = (bottom - top) * way
+    _add_across(flat, row, (np.minimum(left, right), np.maximum(left, right)), down, cols)
+
+
+def _add_across(flat: Floats, row: NDArray[np.intp], x: tuple[Floats, Floats], down: Floats, cols: int) -> None:
+    """Add what pieces contribute that run down by `down` (n,) between two x, left and right, each within one row."""
+    left, right = x
+    at = row * (cols + 1)  # the row's first pixel
+    width = right - left
+    upright = width < 1e-9
+    width[upright] = 1.0
+    left = np.where(upright, right, left)  # in one column
+    per_col = 1 / width
+    first, number = _cells(left, right, cols)
+    col = _counted(first, number)
+    outside = left < 0
+    if outside.any():  # to the left of the image: to the right of it are all pixels of the row
+        share = (np.minimum(right[outside], 0.0) - left[outside]) * per_col[outside]
+        share[upright[outside]] = 1.0
+        np.add.at(flat, at[outside], down[outside] * share)
+    left, right, down, per_col = (np.repeat(value, number) for value in (left, right, down, per_col))
+    at, upright = np.repeat(at, number), np.repeat(upright, number)
+    np.maximum(left, col, out=left)
+    np.minimum(right, col + 1, out=right)
+    share = (right - left) * per_col
+    share[upright] = 1.0
+    down *= share
+    beyond = down * ((left + right) / 2 - col)
+    at += col
     np.add.at(flat, at, down - beyond)
     np.add.at(flat, at + 1, beyond)
 
 
-def _near(start: Floats, end: Floats, shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return the pieces that matter; those to the left of the image are drawn upon its edge.
-
-    A piece that crosses the left edge is drawn upon it as a whole: pieces are short.
-    """
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    matters = (high[:, 1] > 0) & (low[:, 1] < shape[0]) & (low[:, 0] < shape[1]) & (start[:, 1] != end[:, 1])
-    start, end = start[matters].copy(), end[matters].copy()
-    np.maximum(start[:, 0], 0.0, out=start[:, 0])
-    np.maximum(end[:, 0], 0.0, out=end[:, 0])
-    return start, end
+def _near(start: Floats, end: Floats, shape: tuple[int, int]) -> Floats:
+    """Return the pieces that matter, x0 y0 x1 y1 (4, n): also those to the left of the image."""
+    x0, y0, x1, y1 = start[:, 0], start[:, 1], end[:, 0], end[:, 1]
+    matters = (np.maximum(y0, y1) > 0) & (np.minimum(y0, y1) < shape[0]) & (np.minimum(x0, x1) < shape[1]) & (y0 != y1)
+    return np.array([value[matters] for value in (x0, y0, x1, y1)])
 
 
-def _runs(start: Floats, end: Floats, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return which intervals meet which cells: cell k reaches from k to k + 1, and there are `count` of them."""
-    first = np.floor(np.minimum(start, end)).astype(np.intp)
-    last = np.maximum(np.ceil(np.maximum(start, end)).astype(np.intp), first + 1)
-    np.clip(first, 0, count, out=first)
-    np.clip(last, 0, count, out=last)
-    number = last - first
-    piece = np.repeat(np.arange(len(start)), number)
-    offset = np.arange(len(piece)) - np.repeat(np.cumsum(number) - number, number)
-    return piece, first[piece] + offset
+def _cells(low: Floats, high: Floats, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first cell that an interval meets, and how many: cell k reaches from k to k + 1, of `count`."""
+    first = np.floor(low).astype(np.intp)
+    last = np.maximum(np.ceil(high).astype(np.intp), first + 1)
+    np.maximum(first, 0, out=first)
+    np.minimum(last, count, out=last)
+    return first, np.maximum(last - first, 0)
+
+
+def _counted(first: NDArray[np.intp], number: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return first, first + 1, ... of every interval, one after the other."""
+    ends = np.cumsum(number)
+    return np.arange(ends[-1] if len(ends) else 0) + np.repeat(first - ends + number, number)

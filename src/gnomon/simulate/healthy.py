@@ -5,6 +5,7 @@ from math import radians
 import numpy as np
 
 from .camera_imu_scenario import CameraImuScenario, MotionName
+from .cameras_scenario import USUAL_LENSES, BoardName, CamerasScenario
 from .scenario import Scenario
 
 _MOTIONS: tuple[MotionName, ...] = ("gentle", "normal", "tremor", "shaky", "rolling")
@@ -83,4 +84,35 @@ def healthy_rig(seed: int) -> CameraImuScenario:
         outliers=float(rng.choice([0.0, 0.002])),
         dropped_frames=float(rng.choice([0.0, 0.01])),
         dropped_samples=float(rng.choice([0.0, 5e-4])),
+    )
+
+
+def healthy_cameras(seed: int) -> CamerasScenario:
+    """Draw views of a board with nothing wrong with them."""
+    rng = np.random.default_rng([seed, 7])
+    model = str(rng.choice(list(USUAL_LENSES)))
+    kinds: tuple[BoardName, ...] = ("aprilgrid", "aprilgrid", "charuco", "checkerboard", "circlegrid")
+    kind = kinds[int(rng.integers(len(kinds)))]
+    tags = kind == "aprilgrid"
+    whole = kind in ("checkerboard", "circlegrid")  # small enough to reach the corners of the image
+    video = bool(rng.random() < 0.3)
+    return CamerasScenario.with_lens(
+        model,
+        views=int(rng.integers(200, 400)) if video else int(rng.integers(30, 70)),
+        between=int(rng.integers(5, 12)) if video else 1,
+        rate_hz=15.0 if video else 1.0,
+        cameras=2 if rng.random() < 0.3 else 1,
+        baseline_m=float(rng.uniform(0.05, 0.15)),
+        target_type=kind,
+        target_cols=int(rng.integers(5, 8)) if tags else int(rng.integers(7, 10)),
+        target_rows=int(rng.integers(4, 7)) if tags else int(rng.integers(5, 8)),
+        target_size_m=float(rng.uniform(0.04, 0.09)),
+        fill=(0.2, 0.55) if whole else (0.35, 0.85),
+        spread=0.95,
+        tilt_deg=float(rng.uniform(30, 45)),
+        roll_deg=float(rng.uniform(15, 90)),
+        pixel_noise_px=float(rng.uniform(0.05, 0.3)),
+        view_bias_px=float(rng.choice([0.0, 0.03])),
+        outliers=float(rng.choice([0.0, 0.002])),
+        blurred_views=float(rng.choice([0.0, 0.03])),
     )

@@ -89,7 +89,7 @@ def planned_recording(plan: CameraImuPlan, rig: PlannedRig, imu_rate_hz: float, 
         T_cam_cam0 = camera.T_cam_imu @ np.linalg.inv(first.T_cam_imu)
         view = View(path=path, T_cam_cam0=T_cam_cam0, camera=camera.camera, points=rig.target.points)
         pixels, seen = view.corners(exposure_s)
-        if rig.target.kind != "aprilgrid":  # detected whole or not at all
+        if rig.target.kind not in {"aprilgrid", "charuco"}:  # detected whole or not at all
             seen &= seen.all(axis=1, keepdims=True)
         frame, point = np.nonzero(seen)
         stamp_s = exposure_s - camera.time_shift_cam_imu

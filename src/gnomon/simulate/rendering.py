@@ -1,4 +1,4 @@
-"""Pictures of a board: what a camera records of black and white in a plane.
+"""Pictures of a board: what a camera records of black and white on a sheet.
 
 The outlines of what is printed are projected by the camera's own model, and every cell of a grid that is finer than the
 pixels takes the exact area that is inside them, so that no edge is displaced; summed over the exposure, blurred as the
@@ -14,16 +14,17 @@ import numpy as np
 from ..images import Grey
 from ..models.board_pattern import Pattern
 from ..models.camera import Booleans, Camera
-from ..recording import Floats, Integers
+from ..recording import Floats
 from .clutter import Wall
 from .coverage import Singles, coverage
+from .outlines import Outline, TrueBoard, outline_of
+from .passages import Movement, Passage, Pose, Poses
 
-_PIECE_PX = 2.0  # longest straight piece: a lens bends lines by less than 0.01 px in it, half of that on average
-_CELLS = ((2, 0.5), (3, 0.35), (4, 0.0))  # cells along a side of a pixel, and the blur from which on they do
+_LONGEST_PX, _BENT_PX = 8.0, 0.0015  # of a straight piece, and by how much the lens may bend the line in it
+_CELLS = ((2, 0.7), (3, 0.4), (4, 0.0))  # cells along a side of a pixel, and the blur from which on they do
+_STEP_PX, _STEP = 0.25, 1.4  # between instants: without blur, and what is added, over its standard deviation
 _GRID = 16  # points along a side of the board that tell where it is in the image
-_TILES = 48  # along a side of the board, where it is not in the image as a whole
 _NEAR_PX = 60.0  # beyond the image's border, the board's outlines may be coarse
-_ROW_SEARCHES = 3
 _WALL_INSTANTS = 3  # at most: a wall may be smeared less smoothly
 _FAR = 10000.0  # texels; further away, the wall is one grey
 
@@ -37,6 +38,9 @@ class Optics:
     white, black : grey levels of the board, where the light is one
     background : grey level around the board, where there is no wall
     blur_px : standard deviation of the blur of lens and focus [px]; the pixels' own area comes on top of it (0.29 px)
+    defocus_px : radius of the disc as which a point out of focus is seen [px]; with focus_m of a point at infinity
+    focus_m : distance that is in focus [m]: a board at z is seen with discs of radius defocus_px |1 - focus_m / z|,
+        z being that of its middle; None if the radius does not depend on the distance
     noise : standard deviation of the noise that does not depend on the light [grey levels]
     shot_noise : variance of the noise that does, over the grey level [grey levels]
     vignetting : fraction of the light that is lost in the corners of the image
@@ -47,6 +51,8 @@ class Optics:
     black: float = 30.0
     background: float = 95.0
     blur_px: float = 0.5
+    defocus_px: float = 0.0
+    focus_m: float | None = None
     noise: float = 1.0
     shot_noise: float = 0.0
     vignetting: float = 0.0
@@ -59,6 +65,7 @@ def render(
     R_cam_target: Floats,
     p_cam_target: Floats,
     *,
+    board: TrueBoard | None = None,
     options: Optics | None = None,
     wall: Wall | None = None,
     covers: Sequence[Floats] = (),
@@ -69,9 +76,10 @@ def render(
     Parameters
     ----------
     pattern : what is printed on the board
-    camera : the lens
+    camera : the lens; all rows expose at once
     R_cam_target, p_cam_target : (3, 3) and (3,) pose of the board [m]; (k, 3, 3) and (k, 3) for k instants at equal
-        distances within the exposure, which are averaged; (k, height, 3, 3) and (k, height, 3) for a pose of each row
+        distances within the exposure, which are averaged
+    board : where the points of the board truly are, if not where the pattern has them
     options : light, blur and noise
     wall : what is behind the board
     covers : polygons (n, 2) in the image in front of it [px], in alternating black and white
@@ -81,20 +89,73 @@ def render(
     -------
     image : (height, width)
     """
+    R, p = np.reshape(R_cam_target, (-1, 3, 3)).astype(float), np.reshape(p_cam_target, (-1, 3)).astype(float)
+    scene = _Scene(pattern=pattern, board=board, camera=camera, movement=Poses(camera=camera, R=R, p=p))
+    return _image(scene, options or Optics(), wall, covers, rng)
+
+
+def render_moving(
+    pattern: Pattern,
+    camera: Camera,
+    pose: Pose,
+    *,
+    exposure_s: float = 0.0,
+    board: TrueBoard | None = None,
+    options: Optics | None = None,
+    wall: Wall | None = None,
+    covers: Sequence[Floats] = (),
+    rng: np.random.Generator | None = None,
+) -> Grey:
+    """Return the image that a camera takes of a board against which it moves, row by row with a rolling shutter.
+
+    Parameters
+    ----------
+    pattern : what is printed on the board
+    camera : the lens; row v is exposed line_delay_s v later than the top row
+    pose : instants (n,) [s] from the middle of the exposure of the top row -> R_cam_target (n, 3, 3), p_cam_target
+        (n, 3) [m]
+    exposure_s : time during which each row is exposed [s]
+    board, options, wall, covers, rng : as for `render`
+    """
+    options = options or Optics()
+    points = _sheet_points(pattern, board, 5)
+    z = float((pose(np.zeros(1))[0][0] @ points.mean(axis=0) + pose(np.zeros(1))[1][0])[2])
+    step_px = _STEP_PX + _STEP * float(np.hypot(options.blur_px, _disc_px(options, z) / 2))
+    movement = Passage.during(exposure_s, camera, pose, points, step_px)
+    scene = _Scene(pattern=pattern, board=board, camera=camera, movement=movement)
+    return _image(scene, options, wall, covers, rng)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Scene:
+    """A board and a camera that may move against it; see `render`."""
+
+    pattern: Pattern
+    board: TrueBoard | None
+    camera: Camera
+    movement: Movement
+
+
+def _image(
+    what: _Scene, options: Optics, wall: Wall | None, covers: Sequence[Floats], rng: np.random.Generator | None
+) -> Grey:
     import cv2
 
-    options = options or Optics()
+    camera = what.camera
     width, height = camera.resolution
-    R, p = _poses(R_cam_target, p_cam_target)
+    R, p = what.movement.poses()
+    middle = len(R) // 2
+    z = float((R[middle] @ _sheet_points(what.pattern, what.board, 3).mean(axis=0) + p[middle])[2])
+    lens = _Blur(sigma_px=options.blur_px, disc_px=_disc_px(options, z))
     if wall is None:
         scene = np.full((height, width), options.background, np.float32)
     else:
-        scene = _wall_light(wall, camera, R, p, options.blur_px)
-    board = _board(pattern, camera, R, p, options.blur_px)
-    if board is not None:
-        seen = scene[board.region]
-        seen += board.sheet * (np.float32(options.white) - seen)
-        seen -= np.float32(options.white - options.black) * board.black
+        scene = _wall_light(wall, camera, what.movement, lens)
+    seen = _board(what, lens)
+    if seen is not None:
+        part = scene[seen.region]
+        part += seen.sheet * (np.float32(options.white) - part)
+        part -= np.float32(options.white - options.black) * seen.black
     for k, polygon in enumerate(covers):
         _cover(scene, polygon, options.black if k % 2 == 0 else options.white, options.blur_px)
     if options.vignetting or any(options.gradient):
@@ -102,6 +163,49 @@ def render(
     if rng is not None and (options.noise or options.shot_noise):
         _add_noise(scene, options, rng)
     return np.asarray(cv2.convertScaleAbs(np.maximum(scene, 0, out=scene)), dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Blur:
+    """Blur of the lens: standard deviation of a Gaussian, and radius of the disc of a point out of focus [px]."""
+
+    sigma_px: float
+    disc_px: float
+
+    @property
+    def reach_px(self) -> float:
+        return 4 * self.sigma_px + self.disc_px
+
+    def blurred(self, light: Singles, cells: int = 1) -> Singles:
+        """Return light that is so blurred; of cells, so many along a side of a pixel."""
+        import cv2
+
+        if self.disc_px > 0:
+            disc = _disc(self.disc_px * cells)
+            light = np.asarray(cv2.filter2D(light, -1, disc, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
+        if self.sigma_px > 0:
+            sigma = self.sigma_px * cells
+            light = np.asarray(
+                cv2.GaussianBlur(light, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE), dtype=np.float32
+            )
+        return light
+
+
+def _disc_px(options: Optics, z: float) -> float:
+    if options.focus_m is None:
+        return options.defocus_px
+    return options.defocus_px * abs(1 - options.focus_m / max(z, 1e-3))
+
+
+@lru_cache(maxsize=64)
+def _disc(radius: float) -> Singles:
+    """Return the part of each cell that is in a disc about the middle one, over the disc's area."""
+    half, finer = int(np.ceil(radius)), 16
+    places = (np.arange((2 * half + 1) * finer) + 0.5) / finer - half - 0.5
+    inside = np.hypot(places[:, None], places) <= radius
+    share = inside.reshape(2 * half + 1, finer, 2 * half + 1, finer).mean(axis=(1, 3))
+    share[half, half] += share.sum() == 0
+    return (share / share.sum()).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,81 +217,75 @@ class _Board:
     black: Singles
 
 
-def _poses(R: Floats, p: Floats) -> tuple[Floats, Floats]:
-    """Return poses (k, rows or 1, 3, 3) and (k, rows or 1, 3)."""
-    missing = 4 - np.ndim(R)  # instants, rows
-    instants, rows = (1, 1) if missing == 2 else (len(R), 1) if missing == 1 else np.shape(R)[:2]
-    return np.reshape(R, (instants, rows, 3, 3)).astype(float), np.reshape(p, (instants, rows, 3)).astype(float)
-
-
-def _board(pattern: Pattern, camera: Camera, R: Floats, p: Floats, blur_px: float) -> _Board | None:
-    """Return what is seen of the board, mean over the poses; None where that is nothing."""
-    facing = (np.einsum("kri,kri->kr", R[..., 2], p) < 0).all(axis=1)  # from behind, it shows nothing
-    if not facing.any():
+def _board(what: _Scene, lens: _Blur) -> _Board | None:
+    """Return what is seen of the board, mean over the exposure; None where that is nothing."""
+    movement = what.movement
+    R, p = movement.poses()
+    if (np.einsum("ki,ki->k", R[..., 2], p) >= 0).any():  # from behind, it shows nothing
         return None
-    found = _extent(pattern, camera, R[facing], p[facing], 4 * blur_px + 3)
+    found = _extent(what, lens.reach_px + 3)
     if found is None:
         return None
     (rows, cols), finest_m, whole = found
-    level = int(np.ceil(2 * np.log2(finest_m)))
+    level = int(np.floor(2 * np.log2(finest_m)))
     corner = np.array([cols.start, rows.start]) - 0.5
     areas: list[Singles] = []
-    # the rim of the sheet need not be finer than the pixels: nothing is measured there
-    for what, cells in (("sheet" if whole else "tiles", 1), ("black", _cells(blur_px))):
-        outline = _outline_of(pattern, level, what)
-        pieces = [_projected(outline, camera, R[k], p[k]) for k in np.flatnonzero(facing)]
+    cells = _cells(lens)
+    for part in ("sheet" if whole else "tiles", "black"):
+        outline = outline_of(what.pattern, part, level, what.board)
+        pieces = [_pieces(outline, pixels) for pixels in movement.pixels(outline.points)]
         start, end = ((np.concatenate(ends) - corner) * cells for ends in zip(*pieces, strict=True))
         inside = coverage(start, end, ((rows.stop - rows.start) * cells, (cols.stop - cols.start) * cells))
-        inside *= np.float32(1 / len(R))
-        areas.append(_seen_by_pixels(inside, blur_px, cells))
+        inside *= np.float32(1 / movement.instants)
+        areas.append(_seen_by_pixels(inside, lens, cells))
     return _Board(region=(rows, cols), sheet=areas[0], black=areas[1])
 
 
-def _cells(blur_px: float) -> int:
+def _cells(lens: _Blur) -> int:
     """Return into how many cells a pixel is divided, along a side, so that the blur is smooth between them."""
-    return 1 if blur_px <= 0 else next((cells for cells, least_px in _CELLS if blur_px >= least_px))
+    if lens.sigma_px <= 0 and lens.disc_px <= 0:
+        return 1
+    blur_px = float(np.hypot(lens.sigma_px, lens.disc_px / 5))  # a disc has edges
+    return next((cells for cells, least_px in _CELLS if blur_px >= least_px))
 
 
-def _seen_by_pixels(inside: Singles, blur_px: float, cells: int) -> Singles:
+def _seen_by_pixels(inside: Singles, lens: _Blur, cells: int) -> Singles:
     import cv2
 
-    if blur_px > 0:
-        blurred = cv2.GaussianBlur(inside, (0, 0), blur_px * cells, borderType=cv2.BORDER_REPLICATE)
-        inside = np.asarray(blurred, dtype=np.float32)
+    inside = lens.blurred(inside, cells)
     size = (inside.shape[1] // cells, inside.shape[0] // cells)
     return inside if cells == 1 else np.asarray(cv2.resize(inside, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _extent(
-    pattern: Pattern, camera: Camera, R: Floats, p: Floats, margin_px: float
-) -> tuple[tuple[slice, slice], float, bool] | None:
+def _sheet_points(pattern: Pattern, board: TrueBoard | None, count: int) -> Floats:
+    """Return points on the sheet, count along each side, (count^2, 3) [m]."""
+    x0, y0, x1, y1 = pattern.sheet
+    x, y = np.meshgrid(np.linspace(x0, x1, count), np.linspace(y0, y1, count))
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    return points if board is None else board.places(points)
+
+
+def _extent(what: _Scene, margin_px: float) -> tuple[tuple[slice, slice], float, bool] | None:
     """Return what part of the image the board may cover, None where it is outside.
 
     Returns
     -------
     region : rows and columns
-    finest_m : length on the board that is nowhere longer than _PIECE_PX
+    finest_m : length on the board that is nowhere longer than _LONGEST_PX, nor bent by more than _BENT_PX
     whole : whether the lens model has an image of all of the board
     """
-    x0, y0, x1, y1 = pattern.sheet
-    x, y = np.meshgrid(np.linspace(x0, x1, _GRID), np.linspace(y0, y1, _GRID))
-    points = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
-    size = np.array(camera.resolution)
-    low, high, most, whole = np.full(2, np.inf), np.full(2, -np.inf), 0.0, True
-    poses = {(0, 0), (len(R) - 1, R.shape[1] - 1), (len(R) // 2, R.shape[1] // 2)}
-    for k, row in poses:
-        found = camera.project(points @ R[k, row].T + p[k, row])
-        assert found.by_point is not None
-        whole &= bool(found.valid.all())
-        with np.errstate(invalid="ignore"):
-            near = ((found.pixels > -_NEAR_PX) & (found.pixels < size + _NEAR_PX)).all(axis=1)
-        if near.any():
-            along = found.by_point[near] @ R[k, row][:, :2]
-            most = max(most, float(np.linalg.norm(along, axis=(1, 2)).max()))
-        if found.valid.any():
-            low = np.minimum(low, found.pixels[found.valid].min(axis=0))
-            high = np.maximum(high, found.pixels[found.valid].max(axis=0))
-    if most == 0.0:
+    size, sheet = np.array(what.camera.resolution), what.pattern.sheet
+    low, high, finest_m, whole = np.full(2, np.inf), np.full(2, -np.inf), np.inf, True
+    spacing_m = (sheet[2:] - sheet[:2]) / (_GRID - 1)
+    every = list(what.movement.pixels(_sheet_points(what.pattern, what.board, _GRID)))
+    for pixels in (every[0], every[len(every) // 2], every[-1]):
+        known = np.isfinite(pixels[:, 0])
+        whole &= bool(known.all())
+        if known.any():
+            low = np.minimum(low, pixels[known].min(axis=0))
+            high = np.maximum(high, pixels[known].max(axis=0))
+        finest_m = min(finest_m, _finest(pixels.reshape(_GRID, _GRID, 2), size, spacing_m))
+    if not np.isfinite(finest_m):
         return None
     if not whole:  # nothing bounds the rest
         low, high = np.zeros(2), size.astype(float)
@@ -195,75 +293,46 @@ def _extent(
     last = np.ceil(high + margin_px + 1).clip(0, size).astype(int)
     if not (last > first).all():
         return None
-    return (slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))), _PIECE_PX / most, whole
+    return (slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))), finest_m, whole
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Outline:
-    """Closed outlines, cut into short pieces.
+def _finest(grid: Floats, size: Floats, spacing_m: Floats) -> float:
+    """Return the longest length of pieces [m] that suits the image of a grid of points (rows, cols, 2) [px].
 
-    Attributes
-    ----------
-    points : (v, 3) in the board's frame [m]
-    start : (n,) points at which the pieces start; each ends at the point after it
-    area : (v,) number of the closed outline that a point belongs to
+    The points are `spacing_m` (2,) apart on the board, along x (columns) and y.
     """
-
-    points: Floats
-    start: Integers
-    area: Integers
-
-
-@lru_cache(maxsize=16)
-def _outline_of(pattern: Pattern, level: int, what: str) -> _Outline:
-    """Return the outlines of the sheet, of its tiles, or of all black, in pieces of 2^(level/2) m at most."""
-    if what == "black":
-        edges, area = pattern.edges, pattern.area
-    else:
-        edges, area = _tiles(pattern.sheet, 1 if what == "sheet" else _TILES)
-    length = np.linalg.norm(edges[:, 2:] - edges[:, :2], axis=1)
-    pieces = np.ceil(length / 2 ** (level / 2)).astype(np.int64).clip(1)
-    edge = np.repeat(np.arange(len(edges)), pieces + 1)
-    first = np.cumsum(pieces + 1) - (pieces + 1)
-    step = np.arange(len(edge)) - first[edge]
-    part = (step / pieces[edge])[:, None]
-    points = np.zeros((len(edge), 3))
-    points[:, :2] = edges[edge, :2] * (1 - part) + edges[edge, 2:] * part
-    return _Outline(points=points, start=np.flatnonzero(step < pieces[edge]), area=area[edge])
+    finest = np.inf
+    for along, apart_m in ((grid.swapaxes(0, 1), spacing_m[0]), (grid, spacing_m[1])):
+        before, here, after = along[:-2], along[1:-1], along[2:]
+        with np.errstate(invalid="ignore"):
+            near = np.isfinite(here[..., 0]) & ((here > -_NEAR_PX) & (here < size + _NEAR_PX)).all(axis=2)
+            chord = after - before
+            length = np.linalg.norm(chord, axis=2)
+            bent = np.abs(chord[..., 0] * (here - before)[..., 1] - chord[..., 1] * (here - before)[..., 0]) / length
+            near &= np.isfinite(bent)
+        if near.any():
+            longest, most = float(length[near].max()), float(bent[near].max())
+            finest = min(finest, 2 * apart_m * min(_LONGEST_PX / longest, float(np.sqrt(_BENT_PX / max(most, 1e-9)))))
+    return finest
 
 
-def _tiles(sheet: Floats, count: int) -> tuple[Floats, Integers]:
-    """Return the outlines of so many tiles along a side that the sheet is made of, and the tile of each edge."""
-    x, y = (np.linspace(sheet[axis], sheet[axis + 2], count + 1) for axis in (0, 1))
-    i, j = (index.ravel() for index in np.indices((count, count)))
-    corners = np.stack([x[i], y[j], x[i + 1], y[j], x[i + 1], y[j + 1], x[i], y[j + 1], x[i], y[j]], axis=1)
-    edges = np.stack([corners[:, 2 * k : 2 * k + 4] for k in range(4)], axis=1).reshape(-1, 4)
-    return edges, np.repeat(np.arange(count * count), 4)
-
-
-def _projected(outline: _Outline, camera: Camera, R: Floats, p: Floats) -> tuple[Floats, Floats]:
-    """Return start and end (n, 2) [px] of the pieces in the image, for a pose of each row or one of all of them."""
-    pixels = camera.project(outline.points @ R[len(R) // 2].T + p[len(R) // 2], point_jacobian=False).pixels
-    for _ in range(_ROW_SEARCHES if len(R) > 1 else 0):  # each point is where it is when its row is exposed
-        row = np.nan_to_num(pixels[:, 1]).clip(0, len(R) - 1.001)
-        k = row.astype(int)
-        points, after = (np.einsum("nij,nj->ni", R[i], outline.points) + p[i] for i in (k, k + 1))
-        pixels = camera.project(points + (row - k)[:, None] * (after - points), point_jacobian=False).pixels
-    outside = np.isnan(pixels[:, 0])
-    start = outline.start
+def _pieces(outline: Outline, pixels: Floats) -> tuple[Floats, Floats]:
+    """Return start and end (n, 2) [px] of the pieces whose points are at `pixels`."""
+    start, outside = outline.start, np.isnan(pixels[:, 0])
     if outside.any():  # areas that the lens model does not show as a whole are left out: outlines have to be closed
         start = start[~np.isin(outline.area[start], outline.area[outside])]
     return pixels[start], pixels[start + 1]
 
 
-def _wall_light(wall: Wall, camera: Camera, R: Floats, p: Floats, blur_px: float) -> Singles:
-    """Return the grey levels of the wall, mean over the poses."""
+def _wall_light(wall: Wall, camera: Camera, movement: Movement, lens: _Blur) -> Singles:
+    """Return the grey levels of the wall, mean over the exposure."""
     import cv2
 
     rays = _rays(camera)
     light = np.zeros((rays.shape[0], rays.shape[2]), np.float32)
-    chosen = np.linspace(0, len(R) - 1, min(len(R), _WALL_INSTANTS)).round().astype(int)
-    for rotation, position in zip(R[chosen], p[chosen], strict=True):
+    chosen = np.linspace(0, movement.instants - 1, min(movement.instants, _WALL_INSTANTS)).round().astype(int)
+    for instant in chosen.tolist():
+        rotation, position = movement.rows(instant)
         frame = np.stack([rotation[..., 0], rotation[..., 1], position - wall.behind_m * rotation[..., 2]], axis=-1)
         to_texels = np.linalg.inv(frame)  # of a ray to x w, y w and w of the point of the wall
         to_texels[:, :2] -= np.array(wall.origin)[:, None] * to_texels[:, 2:]
@@ -276,7 +345,7 @@ def _wall_light(wall: Wall, camera: Camera, R: Floats, p: Floats, blur_px: float
         u[misses] = v[misses] = 0.0
         cv2.accumulate(cv2.remap(wall.texels, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101), light)
     light *= np.float32(1 / len(chosen))
-    return np.asarray(cv2.GaussianBlur(light, (0, 0), max(blur_px, 0.3)), dtype=np.float32)
+    return _Blur(sigma_px=max(lens.sigma_px, 0.3), disc_px=lens.disc_px).blurred(light)
 
 
 @lru_cache(maxsize=4)

@@ -16,6 +16,7 @@ from ..calibration import (
     Calibration,
     CameraCalibration,
     CameraImuFit,
+    CamerasFit,
     Covariance,
     Provenance,
     parameters,
@@ -23,6 +24,7 @@ from ..calibration import (
 from ..errors import OutputError
 from ..findings import Finding
 from ..output import write_whole
+from ..readers.calibration_cameras import BOARD_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS
 from ..readers.calibration_file import SCHEMA_MAJOR
 from ..trust import Need, TrustNote
 from .yaml_text import yaml_lines
@@ -33,6 +35,7 @@ FRAMES = {
     "gyro-x": "x along the sensitivity axis of the x gyroscope, the axis of the y gyroscope in the x-y plane",
     "mag-x": "x along the sensitivity axis of the x magnetometer, the axis of the y magnetometer in the x-y plane",
     "user": "the axes that its owner named",
+    "cam0": "x right, y down, z forward, as cam0 sees",
 }
 """Body frames in words."""
 
@@ -71,6 +74,18 @@ _CAMERAS = """\
 #
 """
 
+_CAMERAS_ALONE = """\
+# Calibration of cameras, made by gnomon.
+#
+# p_cam = T_cam_cam0 p_cam0 takes a point from the frame of cam0 (x right, y down, z forward) to that of another camera,
+# in m. Pixel (0, 0) is the centre of the top-left pixel. Lenses are Kalibr's: intrinsics of pinhole [fu, fv, pu, pv],
+# omni [xi, ...], eucm [alpha, beta, ...], ds [xi, alpha, ...]; distortion_coeffs of radtan [k1, k2, p1, p2], radtan5
+# [k1, k2, p1, p2, k3], equidistant [k1, k2, k3, k4], fov [w]. T_cam_cam0_rotation_sigma is that of a small rotation
+# about the axes of cam0 in rad, T_cam_cam0_translation_sigma that of the last column of T_cam_cam0 in m. line_delay is
+# that of a rolling shutter in s, as it was stated. `gnomon camera-imu --cam` takes this file, and its covariance.
+#
+"""
+
 _LEVER_ARMS = """\
 #
 # Lever arms: the three accelerometers do not sit at one point. lever_arms_m has a row for each of them, where it sits
@@ -106,6 +121,8 @@ def calibration_text(calibration: Calibration) -> str:
     for name, value in parameters(calibration.imus, calibration.cameras):
         if not np.isfinite(value).all():
             raise OutputError(f"{name} is not a finite number: this calibration is of no use and was not written.")
+    if not calibration.imus:
+        return _CAMERAS_ALONE + _SIGMAS + "\n" + "\n".join(yaml_lines(_document(calibration))) + "\n"
     header = _HEADER.format(frame=f"{calibration.frame}, {FRAMES.get(calibration.frame, FRAMES['user'])}")
     if any(imu.magnetometer is not None for imu in calibration.imus.values()):
         header += _MAGNETOMETER
@@ -118,12 +135,15 @@ def calibration_text(calibration: Calibration) -> str:
 def _document(calibration: Calibration) -> dict[str, Any]:
     minor = _minor(calibration)
     gravity = calibration.gravity
+    of_imus = {
+        "gravity": {"value": gravity.value, "sigma": gravity.sigma, "source": gravity.source},
+        "imus": _imus(calibration),
+    }
     return {
         "schema": f"gnomon/{SCHEMA_MAJOR}" + (f".{minor}" if minor else ""),
         "verdict": calibration.verdict,
         "body_frame": calibration.frame,
-        "gravity": {"value": gravity.value, "sigma": gravity.sigma, "source": gravity.source},
-        "imus": _imus(calibration),
+        **(of_imus if calibration.imus else {}),
         "cameras": {name: _camera(calibration, name, camera) for name, camera in calibration.cameras.items()},
         "assessment": _assessment(calibration.assessment, minor),
         "provenance": provenance_document(calibration.provenance),
@@ -134,6 +154,8 @@ def _document(calibration: Calibration) -> dict[str, Any]:
 def _minor(calibration: Calibration) -> int:
     """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
+    if not calibration.imus:
+        return 4
     if _with_lever_arms(calibration) or _tells(calibration.assessment.trust):
         return 3
     if (
@@ -179,12 +201,27 @@ def _camera(calibration: Calibration, name: str, calibrated: CameraCalibration) 
         value = calibration.sigma(f"{name}.{parameter}")
         return value if value.ndim else float(value)
 
+    alone, link = calibrated.body != "imu0", calibrated.link
+    pose = (
+        {
+            link: calibrated.T_cam_body,
+            f"{link}_rotation_sigma": sigma(f"{link}.rotation"),
+            f"{link}_translation_sigma": sigma(f"{link}.translation"),
+        }
+        if name != calibrated.body
+        else {}
+    )
+    shift = (
+        {
+            "time_shift_cam_imu": float(calibrated.time_shift_cam_imu),
+            "time_shift_cam_imu_sigma": sigma("time_shift_cam_imu"),
+        }
+        if not alone
+        else {}
+    )
     return {
-        "T_cam_imu": calibrated.T_cam_imu,
-        "T_cam_imu_rotation_sigma": sigma("T_cam_imu.rotation"),
-        "T_cam_imu_translation_sigma": sigma("T_cam_imu.translation"),
-        "time_shift_cam_imu": float(calibrated.time_shift_cam_imu),
-        "time_shift_cam_imu_sigma": sigma("time_shift_cam_imu"),
+        **pose,
+        **shift,
         "camera_model": camera.projection,
         "intrinsics": camera.intrinsics,
         "intrinsics_sigma": sigma("intrinsics"),
@@ -193,17 +230,16 @@ def _camera(calibration: Calibration, name: str, calibrated: CameraCalibration) 
         "distortion_coeffs_sigma": sigma("distortion_coeffs"),
         "resolution": np.array(camera.resolution),
         "line_delay": float(camera.line_delay_s),
-        "line_delay_sigma": sigma("line_delay"),
+        **({} if alone else {"line_delay_sigma": sigma("line_delay")}),
         "rostopic": camera.topic,
     }
 
 
 def _assessment(assessment: Assessment, minor: int) -> dict[str, Any]:
-    fit = assessment.camera_imu
     return {
         "verdict": assessment.verdict,
         "model": assessment.model,
-        **(_multi_position(assessment, minor) if fit is None else {"camera_imu": _camera_imu(fit)}),
+        **_basis(assessment, minor),
         "held_by_prior": list(assessment.held_by_prior),
         "findings": [finding_document(finding) for finding in assessment.findings],
         **({"trust": _trust(assessment.trust)} if _tells(assessment.trust) else {}),
@@ -254,6 +290,28 @@ def _multi_position(assessment: Assessment, minor: int) -> dict[str, Any]:
         "rotations_found": assessment.rotations_found,
         "rotations_used": assessment.rotations_used,
     }
+
+
+def _basis(assessment: Assessment, minor: int) -> dict[str, Any]:
+    """Return what a calibration rests on, by the kind of it."""
+    if assessment.cameras is not None:
+        return {"cameras": _cameras(assessment.cameras)}
+    if assessment.camera_imu is not None:
+        return {"camera_imu": _camera_imu(assessment.camera_imu)}
+    return {} if minor >= 4 else _multi_position(assessment, minor)
+
+
+def _cameras(fit: CamerasFit) -> dict[str, Any]:
+    cameras = {
+        name: {
+            **{count: int(getattr(fit, count)[name]) for count in VIEW_COUNTS},
+            **{rms: _known(getattr(fit, rms)[name]) for rms in VIEW_NUMBERS},
+            "models": list(fit.models[name]),
+        }
+        for name in fit.views_found
+    }
+    board = {number: _known(getattr(fit, number)) for number in BOARD_NUMBERS}
+    return {"converged": bool(fit.converged), "board": {"added": list(fit.board_added), **board}, "cameras": cameras}
 
 
 def _camera_imu(fit: CameraImuFit) -> dict[str, Any]:

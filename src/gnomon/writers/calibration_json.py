@@ -16,6 +16,12 @@ from .export import Export
 
 FILE = "calibration.json"
 
+_LENSES_ALONE = {
+    "T_cam_cam0": "p_cam = T_cam_cam0 p_cam0 [m], 4x4 row by row: from the frame of cam0 (x right, y down, z forward) "
+    "to that of the camera.",
+    "sigma": "every *_sigma is one standard deviation; T_cam_cam0_rotation_sigma is that of a small rotation about the "
+    "axes of cam0 [rad].",
+}
 _DEFINITIONS = {
     "imus": "measured = sensitivity * true + bias, of the gyroscope + g_sensitivity * f, in the unit of each sensor; f "
     "specific force [m/s^2], true rate [rad/s], in the body frame; rows are sensor axes, columns body axes.",
@@ -33,7 +39,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     document = _plain(yaml.load(calibration_text(calibration), Loader=loader))
     frame = f"{calibration.frame}: {FRAMES.get(calibration.frame, FRAMES['user'])}"
-    comment = {"made by": "gnomon", **_DEFINITIONS, "body_frame": frame, "remarks": list(context.remarks)}
+    words = _DEFINITIONS if calibration.imus else _LENSES_ALONE | {"covariance": _DEFINITIONS["covariance"]}
+    comment = {"made by": "gnomon", **words, "body_frame": frame, "remarks": list(context.remarks)}
     text = json.dumps(
         {"schema": document["schema"], "comment": comment, **document}, indent=2, ensure_ascii=False, allow_nan=False
     )

@@ -17,7 +17,17 @@ EQUATION = (
     "t_imu = t_cam + time_shift_cam_imu"
 )
 
+EQUATION_ALONE = (
+    "p_cam = R p_cam0 + t, rows of R: camera axes, columns: axes of cam0; p: the camera in the frame of cam0"
+)
+"""The same of cameras without an IMU."""
+
 Known = tuple[Entry, float]
+
+
+def camera_equation(calibration: Calibration) -> str:
+    """Return what the names of a calibration's cameras mean."""
+    return EQUATION if calibration.imus else EQUATION_ALONE
 
 
 def camera_entries(calibration: Calibration, name: str) -> Iterator[Known]:
@@ -32,24 +42,33 @@ def camera_entries(calibration: Calibration, name: str) -> Iterator[Known]:
         value, sigma = calibration.parameter(f"{name}.{path}"), calibration.sigma(f"{name}.{path}")
         yield from block([label], np.atleast_1d(value) * factor, np.atleast_1d(sigma) * factor, unit)
 
-    R, t = calibrated.T_cam_imu[:3, :3], calibrated.T_cam_imu[:3, 3]
-    covariance = calibration.covariance(f"{name}.T_cam_imu.rotation", f"{name}.T_cam_imu.translation")
-    turns = R @ skew(np.eye(3))  # by the small rotation: dR = R [delta]x
-    by_turn = turns.reshape(3, 9).T
-    yield from block(
-        [f"R_{'xyz'[i]}{'xyz'[j]}" for i, j in np.ndindex(3, 3)], R.ravel(), _sigmas(by_turn, covariance[:3, :3]), "1"
-    )
-    yield from block([f"t_{axis}" for axis in "xyz"], t, calibration.sigma(f"{name}.T_cam_imu.translation"), "m")
-    position = -R.T @ t
-    by_both = np.hstack([skew(position), -R.T])
-    yield from block([f"p_{axis}" for axis in "xyz"], position, _sigmas(by_both, covariance), "m")
-    yield from scaled("time_shift_cam_imu", "time_shift_cam_imu", 1e3, "ms")
-    yield from scaled("line_delay", "line_delay", 1e6, "us")
+    if name != calibrated.body:
+        for names, values, sigmas, unit in _pose(calibration, name):
+            yield from block(names, values, sigmas, unit)
+    if calibrated.body == "imu0":
+        yield from scaled("time_shift_cam_imu", "time_shift_cam_imu", 1e3, "ms")
+        yield from scaled("line_delay", "line_delay", 1e6, "us")
     first, pixels, coeffs = _lens_names(calibrated.camera)
     intrinsics, sigma = calibrated.camera.intrinsics, calibration.sigma(f"{name}.intrinsics")
     yield from block(first, intrinsics[:-4], sigma[:-4], "1")
     yield from block(pixels, intrinsics[-4:], sigma[-4:], "px")
     yield from block(coeffs, calibrated.camera.distortion_coeffs, calibration.sigma(f"{name}.distortion_coeffs"), "1")
+
+
+def _pose(calibration: Calibration, name: str) -> Iterator[tuple[list[str], Floats, Floats, str]]:
+    """Yield names, values, standard deviations and unit of R, t and p."""
+    calibrated = calibration.cameras[name]
+    path = f"{name}.{calibrated.link}"
+    R, t = calibrated.T_cam_body[:3, :3], calibrated.T_cam_body[:3, 3]
+    covariance = calibration.covariance(f"{path}.rotation", f"{path}.translation")
+    turns = R @ skew(np.eye(3))  # by the small rotation: dR = R [delta]x
+    by_turn = turns.reshape(3, 9).T
+    names = [f"R_{'xyz'[i]}{'xyz'[j]}" for i, j in np.ndindex(3, 3)]
+    yield names, R.ravel(), _sigmas(by_turn, covariance[:3, :3]), "1"
+    yield [f"t_{axis}" for axis in "xyz"], t, calibration.sigma(f"{path}.translation"), "m"
+    position = -R.T @ t
+    by_both = np.hstack([skew(position), -R.T])
+    yield [f"p_{axis}" for axis in "xyz"], position, _sigmas(by_both, covariance), "m"
 
 
 def _sigmas(jacobian: Floats, covariance: Floats) -> Floats:

@@ -4,6 +4,7 @@ cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, number
 cam0_frames.csv       ts_ns, corners: every frame, also those without corners
 cam0/data.csv, cam0/data/<stamp>.png    in their place, where the scenario wants images
 imu0.csv.gz           the samples
+mav0, recording.bag, recording, recording.mcap    images and samples in one of these, where another form is wanted
 camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise, board
 truth.yaml            what is true, as a calibration file
 groundtruth.txt       the true path in the TUM format
@@ -24,22 +25,24 @@ import numpy as np
 from ..diagnostics import TrajectoryTrack
 from ..errors import OutputError
 from ..models.camera import Camera
-from ..models.target import Target
 from ..output import atomic_file, write_whole
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.camera_imu_images import simulated_images
 from .calibration_file import calibration_text
-from .camera_imu_images import save_simulated_images
 from .kalibr_text import kalibr_yaml
 from .options_file import options_text
 from .recording_file import save_recording
+from .recording_forms import PLACES, ImageForm, save_images
+from .target_yaml import target_text
 from .trajectory import trajectory_text
 
-CAMERA_FILES = tuple(
-    f"{name}{ending}" for name in ("cam0", "cam1") for ending in ("", "_corners.csv.gz", "_frames.csv")
+CAMERA_FILES = (
+    *(f"{name}{ending}" for name in ("cam0", "cam1") for ending in ("", "_corners.csv.gz", "_frames.csv")),
+    *PLACES.values(),
+    "imu0.csv.gz",
 )
-"""Files and folders of the cameras in the folder of a simulated recording; it has some of them."""
+"""Files and folders of cameras and samples in the folder of a simulated recording; it has some of them."""
 
 _COMPRESSION = 6
 _SCENARIO = """\
@@ -52,7 +55,10 @@ _NOISE = "# Nominal noise of the IMU.\n"
 
 
 def save_camera_imu_recording(
-    simulation: CameraImuSimulation, folder: str | PathLike[str], progress: Callable[[str], None] | None = None
+    simulation: CameraImuSimulation,
+    folder: str | PathLike[str],
+    progress: Callable[[str], None] | None = None,
+    form: ImageForm = "folder",
 ) -> tuple[Path, ...]:
     """Write a simulated recording and its truth into a folder, which is made, and return the files.
 
@@ -63,6 +69,7 @@ def save_camera_imu_recording(
     simulation : what was simulated
     folder : an earlier recording in it is replaced
     progress : called with a sentence now and then
+    form : of a recording as images
 
     Raises
     ------
@@ -78,13 +85,14 @@ def save_camera_imu_recording(
         ) from error
     recording = simulation.recording
     _clear(place)
-    written = list(save_recording(Recording(imus=recording.imus), place / "imu0.csv.gz"))
+    written: list[Path] = []
+    if not simulation.scenario.images or form == "folder":
+        written += save_recording(Recording(imus=recording.imus), place / "imu0.csv.gz")
     if simulation.scenario.images:
-        for name, stream in simulated_images(simulation).streams.items():
-            written.append(save_simulated_images(stream, place / name, progress))
+        written += save_images(simulated_images(simulation), place, form, progress)
     else:
         for name, frames in recording.cameras.items():
-            written += _save_frames(frames, place, name)
+            written += save_frames(frames, place, name)
     for name, text in _texts(simulation):
         write_whole(place / name, text)
         written.append(place / name)
@@ -102,7 +110,8 @@ def _clear(place: Path) -> None:
             (place / name).unlink(missing_ok=True)
 
 
-def _save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Path]:
+def save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Path]:
+    """Write the corners of a camera, and the list of its frames; return both files."""
     corners, listed = place / f"{name}_corners.csv.gz", place / f"{name}_frames.csv"
     columns = [frames.t_ns[frames.frame], frames.point, *frames.pixels.T]
     with (
@@ -122,10 +131,10 @@ def _save_frames(frames: CameraFrames, place: Path, name: str) -> tuple[Path, Pa
 def _texts(simulation: CameraImuSimulation) -> Iterator[tuple[str, str]]:
     """Yield name and text of the small files."""
     recording, found = simulation.recording, simulation.statistics
-    chain = {name: _camera_node(frames.camera) for name, frames in recording.cameras.items()}
+    chain = {name: camera_node(frames.camera) for name, frames in recording.cameras.items()}
     yield "camchain.yaml", _CHAIN + kalibr_yaml(chain)
     yield "imu.yaml", _NOISE + kalibr_yaml(_imu_node(recording.imus["imu0"], simulation.scenario.imu_rate_hz))
-    yield "target.yaml", kalibr_yaml(_target_node(simulation.target))
+    yield "target.yaml", target_text(simulation.target)
     yield "truth.yaml", calibration_text(simulation.truth)
     yield "groundtruth.txt", trajectory_text(_track(simulation))
     head = _SCENARIO.format(
@@ -137,7 +146,8 @@ def _texts(simulation: CameraImuSimulation) -> Iterator[tuple[str, str]]:
     yield "scenario.yaml", head + options_text(simulation.scenario)
 
 
-def _camera_node(camera: Camera) -> dict[str, Any]:
+def camera_node(camera: Camera) -> dict[str, Any]:
+    """Return a lens as an entry of Kalibr's camchain.yaml."""
     node: dict[str, Any] = {
         "cam_overlaps": [],
         "camera_model": camera.projection,
@@ -153,23 +163,6 @@ def _camera_node(camera: Camera) -> dict[str, Any]:
 def _imu_node(samples: ImuSamples, rate_hz: float) -> dict[str, Any]:
     assert samples.noise is not None
     return {**asdict(samples.noise), "update_rate": float(rate_hz), "rostopic": samples.topic}
-
-
-def _target_node(target: Target) -> dict[str, Any]:
-    node: dict[str, Any] = {"target_type": target.kind}
-    if target.kind == "aprilgrid":
-        node |= {
-            "tagCols": target.cols,
-            "tagRows": target.rows,
-            "tagSize": target.tag_size_m,
-            "tagSpacing": target.tag_spacing,
-        }
-        plain = {"tagBorderBits": target.border_bits} if target.border_bits != 2 else {}
-        return node | plain | ({"codeOffset": target.first_tag} if target.first_tag else {})
-    node |= {"targetCols": target.cols, "targetRows": target.rows}
-    if target.kind == "checkerboard":
-        return node | {"rowSpacingMeters": target.row_spacing_m, "colSpacingMeters": target.col_spacing_m}
-    return node | {"spacingMeters": target.spacing_m, "asymmetricGrid": target.asymmetric}
 
 
 def _track(simulation: CameraImuSimulation) -> TrajectoryTrack:

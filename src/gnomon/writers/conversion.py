@@ -36,6 +36,9 @@ WITH_NOISE = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis
 """Formats that hold noise and rate of the IMU."""
 _WITHOUT_CAMERAS = ("imu_tk", "px4", "ardupilot", "imucal", "c-header")
 
+_LENSES_ALONE = ("kalibr", "ros2", "json", "csv")
+"""Formats that can hold cameras without an IMU."""
+
 Stated = str | PathLike[str] | Mapping[str, StatedImu] | None
 
 
@@ -94,6 +97,11 @@ def exported(calibration: Calibration | ForeignCalibration, to: str, *, imu: Sta
             for name, data in calibration.imu_data.items()
         }
         calibration = as_calibration(calibration)
+    if not calibration.imus and to not in _LENSES_ALONE:
+        raise OptionError(
+            f"{to} describes an IMU, and this calibration is of cameras alone. Convert to {', '.join(_LENSES_ALONE)}, "
+            "or calibrate with gnomon camera-imu, which takes this calibration with --cam."
+        )
     if imu is not None:
         stated |= imu if isinstance(imu, Mapping) else stated_imus(imu)
     module = import_module(f".{FORMATS[to]}", __package__)

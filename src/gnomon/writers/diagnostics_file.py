@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnostics import CameraImuDiagnostics, ImuDiagnostics
+from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, ImuDiagnostics
 from ..output import atomic_file
 from ..triad_diagnostics import TriadDiagnostics
 
@@ -27,7 +27,8 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 
 
 def save_diagnostics(
-    diagnostics: ImuDiagnostics | CameraImuDiagnostics | TriadDiagnostics, path: str | PathLike[str]
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics | CamerasDiagnostics | TriadDiagnostics,
+    path: str | PathLike[str],
 ) -> None:
     """Write diagnostics to a compressed NPZ file; `numpy.load` reads it without pickle.
 

@@ -19,6 +19,8 @@ def modelled_thing(calibration: Calibration) -> str:
     """Return what the model of the assessment is one of: "IMU", "gyroscope" or "magnetometer"."""
     if calibration.assessment.camera_imu is not None:
         return "IMU"
+    if not calibration.imus:
+        return "lens"
     return "magnetometer" if calibration.provenance.method == "magnetometer" else "gyroscope"
 
 

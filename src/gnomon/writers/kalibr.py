@@ -15,7 +15,7 @@ from ..models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ..recording import Floats
 from .context import Context, StatedImu
 from .export import Export, Loss, into_frame, magnetometer_losses, require_triads, uncertainty_loss
-from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
+from .kalibr_camchain import CAMCHAIN_FILE, LENS_FILE, camchain_text, lens_chain_text
 from .kalibr_text import kalibr_yaml
 from .lens_fit import k3_losses
 from .sensor_losses import bias_losses, noise_losses
@@ -61,13 +61,17 @@ class KalibrModel:
 
 
 def export(calibration: Calibration, context: Context) -> Export:
-    """Return `imu.yaml`, and `camchain-imucam.yaml` where there are cameras.
+    """Return `imu.yaml`, and `camchain-imucam.yaml` where there are cameras; of cameras alone `camchain.yaml`.
 
     Raises
     ------
     OptionError
         If an IMU has no accelerometer, which defines Kalibr's frame.
     """
+    if not calibration.imus:
+        text = lens_chain_text(calibration, context.comment())
+        losses = (*k3_losses(calibration, "Kalibr"), uncertainty_loss("Kalibr"))
+        return Export(files={LENS_FILE: text}, losses=losses)
     require_triads(calibration, "kalibr", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
     moved = moved.with_origin("x")

@@ -67,7 +67,7 @@ class KalibrResults:
         yield from ("", "Gravity vector in target coords: [m/s^2]", *_matrix(self.gravity_target), "", "")
         yield from ("Calibration configuration", "=========================", "")
         for name, camera in cameras.items():
-            yield from (name, "-----", *_lens(camera.camera), *_board(self.target), "")
+            yield from (name, "-----", *_lens(camera.camera), *board_lines(self.target), "")
         yield from ("", "", "IMU configuration", "=================", "")
         for name, imu in self.calibration.imus.items():
             yield from (f"{name.upper()}:", " ----------------------------")
@@ -114,12 +114,20 @@ def _lens(lens: Camera) -> Iterator[str]:
     yield f"  Distortion coefficients: {camera.distortion_coeffs.tolist()}"
 
 
-def _board(target: Target) -> Iterator[str]:
+def board_lines(target: Target) -> Iterator[str]:
+    """Yield the lines on the board."""
     yield f"  Type: {target.kind}"
     if target.kind == "aprilgrid":
         yield from ("  Tags: ", f"    Rows: {target.rows}", f"    Cols: {target.cols}")
         yield f"    Size: {float(target.tag_size_m)} [m]"
         yield f"    Spacing {float(target.tag_size_m * target.tag_spacing)} [m]"
+        return
+    if target.kind == "charuco":  # of which Kalibr knows nothing
+        yield from ("  Squares: ", f"    Rows: {target.rows}", f"    Cols: {target.cols}")
+        yield f"    Size: {float(target.square_size_m)} [m]"
+        yield from ("  Markers: ", f"    Marker size: {float(target.marker_size_m)} [m]")
+        yield from (f"    Dictionary: {target.dictionary}", f"    First: {target.first_tag}")
+        yield f"    Legacy: {'yes' if target.legacy else 'no'}"
         return
     checkerboard = target.kind == "checkerboard"
     row, col = (target.row_spacing_m, target.col_spacing_m) if checkerboard else (target.spacing_m,) * 2

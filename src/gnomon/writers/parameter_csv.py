@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from ..calibration import Calibration, element_names, parameters
 from ..models.camera import Camera
 from .calibration_file import FRAMES
-from .camera_entries import EQUATION as CAMERA_EQUATION
+from .camera_entries import camera_equation
 from .context import Context
 from .export import Export, Loss
 from .units_text import element_units
@@ -20,12 +20,15 @@ def export(calibration: Calibration, context: Context) -> Export:
     """Return `calibration.csv`: a row for every scalar of every IMU and camera, for gravity, body frame and lenses."""
     frame = calibration.frame
     rows = ["name,value,sigma,unit"]
-    rows.append(f"comment,{_text(_EQUATION.format(frame=frame, words=FRAMES.get(frame, FRAMES['user'])))},,")
-    rows += [f"comment,{_text(CAMERA_EQUATION)},,"] if calibration.cameras else []
+    equation = _EQUATION.format(frame=frame, words=FRAMES.get(frame, FRAMES["user"]))
+    rows += [f"comment,{_text(equation)},,"] if calibration.imus else []
+    rows += [f"comment,{_text(camera_equation(calibration))},,"] if calibration.cameras else []
     rows += [f"comment,{_text(remark)},," for remark in context.remarks]
     rows.append(f"body_frame,{frame},,")
-    rows.append(f"gravity,{float(calibration.gravity.value)!r},{float(calibration.gravity.sigma)!r},m/s^2")
-    rows += [row for name, camera in calibration.cameras.items() for row in _camera(name, camera.camera)]
+    if calibration.imus:
+        rows.append(f"gravity,{float(calibration.gravity.value)!r},{float(calibration.gravity.sigma)!r},m/s^2")
+    alone = not calibration.imus
+    rows += [row for name, camera in calibration.cameras.items() for row in _camera(name, camera.camera, alone=alone)]
     for path, value in parameters(calibration.imus, calibration.cameras):
         numbers = value.ravel().tolist(), calibration.sigma(path).ravel().tolist(), element_units(calibration, path)
         for name, number, sigma, unit in zip(element_names(path, value.shape), *numbers, strict=True):
@@ -37,10 +40,12 @@ def export(calibration: Calibration, context: Context) -> Export:
     return Export(files={"calibration.csv": "\n".join(rows) + "\n"}, losses=(loss,))
 
 
-def _camera(name: str, camera: Camera) -> Iterator[str]:
+def _camera(name: str, camera: Camera, *, alone: bool) -> Iterator[str]:
     """Yield what is no number that was estimated."""
     yield f"{name}.model,{camera.model},,"
     yield f"{name}.resolution,{camera.resolution[0]} {camera.resolution[1]},,px"
+    if alone and camera.line_delay_s:
+        yield f"{name}.line_delay,{float(camera.line_delay_s)!r},0.0,s"
     if camera.topic:
         yield f"{name}.rostopic,{_text(camera.topic)},,"
 

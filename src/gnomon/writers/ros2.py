@@ -25,14 +25,14 @@ FILE, INFO = "static_transforms.launch.yaml", "{}_camera_info.yaml"
 _WHOSE = "ROS 2"
 _HEAD = """\
 # Static transforms of the cameras for ROS 2, made by gnomon: ros2 launch ./{file}
-# Each is the pose of a camera in the IMU's frame: p_{imu} = T p_cam [m], quaternion qx qy qz qw of Hamilton. The frames
-# of the cameras are optical ones (REP 103): x right, y down, z forward. Body frame {frame}.
+# Each is the pose of a camera in the frame of {imu}: p_{imu} = T p_cam [m], quaternion qx qy qz qw of Hamilton. The
+# frames of the cameras are optical ones (REP 103): x right, y down, z forward. Body frame {frame}.
 """
 _SHIFT = "# There is no place for the time shift: t_imu = t_cam + {shift!r} s for {name}.\n"
 _INFO_HEAD = """\
 # Calibration of {name} in the layout of camera_calibration_parsers, for camera_info_url; made by gnomon.
 # Pixel (0, 0) is the centre of the top-left pixel. rectification_matrix and projection_matrix are those of a single
-# camera. Where it is: {file}.
+# camera.{where}
 """
 _MODELS = {
     "none": ("plumb_bob", 5),
@@ -51,8 +51,16 @@ def export(calibration: Calibration, context: Context) -> Export:
         If there is no camera, or CameraInfo does not know the model of one.
     """
     require_cameras(calibration, _WHOSE)
-    name = next(iter(calibration.imus))
-    infos = {INFO.format(key): _info_text(key, known.camera, context) for key, known in calibration.cameras.items()}
+    name = next(iter(calibration.imus), "cam0")
+    placed = calibration.imus or len(calibration.cameras) > 1
+    where = f" Where it is: {FILE}." if placed else ""
+    infos = {
+        INFO.format(key): _info_text(key, known.camera, context, where) for key, known in calibration.cameras.items()
+    }
+    if not calibration.imus:
+        losses = (*_lens_losses(calibration), uncertainty_loss(_WHOSE))
+        there = {FILE: _launch_text(name, calibration, context)} if placed else {}
+        return Export(files={**there, **infos}, losses=losses)
     losses = (
         Loss(
             what="IMU",
@@ -71,7 +79,8 @@ def _launch_text(imu: str, calibration: Calibration, context: Context) -> str:
     for name, camera in calibration.cameras.items():
         if camera.time_shift_cam_imu:
             text += _SHIFT.format(shift=float(camera.time_shift_cam_imu), name=name)
-    return text + "launch:\n" + "".join(_node(imu, name, camera) for name, camera in calibration.cameras.items())
+    nodes = (_node(imu, name, camera) for name, camera in calibration.cameras.items() if name != camera.body)
+    return text + "launch:\n" + "".join(nodes)
 
 
 def _node(imu: str, name: str, camera: CameraCalibration) -> str:
@@ -90,7 +99,7 @@ def _node(imu: str, name: str, camera: CameraCalibration) -> str:
     )
 
 
-def _info_text(name: str, camera: Camera, context: Context) -> str:
+def _info_text(name: str, camera: Camera, context: Context, where: str) -> str:
     if camera.projection != "pinhole" or camera.distortion not in _MODELS:
         raise OptionError(
             f"{name} is {camera.model}, and CameraInfo knows pinhole with radtan (plumb_bob), equidistant or no "
@@ -107,7 +116,7 @@ def _info_text(name: str, camera: Camera, context: Context) -> str:
     lines += [f"distortion_model: {model}", *_matrix("distortion_coefficients", coeffs[None])]
     lines += _matrix("rectification_matrix", np.eye(3))
     lines += _matrix("projection_matrix", np.hstack([K, np.zeros((3, 1))]))
-    return _INFO_HEAD.format(name=name, file=FILE) + context.comment() + "".join(f"{line}\n" for line in lines)
+    return _INFO_HEAD.format(name=name, where=where) + context.comment() + "".join(f"{line}\n" for line in lines)
 
 
 def _matrix(key: str, matrix: Floats) -> list[str]:

@@ -6,11 +6,11 @@ from math import floor, isfinite, log10
 
 import numpy as np
 
-from ..calibration import Calibration, CameraImuFit, ImuCalibration, parameters
+from ..calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, parameters
 from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from . import form_entries
-from .camera_entries import EQUATION, camera_entries
+from .camera_entries import camera_entries, camera_equation
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 from .form_entries import Entry
 
@@ -144,7 +144,9 @@ def _camera_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
             Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
             for entry, sigma in camera_entries(calibration, name)
         )
-        yield Table(title=f"{name}, {camera.camera.model}, body frame {frame}", note=EQUATION, rows=rows)
+        yield Table(
+            title=f"{name}, {camera.camera.model}, body frame {frame}", note=camera_equation(calibration), rows=rows
+        )
 
 
 def entries_with_sigmas(imu: ImuCalibration, covariance: Floats, form: str) -> tuple[list[Entry], Floats]:
@@ -247,7 +249,10 @@ def summary_table(calibration: Calibration) -> Table:
         note += f"; gravity: {gravity.source}"
     if assessment.model != "none":
         rows.append(Row(name=f"{modelled_thing(calibration)} model", value=assessment.model, unit=""))
-    rows += _magnitude_rows(calibration) if camera_imu is None else _camera_imu_rows(camera_imu)
+    if assessment.cameras is not None:
+        rows += _cameras_rows(assessment.cameras)
+    elif calibration.imus:
+        rows += _magnitude_rows(calibration) if camera_imu is None else _camera_imu_rows(camera_imu)
     return Table(title="calibration", note=note, rows=tuple(rows))
 
 
@@ -269,6 +274,23 @@ def _camera_imu_rows(fit: CameraImuFit) -> Iterator[Row]:
         yield Row(name=f"{name}, frames used", value=f"{fit.frames_used[name]} of {found}", unit="")
         yield Row(name=f"{name}, corners used", value=str(fit.corners_used[name]), unit="")
         yield Row(name=f"{name}, reprojection, rms per axis", value=_known(fit.reprojection_rms_px[name]), unit="px")
+
+
+def _cameras_rows(fit: CamerasFit) -> Iterator[Row]:
+    if not fit.converged:
+        yield Row(name="solution", value="not converged", unit="")
+    for name, found in fit.views_found.items():
+        yield Row(name=f"{name}, views used", value=f"{fit.views_used[name]} of {found}", unit="")
+        yield Row(name=f"{name}, corners used", value=str(fit.corners_used[name]), unit="")
+        yield Row(name=f"{name}, reprojection, rms per axis", value=_known(fit.reprojection_rms_px[name]), unit="px")
+        yield Row(name=f"{name}, the same of unseen views", value=_known(fit.holdout_rms_px[name]), unit="px")
+        yield Row(name=f"{name}, image covered", value=f"{100 * fit.coverage[name]:.0f}", unit="%")
+    if fit.aspect_sigma:
+        yield Row(name="board, y over x, less 1", value=value_text(fit.aspect, fit.aspect_sigma), unit="1")
+    if fit.bow_sigma_m:
+        yield Row(name="board, bow", value=value_text(1e3 * fit.bow_m, 1e3 * fit.bow_sigma_m), unit="mm")
+    if isfinite(fit.print_scale):
+        yield Row(name="board, true over stated", value=value_text(fit.print_scale, fit.print_scale_sigma), unit="1")
 
 
 def _known(value: float) -> str:

@@ -8,6 +8,8 @@ _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 _CAMERA = {
     "T_cam_imu.rotation": "rad",
     "T_cam_imu.translation": "m",
+    "T_cam_cam0.rotation": "rad",
+    "T_cam_cam0.translation": "m",
     "time_shift_cam_imu": "s",
     "line_delay": "s",
     "intrinsics": "px",

@@ -47,6 +47,7 @@ class Board:
             "aprilgrid": target.tag_size_m,
             "checkerboard": min(target.row_spacing_m, target.col_spacing_m),
             "circlegrid": target.spacing_m,
+            "charuco": target.square_size_m,
         }
         side = sides[target.kind]
         return cls(

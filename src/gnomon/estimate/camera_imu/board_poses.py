@@ -91,6 +91,7 @@ def thinned(exposures: Exposures) -> Exposures:
         points=exposures.points[kept],
         pixels=exposures.pixels[kept],
         delay_rows=exposures.delay_rows,
+        point=None if exposures.point is None else exposures.point[kept],
     )
 
 
@@ -126,7 +127,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
             scatter_px=np.empty(0),
             sigma_px=float("nan"),
         )
-    rotation, p = _homography_poses(exposures, frames.camera)
+    rotation, p = homography_poses(exposures, frames.camera)
     noise = CornerNoise(sigma_px=1.0, huber=np.inf)
     for step in range(_REFINEMENTS):
         sums = corner_sums(exposures, frames.camera, rotation, p, noise)
@@ -181,10 +182,20 @@ def _limited(vectors: Floats, longest: float) -> Floats:
     return vectors * np.minimum(1.0, longest / np.maximum(length, 1e-300))
 
 
-def _homography_poses(exposures: Exposures, camera: Camera) -> tuple[Floats, Floats]:
+def homography_poses(exposures: Exposures, camera: Camera) -> tuple[Floats, Floats]:
     """Return poses from the homography H with H (x, y, 1) along the viewing ray of each corner.
 
     |ray x H p|^2 is least where the eigenvector of sum (I - ray ray') (x) p p' with the smallest eigenvalue is taken.
+
+    Parameters
+    ----------
+    exposures : e of them, each with four corners at least, not three on one line
+    camera : whose rays are taken; corners at pixels without a ray do not count
+
+    Returns
+    -------
+    R_cam_target : (e, 3, 3)
+    p_cam_target : (e, 3) [m]
     """
     rays, valid = camera.unproject(exposures.pixels)
     rays = np.where(valid[:, None], rays, 0.0)

@@ -23,7 +23,7 @@ from ...recording import Floats, Integers
 from ..clusters import ClusterSums
 from .assembly import TRIAD, Columns, by_span
 from .batch import error_terms
-from .prior_terms import FIRST_BIAS_SIGMA, links, second_differences
+from .prior_terms import FIRST_BIAS_SIGMA, border_priors, links, second_differences
 from .solution import Solution
 from .trajectory import BIAS, POSE, Grid, Trajectory
 from .visual_terms import instants
@@ -176,9 +176,8 @@ def _prior(solution: Solution, shifts: Floats) -> tuple[Floats, Floats]:
         return np.zeros((size, size)), np.zeros(size)
     along = np.eye(len(layout), size)
     along[:dense, dense:], along[dense:] = 0.0, shifts if len(shifts) else 0.0
-    jacobian = layout.values_jacobian(parameters) @ along
-    pull = jacobian.T @ (layout.prior_information @ (layout.prior_mean - layout.values(parameters)))
-    return jacobian.T @ layout.prior_information @ jacobian, pull
+    information, pull, _ = border_priors(parameters, layout)
+    return along.T @ information @ along, along.T @ pull
 
 
 def _hardly_priors(trajectory: Trajectory, follows: Floats) -> Iterator[tuple[Floats, Floats]]:

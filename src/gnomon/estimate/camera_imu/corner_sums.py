@@ -11,13 +11,13 @@ once, in the eight or so columns [-G [p]x | G | own parameters | residual | prob
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...models.camera import Camera
 from ...recording import Floats, Integers
-from .board_terms import CornerProducts
 
 Booleans = NDArray[np.bool_]
 
@@ -25,6 +25,14 @@ TWIST = 6
 """Columns of the twist: rotation and translation."""
 
 _CHUNK = 8_000  # corners at a time; bounds the memory and stays in the cache
+
+
+class OffsetProducts(Protocol):
+    """What takes the products of the columns of each corner's offset with those of its exposure."""
+
+    def add(self, corners: slice, rows: Floats, own: Floats) -> None:
+        """Take whitened columns of some corners: rows (6 + w, m, 2) of the exposure, own (3, m, 2) of the offset."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,7 +126,8 @@ def corner_sums(
     own_parameters: Integers | None = None,
     target_scale: float = 1.0,
     scale_column: bool = False,
-    offsets: CornerProducts | None = None,
+    shape: Floats | None = None,
+    offsets: OffsetProducts | None = None,
 ) -> CornerSums:
     """Sum up the corners of every exposure.
 
@@ -131,10 +140,13 @@ def corner_sums(
     own_parameters : indices of `Camera.parameters` that get a column each
     target_scale : size of the target relative to `exposures.points`
     scale_column : give it a column, after the own parameters
+    shape : (k, m, 3) where on the target, per unit, each corner moves with each of k parameters of the target's shape
+        that get a column, after the scale's; or None
     offsets : takes the products with the offset of each corner, where these are wanted
     """
     own = np.empty(0, np.int64) if own_parameters is None else own_parameters
-    width = TWIST + len(own) + scale_column + 1 + (noise.probe_sign is not None)
+    bends = 0 if shape is None else len(shape)
+    width = TWIST + len(own) + scale_column + bends + 1 + (noise.probe_sign is not None)
     count = len(exposures)
     gram = np.zeros((count, width, width))
     cost, square = np.zeros(count), np.full(count, np.nan)
@@ -153,6 +165,11 @@ def corner_sums(
         root, rho, robust = _weights(off, image.valid, noise, spread)
         by_scale = turned / target_scale if scale_column else None
         columns = _columns(image.by_point, point, image.by_parameters, own, by_scale)
+        by_offset = None
+        if shape is not None or offsets is not None:
+            assert image.by_point is not None
+            by_offset = target_scale * np.matmul(image.by_point, R_cam_target[first:last][which])  # (m, 2, 3)
+            columns += [] if shape is None else _along(by_offset, shape[:, corners])
         columns.append((off[:, 0], off[:, 1]))
         if noise.probe_sign is not None:  # signs take the place of the whitened residual
             sign = noise.probe_sign[corners] * np.reshape(noise.sigma_px * spread, (-1, 1))
@@ -160,9 +177,7 @@ def corner_sums(
         root = np.where(image.valid, root, 0.0)
         rows = _weighted(columns, root)
         gram[first:last] = _grams(rows, lengths)
-        if offsets is not None:
-            assert image.by_point is not None
-            by_offset = target_scale * np.matmul(image.by_point, R_cam_target[first:last][which])  # (m, 2, 3)
+        if offsets is not None and by_offset is not None:
             offsets.add(corners, rows, (root[:, None, None] * by_offset).transpose(2, 0, 1))
         cost[first:last] = np.bincount(which, rho, last - first)
         valid[first:last] = np.bincount(which, image.valid, last - first)
@@ -287,3 +302,9 @@ def _columns(
     if by_scale is not None:
         columns.append((np.einsum("ij,ji->i", G[:, 0], by_scale), np.einsum("ij,ji->i", G[:, 1], by_scale)))
     return columns
+
+
+def _along(by_offset: Floats, shape: Floats) -> list[tuple[Floats, Floats]]:
+    """Return the columns of moves (k, m, 3) on the target, of the derivatives (m, 2, 3) by them."""
+    moved = np.einsum("mij,kmj->kim", by_offset, shape)
+    return [(pair[0], pair[1]) for pair in moved]

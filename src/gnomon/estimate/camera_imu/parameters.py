@@ -14,7 +14,7 @@ from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, ro
 from ...geometry.so3 import inverse, tangent_basis
 from ...models.camera import Camera
 from ...models.pattern import DIAGONAL, FULL, LOWER
-from ...recording import Floats, Integers
+from ...recording import Floats, Integers, KnownRig
 from .board import OFFSETS, Board
 
 Status = Literal["estimated", "prior", "fixed"]
@@ -135,6 +135,7 @@ class Parameters:
     target_scale : size of the board relative to what was stated
     board : its corners, or None where they are as stated
     imus, cameras : one by one
+    rig : poses of the cameras to the first one and all lenses, as they were known beforehand, or None
     """
 
     gravity_axes: Floats
@@ -143,6 +144,7 @@ class Parameters:
     imus: tuple[ImuParameters, ...]
     cameras: tuple[CameraParameters, ...]
     board: Board | None = None
+    rig: KnownRig | None = None
 
     @property
     def gravity_direction(self) -> Floats:
@@ -242,13 +244,23 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
 def known_beforehand(parameters: Parameters) -> Iterator[tuple[list[str], Floats, Floats]]:
     """Yield what is known of each sensor with an uncertainty: names (k), sigmas (k,) and correlation (k, k)."""
     sensors = [([f"imu{i}.{name}" for name in _IMU_SCALARS], imu.covariance) for i, imu in enumerate(parameters.imus)]
-    sensors += [(entry.lens_names(), entry.lens_covariance) for entry in parameters.cameras]
+    if parameters.rig is not None:
+        sensors.append(lenses_of(parameters.rig, parameters))
+    else:
+        sensors += [(entry.lens_names(), entry.lens_covariance) for entry in parameters.cameras]
     for names, covariance in sensors:
         if covariance is not None:
             sigma = np.sqrt(np.diag(covariance))
             known = np.flatnonzero(sigma)
             size = sigma[known]
             yield [names[i] for i in known], size, covariance[np.ix_(known, known)] / np.outer(size, size)
+
+
+def lenses_of(rig: KnownRig, parameters: Parameters) -> tuple[list[str], Floats]:
+    """Return the names of the lenses' scalars that a rig knows, and their joint covariance."""
+    wanted = {name for entry in parameters.cameras for name in entry.lens_names()}
+    at = [i for i, name in enumerate(rig.names) if name in wanted]
+    return [rig.names[i] for i in at], rig.covariance[np.ix_(at, at)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,6 +8,7 @@ from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand
 from .assembly import TRIAD
 from .parameters import Layout, Parameters
+from .rig_prior import rig_prior
 from .trajectory import BIAS, POSE, Grid, Trajectory
 
 FIRST_BIAS_SIGMA = (1.0, 10.0)
@@ -79,10 +80,21 @@ def add_priors(system: BorderedBand, parameters: Parameters, layout: Layout) -> 
     """Add the priors of the border parameters; return the cost of those that are estimated."""
     if not len(layout):
         return 0.0
+    information, pull, cost = border_priors(parameters, layout)
+    system.corner += information
+    system.corner_rhs[:, 0] += pull
+    return cost
+
+
+def border_priors(parameters: Parameters, layout: Layout) -> tuple[Floats, Floats, float]:
+    """Return information (p, p) and pull (p,) of the priors, by a step of the border's scalars, and their cost."""
     information = layout.prior_information
     difference = layout.values(parameters) - layout.prior_mean
     jacobian = layout.values_jacobian(parameters)
-    system.corner += jacobian.T @ information @ jacobian
-    system.corner_rhs[:, 0] -= jacobian.T @ information @ difference
     free = np.where(layout.free, difference, 0.0)
-    return 0.5 * float(free @ information @ free)
+    together, pull, cost = rig_prior(layout, parameters)
+    return (
+        jacobian.T @ information @ jacobian + together,
+        pull - jacobian.T @ information @ difference,
+        cost + 0.5 * float(free @ information @ free),
+    )

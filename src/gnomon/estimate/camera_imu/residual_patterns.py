@@ -130,14 +130,19 @@ def lens_evidence(solution: Solution) -> Pattern:
 
 
 def _pattern(residual: Floats, label: Integers, t_s: Floats) -> Pattern:
-    """Return what residuals (m, 2) of the same label (m,) have in common between clusters of time.
+    """Return what residuals (m, 2) of the same label (m,) have in common between clusters of time."""
+    cluster = np.floor((t_s - np.min(t_s, initial=np.inf)) / _CLUSTER_S).astype(np.int64)
+    return common_pattern(residual, label, cluster)
+
+
+def common_pattern(residual: Floats, label: Integers, cluster: Integers) -> Pattern:
+    """Return what residuals (m, 2) of the same label (m,) have in common between clusters (m,), numbered in time.
 
     M_cd = sum over labels of s_c s_d', s the sums of residuals of a label in clusters c and d, is without a pattern as
     likely positive as negative for c and d that are not neighbours.
     """
-    if not len(t_s):
+    if not len(cluster):
         return Pattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=0)
-    cluster = np.floor((t_s - t_s.min()) / _CLUSTER_S).astype(np.int64)
     clusters, labels = int(cluster.max()) + 1, int(label.max()) + 1
     place = cluster * labels + label
     sums = np.stack([np.bincount(place, r, clusters * labels) for r in residual.T], axis=1).reshape(clusters, -1)
@@ -190,7 +195,7 @@ def _counting(solution: Solution) -> list[_Corners]:
         found.append(
             _Corners(
                 residual=residual,
-                on_board=_along_board(image.by_point[counts] @ R[of][counts][:, :, :2], residual),
+                on_board=along_board(image.by_point[counts] @ R[of][counts][:, :, :2], residual),
                 frame=exposures.frame[of][counts],
                 point=exposures.point[counts],
                 t_s=data.t_s[of][counts],
@@ -200,7 +205,7 @@ def _counting(solution: Solution) -> list[_Corners]:
     return found
 
 
-def _along_board(by_place: Floats, residual: Floats) -> Floats:
+def along_board(by_place: Floats, residual: Floats) -> Floats:
     """Return residuals (m, 2) turned so that they point along the board's axes, by their derivative (m, 2, 2)."""
     side = np.where(np.linalg.det(by_place) < 0, -1.0, 1.0)  # the board's y axis points up, the image's down
     angle = np.arctan2(by_place[:, 1, 0] - side * by_place[:, 0, 1], by_place[:, 0, 0] + side * by_place[:, 1, 1])

@@ -1,0 +1,157 @@
+"""Cameras that saw a board in view after view: lenses, their places to each other, and what the board is like.
+
+check -> choose the lens models -> first rig -> choose views -> estimate -> board -> hold out -> assess -> Result
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from threadpoolctl import threadpool_limits
+
+from .._version import __version__
+from ..assess.cameras_checks import check_views
+from ..assess.cameras_tables import CamerasEvidence, LensOpinion, describe
+from ..assess.cameras_verdict import assess
+from ..assess.trust_findings import trust_note
+from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
+from ..camera_options import CameraOptions
+from ..diagnostics import Result
+from ..errors import DetectionError, RecordingError
+from ..estimate.cameras.solution import solved
+from ..estimate.cameras.views import gathered_views
+from ..findings import Finding
+from ..models.target import Target
+from ..recording import Recording
+from .camera_board import with_board
+from .camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
+from .camera_views import misfits, other_size, started, unseen, unused, views_of
+from .cameras_published import check_baseline, published
+from .preparation import assumed, stated_options
+
+Progress = Callable[[str], None]
+
+_MOST_TO_CHOOSE_BY = 40
+"""Views by which the lens model is chosen."""
+
+_FEW = {"views-few"}
+
+
+def calibrate_cameras(
+    recording: Recording,
+    target: Target,
+    options: CameraOptions | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Calibrate one camera or several from views of a board, with no guess of anything.
+
+    Parameters
+    ----------
+    recording : of cameras that saw the board; their lenses are not looked at
+    target : the board
+    options : see CameraOptions
+    progress : called with a sentence at each step
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be used; DetectionError where the board was seen too rarely.
+    OptionError
+        If an option does not fit the recording.
+    InitialisationError
+        If no lens explains the views, or cameras share none.
+    SolveError
+        If the estimation finds no minimum.
+    """
+    with threadpool_limits(1, user_api="blas"):  # many small products: more threads only get in each other's way
+        return _calibrated(recording, target, options or CameraOptions(), progress or (lambda _: None))
+
+
+def _calibrated(recording: Recording, target: Target, options: CameraOptions, tell: Progress) -> Result:
+    tell("checking the recording")
+    noticed = _checked(recording, target)
+    models = stated_models(options.model, tuple(recording.cameras))
+    check_baseline(options, len(recording.cameras))
+    every = gathered_views(recording.cameras, target)
+    tell("choosing the lens model")
+    lenses = chosen_lenses(
+        {name: views_of(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
+        models,
+        robust=options.robust,
+        most_iterations=options.max_iterations,
+    )
+    tell("choosing views")
+    start = started(every, {lens.camera: lens.lens for lens in lenses}, options.views)
+    tell("estimating")
+    first = solved(start.views, start.rig, robust=options.robust, most_iterations=options.max_iterations)
+    # What a wrong lens cannot bend would go into the board.
+    board = with_board(first, options if all(lens.fits for lens in lenses) else replace(options, board="stated"))
+    solution = board.solution
+    tell("testing it on views that it has not seen")
+    left_out = unseen(solution, time_clusters(solution), board.estimated, options.max_iterations)
+    others = unused(start.every, solution)
+    bad = misfits(solution, others)
+    mixed = other_size(start.every, solution, bad)
+    if mixed is not None:
+        raise RecordingError(str(mixed))
+    tell("assessing the result")
+    result = published(solution, options)
+    evidence = CamerasEvidence(
+        recording=recording,
+        target=target,
+        options=options,
+        every=start.every,
+        start=start.rig,
+        solution=solution,
+        nats=start.nats,
+        others=others,
+        misfits=bad,
+        cameras=result.cameras,
+        names=result.names,
+        covariance=result.covariance,
+        scale=result.scale,
+        rms_px=left_out.rms_used_px,
+        unseen_px=left_out.rms_px,
+        trials=tuple(trial for lens in lenses for trial in lens.trials),
+        opinions=tuple(_opinion(lens) for lens in lenses if lens.better),
+        added=board.added,
+        trust=replace(result.trust, models=board.steps),
+    )
+    diagnostics = describe(evidence)
+    assessment = assess(noticed, evidence, diagnostics)
+    note = trust_note(evidence.trust)
+    calibration = Calibration(
+        imus={},
+        cameras=result.cameras,
+        frame="cam0",
+        gravity=UNSTATED_GRAVITY,
+        uncertainty=Covariance(names=covariance_names({}, result.cameras), matrix=result.of_cameras),
+        assessment=replace(assessment, trust=replace(note, added=board.added, tries=len(board.steps))),
+        provenance=Provenance(
+            gnomon_version=__version__,
+            method="cameras",
+            inputs=recording.sources,
+            options=stated_options(options),
+        ),
+    )
+    return Result(calibration=calibration, diagnostics=diagnostics)
+
+
+def _checked(recording: Recording, target: Target) -> tuple[Finding, ...]:
+    """Return what there is to say of the views before anything is estimated.
+
+    Raises
+    ------
+    RecordingError, DetectionError
+        See `calibrate_cameras`.
+    """
+    found = (*recording.findings, *check_views(recording, target))
+    for finding in found:
+        if finding.severity == "problem":
+            raise (DetectionError if finding.code in _FEW else RecordingError)(str(finding))
+    return (*found, *map(assumed, recording.assumptions))
+
+
+def _opinion(lens: LensChoice) -> LensOpinion:
+    return LensOpinion(
+        camera=lens.camera, stated=lens.lens.model, better=lens.better, gain=lens.gain, gain_sigma=lens.gain_sigma
+    )

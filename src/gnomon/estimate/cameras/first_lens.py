@@ -1,0 +1,295 @@
+"""A lens of any kind from views of a board, with no guess: a sweep of focal lengths and shapes, then a short descent.
+
+The extended unified model goes smoothly from a pinhole to a fisheye of more than 180 degrees; of it a grid of focal
+lengths and shapes is tried on a few views that differ, and the best of them are refined. Any other lens model is then
+fitted to the rays that this one sees at the pixels of the corners.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import InitialisationError, OptionError
+from ...models.camera import Camera
+from ...models.distortions import DISTORTIONS, DistortionName
+from ...models.projections import PROJECTIONS, ProjectionName
+from ...models.target import Target
+from ...recording import Floats, Integers
+from ...solve.levenberg_marquardt import levenberg_marquardt
+from ..camera_imu.board_poses import thinned
+from .board_shape import stated
+from .layout import bounds
+from .poses import first_poses, settled
+from .rig import Rig, Views
+from .solution import solved
+from .views import CameraCorners, corners_of_camera
+
+_VIEWS = 10  # of the sweep
+_FOCALS = np.geomspace(0.18, 6.0, 16)  # over the image's width
+_ALPHAS = (0.0, 0.4, 0.6, 0.75)
+_BETA = 1.0
+_SETTLED = 10  # best of the sweep, whose poses are refined
+_REFINED = 3  # best of these, refined with the lens
+_SWEEP_STEPS = 3
+_SHORT = 15  # iterations
+_MOST_RAYS = 600
+_WIDEST = np.radians(80)  # of the rays to which a lens is fitted that cannot have wider ones
+_SHAPES: Mapping[ProjectionName, tuple[tuple[float, ...], ...]] = {
+    "pinhole": ((),),
+    "omni": ((1.0,), (0.3,), (2.0,)),
+    "eucm": ((0.6, 1.0), (0.3, 1.0), (0.75, 1.0)),
+    "ds": ((-0.2, 0.55), (0.2, 0.6), (-0.2, 0.3), (0.0, 0.1)),
+}
+_BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
+    "none": ((),),
+    "radtan": ((0.0,) * 4, (-0.2, 0.03, 0.0, 0.0)),
+    "radtan5": ((0.0,) * 5, (-0.2, 0.03, 0.0, 0.0, 0.0)),
+    "equidistant": ((0.0,) * 4,),
+    "fov": ((0.9,), (0.3,)),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Trial:
+    """One lens on the views of the sweep, and the median distance of its corners [px]."""
+
+    rig: Rig
+    error_px: float
+
+
+def first_lens(views: Views, number: int, model: str) -> Camera:
+    """Return a lens that fits the views of one camera about as well as its model can.
+
+    Parameters
+    ----------
+    views : of the board
+    number : of the camera
+    model : such as "pinhole-radtan"
+
+    Raises
+    ------
+    InitialisationError
+        If the camera saw the board too seldom, or no lens explains what it saw.
+    OptionError
+        If there is no such model.
+    """
+    return fitted(general_lens(views, number), model, corners_of_camera(views, number).exposures.pixels)
+
+
+def general_lens(views: Views, number: int) -> Camera:
+    """Return an eucm-none lens that fits the views of one camera; see `first_lens`."""
+    name = tuple(views.cameras)[number]
+    frames = views.cameras[name]
+    some = _alone(views, number)
+    if len(some) < 1:
+        raise InitialisationError(
+            f"{name}: no image shows enough of the board to be used, at least six points that do not lie on one line. "
+            "Record more views, closer to the board."
+        )
+    chosen = some.where(_well_spread(corners_of_camera(some, 0)))
+    few = corners_of_camera(chosen, 0)
+    few = replace(few, exposures=thinned(few.exposures), own_sigma_px=None)
+    trials = [
+        trial
+        for focal in _FOCALS * frames.camera.resolution[0]
+        for alpha in _ALPHAS
+        if (trial := _tried(few, views.target, _lens(frames.camera, focal, alpha))) is not None
+    ]
+    found: list[_Trial] = []
+    for trial in _best(trials, _SETTLED):
+        rig, _ = settled((few,), views.target, trial.rig, steps=_SWEEP_STEPS)
+        found.append(_Trial(rig=rig, error_px=_error(rig, few)))
+    refined = [_refined(chosen, few, trial) for trial in _best(found, _REFINED)]
+    if not refined or not np.isfinite(min(trial.error_px for trial in refined)):
+        raise InitialisationError(
+            f"{name}: no lens explains what {len(chosen)} of its images show. Do the target file and the numbering of "
+            "the board's points fit?"
+        )
+    return _best(refined, 1)[0].rig.cameras[name]
+
+
+def _best(trials: list[_Trial], count: int) -> list[_Trial]:
+    return sorted(trials, key=lambda trial: trial.error_px)[:count]
+
+
+def _alone(views: Views, number: int) -> Views:
+    """Return the views of one camera alone."""
+    name = tuple(views.cameras)[number]
+    kept = views.frame[:, number] >= 0
+    return replace(
+        views,
+        cameras={name: views.cameras[name]},
+        t_ns=views.t_ns[kept],
+        frame=views.frame[kept, number : number + 1],
+    )
+
+
+def _lens(like: Camera, focal: float, alpha: float) -> Camera:
+    width, height = like.resolution
+    return Camera(
+        projection="eucm",
+        intrinsics=np.array([alpha, _BETA, focal, focal, (width - 1) / 2, (height - 1) / 2]),
+        distortion="none",
+        distortion_coeffs=np.empty(0),
+        resolution=like.resolution,
+        topic=like.topic,
+    )
+
+
+def _well_spread(seen: CameraCorners) -> Integers:
+    """Return views with many corners that differ from each other: where the board is, how large and how tilted."""
+    lengths = np.diff(seen.exposures.start)
+    rich = np.flatnonzero(lengths >= 0.5 * np.quantile(lengths, 0.9))
+    looks = _looks(seen)[rich]
+    chosen = [int(np.argmax(lengths[rich]))]
+    distance = np.full(len(rich), np.inf)
+    while len(chosen) < min(_VIEWS, len(rich)):
+        distance = np.minimum(distance, np.linalg.norm(looks - looks[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(distance)))
+    return np.sort(rich[np.unique(chosen)])
+
+
+def _looks(seen: CameraCorners) -> Floats:
+    """Return eight numbers for each exposure: the pixels at the ends of the board, by an affine and a bending part."""
+    ends = np.empty((len(seen), 8))
+    for k, (a, b) in enumerate(zip(seen.exposures.start[:-1], seen.exposures.start[1:], strict=True)):
+        points, pixels = seen.exposures.points[a:b, :2], seen.exposures.pixels[a:b]
+        x, y = ((points - points.mean(axis=0)) / np.maximum(np.ptp(points, axis=0), 1e-12)).T
+        columns = np.stack([np.ones_like(x), x, y, x * y], axis=1)
+        ends[k] = np.linalg.lstsq(columns, pixels, rcond=None)[0].ravel()
+    return ends
+
+
+def _tried(seen: CameraCorners, target: Target, camera: Camera) -> _Trial | None:
+    """Return a lens with poses by homographies; None where it has no rays for all pixels."""
+    rays, valid = camera.unproject(seen.exposures.pixels)
+    if not valid.all() or not np.isfinite(rays).all():
+        return None
+    R, p = first_poses(seen, camera)
+    rig = Rig(
+        cameras={seen.name: camera},
+        T_cam_cam0=np.eye(4)[None],
+        R_cam0_target=R,
+        p_cam0_target=p,
+        board=stated(target),
+    )
+    return _Trial(rig=rig, error_px=_error(rig, seen))
+
+
+def _error(rig: Rig, seen: CameraCorners) -> float:
+    """Return the median distance of the corners; those that cannot be imaged count as infinitely far."""
+    of = seen.exposures.of_corner
+    points = np.einsum("mij,mj->mi", rig.R_cam0_target[of], seen.exposures.points) + rig.p_cam0_target[of]
+    apart = rig.cameras[seen.name].project(points, point_jacobian=False).pixels - seen.exposures.pixels
+    distance = np.linalg.norm(apart, axis=1)
+    return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
+
+
+def _refined(views: Views, few: CameraCorners, trial: _Trial) -> _Trial:
+    found = solved(views, trial.rig, most_iterations=_SHORT)
+    return _Trial(rig=found.rig, error_px=_error(found.rig, few))
+
+
+def fitted(lens: Camera, model: str, pixels: Floats) -> Camera:
+    """Return a lens of another model that sees about the same rays at the same pixels.
+
+    Parameters
+    ----------
+    lens : any
+    model : such as "pinhole-equidistant"
+    pixels : (m, 2) where it matters [px]
+
+    Raises
+    ------
+    OptionError
+        If there is no such model.
+    InitialisationError
+        If no lens of the model sees these rays.
+    """
+    projection, distortion = names_of(model)
+    if lens.model == model:
+        return lens
+    rays, valid = lens.unproject(pixels[:: max(len(pixels) // _MOST_RAYS, 1)])
+    pixels = pixels[:: max(len(pixels) // _MOST_RAYS, 1)][valid]
+    rays = rays[valid]
+    best: tuple[float, Camera] | None = None
+    for shape in _SHAPES[projection]:
+        for bending in _BENDINGS[distortion]:
+            candidate = _fit(_start(lens, projection, shape, distortion, bending), rays, pixels)
+            error = _distance(candidate, rays, pixels)
+            if best is None or error < best[0]:
+                best = error, candidate
+    if best is None:
+        raise InitialisationError(f"no {model} lens is like the one that was found.")
+    return best[1]
+
+
+def names_of(model: str) -> tuple[ProjectionName, DistortionName]:
+    """Return the projection and the distortion of a model such as "pinhole-radtan".
+
+    Raises
+    ------
+    OptionError
+        If there is no such model.
+    """
+    first, _, second = model.partition("-")
+    projection: ProjectionName | None = next((name for name in PROJECTIONS if name == first), None)
+    distortion: DistortionName | None = next((name for name in DISTORTIONS if name == second), None)
+    if projection is None or distortion is None:
+        raise OptionError(
+            f"there is no lens model {model!r}; it must be one of {', '.join(PROJECTIONS)}, a dash, and one of "
+            f"{', '.join(DISTORTIONS)}, such as pinhole-radtan."
+        )
+    return projection, distortion
+
+
+def _start(
+    lens: Camera,
+    projection: ProjectionName,
+    shape: tuple[float, ...],
+    distortion: DistortionName,
+    bending: tuple[float, ...],
+) -> Camera:
+    """Return a lens of typical shape that enlarges as much as another one on its axis."""
+    unit = Camera(
+        projection=projection,
+        intrinsics=np.array([*shape, 1.0, 1.0, 0.0, 0.0]),
+        distortion=distortion,
+        distortion_coeffs=np.array(bending),
+        resolution=lens.resolution,
+        topic=lens.topic,
+        line_delay_s=lens.line_delay_s,
+    )
+    near = np.array([[1e-4, 0.0, 1.0]])
+    scale = float((lens.project(near).pixels - lens.intrinsics[-2:])[0, 0] / lens.intrinsics[-4])
+    own = float(unit.project(near).pixels[0, 0])
+    fu, fv, pu, pv = lens.intrinsics[-4:]
+    return replace(unit, intrinsics=np.array([*shape, fu * scale / own, fv * scale / own, pu, pv]))
+
+
+def _fit(start: Camera, rays: Floats, pixels: Floats) -> Camera:
+    """Return the lens whose pixels of some rays are nearest; rays that it cannot have do not count."""
+    low, high = bounds(start)
+    size = np.maximum(np.abs(start.parameters), 0.1)
+    ahead = rays[:, 2] > np.cos(_WIDEST) if start.projection == "pinhole" else np.ones(len(rays), dtype=np.bool_)
+    limit = 0.1 * start.resolution[0]
+
+    def problem(x: Floats) -> tuple[Floats, Floats]:
+        camera = start.with_parameters(np.clip(x * size, low, high))
+        image = camera.project(rays[ahead], parameters_jacobian=True, point_jacobian=False)
+        assert image.by_parameters is not None
+        apart = np.where(image.valid[:, None], image.pixels - pixels[ahead], limit)
+        return apart.ravel(), image.by_parameters.reshape(-1, len(x)) * size
+
+    if np.sum(ahead) < len(size):
+        return start
+    found = levenberg_marquardt(problem, start.parameters / size, tolerance=1e-8, most_iterations=40)
+    return start.with_parameters(np.clip(found.x * size, low, high))
+
+
+def _distance(lens: Camera, rays: Floats, pixels: Floats) -> float:
+    """Return the rms distance of a lens's pixels from others; what it cannot image counts as far off."""
+    image = lens.project(rays, point_jacobian=False)
+    far = lens.resolution[0]
+    return float(np.sqrt(np.mean(np.where(image.valid[:, None], image.pixels - pixels, far) ** 2)))

@@ -1,0 +1,63 @@
+"""What any lens is like: a prior far wider than that, which only holds what the views leave open."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...models.camera import Camera
+from ...recording import Floats
+from .rig import RigSolution
+
+_ORDER = {"k1": 2, "k2": 4, "k3": 6, "k4": 8, "p1": 1, "p2": 1}  # power of the radius beside the radius itself
+_SHAPE_SIGMA = 1.0  # of xi, alpha, beta and w
+_MIDDLE_SIGMA = 0.5  # of the principal point, over the width of the image
+_OPEN = 0.2  # of the prior's standard deviation, from which on a parameter is held by it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensPrior:
+    """A normal prior of a lens's parameters.
+
+    Attributes
+    ----------
+    mean, sigma : (q,) in the order of `Camera.parameters`
+    """
+
+    mean: Floats
+    sigma: Floats
+
+
+def lens_prior(camera: Camera, pixels: Floats) -> LensPrior:
+    """Return a prior as wide as the image itself: a distortion of 100 % at its border, a focal length of 100 %.
+
+    Parameters
+    ----------
+    camera : about right
+    pixels : (m, 2) where corners were seen [px]
+    """
+    width, height = camera.resolution
+    fu, fv = camera.intrinsics[-4:-2]
+    middle = np.array([width - 1, height - 1]) / 2
+    # The focal length divides by the scale of the shape: the border lies at about one, be the lens narrow or wide.
+    reach = float(np.max(np.linalg.norm((pixels - middle) / (fu, fv), axis=1), initial=0.1))
+    sigma: list[float] = []
+    mean = camera.parameters.copy()
+    for k, (symbol, kind) in enumerate(zip(camera.parameter_symbols, camera.parameter_kinds, strict=True)):
+        if kind == "focal":
+            sigma.append(float(camera.parameters[k]))
+        elif kind == "principal":
+            mean[k] = middle[int(symbol == "pv")]
+            sigma.append(_MIDDLE_SIGMA * width)
+        elif symbol in _ORDER:
+            mean[k] = 0.0
+            sigma.append(reach ** -_ORDER[symbol])
+        else:
+            sigma.append(_SHAPE_SIGMA)
+    return LensPrior(mean=mean, sigma=np.array(sigma))
+
+
+def undetermined(solution: RigSolution) -> tuple[str, ...]:
+    """Return the names of parameters that the views leave about as open as any lens or board is."""
+    prior = np.diag(solution.sums.prior_information)
+    held = prior * np.diag(solution.ordinary) > _OPEN**2
+    return tuple(name for name, one in zip(solution.names, held, strict=True) if one)

@@ -1,0 +1,224 @@
+"""Normal equations of views: a pose of its own for each, and what all of them share.
+
+    [ C_v  B_v ] [ pose of v ]     [ g_v ]
+    [ B_v'  A  ] [  shared   ] = - [  a  ],     A, a: sums over the views
+
+Each camera's exposures are summed up in the columns [twist | lens | shape of the board | residual] (`corner_sums`) and
+mapped to the pose of the view and the shared parameters by one matrix, the same for all views. The points of the board,
+three columns each, touch only the exposures in which they are seen.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...models.target import Target
+from ...recording import Floats
+from ..camera_imu.corner_sums import CornerNoise, CornerSums, corner_sums
+from .board_shape import places
+from .layout import POSE, Layout
+from .rig import Rig
+from .views import CameraCorners
+
+_LOST = 0.25  # of the image's width: how far off a corner counts that the lens cannot image
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linearised:
+    """The sums over the corners at a rig.
+
+    Attributes
+    ----------
+    gram : (v, 6 + q + 1, 6 + q + 1) products of the columns [pose | shared, without the points | residual], in sigmas
+    by_points : (v, 6 + q + 1, 3 n) products of the same with the points' columns; n = 0 where these are not estimated
+    squares : (v, n, 3, 3) of the points' columns with each other
+    cost : (v,) robust cost of each view
+    sums : of each camera
+    """
+
+    gram: Floats
+    by_points: Floats
+    squares: Floats
+    cost: Floats
+    sums: tuple[CornerSums, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of shared columns."""
+        return self.gram.shape[1] - POSE - 1 + self.by_points.shape[2]
+
+    @property
+    def pose(self) -> Floats:
+        """C_v, (v, 6, 6)."""
+        return self.gram[:, :POSE, :POSE]
+
+    @property
+    def pose_gradient(self) -> Floats:
+        """g_v, (v, 6)."""
+        return self.gram[:, :POSE, -1]
+
+    @property
+    def border(self) -> Floats:
+        """B_v, (v, 6, p)."""
+        return np.concatenate([self.gram[:, :POSE, POSE:-1], self.by_points[:, :POSE]], axis=2)
+
+    def gradients(self) -> Floats:
+        """Return the gradient of each view's cost by the shared parameters, (v, p)."""
+        return np.concatenate([self.gram[:, POSE:-1, -1], self.by_points[:, -1]], axis=1)
+
+    def shared(self) -> Floats:
+        """Return A, (p, p)."""
+        q, n = self.gram.shape[1] - POSE - 1, self.squares.shape[1]
+        total = np.zeros((self.size, self.size))
+        total[:q, :q] = self.gram[:, POSE:-1, POSE:-1].sum(axis=0)
+        total[:q, q:] = self.by_points[:, POSE:-1].sum(axis=0)
+        total[q:, :q] = total[:q, q:].T
+        if n:
+            every = np.arange(n)
+            total[q:, q:].reshape(n, 3, n, 3)[every, :, every, :] = self.squares.sum(axis=0)
+        return total
+
+    def shared_of(self, view: int) -> Floats:
+        """Return the part of A that one view adds."""
+        one = slice(view, view + 1)
+        return replace(
+            self, gram=self.gram[one], by_points=self.by_points[one], squares=self.squares[one], cost=self.cost[one]
+        ).shared()
+
+
+class _PointProducts:
+    """Keeps the products of each corner's own three columns with those of its exposure."""
+
+    def __init__(self, corners: int, width: int) -> None:
+        self.by_row = np.empty((corners, width, 3))
+        self.squares = np.empty((corners, 3, 3))
+
+    def add(self, corners: slice, rows: Floats, own: Floats) -> None:
+        self.by_row[corners] = np.einsum("wmk,jmk->mwj", rows, own, optimize=True)
+        self.squares[corners] = np.einsum("imk,jmk->mij", own, own, optimize=True)
+
+
+def linearised(
+    corners: Sequence[CameraCorners], target: Target, rig: Rig, layout: Layout, noise: Mapping[str, CornerNoise]
+) -> Linearised:
+    """Sum up the corners of all views at a rig.
+
+    Parameters
+    ----------
+    corners : of every camera
+    target : the board
+    rig : where
+    layout : columns
+    noise : weights, by camera
+    """
+    views, q = len(rig.p_cam0_target), layout.narrow
+    points = (layout.offsets.stop - layout.offsets.start) // 3
+    gram = np.zeros((views, POSE + q + 1, POSE + q + 1))
+    by_points = np.zeros((views, points, POSE + q + 1, 3))
+    squares, cost = np.zeros((views, points, 3, 3)), np.zeros(views)
+    where, moves = places(target, rig.board), layout.board_moves(target)
+    found: list[CornerSums] = []
+    for seen in corners:
+        R, p = poses_in_camera(rig, seen)
+        products = None
+        if points:
+            width = POSE + len(layout.own[seen.name]) + len(moves) + 1
+            products = _PointProducts(len(seen.point), width)
+        sums = corner_sums(
+            replace(seen.exposures, points=where[seen.point]),
+            rig.cameras[seen.name],
+            R,
+            p,
+            noise[seen.name],
+            own_parameters=layout.own[seen.name],
+            shape=moves[:, seen.point] if len(moves) else None,
+            offsets=products,
+        )
+        mapped = layout.map(rig, seen.name, seen.camera)
+        gram[seen.view] += mapped.T @ sums.gram @ mapped
+        cost[seen.view] += np.bincount(seen.exposures.of_corner, sums.corner_cost, len(seen))
+        cost[seen.view] += (sums.lengths - sums.valid) * _lost_cost(rig, seen, noise[seen.name])
+        if products is not None:  # a corner of the board is once in an exposure at most
+            by_points[seen.of_corner, seen.point] += mapped.T @ products.by_row
+            squares[seen.of_corner, seen.point] += products.squares
+        found.append(sums)
+    return Linearised(
+        gram=gram,
+        by_points=by_points.transpose(0, 2, 1, 3).reshape(views, POSE + q + 1, 3 * points),
+        squares=squares,
+        cost=cost,
+        sums=tuple(found),
+    )
+
+
+def poses_in_camera(rig: Rig, seen: CameraCorners) -> tuple[Floats, Floats]:
+    """Return the pose of the board in a camera's frame at each of its exposures, (e, 3, 3) and (e, 3)."""
+    T = rig.T_cam_cam0[seen.camera]
+    return T[:3, :3] @ rig.R_cam0_target[seen.view], rig.p_cam0_target[seen.view] @ T[:3, :3].T + T[:3, 3]
+
+
+def _lost_cost(rig: Rig, seen: CameraCorners, noise: CornerNoise) -> float:
+    """Return the cost of a corner that the lens cannot image: that of one far off."""
+    distance = _LOST * rig.cameras[seen.name].resolution[0] / noise.sigma_px
+    return 0.5 * distance**2 if distance < noise.huber else noise.huber * (distance - 0.5 * noise.huber)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reduced:
+    """Normal equations of the shared parameters, the poses eliminated, and how the poses follow.
+
+    Attributes
+    ----------
+    information : (p, p), gradient : (p,)
+    follow : (v, 6, p) C_v^-1 B_v
+    rest : (v, 6) C_v^-1 g_v
+    """
+
+    information: Floats
+    gradient: Floats
+    follow: Floats
+    rest: Floats
+
+    def poses(self, shared: Floats) -> Floats:
+        """Return the steps (v, 6) of the poses for a step (p,) of the shared parameters."""
+        return -self.rest - self.follow @ shared
+
+
+def reduced(at: Linearised, damping: float = 0.0) -> Reduced:
+    """Return the equations of the shared parameters alone."""
+    border = at.border
+    inverse = inverse_poses(at.pose, damping)
+    follow = inverse @ border
+    rest = np.einsum("vij,vj->vi", inverse, at.pose_gradient)
+    wide = border.reshape(-1, at.size)
+    return Reduced(
+        information=at.shared() - wide.T @ follow.reshape(-1, at.size),
+        gradient=at.gradients().sum(axis=0) - wide.T @ rest.ravel(),
+        follow=follow,
+        rest=rest,
+    )
+
+
+def inverse_poses(pose: Floats, damping: float | Floats = 0.0) -> Floats:
+    """Return the inverses of C_v (v, 6, 6), whose units differ; zero for views without corners that count."""
+    diagonal = np.einsum("vii->vi", pose)
+    size = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scaled = pose * size[:, :, None] * size[:, None, :]
+    eased = scaled + (1e-12 + np.reshape(damping, (-1, 1, 1))) * np.eye(POSE)
+    empty = (diagonal <= 0).any(axis=1)
+    eased[empty] = np.eye(POSE)
+    found = np.linalg.inv(eased) * size[:, :, None] * size[:, None, :]
+    found[empty] = 0.0
+    return found
+
+
+def view_sums(at: Linearised) -> tuple[Floats, Floats]:
+    """Return pull (v, p) and information (v, p, p) of each view, its pose eliminated."""
+    inverse, border = inverse_poses(at.pose), at.border
+    follow = inverse @ border
+    pull = np.einsum("vip,vi->vp", follow, at.pose_gradient) - at.gradients()
+    information = np.empty((len(border), at.size, at.size))
+    for view in range(len(border)):
+        information[view] = at.shared_of(view) - border[view].T @ follow[view]
+    return pull, information

@@ -1,0 +1,330 @@
+"""The sections of a camera report: lenses and rig, coverage, residuals, views, and what the lens does."""
+
+from math import degrees, isfinite
+
+import numpy as np
+
+from ..calibration import Calibration, CamerasFit
+from ..diagnostics import CamerasDiagnostics, LensTrial
+from ..recording import Floats
+from . import camera_imu_motion, cameras_figures, cameras_images, cameras_views
+from .camera_imu_corners import CornerView
+from .camera_imu_evidence import corner_scatter, field_figure, frames_left_out
+from .cameras_lens import ProjectionSpread, RadialCurve
+from .cameras_pairs import epipolar_errors
+from .cameras_parameters import lens_groups, pose_groups
+from .numbers import MISSING, finite, fixed, number
+from .page import Block, Code, Figure, Legend, Parameters, Section, Table
+from .wording import matrix_text
+
+_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
+
+
+def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Section:
+    """Return the lenses, and where the cameras sit to the first one."""
+    several = len(calibration.cameras) > 1
+    blocks: list[Block] = [
+        Parameters(title=name if several else "", groups=lens_groups(calibration, name)) for name in calibration.cameras
+    ]
+    if several:
+        first = next(iter(calibration.cameras))
+        blocks.append(
+            Figure(
+                title="The rig",
+                svg=camera_imu_motion.rig(calibration),
+                legend=_AXES,
+                caption=f"The frames of the cameras, to scale, seen from behind {first}, a little from above. A "
+                "camera's z looks out of the lens, x to the right of its image, y down.",
+            )
+        )
+    for name, camera in calibration.cameras.items():
+        if groups := pose_groups(calibration, name):
+            blocks += [
+                Parameters(title=f"{name} against {camera.body}", groups=groups),
+                Code(
+                    title=f"{camera.link} of {name}: p_cam = {camera.link} p_{camera.body}, in metres",
+                    text=matrix_text(camera.link, camera.T_cam_body),
+                ),
+            ]
+    blocks += _epipolar(calibration, diagnostics)
+    lead = "The lens of each camera" + (", and how the cameras sit to each other" if several else "")
+    return Section(
+        anchor="cameras",
+        title="Cameras" if several else "Lens",
+        lead=f"{lead}, each number with its standard deviation σ. Pixel (0, 0) is the middle of the upper left pixel.",
+        blocks=tuple(blocks),
+    )
+
+
+def _epipolar(calibration: Calibration, diagnostics: CamerasDiagnostics) -> list[Table]:
+    first, *others = [name for name in calibration.cameras if name in diagnostics.corners] or [""]
+    rows: list[tuple[str, ...]] = []
+    for name in others:
+        errors = epipolar_errors(calibration, diagnostics.corners, first, name)
+        known = finite(errors.error)
+        if known.size:
+            worst = f"{number(float(np.quantile(np.abs(known), 0.99)), 2)}\u00a0px"
+            sizes = (errors.typical_used, errors.typical_other)
+            cells = [f"{number(size, 3)}\u00a0px" if isfinite(size) else MISSING for size in sizes]
+            rows.append((f"{name} against {first}", str(len(known)), *cells, worst))
+    if not rows:
+        return []
+    return [
+        Table(
+            title="Distance from epipolar lines",
+            head=("", "corners", "views used", "other views", "99 % below"),
+            rows=tuple(rows),
+            caption="Where both cameras see a corner at one instant, its place in one image puts it on a line in the "
+            "other; no pose and no board take part. Typical distances, 1.48 times the median; they hold the noise of "
+            "two corners, √2 times that of one.",
+        )
+    ]
+
+
+def coverage_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView], fit: CamerasFit | None) -> Section:
+    """Return where in the image corners were used."""
+    counts = {name: diagnostics.coverage.get(name, np.ones((1, 1))) for name in views}
+    shares = {name: float(np.mean(np.asarray(count) > 0)) for name, count in counts.items()}
+    if fit is not None:
+        shares |= {name: share for name, share in fit.coverage.items() if name in shares}
+    reached = "; ".join(f"{name} {fixed(100 * share, 0)}\u00a0%" for name, share in shares.items())
+    return Section(
+        anchor="coverage",
+        title="Coverage",
+        lead="Where there were no corners nothing tests the lens: its model is carried on there by its formula alone.",
+        blocks=(
+            Figure(
+                title="Corners in the image",
+                svg=cameras_images.coverage(views, counts),
+                legend=(
+                    Legend(mark="dot", color="after", label="corner used"),
+                    Legend(mark="band", color="accent", label="cell without any"),
+                    Legend(mark="dash", color="accent", label="hold the board there next"),
+                ),
+                caption=f"Share of the cells with corners: {reached}. {_next_views(counts)}",
+            ),
+        ),
+    )
+
+
+def _next_views(counts: dict[str, Floats]) -> str:
+    parts = [
+        f"{name} in the {_listed([place for _, place in found])}"
+        for name, count in counts.items()
+        if (found := cameras_images.unseen_places(count))
+    ]
+    if not parts:
+        return "No larger part of an image is without corners."
+    return f"Hold the board where corners are missing: {'; '.join(parts)} of the image. Tilt it there to both sides."
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView]) -> Section:
+    """Return what is left of the corners: over the image, their scatter, and view by view."""
+    blocks: list[Block] = [field_figure(views)] if views else []
+    for name, view in views.items():
+        blocks += [corner_scatter(name, view), _views_figure(name, view)]
+    blocks += frames_left_out(diagnostics.corners, "Views that were not used")
+    return Section(
+        anchor="residuals",
+        title="Residuals",
+        lead="Residuals that look like noise, without a pattern over the image and alike in views used and held out, "
+        "say that the lens model is right and does not follow the noise.",
+        blocks=tuple(blocks),
+    )
+
+
+def _views_figure(name: str, view: CornerView) -> Figure:
+    groups = {key: int(found.sum()) for key, found in cameras_images.view_groups(view.fit).items()}
+    legend = [Legend(mark="dot", color="after", label="used")]
+    if groups["spare"]:
+        legend.append(Legend(mark="ring", color="heldout", label="not needed"))
+    if groups["bad"]:
+        legend.append(Legend(mark="ring", color="accent", label="left out"))
+    return Figure(
+        title=f"Views of {name}",
+        svg=cameras_images.views_over_time(name, view.fit),
+        legend=(*legend, Legend(mark="dash", color="ink", label="σ of a corner")),
+        caption=f"{groups['used']} of {sum(groups.values())} views were used."
+        + (" The others have a pose of their own and the lens of these." if groups["spare"] + groups["bad"] else ""),
+    )
+
+
+def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
+    """Return from where the board was seen; None without views."""
+    if not diagnostics.views or not len(diagnostics.board_points):
+        return None
+    around = cameras_views.views_around(diagnostics.views, diagnostics.board_points)
+    telling = int(around.telling.sum())
+    legend = [
+        Legend(mark="line", color="ink", label="board"),
+        Legend(mark="line", color="after", label="cam0 in a view"),
+    ]
+    if telling:
+        legend.append(Legend(mark="line", color="accent", label=f"the {telling} views that tell most"))
+    return Section(
+        anchor="views",
+        title="Views",
+        lead="Tilted views tell the focal length from the distance, views from near and far and turned about the line "
+        "of sight tell the rest. Views straight on the board add little.",
+        blocks=(
+            Figure(
+                title="Cameras around the board",
+                svg=cameras_views.scene(around),
+                legend=tuple(legend),
+                caption=f"The {len(around.position)} views used, in the frame of the board.",
+            ),
+            Figure(title="From above and from the side", svg=cameras_views.plans(around), legend=tuple(legend)),
+            Figure(
+                title="Tilt of the board",
+                svg=cameras_views.attitudes(around),
+                legend=(Legend(mark="dot", color="after", label="view"),)
+                + ((Legend(mark="dot", color="accent", label="tells most"),) if telling else ()),
+                caption="Left, from which side of its normal the board was seen, y over x of it, circles every 15°; "
+                "right, how far it was tilted against the line of sight. Tilts of 20° to 50° to all sides tell most.",
+            ),
+            _views_table(around),
+        ),
+    )
+
+
+def _views_table(around: cameras_views.ViewsAround) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for label, values, unit, factor in (
+        ("distance from the board's middle", around.distance, "m", 1.0),
+        ("tilt of the board", around.tilt, "°", degrees(1.0)),
+        ("turn about the line of sight", around.roll, "°", degrees(1.0)),
+    ):
+        cells = (float(v) * factor for v in np.quantile(values, (0.0, 0.5, 1.0)))
+        rows.append((label, *(f"{number(v, 3)}{'' if unit == '°' else chr(160)}{unit}" for v in cells)))
+    return Table(title="In numbers", head=("", "smallest", "median", "largest"), rows=tuple(rows))
+
+
+def lens_section(
+    calibration: Calibration,
+    diagnostics: CamerasDiagnostics,
+    views: dict[str, CornerView],
+    curves: dict[str, RadialCurve],
+    spreads: dict[str, ProjectionSpread],
+) -> Section:
+    """Return what each lens does, how well that is known, and which models were tried."""
+    blocks: list[Block] = []
+    if spreads:
+        blocks += [_spread_figure(views, spreads), _spread_table(spreads)]
+    for name, curve in curves.items():
+        blocks += [_curve_figure(name, curve, known=name in spreads), _grid_figure(calibration, name)]
+    for name in calibration.cameras:
+        blocks += _trials(name, [trial for trial in diagnostics.trials if trial.camera == name])
+    return Section(
+        anchor="lens",
+        title="What the lens does",
+        lead="How well the image of a ray is known, from ray to pixel, and the models that were compared.",
+        blocks=tuple(blocks),
+    )
+
+
+def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSpread]) -> Figure:
+    return Figure(
+        title="Uncertainty of the projection [px]",
+        svg=cameras_figures.spread({name: views[name] for name in spreads}, spreads),
+        legend=(
+            Legend(mark="band", color="heldout", label="with corners: the stronger, the less certain"),
+            Legend(mark="band", color="before", label="without corners, by the formula of the model alone"),
+        ),
+        caption="1σ per axis of where the image of a ray lies, carried from the covariance of the lens. A small turn "
+        "of the camera that a change of the lens can be taken for was taken off, since every use estimates an attitude "
+        "with the lens. It counts noise alone: where there were corners an error of the lens model shows in the "
+        "residuals, and where there were none nothing shows it, and it may be many times larger.",
+    )
+
+
+def _spread_table(spreads: dict[str, ProjectionSpread]) -> Table:
+    rows: list[tuple[str, ...]] = []
+    for name, one in spreads.items():
+        known = np.isfinite(one.sigma)
+        parts = (one.sigma[known & one.seen], one.sigma[known & ~one.seen], one.fixed[known & one.seen])
+        cells = [f"{number(float(np.median(part)), 2)}\u00a0px" if len(part) else MISSING for part in parts]
+        rows.append(
+            (name, cells[0], cells[1], f"{number(float(np.max(one.sigma[known], initial=0.0)), 2)}\u00a0px", cells[2])
+        )
+    return Table(
+        title="Uncertainty of the projection in numbers",
+        head=("", "with corners", "without corners", "largest", "axes held fast"),
+        rows=tuple(rows),
+        caption="Medians over the parts of the image with and without corners; the last column, with corners, holds "
+        "the small turn too.",
+    )
+
+
+def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
+    high, wide = (f"{fixed(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
+    return Figure(
+        title=f"From ray to pixel, {name}",
+        svg=cameras_figures.curve(name, found),
+        legend=(
+            Legend(mark="line", color="after", label="this lens"),
+            Legend(mark="dash", color="before", label="pinhole, f tan θ"),
+            Legend(mark="dash", color="heldout", label="equal angles, f θ"),
+            Legend(mark="line", color="accent", label="farthest corner used"),
+            Legend(mark="dash", color="muted", label="nearest edges of the image"),
+        ),
+        caption=f"Mean over all directions about the optical axis; focal length {number(found.focal, 5)} px at it. "
+        f"The image ends at {high} above or below and at {wide} aside."
+        + ("" if known else " The lens was given; no σ is known."),
+    )
+
+
+def _grid_figure(calibration: Calibration, name: str) -> Figure:
+    return Figure(
+        title=f"The image of {name}, straightened",
+        svg=cameras_figures.grid(name, calibration.cameras[name].camera),
+        legend=(
+            Legend(mark="line", color="after", label="rows and columns of pixels"),
+            Legend(mark="dash", color="ink", label="frame of the image"),
+        ),
+        caption="Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
+        "point. Rays more than 68° off the axis are left out.",
+    )
+
+
+def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
+    if not tried:
+        return []
+    tried = sorted(tried, key=lambda t: (not isfinite(t.holdout_rms_px), t.holdout_rms_px, t.parameters))
+    chosen = next((t for t in tried if t.chosen), None)
+
+    def against(trial: LensTrial) -> str:
+        if chosen is None or trial is chosen or not isfinite(trial.holdout_rms_px / chosen.holdout_rms_px):
+            return MISSING
+        return f"{fixed(100 * (trial.holdout_rms_px / chosen.holdout_rms_px - 1), 1, sign=True)}\u00a0%"
+
+    rows = tuple(
+        (t.model, str(t.parameters), *(f"{number(v, 4)}\u00a0px" if isfinite(v) else MISSING for v in
+         (t.holdout_rms_px, t.rms_px)), against(t)) for t in tried
+    )  # fmt: skip
+    blocks: list[Block] = []
+    if len(tried) > 1:
+        blocks.append(
+            Figure(
+                title=f"Lens models tried on {name}",
+                svg=cameras_figures.trials(name, tried),
+                legend=(
+                    Legend(mark="dot", color="after", label="views held out"),
+                    Legend(mark="ring", color="before", label="views used"),
+                ),
+            )
+        )
+    blocks.append(
+        Table(
+            title=f"Lens models of {name} in numbers",
+            head=("model", "parameters", "held out", "used", "against the chosen"),
+            rows=rows,
+            marked=tried.index(chosen) if chosen is not None else None,
+            caption="rms residual per axis. Views held out took no part in the estimate and have a pose of their own. "
+            "Of models that fit them alike the smallest is taken.",
+        )
+    )
+    return blocks

@@ -1,0 +1,197 @@
+"""Figures of a camera report that show from where the board was seen: pyramids around it, tilts, distances."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..diagnostics import ViewPose
+from ..geometry.rotation_vector import rotation_from_rotvec
+from ..recording import Floats
+from . import svg
+from .camera_imu_signals import half_panel
+from .figures import TEXT, WIDTH, Sheet, dots, draw
+from .numbers import number, positive
+from .panel import Panel
+
+_MOST_DRAWN = 120
+_TELLING = 5
+"""Views that stand out in the drawing: those that tell most of the lenses."""
+_HEIGHT = 430.0
+_PYRAMID = np.array([[-0.5, -0.34, 0.75], [0.5, -0.34, 0.75], [0.5, 0.34, 0.75], [-0.5, 0.34, 0.75]])
+"""Corners of the image in front of a camera, in its own axes, for a pyramid of size one."""
+_LOOK = rotation_from_rotvec(np.array([np.radians(22), 0, 0])) @ rotation_from_rotvec(np.array([0, np.radians(36), 0]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewsAround:
+    """The views about the middle of the board, z towards the viewer.
+
+    Attributes
+    ----------
+    position : (v, 3) of cam0 [m]
+    axes : (v, 3, 3) its axes as columns
+    board : (5, 3) outline of the board, closed [m]
+    points : (k, 3) its points [m]
+    telling : (v,) whether a view is among those that tell most
+    tilt : (v,) angle between the line of sight and the board's normal [rad]
+    seen_from : (v, 2) the part of the direction to the camera in the plane of the board, x and y, as long as the tilt
+        [rad]
+    distance : (v,) from the middle of the board [m]
+    roll : (v,) turn about the line of sight, against the usual one [rad]
+    """
+
+    position: Floats
+    axes: Floats
+    board: Floats
+    points: Floats
+    telling: np.ndarray
+    tilt: Floats
+    seen_from: Floats
+    distance: Floats
+    roll: Floats
+
+
+def views_around(views: Sequence[ViewPose], points: Floats) -> ViewsAround:
+    """Return the views about the board's points (k, 3) [m]."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    position = np.array([view.p_target_cam0 for view in views]).reshape(-1, 3) - middle
+    axes = np.array([view.R_target_cam0 for view in views]).reshape(-1, 3, 3)
+    # A board whose z points away from the viewer is turned about its x axis, so that the cameras are in front of it.
+    front = np.diag([1.0, -1.0, -1.0]) if len(position) and np.median(position[:, 2]) < 0 else np.eye(3)
+    position, axes, placed = position @ front, front @ axes, (points - middle) @ front
+    (a, b, _), (c, d, _) = placed.min(axis=0), placed.max(axis=0)
+    board = np.array([(a, b, 0), (c, b, 0), (c, d, 0), (a, d, 0), (a, b, 0)])
+    sight = axes[:, :, 2]
+    across = np.hypot(sight[:, 0], sight[:, 1])
+    tilt = np.arctan2(across, -sight[:, 2])
+    return ViewsAround(
+        position=position,
+        axes=axes,
+        board=board,
+        points=placed,
+        telling=_telling(np.array([view.information for view in views])),
+        tilt=tilt,
+        seen_from=-sight[:, :2] * (tilt / np.where(across > 0, across, 1.0))[:, None],
+        distance=np.linalg.norm(position, axis=1),
+        roll=_roll(axes),
+    )
+
+
+def _telling(information: Floats) -> np.ndarray:
+    order = np.argsort(-np.nan_to_num(information), kind="stable")[:_TELLING]
+    found = np.zeros(len(information), dtype=np.bool_)
+    found[order] = np.isfinite(information[order])
+    return found
+
+
+def _roll(axes: Floats) -> Floats:
+    """Return turns about the line of sight against their mean direction, -pi to pi [rad]."""
+    if not len(axes):
+        return np.empty(0)
+    turn = np.arctan2(axes[:, 1, 0], axes[:, 0, 0])
+    usual = np.angle(np.mean(np.exp(1j * turn)))
+    return np.angle(np.exp(1j * (turn - usual)))
+
+
+def _pyramids(around: ViewsAround) -> tuple[Floats, Floats]:
+    """Return the outlines of evenly chosen views, (n, 11, 3), which one stroke can draw, and which tell most (n,)."""
+    step = max(1, -(-len(around.position) // _MOST_DRAWN))
+    chosen = np.union1d(np.arange(0, len(around.position), step), np.flatnonzero(around.telling))
+    size = 0.07 * positive(float(np.median(around.distance[chosen])) if len(chosen) else 0.0)
+    tips = around.position[chosen, None]
+    image = tips + size * _PYRAMID @ np.swapaxes(around.axes[chosen], 1, 2)
+    outline = np.concatenate([tips, image[:, [0, 1]], tips, image[:, [2, 1, 2, 3]], tips, image[:, [3, 0]]], axis=1)
+    return outline, around.telling[chosen]
+
+
+def scene(around: ViewsAround) -> str:
+    """Draw the cameras as pyramids about the board, seen from the side, a little from above."""
+    outlines, telling = _pyramids(around)
+
+    def paint(sheet: Sheet) -> None:
+        """Draw the board, its points, and the pyramids, the farthest first."""
+        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
+        board, flat = _flat(around.board), _flat(outlines)
+        _fit(panel, np.concatenate([board, flat.reshape(-1, 2)]))
+        panel.line(board[:, 0], board[:, 1], "ink", width=1.6)
+        wide = f"{number(float(np.ptp(around.board[:, 0])), 3)} m"
+        x, y = board[:2].mean(axis=0).tolist()
+        panel.text(wide, x, y, svg.text_style("muted", TEXT, "center"), offset=(0.0, 28.0))
+        points = _flat(around.points)
+        dots(panel, points[:, 0], points[:, 1], "before", size=2.2)
+        _draw_outlines(panel, flat, telling)
+
+    return draw("scene", _HEIGHT, f"{len(around.position)} views of the board, as pyramids around it.", paint)
+
+
+def _flat(points: Floats) -> Floats:
+    """Project points (..., 3) to the page (..., 2), y up."""
+    return (points @ _LOOK.T)[..., :2]
+
+
+def _fit(panel: Panel, drawn: Floats) -> None:
+    """Give the panel limits that hold all points, to scale."""
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    scale = max((high[0] - low[0]) / (WIDTH - 60), (high[1] - low[1]) / (_HEIGHT - 40), 1e-9)
+    middle = (low + high) / 2
+    panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
+    panel.y.span(middle[1] - scale * _HEIGHT / 2, middle[1] + scale * _HEIGHT / 2)
+
+
+def _draw_outlines(panel: Panel, flat: Floats, telling: np.ndarray) -> None:
+    """Draw outlines (n, 11, 2), those that tell most above the others."""
+    for color, width, chosen in (("after", 0.8, ~telling), ("accent", 1.5, telling)):
+        gap = np.full((int(chosen.sum()), 1, 2), np.nan)
+        line = np.concatenate([flat[chosen], gap], axis=1).reshape(-1, 2)
+        panel.line(line[:, 0], line[:, 1], color, width=width)
+
+
+def plans(around: ViewsAround) -> str:
+    """Draw the cameras and the board from above and from the side."""
+    outlines, telling = _pyramids(around)
+    drawn = np.concatenate([outlines.reshape(-1, 3), around.board])
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    span, middle = 0.54 * positive(float((high - low).max())), (low + high) / 2
+
+    def paint(sheet: Sheet) -> None:
+        """Draw z over x, and y over z."""
+        for k, (title, right, up) in enumerate(
+            (("From above: z over x [m]", 0, 2), ("From the side: y over z [m]", 2, 1))
+        ):
+            axes = half_panel(sheet, title, k, top=36, height=314)
+            axes.x.grid = True
+            axes.line(around.board[:, right], around.board[:, up], "ink", width=3.0)
+            _draw_outlines(axes, outlines[..., [right, up]], telling)
+            axes.x.span(middle[right] - span, middle[right] + span)
+            axes.y.span(middle[up] - span, middle[up] + span)
+
+    return draw("plans", 396, "The views and the board from above and from the side.", paint)
+
+
+def attitudes(around: ViewsAround) -> str:
+    """Draw towards which side the board was tilted, and how often by how much."""
+    degrees = np.degrees(around.seen_from)
+    reach = max(10.0 * np.ceil(float(np.degrees(around.tilt.max(initial=0.0))) / 10 + 0.2), 30.0)
+
+    def paint(sheet: Sheet) -> None:
+        """Draw the tilts as dots in a plane of angles, and their histogram."""
+        axes = half_panel(sheet, "Seen from [°]", 0, top=36, height=314)
+        axes.x.grid = True
+        turn = np.linspace(0, 2 * np.pi, 73)
+        for radius in np.arange(15.0, reach, 15.0):
+            axes.line(radius * np.cos(turn), radius * np.sin(turn), "grid")
+        for color, chosen in (("after", ~around.telling), ("accent", around.telling)):
+            dots(axes, degrees[chosen, 0], degrees[chosen, 1], color, size=6.0)
+        axes.x.span(-reach, reach)
+        axes.y.span(-reach, reach)
+        edges = np.arange(0.0, reach + 1e-9, 5.0)
+        other = half_panel(sheet, "Views over tilt [°]", 1, top=36, height=314)
+        count = np.histogram(np.degrees(around.tilt), edges)[0].astype(np.float64)
+        other.steps(count, edges, "after")
+        other.x.span(0, edges[-1])
+        other.y.span(0, 1.08 * positive(float(count.max())))
+        other.y.whole = True
+
+    return draw("attitudes", 396, f"Tilt of the board against the line of sight in {len(degrees)} views.", paint)
