@@ -1,9 +1,13 @@
 """What a person may choose about the calibration of cameras; the command line is made from these classes."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from .errors import OptionError
+
+BoardModel = Literal["auto", "stated", "aspect", "bow", "corners"]
+CovarianceKind = Literal["robust", "ordinary"]
+BOARDS, COVARIANCES = get_args(BoardModel), get_args(CovarianceKind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -14,7 +18,7 @@ class CameraOptions:
     """Lens model of every camera, such as pinhole-radtan, or of each, cam0=pinhole-radtan cam1=ds-none; chosen by
     hold-out where it is not given."""
 
-    board: Literal["auto", "stated", "aspect", "bow", "corners"] = "auto"
+    board: BoardModel = "auto"
     """What of the board is estimated: nothing (stated), its scale along y over that along x (aspect), how it bends too
     (bow), the place of every corner (corners), or what the views prove to be there (auto)."""
 
@@ -31,7 +35,7 @@ class CameraOptions:
     """Single corners that fit badly count less (Huber), and whole views that do are left out; with --no-robust all of
     them count alike."""
 
-    covariance: Literal["robust", "ordinary"] = "robust"
+    covariance: CovarianceKind = "robust"
     """Take the uncertainty from the scatter between views, which holds where the errors of a view are correlated
     (robust), or count all errors as independent (ordinary)."""
 
@@ -39,6 +43,11 @@ class CameraOptions:
     """Most iterations of one solution."""
 
     def __post_init__(self) -> None:
+        if isinstance(self.model, str):  # one name, as people write it in Python
+            object.__setattr__(self, "model", (self.model,))
+        for name, known in (("board", BOARDS), ("covariance", COVARIANCES)):
+            if getattr(self, name) not in known:
+                raise OptionError(f"{name} {getattr(self, name)!r} must be one of {', '.join(known)}.")
         for name in ("views", "baseline", "baseline_sigma", "max_iterations"):
             value = getattr(self, name)
             if value is not None and not 0 < value < float("inf"):

@@ -69,7 +69,8 @@ def test_every_board_is_found_where_it_is(tmp_path, board):
     numbers = {name[2:].replace("-", "_"): float(value) for name, value in words.items() if not value.startswith("--")}
     changed = {name: int(value) if value >= 1 else value for name, value in numbers.items()}
     scenario = CamerasScenario(
-        images=True, views=4, target_type=board, target_asymmetric="--target-asymmetric" in BOARDS[board],
+        images=True, views=4, fill=(0.35, 0.55), spread=0.5, target_type=board,
+        target_asymmetric="--target-asymmetric" in BOARDS[board],
         board_bow_m=(0.002, 0.0), board_aspect=1e-3, target_scale=1.01, **changed,
     )  # fmt: skip
     simulation = simulate_cameras(scenario, seed=2)
@@ -86,7 +87,7 @@ def test_every_board_is_found_where_it_is(tmp_path, board):
         _, mine, true = np.intersect1d(view.point, frames.point[rows], return_indices=True)
         errors.append(view.pixels[mine] - truth.pixels[rows][true])
     errors = np.concatenate(errors)
-    assert len(errors) >= 0.75 * len(frames.point)  # a board whose rim is cut may not be found
+    assert len(errors) >= 0.95 * len(frames.point)  # the board with its rim is inside the image
     assert np.sqrt(np.mean(errors**2)) < (0.05 if board == "circlegrid" else 0.03)
 
 

@@ -94,7 +94,7 @@ def test_the_middles_of_ellipses_are_not_the_centres_of_discs(target, monkeypatc
     view = nearest_end(detect_circlegrid(image, target), true, target)
     assert len(view) == len(target)
     corrected = np.sqrt(np.mean((view.pixels - true[view.point]) ** 2))
-    monkeypatch.setattr(module, "_centres", lambda _points, fits, _seen: fits.pixels)
+    monkeypatch.setattr(module, "_centres", lambda _points, fits, _seen, _size: fits.pixels)
     raw = nearest_end(detect_circlegrid(image, target), true, target)
     biased = np.sqrt(np.mean((raw.pixels - true[raw.point]) ** 2))
     assert corrected < 0.02

@@ -10,16 +10,17 @@ FINE = 11  # points along a pixel in which pictures are blurred
 SIDE = 41  # px
 
 
-def picture(kind, centre, along, blur, *, black=40.0, white=200.0, across=0.0):
+def picture(kind, centre, along, blur, *, black=40.0, white=200.0, across=0.0, bent=(0.0, 0.0)):
     """Return a picture, SIDE x SIDE, of edges that leave `centre` into the directions `along`, [rad], blurred by Gauss.
 
-    The blur is wider by `across` in the direction of 45 degrees.
+    The blur is wider by `across` in the direction of 45 degrees. Edges bend into the black by curvatures `bent` [1/px].
     """
     at = (np.arange(SIDE * FINE) + 0.5) / FINE - 0.5
     dx, dy = np.meshgrid(at - centre[0], at - centre[1])
     sides = []
     for one, other in ((0, 1), (1, 0)):
         inwards = np.sign(np.sin(along[other] - along[one])) * (np.cos(along[one]) * dy - np.sin(along[one]) * dx)
+        inwards -= 0.5 * bent[one] * (np.cos(along[one]) * dx + np.sin(along[one]) * dy) ** 2
         sides.append(np.clip(inwards * FINE + 0.5, 0, 1))  # share of the cell that is beyond the edge
     dark = sides[0] * sides[1]
     if kind == "crossing":
@@ -88,6 +89,22 @@ def test_errors_are_what_sigma_says(kind):
         z = np.array([(fit.pixels[0] - centre) / fit.sigma_px[0] for fit in fits])
         assert 0.75 < np.sqrt((z**2).mean()) < 1.25
         assert np.abs(z.mean(axis=0)).max() < 0.5
+
+
+@pytest.mark.parametrize("kind", ["crossing", "tip"])
+@pytest.mark.parametrize("bent", [(0.002, 0.0), (0.0, 0.002), (-0.001, 0.002)])
+def test_the_fit_says_what_a_bent_edge_does_to_it(kind, bent):
+    along, moved, told = np.radians([20, 105]), [], []
+    for centre in 20 + np.random.default_rng(5).uniform(-0.5, 0.5, (16, 2)):  # grey levels are whole numbers
+        straight, seen = (
+            fitted(grey(picture(kind, centre, along, 0.7, black=5, white=250, bent=bend)), centre, along, kind, arm=9)
+            for bend in ((0.0, 0.0), bent)
+        )
+        moved.append(seen.pixels[0] - straight.pixels[0])
+        told.append(seen.bow[0] @ bent)
+    moved, told = np.mean(moved, axis=0), np.mean(told, axis=0)
+    assert np.linalg.norm(moved) > 0.004
+    assert np.linalg.norm(told - moved) < 0.15 * np.linalg.norm(moved)
 
 
 def test_the_blur_of_a_motion_does_not_move_a_crossing():

@@ -22,6 +22,7 @@ RIG = shlex.split("--duration-s 10 --camera-rate-hz 5 --imu-rate-hz 100 --target
 LENS = shlex.split("--intrinsics 460 458.5 322.4 237.1 --distortion-coeffs -0.28 0.075 0.0002 -0.00015")
 VIEWS = ["--views", "12", "--resolution", "640", "480", *LENS]
 """Options of a few images of the board by the camera of the simulated rig."""
+SMALL = shlex.split("--target-cols 4 --target-rows 4")
 SIX = shlex.split("simulate-poses -o six.npz --attitudes seven --samples 1000 --sensor drawn --units si")
 """A static experiment."""
 DISC = shlex.split("--steady-s 8 --rest-s 2 --handling-s 2 --gyroscope-range 10 --sensor-seed 1")
@@ -149,21 +150,22 @@ def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
     section = text("how-to.md").split("## By task: cameras alone")[1].split("\n## ")[0]
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
     run(["simulate-cameras", "-o", "photographs", "--images", *VIEWS])
-    run(["simulate-cameras", "-o", "pair", "--images", "--cameras", "2", "--form", "ros1", *VIEWS])
+    run(["simulate-cameras", "-o", "pair", "--images", "--cameras", "2", "--form", "ros1", *VIEWS, *SMALL])
     shutil.copy(next(Path("pair").glob("*.bag")), "pair.bag")
     for name in ("stereo", "corners"):
-        run(["simulate-cameras", "-o", name, "--cameras", "2", "--views", "20"])
+        run(["simulate-cameras", "-o", name, "--cameras", "2", "--views", "10", *SMALL])
     shutil.copy("stereo/target.yaml", "target.yaml")
     run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     commands = list(shell_commands(tmp_path / "section.md"))
     assert {"target", "camera", "camera-imu", "simulate-cameras"} == {words[0] for words in commands}
-    for number, words in enumerate(commands):
-        if words[0] == "camera-imu":  # its board is a smaller one
-            words = ["rig/target.yaml" if word == "target.yaml" else word for word in words]
-        if "--images" in words:
-            words = [*words, "--views", "3"]
-        elsewhere = ["--no-report", "-o", f"result-{number}"] if number > 1 else ["--no-report"]
-        run(words + elsewhere * (words[0] in {"camera", "camera-imu"}), may_fail=words[0] == "camera")
+    here = {"/left/image_raw": "/cam0/image_raw", "/right/image_raw": "/cam1/image_raw"}
+    for number, stated in enumerate(commands):
+        # The rig's board is a smaller one, and the bag's topics are called otherwise.
+        names = {"target.yaml": "rig/target.yaml"} if stated[0] == "camera-imu" else {}
+        words = [names.get(word, re.sub("(?<==)/.*", lambda topic: here[topic[0]], word)) for word in stated]
+        fewer = ["--views", "3"] if "--images" in words else []
+        elsewhere = ["--no-report"] + ["-o", f"result-{number}"] * (number > 1)
+        run(words + fewer + elsewhere * (words[0] in {"camera", "camera-imu"}), may_fail=words[0] == "camera")
 
 
 def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):

@@ -194,7 +194,9 @@ def test_every_key_of_the_diagnostics_of_cameras_alone_is_documented(lenses_resu
     names = keys_but_trust(lenses_result.diagnostics)
     names = {re.sub(r"^views\.\d+", "views.0", name).replace("cam1", "cam0") for name in names}
     names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name in names}
-    shared = {name for name in names if name.split(".")[0] in {"corners", "parameters", "correlation", "noise", "steps"}}
+    shared = {
+        name for name in names if name.split(".")[0] in {"corners", "parameters", "correlation", "noise", "steps"}
+    }
     assert shared <= documented_keys(of_rigs)
     assert documented_keys(of_lenses) == names - shared
 

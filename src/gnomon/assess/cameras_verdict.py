@@ -5,6 +5,7 @@ from ..diagnostics import CamerasDiagnostics
 from ..findings import Finding
 from .camera_views import image_coverage
 from .cameras_board import board_findings
+from .cameras_checks import ENOUGH_VIEWS
 from .cameras_coverage import coverage_findings
 from .cameras_findings import lens_findings, view_findings
 from .cameras_tables import CamerasEvidence
@@ -28,6 +29,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CamerasEvidence, diagnostics:
         *lens_findings(evidence, diagnostics),
         *board_findings(evidence, diagnostics),
         *view_findings(diagnostics),
+        *_few_used(noticed, diagnostics),
         *(finding for name, fit in diagnostics.corners.items() for finding in outlying_corners(name, fit)),
         *_incomplete(evidence),
         *parts_disagree(evidence.trust.splits),
@@ -63,6 +65,24 @@ def _fit(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> CamerasF
         print_scale_sigma=evidence.sigma("target.scale"),
         converged=evidence.solution.converged,
     )
+
+
+def _few_used(noticed: tuple[Finding, ...], diagnostics: CamerasDiagnostics) -> list[Finding]:
+    """Say that fewer views are used than a test needs, though more were there."""
+    if any(finding.code == "views-few" for finding in noticed):
+        return []
+    counts = {name: int(fit.frame_used.sum()) for name, fit in diagnostics.corners.items()}
+    return [
+        Finding(
+            severity="warning",
+            code="views-few",
+            message=f"{name}: only {count} of the views are used.",
+            consequence="Its sigmas are rough, and few views test the result.",
+            cure=f"Let {ENOUGH_VIEWS} views or more be used (--views).",
+        )
+        for name, count in counts.items()
+        if count < ENOUGH_VIEWS
+    ]
 
 
 def _incomplete(evidence: CamerasEvidence) -> list[Finding]:

@@ -23,7 +23,11 @@ _BAD = 4.0
 """Median distance of the corners of a frame over the usual one, from which on it fits badly as a whole."""
 
 _SIZES = (1 / 2, 2 / 3, 3 / 4, 1 / 3, 1 / 4, 2.0, 3 / 2, 4 / 3)
-_FEWEST_OF_A_SIZE = 2
+_FITS = 1.5
+"""The same, up to which it fits at another size."""
+
+_FEWEST_OF_A_SIZE, _SHARE_OF_A_SIZE = 2, 0.02
+"""Frames, and their share of all; fewer are blurred ones that any size fits by chance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,7 +144,8 @@ def other_size(every: Views, solution: RigSolution, bad: Mapping[str, Integers])
     """
     for number, (name, frames) in enumerate(every.cameras.items()):
         kept = np.isin(every.frame[:, number], bad[name])
-        if kept.sum() < _FEWEST_OF_A_SIZE:
+        fewest = max(_FEWEST_OF_A_SIZE, _SHARE_OF_A_SIZE * len(frames.t_ns), kept.sum() / 2)
+        if kept.sum() < fewest:
             continue
         frame = np.full_like(every.frame, -1)
         frame[kept, number] = every.frame[kept, number]
@@ -150,8 +155,8 @@ def other_size(every: Views, solution: RigSolution, bad: Mapping[str, Integers])
             pixels = (frames.pixels + 0.5) / factor - 0.5
             scaled = replace(alone, cameras={**alone.cameras, name: replace(frames, pixels=pixels)})
             _, middle = _middles(posed(scaled, solution.rig)[name])
-            count = int(np.sum(middle < _BAD * _usual(solution.corners[name])))
-            if count >= max(_FEWEST_OF_A_SIZE, kept.sum() / 2):
+            count = int(np.sum(middle < _FITS * _usual(solution.corners[name])))
+            if count >= fewest:
                 return Finding(
                     severity="problem",
                     code="image-sizes-mixed",

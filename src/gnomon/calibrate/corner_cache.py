@@ -23,7 +23,7 @@ from ..readers.kalibr_camchain import CameraInput
 from ..recording import CameraFrames, FrameQuality, Source
 from .board_corners import BoardCorners
 
-DETECTORS = 1
+DETECTORS = 2
 """Version of the detectors within one of gnomon; to be raised whenever corners come out differently."""
 
 PREFIX, SUFFIX = "corners-", ".npz"

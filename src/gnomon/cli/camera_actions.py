@@ -1,5 +1,6 @@
 """What the command for cameras alone does."""
 
+import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,7 +89,8 @@ def _say_result(result: "Result", folder: Path, target: Path, terminal: Terminal
 
 def _next(folder: Path, target: Path) -> str:
     """Return the command that goes on from here."""
-    return f"gnomon camera-imu RECORDING --target {target} --cam {folder / 'calibration.yaml'}"
+    board, lens = (shlex.quote(str(file)) for file in (target, folder / "calibration.yaml"))
+    return f"gnomon camera-imu RECORDING --target {board} --cam {lens}"
 
 
 def _lenses(result: "Result") -> dict[str, Any]:

@@ -19,6 +19,7 @@ def simulate_cameras(command: SimulateCameras, terminal: Terminal) -> int:
 
     folder = command.output
     refuse_other(folder, _NOT_OURS)
+    replaced = (folder / SCENARIO).exists()
     if command.form != "folder" and not command.options.images:
         raise OptionError(f"--form {command.form} is a form of images. Add --images, or leave out --form.")
     with result_folder(folder, own=CAMERAS_FILES) as staging:
@@ -29,6 +30,8 @@ def simulate_cameras(command: SimulateCameras, terminal: Terminal) -> int:
     terminal.close()
     cameras = ", ".join(simulation.truth.cameras)
     terminal.say(f"recording    {folder}: {len(simulation.t_ns)} views by {cameras}; {simulation.target.describe()}")
+    if replaced:
+        terminal.say("             the recording that was simulated there before is replaced")
     terminal.say(f"truth        {folder / TRUTH}")
     terminal.say(f"scenario     {folder / SCENARIO}")
     terminal.document(

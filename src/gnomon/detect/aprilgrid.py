@@ -18,9 +18,10 @@ from ..images import Grey
 from ..models.target import Target
 from ..recording import Floats, Integers
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
-from .corner_fit import CornerFits, CornerKind, fit_corners, joined
+from .corner_fit import CornerKind, fit_corners
+from .fitted_corners import CornerFits, joined
 from .quads import LARGE_IMAGE_PX, Search, black_quads, search_scale
-from .straight import without_bow
+from .straight import corrected
 from .tag_places import (
     TAG,
     Booleans,
@@ -348,7 +349,7 @@ class _Board:
         places = self._target.points[point[kept], :2]
         return BoardView(
             point=point[kept],
-            pixels=without_bow(places, fits.only(kept), self._image.shape[::-1]),
+            pixels=corrected(places, fits.only(kept), self._image.shape[::-1]),
             sigma_px=fits.sigma_px[kept],
             blur_px=_middle(fits.blur_px[kept]),
             black=_middle(fits.black[kept]),

@@ -20,11 +20,12 @@ from ..models.target import Target
 from ..recording import Floats, Integers
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .charuco_lattice import corners_by_lattice
-from .corner_fit import CornerFits, fit_corners, joined
+from .corner_fit import fit_corners
+from .fitted_corners import CornerFits, joined
 from .markers import Markers, read_markers
 from .plane_map import plane_map
 from .quads import LARGE_IMAGE_PX, Search, black_quads
-from .straight import without_bow
+from .straight import corrected
 from .tag_places import Booleans, charted, consistent, shortest_side, through
 from .tags import square_to_quads
 
@@ -350,12 +351,11 @@ def _again(
     image: Grey, target: Target, asked: Integers, found: tuple[Integers, CornerFits]
 ) -> tuple[Integers, CornerFits]:
     """Return the corners that were found, and those that are as good where the fit starts from what these tell."""
-    number, fits = found
-    layout = _layout(target)
-    if not len(asked) or len(number) < _FEWEST_CORNERS or not _spread(layout.points[number]):
+    (number, fits), board = found, _layout(target).points
+    if not len(asked) or len(number) < _FEWEST_CORNERS or not _spread(board[number]):
         return found
-    points = layout.points[asked]
-    three = charted(layout.points[number], fits.pixels, np.concatenate([points, points + _RIGHT, points + _UP]))
+    points = board[asked]
+    three = charted(board[number], fits.pixels, np.concatenate([points, points + _RIGHT, points + _UP]))
     expected, right, up = np.split(three, 3)
     more = _fit(image, target, asked, (expected, right, up))
     good = more.good & _inside(image, more.pixels, BORDER_PX) & _alike(more, fits)
@@ -385,14 +385,13 @@ def _view(image: Grey, target: Target, board: _Board) -> BoardView:
     dropped[_COVERED] += int(np.count_nonzero(inside)) - len(number)
     kept = _where_they_belong(points[number], fits, image.shape[::-1])
     dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
-    kept = np.flatnonzero(kept)
-    kept = kept[np.argsort(number[kept])]
+    kept = np.flatnonzero(kept)[np.argsort(number[kept])]
     if len(kept) < _FEWEST_CORNERS:
         return nothing_seen(+dropped)
-    chosen = fits.only(kept)
+    number, chosen = number[kept], fits.only(kept)
     return BoardView(
-        point=number[kept],
-        pixels=without_bow(points[number[kept]], chosen, image.shape[::-1]),
+        point=number,
+        pixels=corrected(points[number], chosen, image.shape[::-1]),
         sigma_px=chosen.sigma_px,
         blur_px=float(np.median(chosen.blur_px)),
         black=float(np.median(chosen.black)),

@@ -24,7 +24,7 @@ from .checkerboard_grid import Board, board_at, boards_in, completed, middle, st
 from .corner_fit import fit_corners
 from .lattice import Lattice, find_lattices
 from .saddles import find_saddles
-from .straight import without_bow
+from .straight import corrected
 
 _SEARCH_WIDTH = 480  # an image is reduced by halves until it is narrower
 _EVIDENCE, _FINER_PX = 6, 12.0  # crossings in a lattice, and squares below which a finer image may help
@@ -170,7 +170,7 @@ def measured(image: Grey, board: Board) -> BoardView:
         return nothing_seen(+dropped)
     return BoardView(
         point=numbers[good],
-        pixels=without_bow(np.stack([cols, rows], axis=1)[good], chosen, image.shape[::-1]),
+        pixels=corrected(np.stack([cols, rows], axis=1)[good], chosen, image.shape[::-1]),
         sigma_px=chosen.sigma_px,
         blur_px=middle(chosen.blur_px),
         black=middle(chosen.black),

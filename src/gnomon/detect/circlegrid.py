@@ -112,7 +112,7 @@ def _measured(image: Grey, target: Target, number: Integers, discs: Discs, light
     black, white = float(np.median(fits.inside)), float(np.median(fits.outside))
     return BoardView(
         point=number,
-        pixels=_centres(points, fits, seen),
+        pixels=_centres(points, fits, seen, image.shape[::-1]),
         sigma_px=np.hypot(fits.sigma_px, _UNTOLD * _beyond_noise(seen.residual_px, fits.sigma_px)),
         blur_px=float(np.median(fits.blur_px)),
         black=255 - white if light else black,
@@ -152,7 +152,7 @@ def _beyond_noise(residual_px: Floats, sigma_px: Floats) -> float:
     return float(np.sqrt(max(np.square(residual_px).mean() - np.square(sigma_px).mean(), 0.0)))
 
 
-def _centres(points: Floats, fits: DiscFits, seen: PlaneMap) -> Floats:
+def _centres(points: Floats, fits: DiscFits, seen: PlaneMap, size: tuple[int, int]) -> Floats:
     """Return where the centres of discs are seen, (m, 2) [px].
 
     Parameters
@@ -160,7 +160,10 @@ def _centres(points: Floats, fits: DiscFits, seen: PlaneMap) -> Floats:
     points : (m, 2) on the board, in units of the spacing
     fits : of the discs
     seen : map from the board to the image, through the middles of the ellipses
+    size : width and height of the image [px]
     """
+    first = fits.pixels - _bias(points, seen, _radius(points, fits.shape, seen))
+    seen = plane_map(points, first, size)  # through the centres: the bias bends the other one
     return fits.pixels - _bias(points, seen, _radius(points, fits.shape, seen))
 
 

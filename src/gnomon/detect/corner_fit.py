@@ -16,16 +16,17 @@ levels) are fitted to the pixels of a window by Gauss-Newton, all corners of an 
 count where the model says that they should not be.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..images import Grey
 from ..recording import Floats, Integers
+from .blurred_edge import normal_distribution
 from .corner_windows import SATURATED, Booleans, Grid, Singles, Windows, arms_of, disc, gathered, grid_around
+from .fitted_corners import CornerFits
 
 CornerKind = Literal["crossing", "tip"]
 
@@ -54,53 +55,7 @@ _LEAST_SINE = 0.3  # between the edges
 _DAMPING = 1e-4
 _BLURS_ALIKE_PX, _CORRELATION_KNOWN = 0.5, 0.5  # before the picture is looked at
 _NOISE = 0.02  # of the contrast, for the weight of what is known before
-_FAR = np.float32(60.0)  # squared, in units of the blur
 _MODEL_SIGMA_PX = 0.005  # what a straight edge and a Gaussian blur leave out
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CornerFits:
-    """Corners as they were fitted, m of them.
-
-    Attributes
-    ----------
-    pixels : (m, 2) [px]
-    sigma_px : (m,) standard deviation per axis, from the residuals [px]
-    blur_px : (m,) standard deviation of the blur, root mean square across both edges [px]
-    black, white : (m,) grey levels
-    misfit : (m,) rms of the residuals over the contrast
-    normals : (m, 2, 2) unit normals of both edges
-    bow : (m, 2, 2) by how much the corner is found beside its place, as columns, for an edge that bends towards its
-        normal with a curvature of one, the first or the second [px^2]
-    good : (m,) whether the picture is that of such a corner, near the guess
-    """
-
-    pixels: Floats
-    sigma_px: Floats
-    blur_px: Floats
-    black: Floats
-    white: Floats
-    misfit: Floats
-    normals: Floats
-    bow: Floats
-    good: Booleans
-
-    def __len__(self) -> int:
-        return len(self.pixels)
-
-    def only(self, chosen: NDArray[np.integer] | Booleans) -> "CornerFits":
-        """Return some of the corners."""
-        return CornerFits(**{item.name: getattr(self, item.name)[chosen] for item in fields(self)})
-
-
-def joined(first: CornerFits, second: CornerFits) -> CornerFits:
-    """Return the corners of both."""
-    return CornerFits(
-        **{
-            item.name: np.concatenate([getattr(first, item.name), getattr(second, item.name)])
-            for item in fields(CornerFits)
-        }
-    )
 
 
 def fit_corners(
@@ -163,17 +118,15 @@ def fit_corners(
     )
     fits = _judged(state, place, variance, crowded, (guess - middle, middle, reach))
     good = np.flatnonzero(fits.good)
-    fits.bow[good] = _bow(windows.only(good), state[good], kind) if len(good) else 0.0
+    if len(good):
+        fits.bow[good], fits.slope[good] = _left_out(windows.only(good), state[good], kind)
     return fits
 
 
 def _no_fits() -> CornerFits:
-    none = np.empty(0)
-    two = none.reshape(0, 2, 2)
-    return CornerFits(
-        pixels=two[:, 0], sigma_px=none, blur_px=none, black=none, white=none, misfit=none, normals=two, bow=two,
-        good=none > 0,
-    )  # fmt: skip
+    one, two = np.empty(0), np.empty((0, 2, 2))
+    numbers = {item.name: one for item in fields(CornerFits)}
+    return CornerFits(**numbers | {"pixels": two[:, 0], "normals": two, "bow": two, "slope": two, "good": one > 0})
 
 
 def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floats:
@@ -230,17 +183,24 @@ def _normal_equations(windows: Windows, state: Floats, kind: CornerKind) -> tupl
     return normal, np.square(columns[:, _MID]).sum(axis=1)
 
 
-def _bow(windows: Windows, state: Floats, kind: CornerKind) -> Floats:
-    """Return the moves of corners in pixels for edges of curvature one, (m, 2, 2): what the fit makes of l^2 / 2."""
+def _left_out(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Floats, Floats]:
+    """Return the moves in pixels (m, 2, 2) that the fit makes of edges that bend, l^2 / 2, and of light that grows."""
     columns, leavers = _columns(windows, state, kind)
-    known = columns[:, :-1]
-    bent = columns[:, :2] * np.square(leavers) / 2
-    matrix = np.matmul(known, known.transpose(0, 2, 1)).astype(np.float64)
+    both = np.empty((len(state), _PARAMETERS + 4, columns.shape[2]), dtype=np.float32)
+    known, bent, lit = both[:, :_PARAMETERS], both[:, _PARAMETERS:-2], both[:, -2:]
+    known[:] = columns[:, :-1]
+    np.multiply(columns[:, :2], leavers, out=bent)
+    bent *= leavers
+    bent /= 2
+    np.subtract(windows.place[:, :2], state[:, _U : _V + 1, None].astype(np.float32), out=lit)
+    lit *= (columns[:, _MID] * windows.values)[:, None]
+    products = np.matmul(known, both.transpose(0, 2, 1)).astype(np.float64)
+    matrix, sides = products[:, :, :_PARAMETERS], products[:, :, _PARAMETERS:]
     diagonal = np.einsum("mii->mi", matrix)
     diagonal *= 1 + _DAMPING
     diagonal += 1e-6
-    sides = np.matmul(known, bent.transpose(0, 2, 1)).astype(np.float64)
-    return _by_normals(state, np.asarray(np.linalg.solve(matrix, sides), np.float64)[:, :2])
+    moves = _by_normals(state, np.asarray(np.linalg.solve(matrix, sides), np.float64)[:, :2])
+    return moves[:, :, :2], moves[:, :, 2:]
 
 
 def _columns(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Singles, Singles]:
@@ -311,26 +271,6 @@ def _crossing_or_tip(a: Singles, rho: Singles, kind: CornerKind) -> tuple[Single
     product += 1
     both *= product
     return picture, by_a, both
-
-
-def normal_distribution(a: Singles) -> tuple[Singles, Singles]:
-    """Return 2 Phi(a) - 1 and phi(a); the former to 2.5e-5 (Abramowitz and Stegun 7.1.25)."""
-    square = a * a
-    np.minimum(square, _FAR, out=square)  # beyond, there is nothing but denormal numbers, which are slow
-    square *= -0.5
-    exponential = np.exp(square, out=square)
-    t = np.abs(a)
-    t *= np.float32(0.47047 / np.sqrt(2))
-    t += 1
-    np.reciprocal(t, out=t)
-    series = t * np.float32(0.7478556)
-    series -= np.float32(0.0958798)
-    series *= t
-    series += np.float32(0.3480242)
-    series *= t
-    series *= exponential
-    exponential *= np.float32(1 / np.sqrt(2 * np.pi))
-    return np.copysign(1 - series, a), exponential
 
 
 def _step(normal: Floats, state: Floats) -> tuple[Floats, Floats]:
@@ -421,5 +361,6 @@ def _judged(
         misfit=misfit,
         normals=np.stack([np.cos(angles), np.sin(angles)], axis=2),
         bow=np.zeros((len(state), 2, 2)),
+        slope=np.zeros((len(state), 2, 2)),
         good=good,
     )

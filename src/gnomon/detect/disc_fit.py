@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..images import Grey
 from ..recording import Floats, Integers
-from .corner_fit import normal_distribution
+from .blurred_edge import normal_distribution
 from .corner_windows import Booleans, Singles
 
 _PARAMETERS = 10

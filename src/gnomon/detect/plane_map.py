@@ -13,7 +13,7 @@ import numpy as np
 
 from ..recording import Floats
 
-_TERMS = 4  # of g; more of them go astray beyond the points
+_TERMS, _MORE_TERMS, _MANY = 4, 5, 36  # of g, and of many points; more of them go astray beyond the points
 _ITERATIONS = 8
 _SETTLED_PX = 0.002
 _NEWTON = 3
@@ -110,16 +110,17 @@ def _first(plane: Floats, seen: Floats) -> Floats:
     if outwards.sum() < 0:
         rows, outwards = -rows, -outwards
     squares = x * x + y * y
-    powers = np.stack([squares**k for k in range(_TERMS)], axis=1)
+    terms = _TERMS if len(plane) < _MANY else _MORE_TERMS
+    powers = np.stack([squares**k for k in range(terms)], axis=1)
     along = np.hstack([powers * outwards[:, None], -squares[:, None] * X]) / radius[:, None]
     size = np.linalg.norm(along, axis=0)
     found = _null(along / size) / size
-    if (powers @ found[:_TERMS]).sum() < 0:
+    if (powers @ found[:terms]).sum() < 0:
         found = -found
-    found /= np.linalg.norm(found[_TERMS:])
+    found /= np.linalg.norm(found[terms:])
     rows /= np.linalg.norm(rows)
     # the third row and g may be of any common size
-    return np.concatenate([rows.ravel(), found[_TERMS:], found[:_TERMS], [0.0, 0.0]])
+    return np.concatenate([rows.ravel(), found[terms:], found[:terms], [0.0, 0.0]])
 
 
 def _null(equations: Floats) -> Floats:
@@ -138,7 +139,7 @@ def _projected(parameters: Floats, plane: Floats, radius: Floats) -> tuple[Float
     for _ in range(_NEWTON):
         s = r * r
         g, slope = np.zeros_like(r), np.zeros_like(r)
-        for k in range(_TERMS - 1, -1, -1):  # g and its derivative by s
+        for k in range(a.shape[1] - 1, -1, -1):  # g and its derivative by s
             slope = slope * s + g
             g = g * s + a[:, k]
         bottom = 2 * r * slope * across - rays[:, 2]

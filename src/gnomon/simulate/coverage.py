@@ -12,6 +12,7 @@ from ..recording import Floats
 
 Singles = NDArray[np.float32]
 
+_FAR = 1e7  # cells
 _BLOCK = 2048  # pieces at a time: the intermediate arrays of a block stay in the cache
 
 
@@ -84,7 +85,8 @@ def _near(start: Floats, end: Floats, shape: tuple[int, int]) -> Floats:
     """Return the pieces that matter, x0 y0 x1 y1 (4, n): also those to the left of the image."""
     x0, y0, x1, y1 = start[:, 0], start[:, 1], end[:, 0], end[:, 1]
     matters = (np.maximum(y0, y1) > 0) & (np.minimum(y0, y1) < shape[0]) & (np.minimum(x0, x1) < shape[1]) & (y0 != y1)
-    return np.array([value[matters] for value in (x0, y0, x1, y1)])
+    pieces = np.array([value[matters] for value in (x0, y0, x1, y1)])
+    return np.clip(pieces, -_FAR, _FAR, out=pieces)  # a lens may throw points beyond what can be counted
 
 
 def _cells(low: Floats, high: Floats, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

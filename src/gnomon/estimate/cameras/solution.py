@@ -167,8 +167,10 @@ def _damped(information: Floats, gradient: Floats, held: np.ndarray, damping: fl
     if not len(free):
         return step
     matrix = information[np.ix_(free, free)]
-    size = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * size[:, None] * size + (damping + 1e-13) * np.eye(len(free))
+    diagonal = np.diag(matrix)
+    told = diagonal > 1e-200  # rounding leaves less than nothing of what a runaway lens does not show
+    size = np.where(told, 1 / np.sqrt(np.where(told, diagonal, 1.0)), 0.0)
+    scaled = matrix * size[:, None] * size + np.diag(np.where(told, damping + 1e-13, 1.0))
     step[free] = -size * np.linalg.solve(scaled, size * gradient[free])
     return step
 
