@@ -48,7 +48,7 @@ def test_truth_is_inside_the_covariance(model):
     assert 0.0005 < chi2.sf(total, freedom) < 0.9995
 
 
-@pytest.mark.parametrize("model", ["pinhole-radtan", "pinhole-radtan5", "pinhole-equidistant", "omni-radtan"])
+@pytest.mark.parametrize("model", ["pinhole-radtan", "pinhole-radtan5", "pinhole-equidistant"])
 def test_the_lens_model_is_found(model):
     simulation = simulate_cameras(CamerasScenario.with_lens(model, **FEW), 2)
     result = calibrate_cameras(simulation.recording, simulation.target)

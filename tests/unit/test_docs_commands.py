@@ -131,6 +131,7 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
 def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
+    commands = [words for words in commands if "photographs-gnomon/calibration.yaml" not in words]  # with the cameras
     assert len(commands) > 5
     run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     chain = yaml.safe_load(Path("rig/camchain.yaml").read_text(encoding="utf-8"))
