@@ -26,7 +26,7 @@ demo: install
 
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 test: dev
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 check: dev
 	$(BIN)/ruff check

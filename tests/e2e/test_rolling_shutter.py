@@ -20,7 +20,7 @@ def shutters(calibration):
     return [finding for finding in calibration.assessment.findings if finding.code == "rolling-shutter"]
 
 
-@pytest.mark.parametrize("motion", ["normal", "shaky"])
+@pytest.mark.parametrize("motion", ["normal", pytest.param("shaky", marks=pytest.mark.slow)])
 def test_an_unstated_line_delay_is_found_and_said(motion):
     simulation, found = calibrated(25e-6, motion)
     lens, sigma = found.cameras["cam0"].camera, float(found.sigma("cam0.line_delay"))

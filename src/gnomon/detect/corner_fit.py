@@ -16,7 +16,6 @@ levels) are fitted to the pixels of a window by Gauss-Newton, all corners of an 
 count where the model says that they should not be.
 """
 
-from dataclasses import fields
 from typing import Literal
 
 import cv2
@@ -125,8 +124,18 @@ def fit_corners(
 
 def _no_fits() -> CornerFits:
     one, two = np.empty(0), np.empty((0, 2, 2))
-    numbers = {item.name: one for item in fields(CornerFits)}
-    return CornerFits(**numbers | {"pixels": two[:, 0], "normals": two, "bow": two, "slope": two, "good": one > 0})
+    return CornerFits(
+        pixels=two[:, 0],
+        sigma_px=one,
+        blur_px=one,
+        black=one,
+        white=one,
+        misfit=one,
+        normals=two,
+        bow=two,
+        slope=two,
+        good=np.empty(0, dtype=np.bool_),
+    )
 
 
 def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floats:
