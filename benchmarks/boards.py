@@ -20,11 +20,11 @@ sys.path.insert(0, str(HERE.parent / "tests"))
 from peer_detectors import peers  # noqa: E402
 
 from detection import Score, Truth  # noqa: E402
-from gnomon.detect.aprilgrid import detect_aprilgrid  # noqa: E402
-from gnomon.detect.board import BoardView  # noqa: E402
-from gnomon.detect.charuco import detect_charuco  # noqa: E402
-from gnomon.detect.checkerboard_order import ambiguous_turns, renumbered  # noqa: E402
-from gnomon.detect.circlegrid import detect_circlegrid  # noqa: E402
+from gnomon.detect.boards.aprilgrid import detect_aprilgrid  # noqa: E402
+from gnomon.detect.boards.board import BoardView  # noqa: E402
+from gnomon.detect.boards.charuco import detect_charuco  # noqa: E402
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns, renumbered  # noqa: E402
+from gnomon.detect.boards.circlegrid import detect_circlegrid  # noqa: E402
 from gnomon.images import Grey  # noqa: E402
 from gnomon.models.target import Target  # noqa: E402
 from gnomon.recording import Floats  # noqa: E402

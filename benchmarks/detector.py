@@ -31,9 +31,9 @@ from imu import DATA, HERE, Table, machine
 from peer_detectors import peers
 
 from detection import Score, Truth, with_truth
-from gnomon.detect.aprilgrid import detect_aprilgrid
-from gnomon.detect.board import BoardView
-from gnomon.detect.checkerboard import detect_checkerboard
+from gnomon.detect.boards.aprilgrid import detect_aprilgrid
+from gnomon.detect.boards.board import BoardView
+from gnomon.detect.boards.checkerboard import detect_checkerboard
 from gnomon.images import Grey
 from gnomon.models.target import Target
 from rendered import Ranges, rendered_views

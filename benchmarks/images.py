@@ -32,9 +32,9 @@ from imu import HERE, Table, child, machine
 from gnomon.calibrate.board_corners import CameraImages, detect_corners, detector
 from gnomon.images import Frame, ImageRecording
 from gnomon.models.target import Target
-from gnomon.readers.image_recording import open_images
-from gnomon.readers.kalibr_target import read_target
-from gnomon.readers.sensor_inputs import read_cameras
+from gnomon.readers.images.image_recording import open_images
+from gnomon.readers.rig.kalibr_target import read_target
+from gnomon.readers.rig.sensor_inputs import read_cameras
 
 RUNS = 3
 RATE_HZ = 20.0
@@ -156,9 +156,9 @@ mark("starting")
 import gnomon, scipy.linalg, scipy.optimize, cv2, rosbags.highlevel
 from gnomon.calibrate import calibrate_camera_imu
 from gnomon.calibrate.board_corners import CameraImages, detect_corners
-from gnomon.readers.image_recording import open_images
-from gnomon.readers.kalibr_target import read_target
-from gnomon.readers.sensor_inputs import read_cameras, read_imus
+from gnomon.readers.images.image_recording import open_images
+from gnomon.readers.rig.kalibr_target import read_target
+from gnomon.readers.rig.sensor_inputs import read_cameras, read_imus
 from gnomon.recording import Recording
 from gnomon.report import write_report
 from gnomon.writers.camera_imu_files import save_camera_imu_files

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gnomon.estimate.allan import overlapping_allan
+from gnomon.estimate.allan.deviation import overlapping_allan
 
 SAMPLES, RATE_HZ, REPEATS = 1_000_000, 100.0, 5
 DAY = ("--duration-s", "86400", "--rate-hz", "400")

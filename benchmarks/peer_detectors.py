@@ -10,7 +10,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from gnomon.detect.board import BoardView, nothing_seen
+from gnomon.detect.boards.board import BoardView, nothing_seen
 from gnomon.images import Grey
 from gnomon.models.target import Target
 from gnomon.recording import Floats

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gnomon.detect.board import BoardView
+from gnomon.detect.boards.board import BoardView
 from gnomon.images import Grey
 from gnomon.models.target import Target
 from gnomon.recording import Floats, Integers

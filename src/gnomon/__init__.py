@@ -65,7 +65,7 @@ if TYPE_CHECKING:
         MagnetometerCalibration,
     )
     from .camera_options import CameraOptions
-    from .detect.platter_rate import PlatterRate
+    from .detect.platter.rate import PlatterRate
     from .diagnostics import Result
     from .findings import Finding
     from .models.camera import Camera
@@ -73,10 +73,10 @@ if TYPE_CHECKING:
     from .models.target import Target
     from .options import CameraImuOptions, ImuOptions, NoiseOptions
     from .readers import load, read
-    from .readers.foreign import ForeignCalibration
-    from .readers.foreign_files import load_foreign
-    from .readers.noise_file import load_noise
-    from .readers.turntable_files import read_turntable
+    from .readers.own.noise_file import load_noise
+    from .readers.projects.foreign import ForeignCalibration
+    from .readers.projects.foreign_files import load_foreign
+    from .readers.samples.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
     from .report.comparison import write_comparison_report
@@ -102,7 +102,7 @@ _HOMES = {
     "CameraFrames": "recording",
     "CameraImuOptions": "options",
     "CameraOptions": "camera_options",
-    "ForeignCalibration": "readers.foreign",
+    "ForeignCalibration": "readers.projects.foreign",
     "ImuNoise": "models.noise",
     "ImuOptions": "options",
     "ImuSamples": "recording",
@@ -130,7 +130,7 @@ _HOMES = {
     "write_comparison_report": "report.comparison",
     "convert": "writers",
     "load": "readers",
-    "load_foreign": "readers.foreign_files",
+    "load_foreign": "readers.projects.foreign_files",
     "read": "readers",
     "read_camera_imu": "calibrate",
     "read_camera_views": "calibrate",
@@ -147,12 +147,12 @@ _HOMES = {
     "calibrate_turntable": "calibrate",
     "identify_noise": "calibrate",
     "rate_from_video": "calibrate",
-    "load_noise": "readers.noise_file",
+    "load_noise": "readers.own.noise_file",
     "NoiseOptions": "options",
     "NoiseResult": "sensor_noise",
     "SensorNoise": "sensor_noise",
-    "PlatterRate": "detect.platter_rate",
-    "read_turntable": "readers.turntable_files",
+    "PlatterRate": "detect.platter.rate",
+    "read_turntable": "readers.samples.turntable_files",
     "write_noise_report": "report.noise",
     "save_noise": "writers.noise_file",
 }

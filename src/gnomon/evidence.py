@@ -17,7 +17,7 @@ import numpy as np
 
 from .calibration import Calibration, Gravity
 from .errors import OptionError
-from .estimate.triad_poses import TriadPrior
+from .estimate.triads.triad_poses import TriadPrior
 from .models.frames import frame_rotation
 from .options import stated_prior
 from .recording import Floats, Integers

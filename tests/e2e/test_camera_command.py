@@ -8,7 +8,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.readers.kalibr_cam_results import read_cam_results
+from gnomon.readers.projects.kalibr_cam_results import read_cam_results
 from gnomon.writers.baselines import baseline_of
 
 TARGET = "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n"

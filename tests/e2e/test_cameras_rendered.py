@@ -14,7 +14,7 @@ from gnomon.calibrate.board_corners import CameraImages, detect_corners
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.camera_options import CameraOptions
 from gnomon.models.camera import Camera
-from gnomon.readers.kalibr_camchain import CameraInput
+from gnomon.readers.rig.kalibr_camchain import CameraInput
 from gnomon.recording import Recording
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
 from gnomon.simulate.cameras_images import rendered_cameras

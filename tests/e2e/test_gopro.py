@@ -8,7 +8,7 @@ import numpy as np
 import gnomon
 import gpmf_files
 import recorded
-from gnomon.readers.image_recording import open_images
+from gnomon.readers.images.image_recording import open_images
 
 
 def test_one_mp4_is_calibrated_like_the_folder_it_was_made_of(run, walks, tmp_path):

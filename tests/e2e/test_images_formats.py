@@ -9,7 +9,7 @@ import yaml
 
 import gnomon
 import recorded
-from gnomon.readers.image_recording import open_images
+from gnomon.readers.images.image_recording import open_images
 
 LAYOUTS = ("euroc", "ros1", "ros2", "mcap", "kalibr")
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.rotations import cut_segments, integrate, propagate, segments_between
+from gnomon.estimate.multiposition.rotations import cut_segments, integrate, propagate, segments_between
 
 SCALE_PERCENT = np.array([[0.363, 0.315, 0.647], [0.471, 0.482, 0.932], [0.382, 0.355, 0.780]])
 BIAS_M_S2 = np.array([[0.103, 0.097, 0.344], [0.090, 0.070, 0.338], [0.096, 0.008, -0.045]])

@@ -6,8 +6,8 @@ import pytest
 import gnomon
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.cli import main
-from gnomon.detect.worker import detector
-from gnomon.readers.image_recording import open_images
+from gnomon.detect.boards.worker import detector
+from gnomon.readers.images.image_recording import open_images
 from gnomon.simulate.camera_imu_images import simulated_images
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
 from gnomon.simulate.cameras_images import rendered_cameras

@@ -7,9 +7,9 @@ import pytest
 
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.cli import main
-from gnomon.detect.aprilgrid import detect_aprilgrid
-from gnomon.detect.checkerboard import detect_checkerboard
-from gnomon.readers.image_recording import open_images
+from gnomon.detect.boards.aprilgrid import detect_aprilgrid
+from gnomon.detect.boards.checkerboard import detect_checkerboard
+from gnomon.readers.images.image_recording import open_images
 from gnomon.simulate.camera_imu_images import simulated_images
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from gnomon.models.target import Target
-from gnomon.readers.kalibr_target import read_target
+from gnomon.readers.rig.kalibr_target import read_target
 from gnomon.writers.target_yaml import target_text
 from printed import pdf_boxes, pdf_caption, svg_size
 

@@ -11,8 +11,8 @@ import pytest
 from gnomon.calibrate.turntable import calibrate_turntable
 from gnomon.calibrate.turntable_preparation import prepare_turntable
 from gnomon.calibration import parameters
-from gnomon.estimate.triad import fit_triad
-from gnomon.estimate.turntable import magnitude_poses
+from gnomon.estimate.triads.triad import fit_triad
+from gnomon.estimate.turntable.fit import magnitude_poses
 from gnomon.simulate import TurntableScenario, simulate_turntable
 from gnomon.triad_options import StatedRate, TurntableOptions
 

@@ -11,8 +11,8 @@ import pytest
 import gnomon
 from gnomon.calibrate.preparation import stream
 from gnomon.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
-from gnomon.detect.static import find_static
-from gnomon.estimate.problem import MultiPositionProblem, build_problem
+from gnomon.detect.samples.static import find_static
+from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise

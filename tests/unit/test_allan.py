@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gnomon.calibrate.noise import identify_noise
-from gnomon.estimate import allan
-from gnomon.estimate.allan import AllanSums, overlapping_allan
-from gnomon.estimate.allan_fit import AllanFit
-from gnomon.estimate.allan_model import KINDS, allan_design, estimate_covariance, line_effect
-from gnomon.estimate.allan_products import product_sums
+from gnomon.estimate.allan import deviation as allan
+from gnomon.estimate.allan.deviation import AllanSums, overlapping_allan
+from gnomon.estimate.allan.fit import AllanFit
+from gnomon.estimate.allan.model import KINDS, allan_design, estimate_covariance, line_effect
+from gnomon.estimate.allan.products import product_sums
 from gnomon.recording import Recording
 from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.noise_scenario import NoiseScenario

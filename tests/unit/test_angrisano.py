@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import InitialisationError, OptionError
-from gnomon.estimate.angrisano import (
+from gnomon.estimate.triads.angrisano import (
     TOLERANCE,
     canonical,
     datasheet_start,

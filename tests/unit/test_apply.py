@@ -9,8 +9,8 @@ import pytest
 import gnomon
 from gnomon.calibration import interpolate_triad
 from gnomon.errors import FormatError, OutputError, RecordingError
-from gnomon.readers import stream_text
-from gnomon.readers.stream import open_stream, stream_of
+from gnomon.readers.samples import stream_text
+from gnomon.readers.samples.stream import open_stream, stream_of
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.units import Units
 from gnomon.writers import apply as module

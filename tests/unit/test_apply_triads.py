@@ -10,8 +10,8 @@ import pytest
 import gnomon
 from gnomon.calibration import interpolate_triad
 from gnomon.errors import FormatError, RecordingError
-from gnomon.readers import stream_text
-from gnomon.readers.stream import open_stream, stream_of
+from gnomon.readers.samples import stream_text
+from gnomon.readers.samples.stream import open_stream, stream_of
 from gnomon.recording import Recording
 from gnomon.writers import apply
 from gnomon.writers.apply import apply_files, apply_recording, write_calibrated

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.detect.aprilgrid import detect_aprilgrid
+from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from bag_maker import T0, Message, image, imu, make_bag, picture, usual
 from gnomon.errors import GnomonError, RecordingError
-from gnomon.readers.bag import is_bag, open_bag
+from gnomon.readers.bags.bag import is_bag, open_bag
 
 LZ4, BZ2 = (Writer1.CompressionFormat.LZ4,), (Writer1.CompressionFormat.BZ2,)
 ZSTD = (CompressionMode.STORAGE, CompressionFormat.ZSTD)

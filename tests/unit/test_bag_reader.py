@@ -14,8 +14,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from bag_maker import FORMS, T0, compressed, image, imu, make_bag, other, picture, usual
 from gnomon.errors import RecordingError
-from gnomon.readers.bag import is_bag, open_bag
-from gnomon.readers.bag_messages import imu_block
+from gnomon.readers.bags.bag import is_bag, open_bag
+from gnomon.readers.bags.messages import imu_block
 from gnomon.readers.files import file_source
 from gnomon.units import Units
 

@@ -4,7 +4,7 @@ import pytest
 
 from bag_maker import T0, compressed, image, imu, make_bag, other, picture, usual
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.bag import open_bag
+from gnomon.readers.bags.bag import open_bag
 
 
 @pytest.fixture

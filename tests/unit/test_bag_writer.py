@@ -9,8 +9,8 @@ from rosbags.highlevel import AnyReader
 
 from gnomon.errors import OutputError, RecordingError
 from gnomon.images import Arrivals, Frame, ImageRecording, ImageStream
-from gnomon.readers.bag import open_bag
-from gnomon.readers.bag_salvage import Outcome, records
+from gnomon.readers.bags.bag import open_bag
+from gnomon.readers.bags.salvage import Outcome, records
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.writers.bag_recording import save_bag
 

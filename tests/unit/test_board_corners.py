@@ -13,7 +13,7 @@ from gnomon.images import Frame, Grey, ImageStream
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.readers.kalibr_camchain import CameraInput
+from gnomon.readers.rig.kalibr_camchain import CameraInput
 from gnomon.recording import Source
 from gnomon.simulate.rendering import render
 from rendered import FACING
@@ -258,8 +258,8 @@ def test_another_number_of_columns_is_named(views):
 
 
 def test_the_gap_is_measured_whatever_the_perspective():
-    from gnomon.detect.aprilgrid import detect_aprilgrid
-    from gnomon.detect.tag_spacing import tag_spacing
+    from gnomon.detect.boards.aprilgrid import detect_aprilgrid
+    from gnomon.detect.boards.tag_spacing import tag_spacing
     from rendered import rendered_views
 
     board = Target.aprilgrid(tag_cols=6, tag_rows=5, tag_size_m=0.08, tag_spacing=0.37)
@@ -283,7 +283,7 @@ def test_processes_find_what_threads_find(views):
 
 
 def test_work_of_a_process_that_is_lost_is_done_here(views, monkeypatch):
-    from gnomon.detect import worker
+    from gnomon.detect.boards import worker
 
     lost: list[worker.BoardProcess] = []
     look = worker.BoardProcess.views

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gnomon.detect.board_guess import guess_board
+from gnomon.detect.boards.board_guess import guess_board
 from gnomon.models.target import Target
 from gnomon.simulate.clutter import cluttered_wall
 from gnomon.simulate.rendering import Optics, render

@@ -8,7 +8,7 @@ import pytest
 import gnomon
 from gnomon.calibrate.board_order import numbered_alike, views_of, with_views
 from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu
-from gnomon.detect.checkerboard_order import consistent_order, renumbered
+from gnomon.detect.boards.checkerboard_order import consistent_order, renumbered
 from gnomon.estimate.camera_imu.first_guess import imu_stream
 from gnomon.options import CameraImuOptions
 

@@ -132,7 +132,7 @@ def test_boards_look_as_another_renderer_made_them(name, target, real_data):
 
 
 def test_the_board_of_euroc_looks_like_its_photograph(real_data):
-    from gnomon.detect.aprilgrid import detect_aprilgrid
+    from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 
     path = real_data("euroc-cam-april") / "cam0_1403709395937837056.png"
     theirs = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)

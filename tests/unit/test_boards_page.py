@@ -8,9 +8,9 @@ import pytest
 
 from docs_pages import DOCS, text
 from gnomon.cli import main
-from gnomon.detect.checkerboard_order import ambiguous_turns
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns
 from gnomon.models.target import Target
-from gnomon.readers.kalibr_target import read_target
+from gnomon.readers.rig.kalibr_target import read_target
 from gnomon.writers.board_sheet import largest_on
 from gnomon.writers.target_yaml import target_text
 

@@ -12,7 +12,7 @@ from cameras_example import LENSES, cameras_calibration
 from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.parameters import covariance_names
-from gnomon.readers.sensor_inputs import read_cameras, read_rig
+from gnomon.readers.rig.sensor_inputs import read_cameras, read_rig
 from gnomon.trust import TrustNote
 from gnomon.writers.baselines import baseline_of
 from gnomon.writers.calibration_file import calibration_text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, FormatError, OutputError, Scenario, load, read_camera_imu, simulate_camera_imu
-from gnomon.readers.options_file import read_options
+from gnomon.readers.own.options_file import read_options
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording
 from gnomon.writers.options_file import options_text
 

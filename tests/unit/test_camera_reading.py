@@ -9,7 +9,7 @@ from bag_maker import make_bag, usual
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.readers.image_recording import open_images
+from gnomon.readers.images.image_recording import open_images
 from image_folders import START, stamps, write_images, write_samples
 from rendered import Ranges, rendered_views
 

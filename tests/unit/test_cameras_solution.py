@@ -14,7 +14,7 @@ from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, numbered_
 from gnomon.estimate.cameras.lens_prior import undetermined
 from gnomon.estimate.cameras.solution import solved
 from gnomon.estimate.cameras.views import gathered_views
-from gnomon.estimate.clusters import jackknife_covariance
+from gnomon.estimate.trust.clusters import jackknife_covariance
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.models.target import Target
 

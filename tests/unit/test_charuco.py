@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-import gnomon.detect.charuco as module
+import gnomon.detect.boards.charuco as module
 from detection import Score, Truth
-from gnomon.detect.charuco import detect_charuco
+from gnomon.detect.boards.charuco import detect_charuco
 from gnomon.errors import OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern

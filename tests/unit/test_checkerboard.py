@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-import gnomon.detect.checkerboard as module
-from gnomon.detect.checkerboard import CheckerboardTracker, detect_checkerboard, find_board
-from gnomon.detect.checkerboard_grid import Board, board_at, completed
+import gnomon.detect.boards.checkerboard as module
+from gnomon.detect.boards.checkerboard import CheckerboardTracker, detect_checkerboard, find_board
+from gnomon.detect.boards.checkerboard_grid import Board, board_at, completed
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.detect.board import BoardView, nothing_seen
-from gnomon.detect.checkerboard_order import ambiguous_turns, consistent_order, renumbered
+from gnomon.detect.boards.board import BoardView, nothing_seen
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumbered
 from gnomon.errors import OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera

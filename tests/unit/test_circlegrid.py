@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-import gnomon.detect.circlegrid as module
+import gnomon.detect.boards.circlegrid as module
 from detection import Score, Truth
-from gnomon.detect.board import BoardView
-from gnomon.detect.checkerboard_order import ambiguous_turns, consistent_order, renumbered
-from gnomon.detect.circlegrid import CircleGridDetector, detect_circlegrid
+from gnomon.detect.boards.board import BoardView
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumbered
+from gnomon.detect.boards.circlegrid import CircleGridDetector, detect_circlegrid
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera

@@ -12,7 +12,7 @@ import pytest
 import gnomon
 from gnomon.cli import main
 from gnomon.cli.compare_command import sources_of
-from gnomon.readers.calibration_sources import load_any, source_names
+from gnomon.readers.own.calibration_sources import load_any, source_names
 from gnomon.recording import Source
 from html_page import Page
 

@@ -11,7 +11,7 @@ import gnomon
 from gnomon.calibration import Provenance
 from gnomon.cli import main
 from gnomon.models.noise import ImuNoise
-from gnomon.readers.foreign_files import load_foreign
+from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.writers.context import StatedImu
 from gnomon.writers.conversion import WITH_NOISE

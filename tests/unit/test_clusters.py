@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.clusters import (
+from gnomon.estimate.trust.clusters import (
     ClusterSums,
     held_out_costs,
     in_clusters,

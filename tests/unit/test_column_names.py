@@ -2,7 +2,7 @@
 
 import pytest
 
-from gnomon.readers.column_names import column_name, unit_of
+from gnomon.readers.samples.column_names import column_name, unit_of
 
 
 @pytest.mark.parametrize(

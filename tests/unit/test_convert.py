@@ -13,11 +13,11 @@ import yaml
 import gnomon
 from gnomon.calibration import ImuCalibration
 from gnomon.errors import FormatError, OptionError, OutputError
-from gnomon.readers.foreign_files import load_foreign
-from gnomon.readers.imu_tk_calib import read_imu_tk
-from gnomon.readers.imucal_json import read_imucal
-from gnomon.readers.kalibr_imu import read_kalibr
-from gnomon.readers.parameter_csv import read_parameter_csv
+from gnomon.readers.own.parameter_csv import read_parameter_csv
+from gnomon.readers.projects.foreign_files import load_foreign
+from gnomon.readers.projects.imu_tk_calib import read_imu_tk
+from gnomon.readers.projects.imucal_json import read_imucal
+from gnomon.readers.projects.kalibr_imu import read_kalibr
 from gnomon.recording import Recording
 from gnomon.writers.conversion import FORMATS, exported
 

@@ -14,7 +14,7 @@ from gnomon.errors import OptionError
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.parameters import covariance_names
-from gnomon.readers.foreign_files import load_foreign
+from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.writers.basalt import basalt_text
 from gnomon.writers.conversion import exported
 from gnomon.writers.kalibr import StatedImu

@@ -15,7 +15,7 @@ from gnomon.findings import Finding
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.parameters import covariance_names, parameters
-from gnomon.readers.foreign_files import load_foreign
+from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.context import StatedImu
 from gnomon.writers.conversion import FORMATS, WITH_NOISE, exported

@@ -7,9 +7,9 @@ import pytest
 
 import gnomon
 from gnomon.assess.threshold import Motion, choose_threshold, disturbed, one_per_rest
-from gnomon.detect import static
-from gnomon.detect.noise import allan_deviation, averaging_time, resting_noise
-from gnomon.detect.static import (
+from gnomon.detect.samples import static
+from gnomon.detect.samples.noise import allan_deviation, averaging_time, resting_noise
+from gnomon.detect.samples.static import (
     find_static,
     quantisation_step,
     resting_variances,
@@ -21,7 +21,7 @@ from gnomon.detect.static import (
     window_samples,
     window_variances,
 )
-from gnomon.detect.time_base import time_base
+from gnomon.detect.samples.time_base import time_base
 from gnomon.intervals import StaticIntervals, interval_means
 from gnomon.recording import TriadSamples
 

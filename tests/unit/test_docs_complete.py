@@ -21,13 +21,13 @@ from gnomon.calibration import parameters
 from gnomon.cli.commands import COMMANDS, RecordingForm
 from gnomon.cli.parse import parse
 from gnomon.cli.study_actions import PAGE, TABLES
-from gnomon.readers import kalibr_camchain, kalibr_target
-from gnomon.readers.calibration_cameras import SIGMAS
-from gnomon.readers.image_file import IMAGE_SUFFIXES
-from gnomon.readers.image_pixels import ENCODINGS
-from gnomon.readers.npz import __doc__ as npz_keys
-from gnomon.readers.pose_table import pose_column
-from gnomon.readers.use_file import read_use
+from gnomon.readers.images.image_file import IMAGE_SUFFIXES
+from gnomon.readers.images.image_pixels import ENCODINGS
+from gnomon.readers.own.calibration_cameras import SIGMAS
+from gnomon.readers.own.use_file import read_use
+from gnomon.readers.rig import kalibr_camchain, kalibr_target
+from gnomon.readers.samples.npz import __doc__ as npz_keys
+from gnomon.readers.samples.pose_table import pose_column
 from gnomon.recording import FrameQuality
 from gnomon.requirements import QUANTITIES, USES, stated
 from gnomon.simulate.faults import fault_named, faults

@@ -11,7 +11,7 @@ import yaml
 from gnomon.errors import FormatError
 from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.noise import ImuNoise
-from gnomon.readers.foreign_files import is_own, load_foreign
+from gnomon.readers.projects.foreign_files import is_own, load_foreign
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.foreign_tables import foreign_document, foreign_tables
 

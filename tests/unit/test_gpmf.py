@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 import gnomon
 import gpmf_files as made
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.device_log import read_device_log
-from gnomon.readers.gpmf import has_gpmf, is_gpmf
-from gnomon.readers.gpmf_klv import entries
-from gnomon.readers.gpmf_streams import Telemetry, in_camera_axes
-from gnomon.readers.image_recording import holds_images, open_images
-from gnomon.readers.stream import open_stream
+from gnomon.readers.devices.device_log import read_device_log
+from gnomon.readers.devices.gpmf import has_gpmf, is_gpmf
+from gnomon.readers.devices.gpmf_klv import entries
+from gnomon.readers.devices.gpmf_streams import Telemetry, in_camera_axes
+from gnomon.readers.images.image_recording import holds_images, open_images
+from gnomon.readers.samples.stream import open_stream
 from gnomon.units import Units
 from image_folders import write_video
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import RecordingError
-from gnomon.readers.image_pixels import (
+from gnomon.readers.images.image_pixels import (
     ENCODINGS,
     RawImage,
     bit_depth,

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from gnomon.errors import FormatError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.readers.kalibr_camchain import read_camchain
-from gnomon.readers.kalibr_imu_input import read_imu_input
-from gnomon.readers.kalibr_target import read_target
+from gnomon.readers.rig.kalibr_camchain import read_camchain
+from gnomon.readers.rig.kalibr_imu_input import read_imu_input
+from gnomon.readers.rig.kalibr_target import read_target
 
 CAM = {
     "camera_model": "pinhole",

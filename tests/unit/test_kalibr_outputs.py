@@ -14,12 +14,12 @@ from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.parameters import covariance_names
-from gnomon.readers.foreign import Residuals, Statistics
-from gnomon.readers.kalibr_camchain import read_camchain
-from gnomon.readers.kalibr_imu import read_kalibr
-from gnomon.readers.kalibr_imu_input import read_imu_input
-from gnomon.readers.kalibr_results import read_kalibr_results
-from gnomon.readers.kalibr_target import read_target
+from gnomon.readers.projects.foreign import Residuals, Statistics
+from gnomon.readers.projects.kalibr_imu import read_kalibr
+from gnomon.readers.projects.kalibr_results import read_kalibr_results
+from gnomon.readers.rig.kalibr_camchain import read_camchain
+from gnomon.readers.rig.kalibr_imu_input import read_imu_input
+from gnomon.readers.rig.kalibr_target import read_target
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.camera_imu_files import camera_imu_texts, residuals, save_camera_imu_files
 from gnomon.writers.conversion import exported
@@ -364,7 +364,7 @@ def test_formats_without_cameras_say_so(camera_calibration, random_calibration, 
 
 
 def test_csv_lists_the_cameras(camera_calibration, tmp_path):
-    from gnomon.readers.parameter_csv import read_parameter_csv
+    from gnomon.readers.own.parameter_csv import read_parameter_csv
 
     calibration = camera_calibration(4, cameras=3)
     gnomon.convert(calibration, "csv", tmp_path)

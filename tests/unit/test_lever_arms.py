@@ -11,8 +11,8 @@ from gnomon.errors import FormatError, OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, parameters
-from gnomon.readers.calibration_file import load
-from gnomon.readers.kalibr_imu import read_kalibr
+from gnomon.readers.own.calibration_file import load
+from gnomon.readers.projects.kalibr_imu import read_kalibr
 from gnomon.simulate.camera_imu import simulated_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.trust import Need, TrustNote

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gnomon import InitialisationError
-from gnomon.estimate import magnitude
-from gnomon.estimate.magnitude import UPPER, ellipsoid_start, fit_magnitude
+from gnomon.estimate.multiposition import magnitude
+from gnomon.estimate.multiposition.magnitude import UPPER, ellipsoid_start, fit_magnitude
 
 GRAVITY = 9.79
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.clusters import ClusterSums
-from gnomon.estimate.model_choice import Candidate, model_steps
+from gnomon.estimate.trust.clusters import ClusterSums
+from gnomon.estimate.trust.model_choice import Candidate, model_steps
 
 _CLUSTERS, _ROWS = 20, 30
 

@@ -7,10 +7,10 @@ import pytest
 
 from gnomon.calibration import ImuCalibration, parameters, rotated
 from gnomon.errors import InitialisationError
-from gnomon.estimate.drift import walk_density, walk_precision, with_drift
-from gnomon.estimate.leave_one_out import leave_one_out
-from gnomon.estimate.multiposition import fit_multiposition, start_state
-from gnomon.estimate.multiposition_model import (
+from gnomon.estimate.multiposition.drift import walk_density, walk_precision, with_drift
+from gnomon.estimate.multiposition.fit import fit_multiposition, start_state
+from gnomon.estimate.multiposition.leave_one_out import leave_one_out
+from gnomon.estimate.multiposition.model import (
     CG_,
     PARAMETERS,
     Linearisation,
@@ -19,8 +19,8 @@ from gnomon.estimate.multiposition_model import (
     linearise,
     normal_equations,
 )
-from gnomon.estimate.rotations import integrate, propagate
-from gnomon.estimate.scaling import Scaling, unscaled
+from gnomon.estimate.multiposition.rotations import integrate, propagate
+from gnomon.estimate.multiposition.scaling import Scaling, unscaled
 from gnomon.geometry.so3 import tangent_basis
 from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S

@@ -8,8 +8,8 @@ import pytest
 from gnomon.calibration import Provenance
 from gnomon.errors import FormatError, OptionError
 from gnomon.findings import Finding
-from gnomon.readers.kalibr_imu_input import read_imu_input
-from gnomon.readers.noise_file import load_noise
+from gnomon.readers.own.noise_file import load_noise
+from gnomon.readers.rig.kalibr_imu_input import read_imu_input
 from gnomon.recording import Source
 from gnomon.report.noise import write_noise_report
 from gnomon.sensor_noise import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.image_recording import holds_images, open_images
+from gnomon.readers.images.image_recording import holds_images, open_images
 from image_folders import START, STEP, frames_of, picture, samples, stamps, write_images, write_samples, write_video
 
 EUROC_CAMERA = """\

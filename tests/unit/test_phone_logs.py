@@ -8,10 +8,10 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers import phone_files
-from gnomon.readers.device_log import is_device_log
-from gnomon.readers.image_recording import holds_images, open_images
-from gnomon.readers.stream import open_stream
+from gnomon.readers.devices import phone_files
+from gnomon.readers.devices.device_log import is_device_log
+from gnomon.readers.images.image_recording import holds_images, open_images
+from gnomon.readers.samples.stream import open_stream
 from gnomon.units import Units
 from image_folders import picture, write_video
 from phone_logs import EPOCH_NS, G, metadata, motion, phyphox, sensor_logger, table, zipped

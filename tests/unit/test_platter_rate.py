@@ -7,10 +7,10 @@ import pytest
 
 import platter_videos
 from gnomon.calibrate.platter_rate import rate_from_video
-from gnomon.detect.platter_clock import missing_frames, rate_by_jitter, stamps_are_nominal
-from gnomon.detect.platter_pictures import read_pictures
-from gnomon.detect.platter_rate import platter_rate
-from gnomon.detect.platter_steady import Blocks, PhaseLine, even_rate, longest_run, steady_blocks
+from gnomon.detect.platter.clock import missing_frames, rate_by_jitter, stamps_are_nominal
+from gnomon.detect.platter.pictures import read_pictures
+from gnomon.detect.platter.rate import platter_rate
+from gnomon.detect.platter.steady import Blocks, PhaseLine, even_rate, longest_run, steady_blocks
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.images import Frame, ImageStream
 from gnomon.simulate.platter_video import simulate_platter_video

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from gnomon import OptionError, OutputError
 from gnomon.models.board_pattern import Pattern, _outline, board_pattern
 from gnomon.models.target import Target
-from gnomon.readers.kalibr_target import read_target
+from gnomon.readers.rig.kalibr_target import read_target
 from gnomon.writers.board_paths import board_paths
 from gnomon.writers.board_sheet import PAPERS, board_drawing, largest_on, paper_size, tiled
 from gnomon.writers.drawing import pdf_bytes, svg_text
@@ -236,13 +236,13 @@ def test_a_board_that_cannot_be_printed(tmp_path):
 
 def detect(image, target):
     if target.kind == "aprilgrid":
-        from gnomon.detect.aprilgrid import detect_aprilgrid as found
+        from gnomon.detect.boards.aprilgrid import detect_aprilgrid as found
     elif target.kind == "checkerboard":
-        from gnomon.detect.checkerboard import detect_checkerboard as found
+        from gnomon.detect.boards.checkerboard import detect_checkerboard as found
     elif target.kind == "charuco":
-        from gnomon.detect.charuco import detect_charuco as found
+        from gnomon.detect.boards.charuco import detect_charuco as found
     else:
-        from gnomon.detect.circlegrid import detect_circlegrid as found
+        from gnomon.detect.boards.circlegrid import detect_circlegrid as found
     return found(image, target)
 
 

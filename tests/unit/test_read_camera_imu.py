@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import gnomon
 from gnomon.assess.camera_checks import check_cameras
 from gnomon.errors import FormatError, GnomonError, OptionError, RecordingError
-from gnomon.readers.recognise import gyroscope_unit_in_motion
+from gnomon.readers.samples.recognise import gyroscope_unit_in_motion
 
 CAM = {
     "camera_model": "pinhole",

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.cluster_trust import trusted
-from gnomon.estimate.clusters import ClusterSums
-from gnomon.estimate.drift import accelerometer_drifts, with_trend
-from gnomon.estimate.multiposition import fit_multiposition
-from gnomon.estimate.multiposition_sums import stretch_sums
-from gnomon.estimate.robust import _jackknife, clustered, memory
+from gnomon.estimate.multiposition.drift import accelerometer_drifts, with_trend
+from gnomon.estimate.multiposition.fit import fit_multiposition
+from gnomon.estimate.multiposition.sums import stretch_sums
+from gnomon.estimate.trust.cluster_trust import trusted
+from gnomon.estimate.trust.clusters import ClusterSums
+from gnomon.estimate.trust.robust import _jackknife, clustered, memory
 
 NAMES = ("x.scale[0]", "x.scale[1]", "x.scale[2]", "x.bias[0]", "x.bias[1]", "x.bias[2]")
 BLOCK = np.array([0, 0, 0, 1, 1, 1])

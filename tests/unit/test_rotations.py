@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.rotations import (
+from gnomon.estimate.multiposition.rotations import (
     MotionSegments,
     cut_segments,
     integrate,
@@ -11,7 +11,7 @@ from gnomon.estimate.rotations import (
     propagate,
     segments_between,
 )
-from gnomon.estimate.tedaldi import fit_gyroscope, leave_group_out
+from gnomon.estimate.multiposition.tedaldi import fit_gyroscope, leave_group_out
 from gnomon.geometry.quaternion import multiply, normalised, rk4n_steps, rotation_from_quaternion, running_products
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.detect.repair import repaired
-from gnomon.detect.saturation import saturated
+from gnomon.detect.samples.repair import repaired
+from gnomon.detect.samples.saturation import saturated
 from gnomon.recording import TriadSamples
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError, OutputError
-from gnomon.readers.image_recording import open_images
+from gnomon.readers.images.image_recording import open_images
 from gnomon.writers.video import save_video
 from image_folders import frames_of, picture
 

@@ -9,7 +9,7 @@ import yaml
 
 import gnomon
 from gnomon.errors import FormatError
-from gnomon.readers.sensor_inputs import read_cameras, read_imus
+from gnomon.readers.rig.sensor_inputs import read_cameras, read_imus
 from gnomon.writers.calibration_file import calibration_text
 
 CAM = {

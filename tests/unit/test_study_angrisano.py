@@ -12,8 +12,8 @@ from gnomon.cli.study_actions import PAGE, study
 from gnomon.cli.study_command import Study
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OptionError, OutputError
-from gnomon.estimate.angrisano import fit_magnitudes
-from gnomon.estimate.triad import fit_triad
+from gnomon.estimate.triads.angrisano import fit_magnitudes
+from gnomon.estimate.triads.triad import fit_triad
 from gnomon.models.angrisano import AngrisanoTriad
 from gnomon.report.page import render
 from gnomon.report.study_angrisano import angrisano_page

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.detect.quads import black_quads
-from gnomon.detect.tags import BITS, FAMILY, codes, likeness_of, read_tags
+from gnomon.detect.boards.quads import black_quads
+from gnomon.detect.boards.tags import BITS, FAMILY, codes, likeness_of, read_tags
 
 WHITE, BLACK = 205, 25
 SIZE = 240

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from gnomon import FormatError
 from gnomon.models.target import Target
-from gnomon.readers.foreign_files import load_foreign
-from gnomon.readers.kalibr_target import DICTIONARIES, read_target
+from gnomon.readers.projects.foreign_files import load_foreign
+from gnomon.readers.rig.kalibr_target import DICTIONARIES, read_target
 from gnomon.writers.target_yaml import target_lines, target_text
 
 CHARUCO = {

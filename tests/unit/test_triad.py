@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gnomon import InitialisationError, OptionError
-from gnomon.estimate.triad import fit_triad
-from gnomon.estimate.triad_ellipsoid import constrained_ellipsoid, general_ellipsoid, sphere
-from gnomon.estimate.triad_poses import TriadPoses, TriadPrior
+from gnomon.estimate.triads.triad import fit_triad
+from gnomon.estimate.triads.triad_ellipsoid import constrained_ellipsoid, general_ellipsoid, sphere
+from gnomon.estimate.triads.triad_poses import TriadPoses, TriadPrior
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 
 GRAVITY = 9.80665

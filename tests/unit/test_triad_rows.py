@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.triad_poses import TriadPoses
-from gnomon.estimate.triad_rows import Noise, latent, noise_at, rows
-from gnomon.estimate.triad_scaling import TriadScaling, scaled_problem
+from gnomon.estimate.triads.triad_poses import TriadPoses
+from gnomon.estimate.triads.triad_rows import Noise, latent, noise_at, rows
+from gnomon.estimate.triads.triad_scaling import TriadScaling, scaled_problem
 
 
 def unit(vectors):

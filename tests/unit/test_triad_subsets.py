@@ -17,7 +17,7 @@ import gnomon
 from gnomon.calibration import Covariance, parameters
 from gnomon.cli.summary import facts, parameter_lines
 from gnomon.errors import FormatError, OptionError
-from gnomon.readers.foreign_files import load_foreign
+from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.conversion import FORMATS, exported
 from gnomon.writers.tables import form_tables, summary_table

@@ -6,8 +6,8 @@ import numpy as np
 
 from gnomon.assess.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
 from gnomon.assess.verdict import graded
-from gnomon.estimate.triad import fit_triad
-from gnomon.estimate.triad_poses import TriadPoses
+from gnomon.estimate.triads.triad import fit_triad
+from gnomon.estimate.triads.triad_poses import TriadPoses
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 BETWEEN = np.array([[1, 1, 0], [1, 0, 1], [0, 1, 1], [-1, 1, 0], [1, 0, -1], [0, -1, 1]]) / np.sqrt(2)

@@ -7,12 +7,12 @@ import pytest
 
 from gnomon import ImuNoise
 from gnomon.calibrate.turntable import calibrate_turntable
-from gnomon.detect.saturation import saturated
-from gnomon.detect.steady import find_steady, largest_rate
+from gnomon.detect.samples.saturation import saturated
+from gnomon.detect.samples.steady import find_steady, largest_rate
 from gnomon.errors import DetectionError, OptionError
-from gnomon.estimate.turntable_axis import ForceBlocks, axis_in_sensor
-from gnomon.estimate.turntable_drift import drift_at
-from gnomon.estimate.turntable_speeds import NO_SPEED, assign_speeds
+from gnomon.estimate.turntable.axis import ForceBlocks, axis_in_sensor
+from gnomon.estimate.turntable.drift import drift_at
+from gnomon.estimate.turntable.speeds import NO_SPEED, assign_speeds
 from gnomon.simulate import TurntableScenario, simulate_turntable
 from gnomon.triad_options import StatedRate, TurntableOptions
 

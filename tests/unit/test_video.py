@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gnomon.errors import RecordingError
-from gnomon.readers.image_recording import holds_images, open_images
-from gnomon.readers.video import is_video
+from gnomon.readers.images.image_recording import holds_images, open_images
+from gnomon.readers.images.video import is_video
 from image_folders import START, frames_of, picture, stamps, write_samples, write_video
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from ..estimate.cluster_trust import Instability
+from ..estimate.trust.cluster_trust import Instability
 from ..findings import Finding
 
 _SHOWN_IN = {"accelerometer": "m/s^2", "gyroscope": "rad/s", "magnetometer": "of the field"}

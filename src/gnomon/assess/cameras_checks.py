@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..detect.board import BoardView
-from ..detect.tag_spacing import tag_spacing
+from ..detect.boards.board import BoardView
+from ..detect.boards.tag_spacing import tag_spacing
 from ..findings import Finding
 from ..models.target import Target
 from ..recording import CameraFrames, Integers, Recording

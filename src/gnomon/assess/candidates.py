@@ -17,7 +17,7 @@ from ..calibration import Calibration, CameraCalibration, Covariance, Gravity, I
 from ..errors import OptionError
 from ..models.camera import Camera
 from ..parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
-from ..readers.foreign import FOREIGN_METHOD, ForeignCalibration
+from ..readers.projects.foreign import FOREIGN_METHOD, ForeignCalibration
 from ..recording import Floats, Source, frozen_array
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 

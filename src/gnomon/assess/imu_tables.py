@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.noise import allan_deviation, averaging_time
+from ..detect.samples.noise import allan_deviation, averaging_time
 from ..diagnostics import (
     AllanCurve,
     DetectorTrace,
@@ -14,12 +14,12 @@ from ..diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
-from ..estimate.cluster_trust import Instability
-from ..estimate.leave_one_out import HeldOut
-from ..estimate.multiposition import MultiPositionFit
-from ..estimate.problem import MultiPositionProblem, TriadStream
-from ..estimate.rotations import MotionSegments, integrate, propagate
-from ..estimate.scaling import ImuEstimate
+from ..estimate.multiposition.fit import MultiPositionFit
+from ..estimate.multiposition.leave_one_out import HeldOut
+from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream
+from ..estimate.multiposition.rotations import MotionSegments, integrate, propagate
+from ..estimate.multiposition.scaling import ImuEstimate
+from ..estimate.trust.cluster_trust import Instability
 from ..intervals import Booleans
 from ..recording import Floats, Integers
 from ..trust import Trust

@@ -6,8 +6,8 @@ import numpy as np
 
 from ..calibration import Assessment, Gravity, Holdout
 from ..diagnostics import ImuDiagnostics
-from ..estimate.multiposition_model import B_, BG_, CG_, G_, LOWER, S_
-from ..estimate.scaling import ImuEstimate
+from ..estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
+from ..estimate.multiposition.scaling import ImuEstimate
 from ..findings import Finding
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import Gravity
-from ..estimate.cluster_trust import Trusted
-from ..estimate.dip import DipFit
-from ..estimate.field_poses import FieldPoses, field_of
-from ..estimate.gravity_along import GravityFit
-from ..estimate.magnetometer import MagnetometerFit
+from ..estimate.triads.dip import DipFit
+from ..estimate.triads.field_poses import FieldPoses, field_of
+from ..estimate.triads.gravity_along import GravityFit
+from ..estimate.triads.magnetometer import MagnetometerFit
+from ..estimate.trust.cluster_trust import Trusted
 from ..intervals import Booleans
 from ..recording import Floats, TriadSamples
 from ..sensors import ImuCalibration

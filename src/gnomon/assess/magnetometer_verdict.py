@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..calibration import Assessment, Holdout
-from ..estimate.blocks import FEWEST_BLOCKS
+from ..estimate.triads.blocks import FEWEST_BLOCKS
 from ..evidence import NAMES, TRIADS, Evidence
 from ..findings import Finding, Severity
 from ..recording import Floats

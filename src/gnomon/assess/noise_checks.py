@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.rest import RestTable
+from ..detect.samples.rest import RestTable
 from ..errors import RecordingError
 from ..findings import Finding
 from ..intervals import Booleans

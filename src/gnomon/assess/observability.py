@@ -62,7 +62,7 @@ _IMU_PRIORS = {
     "gyroscope.bias": 1.0,
     "gyroscope.g_sensitivity": 0.01,
 }
-"""Weak priors of `estimate.multiposition.weak_prior_sigma`, likewise."""
+"""Weak priors of `estimate.multiposition.fit.weak_prior_sigma`, likewise."""
 
 _MOST_SHARES = 6
 _THROUGH = 0.8

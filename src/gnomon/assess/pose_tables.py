@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import AccelerometerCalibration, Gravity
-from ..estimate.angrisano import AngrisanoFit
-from ..estimate.cluster_trust import Trusted
-from ..estimate.known_attitudes import StatedAttitudes
-from ..estimate.static_g_sensitivity import StaticGSensitivity
-from ..estimate.triad import TriadFit
+from ..estimate.triads.angrisano import AngrisanoFit
+from ..estimate.triads.known_attitudes import StatedAttitudes
+from ..estimate.triads.static_g_sensitivity import StaticGSensitivity
+from ..estimate.triads.triad import TriadFit
+from ..estimate.trust.cluster_trust import Trusted
 from ..evidence import Evidence
 from ..findings import Finding
 from ..intervals import Booleans

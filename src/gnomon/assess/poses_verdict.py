@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
-from ..estimate.angrisano import AngrisanoFit
-from ..estimate.triad_poses import B_, S_
+from ..estimate.triads.angrisano import AngrisanoFit
+from ..estimate.triads.triad_poses import B_, S_
 from ..findings import Finding
 from ..parameters import element_names
 from ..recording import Floats

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..detect.static import find_static
+from ..detect.samples.static import find_static
 from ..findings import Finding
 from ..intervals import StaticIntervals
 from ..recording import Floats, ImuSamples, TriadSamples

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..detect.saturation import saturated
+from ..detect.samples.saturation import saturated
 from ..errors import InitialisationError
 from ..estimate.camera_imu.alignment import Alignment, align, gyroscope_integral
 from ..estimate.camera_imu.board_poses import BoardPoses, board_poses

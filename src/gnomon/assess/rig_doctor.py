@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.board import BoardView
+from ..detect.boards.board import BoardView
 from ..errors import RecordingError
 from ..findings import Finding
 from ..images import Frame, Grey, ImageRecording, ImageStream
@@ -252,7 +252,7 @@ def _other_board(images: list[Grey], target: Target | None) -> str:
     """Return a sentence on the board that images show in place of the stated one; "" where there are none."""
     if target is None or not images:
         return ""
-    from ..detect.board_guess import guess_board
+    from ..detect.boards.board_guess import guess_board
 
     return guess_board(images, target)
 
@@ -260,10 +260,10 @@ def _other_board(images: list[Grey], target: Target | None) -> str:
 def _detector(target: Target) -> Detector:
     """Return what finds a board in an image of its own, not in one that follows another."""
     if target.kind == "checkerboard":
-        from ..detect.checkerboard import detect_checkerboard
+        from ..detect.boards.checkerboard import detect_checkerboard
 
         return lambda image: detect_checkerboard(image, target)
-    from ..detect.worker import detector
+    from ..detect.boards.worker import detector
 
     return detector(target)
 

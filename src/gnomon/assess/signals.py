@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..detect.saturation import saturated
+from ..detect.samples.saturation import saturated
 from ..findings import Finding
 from ..recording import Floats, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2

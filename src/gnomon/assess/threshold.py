@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..detect.noise import resting_noise
-from ..detect.static import runs_below, trimmed
+from ..detect.samples.noise import resting_noise
+from ..detect.samples.static import runs_below, trimmed
 from ..errors import InitialisationError
-from ..estimate.magnitude import MagnitudeFit, fit_magnitude
+from ..estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, TriadSamples
 
@@ -32,7 +32,7 @@ class Motion:
     Attributes
     ----------
     samples : accelerometer
-    statistic : (n,) from `detect.static.static_statistic`; infinite where a sample cannot be static
+    statistic : (n,) from `detect.samples.static.static_statistic`; infinite where a sample cannot be static
     stirs : (n,) samples with which no static interval begins or ends
     saturated : (n,) samples that no static interval may hold
     """

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..estimate.cluster_trust import Trusted
-from ..estimate.triad import TriadFit
-from ..estimate.triad_poses import S_
-from ..estimate.triad_trust import together
+from ..estimate.triads.triad import TriadFit
+from ..estimate.triads.triad_poses import S_
+from ..estimate.triads.triad_trust import together
+from ..estimate.trust.cluster_trust import Trusted
 from ..findings import Finding
 from ..recording import Floats
 from .bias_findings import bias_findings

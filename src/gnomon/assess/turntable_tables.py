@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import Gravity
-from ..estimate.cluster_trust import Trusted
-from ..estimate.triad import TriadFit, TriadPoses
-from ..estimate.triad_trust import together
-from ..estimate.turntable import TurntableFit
-from ..estimate.turntable_parts import TurntableParts
+from ..estimate.triads.triad import TriadFit, TriadPoses
+from ..estimate.triads.triad_trust import together
+from ..estimate.trust.cluster_trust import Trusted
+from ..estimate.turntable.fit import TurntableFit
+from ..estimate.turntable.parts import TurntableParts
 from ..recording import Floats
 from ..triad_diagnostics import (
     GyroscopeAtRest,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..diagnostics import EstimatedParameter
-from ..estimate.scaling import ImuEstimate
+from ..estimate.multiposition.scaling import ImuEstimate
 from ..findings import Finding
 from ..recording import Floats
 from ..requirements import GENERAL_RIG

@@ -18,14 +18,14 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..detect.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
-from ..detect.tag_spacing import tag_spacing
-from ..detect.worker import BoardProcess, ProcessLostError, detector
+from ..detect.boards.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
+from ..detect.boards.tag_spacing import tag_spacing
+from ..detect.boards.worker import BoardProcess, ProcessLostError, detector
 from ..errors import DetectionError, RecordingError
 from ..images import Frame, Grey, ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
-from ..readers.kalibr_camchain import CameraInput
+from ..readers.rig.kalibr_camchain import CameraInput
 from ..recording import CameraFrames, FrameQuality
 
 Progress = Callable[[str], None]
@@ -261,7 +261,7 @@ def _check_board(images: CameraImages, views: list[BoardView], target: Target) -
 
 
 def _what_they_show(stream: ImageStream, count: int, target: Target) -> str:
-    from ..detect.board_guess import guess_board
+    from ..detect.boards.board_guess import guess_board
 
     step = max(count // _SAMPLES, 1)
     images: list[Grey] = []
@@ -302,7 +302,7 @@ def _numbered_alike(seen: list[_Seen], target: Target, camera: Camera | None) ->
     views = tuple(item.view for item in seen)
     if target.kind not in {"checkerboard", "circlegrid"}:
         return views
-    from ..detect.checkerboard_order import consistent_order
+    from ..detect.boards.checkerboard_order import consistent_order
 
     t_ns = np.array([item.t_ns for item in seen], dtype=np.int64)
     return consistent_order(views, t_ns, target, camera=camera).views

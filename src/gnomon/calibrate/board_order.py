@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..detect.board import BoardView
-from ..detect.checkerboard_order import (
+from ..detect.boards.board import BoardView
+from ..detect.boards.checkerboard_order import (
     OrderedViews,
     Turned,
     about_normal,

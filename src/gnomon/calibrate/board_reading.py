@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import RecordingError
 from ..images import ImageRecording
 from ..models.target import Target
-from ..readers.kalibr_camchain import CameraInput
+from ..readers.rig.kalibr_camchain import CameraInput
 from .board_corners import BoardCorners, CameraImages, detect_corners
 from .corner_cache import cache_file, keep_corners, kept_corners
 

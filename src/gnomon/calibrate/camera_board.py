@@ -14,7 +14,7 @@ from ..camera_options import CameraOptions
 from ..estimate.camera_imu.residual_patterns import along_board, common_pattern
 from ..estimate.cameras.rig import RigSolution
 from ..estimate.cameras.solution import solved
-from ..estimate.model_choice import Candidate, Step, model_steps
+from ..estimate.trust.model_choice import Candidate, Step, model_steps
 from ..recording import Floats, Integers
 from ..trust import ModelStep
 from .camera_lenses import time_clusters

@@ -19,8 +19,8 @@ from ..estimate.camera_imu.model_ladder import EXTRAS, LADDER, ladder, step_colu
 from ..estimate.camera_imu.parameters import Parameters, layout
 from ..estimate.camera_imu.residual_patterns import board_evidence
 from ..estimate.camera_imu.solution import Solution, solved
-from ..estimate.clusters import ClusterSums
-from ..estimate.robust import clustered, memory
+from ..estimate.trust.clusters import ClusterSums
+from ..estimate.trust.robust import clustered, memory
 from ..options import CameraImuOptions
 from ..trust import ModelStep
 

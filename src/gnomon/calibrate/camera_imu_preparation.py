@@ -6,9 +6,9 @@ import numpy as np
 
 from ..assess.camera_checks import check_cameras
 from ..assess.rig_checks import check_look
-from ..detect.repair import repaired
-from ..detect.saturation import saturated
-from ..detect.time_base import time_base
+from ..detect.samples.repair import repaired
+from ..detect.samples.saturation import saturated
+from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, RecordingError
 from ..estimate.camera_imu.batch import Noise
 from ..estimate.camera_imu.first_guess import ImuStream, Look

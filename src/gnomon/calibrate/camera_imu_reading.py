@@ -16,14 +16,14 @@ from ..errors import OptionError
 from ..findings import Finding
 from ..images import ImageRecording, ImageStream
 from ..models.target import Target
-from ..readers.camera_folder import holds_corners, recording_folder
-from ..readers.camera_imu import read_corner_recording
 from ..readers.files import file_source
-from ..readers.image_recording import open_images
-from ..readers.kalibr_camchain import CameraInput
-from ..readers.kalibr_imu_input import ImuInput
-from ..readers.kalibr_target import read_target
-from ..readers.sensor_inputs import read_cameras, read_imus, read_rig
+from ..readers.images.image_recording import open_images
+from ..readers.rig.camera_folder import holds_corners, recording_folder
+from ..readers.rig.camera_imu import read_corner_recording
+from ..readers.rig.kalibr_camchain import CameraInput
+from ..readers.rig.kalibr_imu_input import ImuInput
+from ..readers.rig.kalibr_target import read_target
+from ..readers.rig.sensor_inputs import read_cameras, read_imus, read_rig
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..units import Units
 from .board_reading import Progress, corners_of_camera, stated_cameras

@@ -1,7 +1,7 @@
 """Which lens model each camera has: as stated, or the simplest that predicts unseen views as well as any.
 
 Every candidate is estimated from the views of its camera. What it says of a view that it has not seen follows from the
-sums of the views (`estimate.clusters`): the estimate without the view, which then takes the best pose of its own.
+sums of the views (`estimate.trust.clusters`): the estimate without the view, which then takes the best pose of its own.
 Views that an estimate left out as misfits are posed, and count like the others.
 """
 
@@ -20,8 +20,8 @@ from ..estimate.cameras.holdout import posed
 from ..estimate.cameras.rig import RigSolution, SeenCorners, Views
 from ..estimate.cameras.solution import solved
 from ..estimate.cameras.views import corners_of_camera
-from ..estimate.clusters import held_out_costs
-from ..estimate.robust import clustered, memory
+from ..estimate.trust.clusters import held_out_costs
+from ..estimate.trust.robust import clustered, memory
 from ..models.camera import Camera
 from ..models.distortions import DISTORTIONS
 from ..models.projections import PROJECTIONS

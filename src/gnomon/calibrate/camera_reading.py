@@ -16,16 +16,16 @@ from ..errors import OptionError, RecordingError
 from ..images import ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
-from ..readers.camera_folder import corner_streams, holds_corners, recording_folder
-from ..readers.camera_imu import corners_of
-from ..readers.camera_places import camera_places, image_names
 from ..readers.files import file_source
-from ..readers.image_file import read_grey
-from ..readers.image_recording import open_images
-from ..readers.kalibr_camchain import CameraInput
-from ..readers.kalibr_target import read_target
+from ..readers.images.camera_places import camera_places, image_names
+from ..readers.images.image_file import read_grey
+from ..readers.images.image_recording import open_images
 from ..readers.read_log import ReadLog
-from ..readers.sensor_inputs import read_cameras
+from ..readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
+from ..readers.rig.camera_imu import corners_of
+from ..readers.rig.kalibr_camchain import CameraInput
+from ..readers.rig.kalibr_target import read_target
+from ..readers.rig.sensor_inputs import read_cameras
 from ..recording import CameraFrames, Recording
 from ..units import Units
 from .board_reading import Progress, corners_of_camera, stated_cameras

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..detect.board import BoardView
-from ..detect.checkerboard_order import ambiguous_turns, renumbered
+from ..detect.boards.board import BoardView
+from ..detect.boards.checkerboard_order import ambiguous_turns, renumbered
 from ..estimate.cameras.first_rig import first_rig, numbered_alike
 from ..estimate.cameras.holdout import merged, posed
 from ..estimate.cameras.information import chosen_views

@@ -9,7 +9,7 @@ from ..calibration import CameraCalibration
 from ..camera_options import CameraOptions
 from ..errors import OptionError
 from ..estimate.cameras.rig import RigSolution
-from ..estimate.cluster_trust import trusted
+from ..estimate.trust.cluster_trust import trusted
 from ..parameters import covariance_names
 from ..recording import Floats
 from ..trust import Trust

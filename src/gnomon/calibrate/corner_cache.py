@@ -19,7 +19,7 @@ from .._version import __version__
 from ..errors import GnomonError
 from ..models.target import Target
 from ..output import atomic_file
-from ..readers.kalibr_camchain import CameraInput
+from ..readers.rig.kalibr_camchain import CameraInput
 from ..recording import CameraFrames, FrameQuality, Source
 from .board_corners import BoardCorners
 

@@ -21,14 +21,14 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..detect.static import static_statistic, window_samples
+from ..detect.samples.static import static_statistic, window_samples
 from ..diagnostics import Result
 from ..errors import DetectionError
-from ..estimate.cluster_trust import Trusted, trusted
-from ..estimate.multiposition import MultiPositionFit, fit_multiposition
-from ..estimate.multiposition_sums import free_jacobian, stretch_sums
-from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
-from ..estimate.scaling import ImuEstimate, sensor_scalars, unscaled
+from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
+from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
+from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscaled
+from ..estimate.multiposition.sums import free_jacobian, stretch_sums
+from ..estimate.trust.cluster_trust import Trusted, trusted
 from ..evidence import Evidence, Priors, known_beforehand
 from ..findings import Finding
 from ..intervals import Booleans

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimate.leave_one_out import HeldOut, leave_one_out
-from ..estimate.multiposition import MultiPositionFit, fit_multiposition
-from ..estimate.multiposition_steps import as_table, imu_models
-from ..estimate.multiposition_sums import free_jacobian, stretch_sums
-from ..estimate.problem import MultiPositionProblem
-from ..estimate.robust import clustered, memory
-from ..estimate.scaling import blocks_of_scalars, sensor_scalars
+from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
+from ..estimate.multiposition.leave_one_out import HeldOut, leave_one_out
+from ..estimate.multiposition.problem import MultiPositionProblem
+from ..estimate.multiposition.scaling import blocks_of_scalars, sensor_scalars
+from ..estimate.multiposition.steps import as_table, imu_models
+from ..estimate.multiposition.sums import free_jacobian, stretch_sums
+from ..estimate.trust.robust import clustered, memory
 from ..evidence import Evidence
 from ..options import ImuOptions
 from ..recording import Floats

@@ -22,12 +22,12 @@ from ..calibration import (
 )
 from ..diagnostics import Result
 from ..errors import InitialisationError, OptionError
-from ..estimate.blocks import Blocks, block_covariance, left_out, memory_s
-from ..estimate.dip import DipFit, fit_dip, in_body_frame
-from ..estimate.field_poses import FieldPoses, field_poses, sample_noise
-from ..estimate.field_trust import field_trust
-from ..estimate.gravity_along import GravityFit, fit_gravity, force_at
-from ..estimate.magnetometer import MagnetometerFit, fit_magnetometer, stray_samples
+from ..estimate.triads.blocks import Blocks, block_covariance, left_out, memory_s
+from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
+from ..estimate.triads.field_poses import FieldPoses, field_poses, sample_noise
+from ..estimate.triads.field_trust import field_trust
+from ..estimate.triads.gravity_along import GravityFit, fit_gravity, force_at
+from ..estimate.triads.magnetometer import MagnetometerFit, fit_magnetometer, stray_samples
 from ..evidence import Evidence, Priors, known_beforehand
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions

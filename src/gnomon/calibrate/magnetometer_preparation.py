@@ -6,12 +6,12 @@ import numpy as np
 
 from ..assess.magnetometer_checks import check_field_samples
 from ..calibration import Calibration
-from ..detect.repair import repaired
-from ..detect.saturation import saturated
-from ..detect.time_base import time_base
+from ..detect.samples.repair import repaired
+from ..detect.samples.saturation import saturated
+from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, OptionError, RecordingError
-from ..estimate.field_poses import rough_ellipsoid, sample_noise
-from ..estimate.triad_start import Ellipsoid
+from ..estimate.triads.field_poses import rough_ellipsoid, sample_noise
+from ..estimate.triads.triad_start import Ellipsoid
 from ..evidence import Priors
 from ..findings import Finding
 from ..intervals import Booleans

@@ -17,21 +17,21 @@ from ..assess.noise_checks import check_length, check_samples, check_still
 from ..assess.noise_verdict import assess_noise
 from ..assess.verdict import verdict_of, worst_first
 from ..calibration import Provenance
-from ..detect.noise import averaging_time
-from ..detect.rest import RestTable, RestWatch
+from ..detect.samples.noise import averaging_time
+from ..detect.samples.rest import RestTable, RestWatch
 from ..errors import RecordingError
-from ..estimate.allan import AllanSums, AllanVariance
-from ..estimate.allan_fit import AllanFit, AxisFit
-from ..estimate.allan_model import KINDS
+from ..estimate.allan.deviation import AllanSums, AllanVariance
+from ..estimate.allan.fit import AllanFit, AxisFit
+from ..estimate.allan.model import KINDS
 from ..findings import Finding
 from ..options import NoiseOptions
-from ..readers.device_log import is_device_log
+from ..readers.devices.device_log import is_device_log
 from ..readers.files import file_source
-from ..readers.folder import recording_files
-from ..readers.recognise import gyroscope_unit
 from ..readers.recordings import read
-from ..readers.sample_stream import SampleStream
-from ..readers.stream import open_stream, stream_of
+from ..readers.samples.folder import recording_files
+from ..readers.samples.recognise import gyroscope_unit
+from ..readers.samples.sample_stream import SampleStream
+from ..readers.samples.stream import open_stream, stream_of
 from ..recording import Floats, Recording, Source, TriadSamples
 from ..sensor_noise import SENSOR_UNITS, AllanTable, AxisNoise, Coefficient, NoiseResult, SensorNoise, TriadNoise
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units

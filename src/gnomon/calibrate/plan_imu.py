@@ -19,9 +19,9 @@ from ..calibration import (
     covariance_names,
 )
 from ..errors import SolveError
-from ..estimate.drift import walk_precision, with_drift
-from ..estimate.multiposition import weak_prior_sigma
-from ..estimate.multiposition_model import (
+from ..estimate.multiposition.drift import walk_precision, with_drift
+from ..estimate.multiposition.fit import weak_prior_sigma
+from ..estimate.multiposition.model import (
     B_,
     BG_,
     CG_,
@@ -34,9 +34,9 @@ from ..estimate.multiposition_model import (
     linearise,
     normal_equations,
 )
-from ..estimate.noise_levels import ExtraVariance, rotation_variance, whitened_rest
-from ..estimate.problem import MultiPositionProblem, TriadStream, build_problem
-from ..estimate.scaling import unscaled
+from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_variance, whitened_rest
+from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem
+from ..estimate.multiposition.scaling import unscaled
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
@@ -138,7 +138,7 @@ def _planned_problem(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Fit:
-    """What a fit would say; see `estimate.scaling.Fitted`."""
+    """What a fit would say; see `estimate.multiposition.scaling.Fitted`."""
 
     state: State
     covariance: Floats

@@ -17,9 +17,9 @@ from ..calibration import Calibration
 from ..errors import GnomonError
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
-from ..readers.kalibr_camchain import CameraInput
-from ..readers.kalibr_target import read_target
-from ..readers.sensor_inputs import read_cameras, read_imus
+from ..readers.rig.kalibr_camchain import CameraInput
+from ..readers.rig.kalibr_target import read_target
+from ..readers.rig.sensor_inputs import read_cameras, read_imus
 from ..recording import Floats
 from ..requirements import GENERAL_IMU, GENERAL_RIG, Use
 from ..sensors import CameraCalibration

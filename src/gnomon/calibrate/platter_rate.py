@@ -7,11 +7,11 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
-from ..detect.platter_rate import PlatterRate, platter_rate
+from ..detect.platter.rate import PlatterRate, platter_rate
 from ..errors import DetectionError, RecordingError
 from ..images import ImageStream
-from ..readers.camera_places import video_place
-from ..readers.image_recording import holds_images, open_images
+from ..readers.images.camera_places import video_place
+from ..readers.images.image_recording import holds_images, open_images
 from ..readers.read_log import ReadLog
 from ..units import Units
 
@@ -48,7 +48,7 @@ def rate_from_video(
 
 def _stream(place: Path) -> ImageStream:
     """Return the images; of a video without what lies beside it, but for a table of its stamps."""
-    from ..readers.video import is_video, video_stream  # PyAV takes its time
+    from ..readers.images.video import is_video, video_stream  # PyAV takes its time
 
     if not place.exists():
         raise RecordingError(f"{place}: there is no such file or folder. Check the path.")

@@ -8,9 +8,9 @@ import numpy as np
 
 from ..assess.pose_tables import RestingGyroscope
 from ..calibration import Gravity
-from ..estimate.static_g_sensitivity import RestingRates, StaticGSensitivity, fit_static_g_sensitivity
-from ..estimate.triad import TriadFit
-from ..estimate.triad_poses import B_, G_, S_, TriadPrior
+from ..estimate.triads.static_g_sensitivity import RestingRates, StaticGSensitivity, fit_static_g_sensitivity
+from ..estimate.triads.triad import TriadFit
+from ..estimate.triads.triad_poses import B_, G_, S_, TriadPrior
 from ..evidence import Evidence
 from ..geometry.so3 import inverse, nearest_rotation
 from ..models.gravity import EARTH_RATE_RAD_S

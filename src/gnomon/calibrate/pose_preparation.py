@@ -7,10 +7,10 @@ import numpy as np
 from ..assess.doctor import check
 from ..assess.signals import check_signal
 from ..assess.threshold import MULTIPLIERS, Motion, choose_threshold
-from ..detect.noise import resting_noise
-from ..detect.repair import repaired
-from ..detect.saturation import saturated
-from ..detect.static import (
+from ..detect.samples.noise import resting_noise
+from ..detect.samples.repair import repaired
+from ..detect.samples.saturation import saturated
+from ..detect.samples.static import (
     resting_variances,
     runs_below,
     static_statistic,
@@ -18,9 +18,9 @@ from ..detect.static import (
     window_samples,
     window_variances,
 )
-from ..detect.time_base import time_base
+from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, RecordingError
-from ..estimate.problem import gyroscope_intervals
+from ..estimate.multiposition.problem import gyroscope_intervals
 from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..options import ImuOptions

@@ -23,11 +23,11 @@ from ..calibration import (
 )
 from ..diagnostics import Result
 from ..errors import DetectionError, InitialisationError, OptionError
-from ..estimate.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
-from ..estimate.static_g_sensitivity import FEWEST_POSES
-from ..estimate.triad import TriadFit, fit_triad
-from ..estimate.triad_poses import PARAMETERS, TriadPoses, TriadPrior
-from ..estimate.triad_trust import robust_triad
+from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
+from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
+from ..estimate.triads.triad import TriadFit, fit_triad
+from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
+from ..estimate.triads.triad_trust import robust_triad
 from ..evidence import NOTHING, Evidence, Priors, known_beforehand
 from ..findings import Finding
 from ..options import ImuOptions

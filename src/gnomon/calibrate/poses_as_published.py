@@ -22,7 +22,7 @@ from ..calibration import (
 )
 from ..diagnostics import Result
 from ..errors import InitialisationError, OptionError, SolveError
-from ..estimate.angrisano import AngrisanoFit, canonical, datasheet_start, fit_components, fit_magnitudes
+from ..estimate.triads.angrisano import AngrisanoFit, canonical, datasheet_start, fit_components, fit_magnitudes
 from ..findings import Finding
 from ..options import ImuOptions
 from ..recording import Floats, Poses, Recording

@@ -8,14 +8,14 @@ import numpy as np
 from ..assess.doctor import check
 from ..calibration import UNSTATED_GRAVITY, AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
 from ..camera_options import CameraOptions
-from ..detect.noise import resting_noise
-from ..detect.repair import repaired
-from ..detect.saturation import saturated
-from ..detect.static import turning
-from ..detect.time_base import TimeBase, time_base
+from ..detect.samples.noise import resting_noise
+from ..detect.samples.repair import repaired
+from ..detect.samples.saturation import saturated
+from ..detect.samples.static import turning
+from ..detect.samples.time_base import TimeBase, time_base
 from ..errors import DetectionError, RecordingError
-from ..estimate.problem import TriadStream
-from ..estimate.scaling import ImuEstimate
+from ..estimate.multiposition.problem import TriadStream
+from ..estimate.multiposition.scaling import ImuEstimate
 from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals
 from ..models.gravity import (

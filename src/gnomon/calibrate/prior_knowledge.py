@@ -3,10 +3,10 @@
 import numpy as np
 
 from ..errors import OptionError
-from ..estimate.multiposition import Knowledge
-from ..estimate.multiposition_model import State
-from ..estimate.problem import MultiPositionProblem
-from ..estimate.scaling import ImuEstimate, sensor_scalars
+from ..estimate.multiposition.fit import Knowledge
+from ..estimate.multiposition.model import State
+from ..estimate.multiposition.problem import MultiPositionProblem
+from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars
 from ..evidence import SCALARS, Evidence, Priors
 from ..options import ImuOptions
 from ..recording import Floats

@@ -31,15 +31,15 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..detect.noise import resting_noise
-from ..detect.static import runs_below, variance_magnitude_squared, window_samples, window_variances
+from ..detect.samples.noise import resting_noise
+from ..detect.samples.static import runs_below, variance_magnitude_squared, window_samples, window_variances
 from ..diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, Result, RotationTable
 from ..errors import DetectionError, InitialisationError
-from ..estimate.magnitude import UPPER, MagnitudeFit
-from ..estimate.problem import gyroscope_intervals
-from ..estimate.rotations import MotionSegments, cut_segments, segments_between
-from ..estimate.scaling import ImuEstimate
-from ..estimate.tedaldi import (
+from ..estimate.multiposition.magnitude import UPPER, MagnitudeFit
+from ..estimate.multiposition.problem import gyroscope_intervals
+from ..estimate.multiposition.rotations import MotionSegments, cut_segments, segments_between
+from ..estimate.multiposition.scaling import ImuEstimate
+from ..estimate.multiposition.tedaldi import (
     RULES,
     SAMPLES_PER_INTERVAL,
     GyroscopeFit,

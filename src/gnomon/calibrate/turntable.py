@@ -25,9 +25,9 @@ from ..calibration import (
 )
 from ..diagnostics import Result
 from ..errors import DetectionError, InitialisationError, OptionError
-from ..estimate.turntable import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
-from ..estimate.turntable_parts import TurntableParts
-from ..estimate.turntable_speeds import NO_SPEED, reassign
+from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
+from ..estimate.turntable.parts import TurntableParts
+from ..estimate.turntable.speeds import NO_SPEED, reassign
 from ..evidence import NOTHING, Evidence, Priors, known_beforehand
 from ..findings import Finding
 from ..recording import Recording

@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..detect.noise import resting_noise
-from ..detect.steady import block_means, block_samples
+from ..detect.samples.noise import resting_noise
+from ..detect.samples.steady import block_means, block_samples
 from ..errors import RecordingError
-from ..estimate.turntable_axis import AxisInSensor, Between, ForceBlocks, axis_in_sensor, linked
-from ..estimate.turntable_parts import TurntableData, TurntableParts
-from ..estimate.turntable_speeds import NO_SPEED, Speeds
+from ..estimate.turntable.axis import AxisInSensor, Between, ForceBlocks, axis_in_sensor, linked
+from ..estimate.turntable.parts import TurntableData, TurntableParts
+from ..estimate.turntable.speeds import NO_SPEED, Speeds
 from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals
 from ..recording import Floats, Integers, TriadSamples

@@ -7,12 +7,12 @@ import numpy as np
 
 from ..assess.signals import check_signal
 from ..assess.stamps import check_stamps
-from ..detect.repair import repaired
-from ..detect.saturation import saturated
-from ..detect.steady import block_samples, find_steady, largest_rate
+from ..detect.samples.repair import repaired
+from ..detect.samples.saturation import saturated
+from ..detect.samples.steady import block_samples, find_steady, largest_rate
 from ..errors import DetectionError, OptionError, RecordingError
-from ..estimate.turntable_parts import TurntableParts
-from ..estimate.turntable_speeds import NO_SPEED, Speeds, assign_speeds
+from ..estimate.turntable.parts import TurntableParts
+from ..estimate.turntable.speeds import NO_SPEED, Speeds, assign_speeds
 from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, Integers, Recording, TriadSamples

@@ -74,8 +74,8 @@ def _read(source: PosesInput) -> "Recording":
 
 def _show(command: commands.Show, terminal: Terminal) -> int:
     from ..readers import load
-    from ..readers.foreign_files import is_own
-    from ..readers.noise_file import is_noise
+    from ..readers.own.noise_file import is_noise
+    from ..readers.projects.foreign_files import is_own
     from ..writers.tables import form_tables, summary_table
 
     own = is_own(command.calibration)
@@ -104,7 +104,7 @@ def _show(command: commands.Show, terminal: Terminal) -> int:
 
 
 def _show_foreign(command: commands.Show, terminal: Terminal) -> int:
-    from ..readers.foreign_files import load_foreign
+    from ..readers.projects.foreign_files import load_foreign
     from ..writers.foreign_tables import foreign_document, foreign_tables
 
     foreign = load_foreign(command.calibration)

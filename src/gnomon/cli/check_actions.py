@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ..findings import Finding
     from ..images import ImageRecording
     from ..models.target import Target
-    from ..readers.kalibr_camchain import CameraInput
-    from ..readers.kalibr_imu_input import ImuInput
+    from ..readers.rig.kalibr_camchain import CameraInput
+    from ..readers.rig.kalibr_imu_input import ImuInput
     from ..recording import ImuSamples, Integers, Recording, TriadSamples
 
 _FILES = {"cam": "camchain.yaml", "imu": "imu.yaml", "target": "target.yaml"}
@@ -26,8 +26,8 @@ _FILES = {"cam": "camchain.yaml", "imu": "imu.yaml", "target": "target.yaml"}
 
 def check(command: commands.Check, terminal: Terminal) -> int:
     """Look at a recording, say what was found, and return the exit code."""
-    from ..readers.camera_folder import holds_corners
-    from ..readers.image_recording import holds_images
+    from ..readers.images.image_recording import holds_images
+    from ..readers.rig.camera_folder import holds_corners
 
     path = command.recording.path
     folder = path / "mav0" if (path / "mav0").is_dir() else path
@@ -68,7 +68,7 @@ def _check_imu(command: commands.Check, terminal: Terminal) -> int:
 
 def _check_corners(command: commands.Check, terminal: Terminal) -> int:
     from ..calibrate import read_camera_imu, read_camera_views
-    from ..readers.camera_folder import holds_imu, recording_folder
+    from ..readers.rig.camera_folder import holds_imu, recording_folder
 
     known = _Known.of(command)
     if known.files["cam"] is None or known.files["target"] is None:
@@ -87,7 +87,7 @@ def _check_corners(command: commands.Check, terminal: Terminal) -> int:
 
 def _check_corner_stamps(command: commands.Check, known: "_Known", terminal: Terminal) -> int:
     from ..assess.rig_doctor import check_imus, check_stamps_together
-    from ..readers.corner_stamps import read_corner_stamps
+    from ..readers.rig.corner_stamps import read_corner_stamps
 
     found = read_corner_stamps(command.recording.path, command.recording.units)
     findings = [*check_imus(found.imus), *check_stamps_together(found.frames, found.imus, {})]
@@ -110,7 +110,7 @@ def _corner_entries(recording: "Recording") -> dict[str, dict[str, Any]]:
 
 def _check_images(command: commands.Check, terminal: Terminal) -> int:
     from ..assess.rig_doctor import check_rig
-    from ..readers.image_recording import open_images
+    from ..readers.images.image_recording import open_images
 
     known = _Known.of(command)
     terminal.progress("opening the recording")
@@ -172,7 +172,7 @@ class _Known:
 
     def cameras(self) -> "dict[str, CameraInput]":
         """Return what camchain.yaml says, or nothing."""
-        from ..readers.sensor_inputs import read_cameras
+        from ..readers.rig.sensor_inputs import read_cameras
 
         if self._cameras is None:
             cam = self.files["cam"]
@@ -181,14 +181,14 @@ class _Known:
 
     def imus(self) -> "dict[str, ImuInput]":
         """Return what imu.yaml says, or nothing."""
-        from ..readers.sensor_inputs import read_imus
+        from ..readers.rig.sensor_inputs import read_imus
 
         imu = self.files["imu"]
         return {} if imu is None else read_imus(imu, self.notes)
 
     def target(self) -> "Target | None":
         """Return the board, where one is described."""
-        from ..readers.kalibr_target import read_target
+        from ..readers.rig.kalibr_target import read_target
 
         target = self.files["target"]
         return None if target is None else read_target(target, self.notes)

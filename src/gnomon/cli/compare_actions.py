@@ -22,7 +22,7 @@ _STYLES = {"pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
 def compare(command: Compare, terminal: Terminal) -> int:
     """Compare calibrations, and return the exit code."""
     from ..calibrate.comparison import compare as compare_calibrations
-    from ..readers.calibration_sources import source_names
+    from ..readers.own.calibration_sources import source_names
 
     sources = sources_of(command.calibrations)
     guessed = source_names([paths for _, paths in sources])

@@ -31,7 +31,7 @@ def convert(command: commands.Convert, terminal: Terminal) -> int:
 
 def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
     from ..readers import load
-    from ..readers.foreign_files import is_own, load_foreign
+    from ..readers.projects.foreign_files import is_own, load_foreign
     from ..writers.conversion import convert as write
     from ..writers.conversion import exported
 
@@ -89,7 +89,7 @@ def _noise(command: commands.Convert) -> tuple["Mapping[str, StatedImu] | None",
 
 
 def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
-    from ..readers.image_recording import open_images
+    from ..readers.images.image_recording import open_images
 
     _refuse_calibration(command)
     output = command.output or _default_output(command)
@@ -117,7 +117,7 @@ def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
 
 def _with_lenses(recording: "ImageRecording", path: Path) -> "ImageRecording":
     """Return the recording with the lenses of camchain.yaml in its folder, where it states none itself."""
-    from ..readers.sensor_inputs import read_cameras
+    from ..readers.rig.sensor_inputs import read_cameras
 
     file = (path if path.is_dir() else path.parent) / "camchain.yaml"
     if not file.is_file() or all(stream.camera is not None for stream in recording.streams.values()):
@@ -160,7 +160,7 @@ def _default_output(command: commands.Convert) -> Path:
 
 def _refuse_recording(command: commands.Convert) -> None:
     """Refuse to write a recording in a format of calibrations."""
-    from ..readers.image_recording import holds_images
+    from ..readers.images.image_recording import holds_images
 
     if command.path.is_dir() or (not _is_calibration(command.path) and holds_images(command.path)):
         raise OptionError(

@@ -68,7 +68,7 @@ def noise(command: noise_command.Noise, terminal: Terminal) -> int:
 
 def show_noise(path: Path, terminal: Terminal) -> int:
     """Show a noise.yaml."""
-    from ..readers.noise_file import load_noise
+    from ..readers.own.noise_file import load_noise
     from ..writers.noise_file import noise_document
 
     found = load_noise(path)

@@ -10,7 +10,7 @@ from .results import USABLE
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..detect.platter_rate import PlatterRate
+    from ..detect.platter.rate import PlatterRate
 
 
 def rate(command: Rate, terminal: Terminal) -> int:

@@ -93,13 +93,13 @@ def _of_imu(path: Path, calibration: "Calibration") -> "Calibration":
 
 def _noise(path: Path) -> "ImuNoise | None":
     """Return the noise that a file states, or None where it is no such file."""
-    from ..readers.foreign_files import is_own
-    from ..readers.noise_file import is_noise, load_noise
+    from ..readers.own.noise_file import is_noise, load_noise
+    from ..readers.projects.foreign_files import is_own
 
     if is_noise(path):
         return load_noise(path).imu_noise()
     if is_own(path):
         return None
-    from ..readers.sensor_inputs import read_imus
+    from ..readers.rig.sensor_inputs import read_imus
 
     return next(iter(read_imus(path, []).values())).noise

@@ -41,6 +41,6 @@ class SimulateCameras:
         FormatError
             If the file cannot be read, or states something that is no option.
         """
-        from ..readers.options_file import read_options  # NumPy is not needed for the help
+        from ..readers.own.options_file import read_options  # NumPy is not needed for the help
 
         return cls(output=tyro.MISSING, scenario=path, options=read_options(path, CamerasScenario))

@@ -80,7 +80,7 @@ def _board(command: target_command.PrintTarget) -> "Target":
         case "circlegrid":
             return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=command.asymmetric)
         case _:
-            from ..readers.kalibr_target import dictionary_name
+            from ..readers.rig.kalibr_target import dictionary_name
 
             return Target.charuco(
                 cols=cols,
@@ -98,7 +98,7 @@ def _stated(value: Any, usual: Any) -> Any:
 
 
 def _described(name: str) -> "Target":
-    from ..readers.kalibr_target import read_target
+    from ..readers.rig.kalibr_target import read_target
 
     if not Path(name).exists():
         raise OptionError(f"{name}: there is neither such a board nor such a file. Boards are {', '.join(KINDS)}.")

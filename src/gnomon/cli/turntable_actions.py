@@ -21,7 +21,7 @@ from .turntable_command import SimulateTurntable, Turntable
 from .use_option import judged_result, read_use_option
 
 if TYPE_CHECKING:
-    from ..detect.platter_rate import PlatterRate
+    from ..detect.platter.rate import PlatterRate
     from ..diagnostics import Result
     from ..findings import Finding
     from ..recording import Recording
@@ -34,7 +34,7 @@ TRUTH = "truth.yaml"
 def turntable(command: Turntable, terminal: Terminal) -> int:
     """Calibrate, write the folder of the result, and return the exit code."""
     from ..calibrate.turntable import calibrate_turntable
-    from ..readers.turntable_files import turntable_files
+    from ..readers.samples.turntable_files import turntable_files
 
     groups = turntable_files(command.recordings)
     folder = command.output or default_folder(tuple(command.recordings[:1]))
@@ -66,7 +66,7 @@ def turntable(command: Turntable, terminal: Terminal) -> int:
 
 
 def _read(command: Turntable, groups: Sequence[tuple[Path, ...]], terminal: Terminal) -> "list[Recording]":
-    from ..readers.turntable_files import read_turntable
+    from ..readers.samples.turntable_files import read_turntable
 
     recordings: list[Recording] = []
     for k, files in enumerate(groups):

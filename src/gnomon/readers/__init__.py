@@ -4,10 +4,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .calibration_file import load
+    from .own.calibration_file import load
     from .recordings import read
 
-_HOMES = {"load": "calibration_file", "read": "recordings"}
+_HOMES = {"load": "own.calibration_file", "read": "recordings"}
 
 __all__ = ["load", "read"]
 

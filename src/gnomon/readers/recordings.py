@@ -8,13 +8,13 @@ import numpy as np
 from ..errors import OptionError, RecordingError
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
 from ..units import Units
-from .column_roles import HELP
 from .files import NPZ_MAGIC, file_source, first_bytes, read_text
-from .folder import recording_files
-from .pose_files import joined, pose_files
-from .pose_table import LARGEST_BYTES, read_pose_table
-from .recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
-from .table import Table, Triad, read_table
+from .samples.column_roles import HELP
+from .samples.folder import recording_files
+from .samples.pose_files import joined, pose_files
+from .samples.pose_table import LARGEST_BYTES, read_pose_table
+from .samples.recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
+from .samples.table import Table, Triad, read_table
 
 StampedTriad = tuple[Integers, Triad]
 Streams = tuple[StampedTriad | None, StampedTriad | None, StampedTriad | None]
@@ -61,7 +61,7 @@ def _read_logged(
     units: str | Units | None,
 ) -> Recording | None:
     """Read what a camera or a phone logged; None where the paths are something else."""
-    from .device_log import read_device_log
+    from .devices.device_log import read_device_log
 
     log = read_device_log(paths, columns, rate_hz)
     if log is None:
@@ -149,7 +149,7 @@ def _read_npz(
         raise OptionError(f"columns are for text tables; {files[0].name} is an NPZ file, whose arrays have names.")
     if len(files) != 1:
         raise OptionError("give one NPZ file; all triads are in it.")
-    from .npz import read_npz  # zipfile takes its time
+    from .samples.npz import read_npz  # zipfile takes its time
 
     notes: list[str] = []
     imus: dict[str, ImuSamples] = {}

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimate.angrisano import AngrisanoFit, canonical
-from ..estimate.triad import fit_triad
+from ..estimate.triads.angrisano import AngrisanoFit, canonical
+from ..estimate.triads.triad import fit_triad
 from ..intervals import Booleans
 from ..recording import Floats
 from ..simulate.poses import PoseSimulation, simulated_poses

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import GnomonError
-from ..estimate.angrisano import (
+from ..estimate.triads.angrisano import (
     AngrisanoFit,
     Status,
     canonical,
@@ -14,7 +14,7 @@ from ..estimate.angrisano import (
     fit_magnitudes,
     sensor_jacobian,
 )
-from ..estimate.triad import TriadFit, TriadPoses, fit_triad
+from ..estimate.triads.triad import TriadFit, TriadPoses, fit_triad
 from ..models.angrisano import AngrisanoTriad
 from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats

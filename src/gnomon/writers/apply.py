@@ -15,8 +15,8 @@ import numpy as np
 from ..calibration import ImuCalibration
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
-from ..readers.sample_stream import TRIADS, Blocks, SampleStream
-from ..readers.stream import Rows, open_stream, stream_of
+from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
+from ..readers.samples.stream import Rows, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..units import Units
 

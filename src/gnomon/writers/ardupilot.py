@@ -1,7 +1,7 @@
 """ArduPilot: parameters INS_ACCOFFS_X, INS_ACCSCAL_X, INS_GYROFFS_X, ..., in a file that ground stations load.
 
 ArduPilot corrects f = (a - OFFS) SCAL, element by element, and w = y - OFFS, in the sensor's axes. Read back by
-`readers.flight_parameters`.
+`readers.projects.flight_parameters`.
 """
 
 from collections.abc import Iterator, Mapping

@@ -2,7 +2,7 @@
 
 Basalt corrects f = (I + S) a - b and w = (I + S_g) y - b_g of samples in m/s^2 and rad/s (see `writers.si_units`), in
 body frame accel-x. JSON has no comments: what the numbers mean stands under the key comment. Read back by
-`readers.basalt_json`.
+`readers.projects.basalt_json`.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""gnomon's own calibration file, schema "gnomon/1" and its minors; `readers.calibration_file` reads it.
+"""gnomon's own calibration file, schema "gnomon/1" and its minors; `readers.own.calibration_file` reads it.
 
 The minor is the lowest that holds the calibration, so that older versions can read what holds nothing newer. Matrices
 stand row by row, numbers read back bit by bit, and the same calibration gives the same bytes.
@@ -24,8 +24,8 @@ from ..calibration import (
 from ..errors import OutputError
 from ..findings import Finding
 from ..output import write_whole
-from ..readers.calibration_cameras import BOARD_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS
-from ..readers.calibration_file import SCHEMA_MAJOR
+from ..readers.own.calibration_cameras import BOARD_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS
+from ..readers.own.calibration_file import SCHEMA_MAJOR
 from ..trust import Need, TrustNote
 from .yaml_text import yaml_lines
 

@@ -13,7 +13,7 @@ from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..output import write_whole
 from ..parameters import parameters
-from ..readers.foreign import Residuals, Statistics
+from ..readers.projects.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
 from .context import Context, StatedImu, remarks
 from .kalibr import IMU_FILE, imu_text

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..calibration import Calibration, element_names, parameters
 from ..models.noise import ImuNoise
-from ..readers.foreign import FOREIGN_METHOD
+from ..readers.projects.foreign import FOREIGN_METHOD
 from .export import Loss
 
 _WIDTH = 116

@@ -8,9 +8,9 @@ from pathlib import Path
 from ..calibration import Calibration
 from ..errors import OptionError, OutputError
 from ..output import write_whole
-from ..readers.foreign import ForeignCalibration
-from ..readers.foreign_calibration import as_calibration
-from ..readers.imu_noise import read_imu_noise
+from ..readers.projects.foreign import ForeignCalibration
+from ..readers.projects.foreign_calibration import as_calibration
+from ..readers.rig.imu_noise import read_imu_noise
 from .context import Context, StatedImu, remark_losses, remarks
 from .export import Export, Loss
 
@@ -112,7 +112,7 @@ def exported(calibration: Calibration | ForeignCalibration, to: str, *, imu: Sta
 
 
 def stated_imus(path: str | PathLike[str]) -> dict[str, StatedImu]:
-    """Return noise, rate and topic of the IMUs that a file states; see `readers.imu_noise`.
+    """Return noise, rate and topic of the IMUs that a file states; see `readers.rig.imu_noise`.
 
     Raises
     ------

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ..models.camera import Camera
-from ..readers.foreign import ForeignCalibration, ForeignImu
-from ..readers.foreign_calibration import told
+from ..readers.projects.foreign import ForeignCalibration, ForeignImu
+from ..readers.projects.foreign_calibration import told
 from .tables import Row, Table, form_tables
 
 _FIXED = " (fixed)"

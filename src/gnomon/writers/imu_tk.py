@@ -1,7 +1,7 @@
 """imu_tk: for each triad a file of T (3x3), K (3x3) and B (3), white space between them; calibrated = T K (x - B).
 
 The format has no comments, but imu_tk reads no further than the numbers: what has to be said stands behind them. Read
-back by `readers.imu_tk_calib`.
+back by `readers.projects.imu_tk_calib`.
 """
 
 import numpy as np

@@ -1,6 +1,7 @@
 """imucal: one JSON file for each IMU, type Ferraris, format 2.0.0; m = K_a R_a f + b_a, y = K_g R_g w + K_ga f + b_g.
 
-imucal's rates are in deg/s, so that K_g is in unit per deg/s. The body frame may be any. Read by `readers.imucal_json`.
+imucal's rates are in deg/s, so that K_g is in unit per deg/s. The body frame may be any. Read by
+`readers.projects.imucal_json`.
 """
 
 import json

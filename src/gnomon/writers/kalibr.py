@@ -1,6 +1,6 @@
 """Kalibr: `imu.yaml` with the model of each IMU, as Kalibr itself writes its results, and the cameras' chain.
 
-Kalibr's samples are in m/s^2 and rad/s; see `writers.si_units`. Read back by `readers.kalibr_imu`.
+Kalibr's samples are in m/s^2 and rad/s; see `writers.si_units`. Read back by `readers.projects.kalibr_imu`.
 """
 
 from collections.abc import Iterator, Mapping

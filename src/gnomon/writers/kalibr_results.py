@@ -14,7 +14,7 @@ from ..calibration import Calibration, CameraCalibration
 from ..errors import OptionError
 from ..models.camera import Camera
 from ..models.target import Target
-from ..readers.foreign import Residuals
+from ..readers.projects.foreign import Residuals
 from ..recording import Floats
 from .kalibr import KalibrModel, StatedImu, kalibr_model
 from .kalibr_camchain import baseline

@@ -1,4 +1,4 @@
-"""The noise of an IMU as files: noise.yaml (read back by `readers.noise_file`), Kalibr's imu.yaml, allan.csv."""
+"""The noise of an IMU as files: noise.yaml (read back by `readers.own.noise_file`), Kalibr's imu.yaml, allan.csv."""
 
 from math import isfinite, sqrt
 from os import PathLike
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..output import write_whole
-from ..readers.noise_file import AXES, NOISE_SCHEMA
+from ..readers.own.noise_file import AXES, NOISE_SCHEMA
 from ..sensor_noise import SENSOR_UNITS, UNITS, Coefficient, NoiseResult, SensorNoise, TriadNoise
 from .calibration_file import finding_document, provenance_document
 from .kalibr import IMU_FILE, StatedImu, stated_entry

@@ -1,4 +1,4 @@
-"""Long recordings as NPZ files, written block by block; `readers.npz` reads them."""
+"""Long recordings as NPZ files, written block by block; `readers.samples.npz` reads them."""
 
 import zipfile
 from collections.abc import Iterable, Mapping

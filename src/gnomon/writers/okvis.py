@@ -2,7 +2,7 @@
 
 T_SC maps camera to IMU coordinates; image_delay is taken off the stamps of images, so that it is minus the time shift.
 OKVIS takes an ideal IMU with biases a0 and g0 to start from, taken off the samples; its noise is of continuous time.
-Read back by `readers.okvis`.
+Read back by `readers.projects.okvis`.
 """
 
 from collections.abc import Iterator

@@ -2,8 +2,8 @@
 
 The model is its "kalibr": samples in m/s^2 and rad/s (see `writers.si_units`), body frame accel-x, Ta and Tw lower
 triangular, and Tg on the specific force in the body frame, which is A C_gyro_i of Kalibr. The first line and the
-indentation are those of OpenCV, by which OpenVINS reads them. Read back by `readers.kalibr_imu` and
-`readers.kalibr_camchain`.
+indentation are those of OpenCV, by which OpenVINS reads them. Read back by `readers.projects.kalibr_imu` and
+`readers.rig.kalibr_camchain`.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Options -> YAML text; `readers.options_file` reads it."""
+"""Options -> YAML text; `readers.own.options_file` reads it."""
 
 from dataclasses import fields
 from typing import Any, cast

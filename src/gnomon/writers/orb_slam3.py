@@ -2,7 +2,7 @@
 
 IMU.T_b_c1 maps coordinates of the first camera to the IMU's, Stereo.T_c1_c2 those of the second camera to the first's.
 ORB-SLAM3 takes an ideal IMU and stamps without shift; its noise is of continuous time, as Kalibr's is. It reads single
-precision. Read back by `readers.orb_slam3`.
+precision. Read back by `readers.projects.orb_slam3`.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""A table of name, value, sigma and unit for spreadsheets; read back by `readers.parameter_csv`."""
+"""A table of name, value, sigma and unit for spreadsheets; read back by `readers.own.parameter_csv`."""
 
 from collections.abc import Iterator
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import FormatError, OptionError, OutputError
 from ..models.target import Target
 from ..output import write_whole
-from ..readers.kalibr_target import read_target
+from ..readers.rig.kalibr_target import read_target
 from .board_sheet import board_drawing, tiled
 from .drawing import pdf_bytes, svg_text
 from .target_yaml import target_text

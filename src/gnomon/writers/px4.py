@@ -1,7 +1,7 @@
 """PX4: parameters CAL_ACC0_XOFF, CAL_ACC0_XSCALE, CAL_GYRO0_XOFF, ..., in a file that ground stations load.
 
 PX4 corrects f = (a - OFF) SCALE, element by element, and w = y - OFF, before it turns both from the sensor's axes to
-the vehicle's. Read back by `readers.flight_parameters`.
+the vehicle's. Read back by `readers.projects.flight_parameters`.
 """
 
 from ..calibration import Calibration

@@ -1,7 +1,7 @@
 """ROS 2: a launch file that publishes where the cameras are, and the calibration of each for its CameraInfo.
 
 A static transform of frame_id imu0 and child_frame_id cam0 is the pose of the camera in the IMU's frame, p_imu0 = T
-p_cam0, its quaternion Hamilton's, qx qy qz qw. Read back by `readers.ros2_files`.
+p_cam0, its quaternion Hamilton's, qx qy qz qw. Read back by `readers.projects.ros2_files`.
 """
 
 from collections.abc import Iterator

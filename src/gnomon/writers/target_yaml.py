@@ -1,4 +1,4 @@
-"""A board -> Kalibr's target.yaml, which `gnomon.readers.kalibr_target` reads back to the same board.
+"""A board -> Kalibr's target.yaml, which `gnomon.readers.rig.kalibr_target` reads back to the same board.
 
 What Kalibr does not know, tags with a border of 1 bit or other ids and ChArUco boards, has keys of its own.
 """

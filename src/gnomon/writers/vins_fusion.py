@@ -2,7 +2,8 @@
 
 body_T_cam0 maps camera to IMU coordinates and td is t_imu - t_cam. VINS takes an ideal IMU. Its noise is that of a
 sample: acc_n and gyr_n are the standard deviation of a sample, density times the root of the rate, and acc_w, gyr_w
-times the interval of the samples are the standard deviation of a step of the bias. Read back by `readers.vins_fusion`.
+times the interval of the samples are the standard deviation of a step of the bias. Read back by
+`readers.projects.vins_fusion`.
 """
 
 from collections.abc import Iterator

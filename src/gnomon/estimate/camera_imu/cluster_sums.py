@@ -20,7 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...recording import Floats, Integers
-from ..clusters import ClusterSums
+from ..trust.clusters import ClusterSums
 from .assembly import TRIAD, Columns, by_span
 from .batch import error_terms
 from .prior_terms import FIRST_BIAS_SIGMA, border_priors, links, second_differences

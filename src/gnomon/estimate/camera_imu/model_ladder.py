@@ -7,8 +7,8 @@ import numpy as np
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats, Integers
 from ...trust import BlockChange, ModelStep
-from ..clusters import ClusterSums
-from ..model_choice import Candidate, Step, model_steps
+from ..trust.clusters import ClusterSums
+from ..trust.model_choice import Candidate, Step, model_steps
 from .choices import K3
 from .parameters import Layout, Parameters
 

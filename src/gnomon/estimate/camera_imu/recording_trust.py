@@ -5,7 +5,7 @@ import numpy as np
 from ...parameters import covariance_names
 from ...recording import Floats, Integers
 from ...trust import SigmaRatio, Splits, Trust
-from ..parts import Split, agreement, differences
+from ..trust.parts import Split, agreement, differences
 from .publish import Published
 from .uncertainty import ByTime, Uncertainty, wider_by_clusters
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ...trust import Clusters
-from ..clusters import ClusterSums, left_out, whole_estimate
-from ..robust import Robust, clustered, memory
+from ..trust.clusters import ClusterSums, left_out, whole_estimate
+from ..trust.robust import Robust, clustered, memory
 from .assembly import TRIAD
 from .batch import Step, mean_weights
 from .cluster_sums import bias_sides, board_follows

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ..camera_imu.corner_sums import CornerNoise
-from ..clusters import ClusterSums
+from ..trust.clusters import ClusterSums
 from .normal import view_sums
 from .problem import Problem
 from .rig import Rig, RigSolution, Views

@@ -15,7 +15,7 @@ from ...diagnostics import SolverStep
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
-from ..clusters import ClusterSums
+from ..trust.clusters import ClusterSums
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

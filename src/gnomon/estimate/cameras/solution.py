@@ -13,7 +13,7 @@ from ...diagnostics import SolverStep
 from ...errors import SolveError
 from ...recording import Floats
 from ..camera_imu.corner_sums import CornerNoise, Exposures
-from ..clusters import ClusterSums
+from ..trust.clusters import ClusterSums
 from .normal import Linearised, Reduced, reduced, view_sums
 from .problem import Problem
 from .rig import Rig, RigSolution, SeenCorners, Views

@@ -1,0 +1,1 @@
+"""Image -> which corner of which calibration board is where."""

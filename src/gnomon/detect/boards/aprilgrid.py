@@ -1,0 +1,377 @@
+"""Grids of AprilTags: which corners of the board are where in an image.
+
+find black quadrilaterals -> read their codes -> take the tags that agree on where they are -> fit their corners
+-> look for the others where their neighbours say -> drop corners that are not where those around them say
+
+Kalibr's boards have a black square at every corner of a tag, so that each corner is a crossing of two edges; on plain
+grids it is the tip of a black wedge.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from ...images import Grey
+from ...models.target import Target
+from ...recording import Floats, Integers
+from ..corners.corner_fit import CornerKind, fit_corners
+from ..corners.fitted_corners import CornerFits, joined
+from ..corners.straight import corrected
+from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
+from .quads import LARGE_IMAGE_PX, Search, black_quads, search_scale
+from .tag_places import (
+    TAG,
+    Booleans,
+    added,
+    charted,
+    consistent,
+    far_apart,
+    groups,
+    predictions,
+    shortest_side,
+    through,
+)
+from .tags import BITS, Tags, likeness_of, read_tags, square_to_quads
+
+BORDER_PX = 5.0
+"""Corners nearer to the image's border are left out."""
+
+_COVERED, _NEAR_BORDER = "blurred or covered", "near the border"
+_FEWEST_TAGS, _FEWEST_CORNERS = 2, 6  # a tag that is alone might be any
+_ENOUGH = 3  # tags; with fewer, the image is looked through in other ways, too
+_MOST_STARTS = 8
+_SEARCHES: tuple[Search, ...] = ("coarse", "usual", "motion", "small")
+_COARSE_PX = 13.0
+_DOUBTS = 0.5
+_ASKED = 9  # tags that tell whether there are squares
+_FEWEST_FOR_CHART = 4  # tags; fewer tell only in straight lines where the others are
+_GROWTHS = 12
+_MOVED_PX, _MOVED = 1.5, 0.12  # how far corners may be from where their neighbours say, in px and in tags
+_LEAST_LIKENESS, _NOT_ANOTHER = 0.5, 0.4  # of a tag that is where it should be
+_CONTRAST = 0.4  # of a corner over that of its neighbours
+_NEXT_TO = np.array([[3, 1], [0, 2], [1, 3], [2, 0]])  # the corners before and after each
+_WINDOW = 0.85  # radius of the window over the distance to what else is printed there
+_ARM = 0.45  # of a side that is looked at from the tip of a plain tag
+_SIGMAS = 5.0  # what the sigma may be, over that of the others
+_MISFIT, _MISFITS = 0.035, 3.0  # what the misfit may be, over the contrast and over that of the others
+
+
+def detect_aprilgrid(image: Grey, target: Target) -> BoardView:
+    """Find the corners of a grid of AprilTags; parts of the board are enough.
+
+    Parameters
+    ----------
+    image : (h, w)
+    target : the board, an aprilgrid
+    """
+    image = np.ascontiguousarray(image)
+    best, tags = None, None
+    for search, tags in _searched(image, target):
+        found = _largest(image, target, tags)
+        if found is not None and (best is None or len(found.seen.number) > len(best.seen.number)):
+            best = found
+        if best is not None and best.is_whole(doubts=0.0 if search == "coarse" else _DOUBTS):
+            break
+    if best is None or tags is None:
+        strangers = 4 * (len(tags) if tags is not None else 0)
+        return nothing_seen({NOT_WITH_NEIGHBOURS: strangers} if strangers else None)
+    return best.view(tags)
+
+
+def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
+    """Yield the tags that were read, as more and more ways to find them are tried."""
+    quads = np.empty((0, 4, 2))
+    for search in _SEARCHES:
+        if search == "coarse" and image.size > LARGE_IMAGE_PX:
+            continue
+        more = black_quads(image, search)
+        if not len(more):
+            continue
+        quads = np.concatenate([quads, more])
+        tags = _read(image, quads, target)
+        if search == "coarse" and not _is_coarse_enough(tags, search_scale(image, search)):
+            continue
+        yield search, tags
+
+
+def _is_coarse_enough(tags: Tags, scale: float) -> bool:
+    """Return whether tags are so large that hardly one of them is lost where the image is looked through coarsely."""
+    return len(tags) >= _ENOUGH and _middle(shortest_side(tags.corners)) * scale > _COARSE_PX
+
+
+def _read(image: Grey, quads: Floats, target: Target) -> Tags:
+    """Return the tags of the target in some quadrilaterals; a tag that was found twice once."""
+    tags = read_tags(image, quads, border_bits=target.border_bits, first=target.first_tag, count=target.tags)
+    middle = tags.corners.mean(axis=1)
+    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
+    same = (tags.number[:, None] == tags.number) & (apart < 3) & np.tri(len(tags), k=-1, dtype=bool)
+    once = ~same.any(axis=1)
+    return Tags(number=tags.number[once] - target.first_tag, corners=tags.corners[once], likeness=tags.likeness[once])
+
+
+def _largest(image: Grey, target: Target, tags: Tags) -> "_Board | None":
+    """Return the board that most tags make up; None where there are only single tags."""
+    if not len(tags):
+        return None
+    for members in groups(target, tags.number, tags.corners, _MOST_STARTS):
+        board = _Board(image, target, tags.number[members], tags.corners[members])
+        if board.is_one:
+            return board
+    return None
+
+
+def _border(target: Target) -> float:
+    """Return the width of the tags' black border in tags."""
+    return target.border_bits / (BITS + 2 * target.border_bits)
+
+
+def _kind(image: Grey, corners: Floats, target: Target) -> CornerKind:
+    """Return "crossing" where there are black squares at the corners of the tags, as on Kalibr's boards."""
+    gap, border = target.tag_spacing, 0.5 * _border(target)
+    sides = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
+    squares = TAG + np.sign(TAG - 0.5) * gap / 2
+    points = np.concatenate([squares, 0.5 + sides * (0.5 + gap / 2), 0.5 + sides * (0.5 - border)])
+    places = through(square_to_quads(corners[:_ASKED]), points).astype(np.float32)
+    grey = cv2.remap(image, places[:, :, 0], places[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    square, light, dark = (_middle(part.ravel()) for part in np.split(np.asarray(grey, np.float64), 3, axis=1))
+    return "crossing" if square < (light + dark) / 2 else "tip"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Seen:
+    """Tags, (k,), and the fits of their corners, (4 k,)."""
+
+    number: Integers
+    fits: CornerFits
+
+    def with_more(self, more: "_Seen") -> "_Seen":
+        return _Seen(number=np.concatenate([self.number, more.number]), fits=joined(self.fits, more.fits))
+
+    @property
+    def corners(self) -> Floats:
+        return self.fits.pixels.reshape(-1, 4, 2)
+
+    @property
+    def good(self) -> Booleans:
+        return self.fits.good.reshape(-1, 4)
+
+
+class _Board:
+    """A board in an image, as it is found from some of its tags."""
+
+    def __init__(self, image: Grey, target: Target, number: Integers, corners: Floats) -> None:
+        self._image, self._target = image, target
+        self._kind: CornerKind = _kind(image, corners, target)
+        fits = self._fit(corners)
+        # a corner that could not be fitted is where the quadrilateral has it
+        pixels = np.where(fits.good[:, None], fits.pixels, corners.reshape(-1, 2))
+        self.seen = _Seen(number=number, fits=replace(fits, pixels=pixels))
+        self._expected = np.zeros(target.tags, dtype=bool)  # tags that should be inside the image as a whole
+        self._parts: dict[int, tuple[float, CornerFits]] = {}  # tags that are not sure: likeness, and corners
+        self._grow()
+
+    @property
+    def is_one(self) -> bool:
+        """Whether there is more than a single tag, which might be any."""
+        enough = len(self.seen.number) >= _FEWEST_TAGS and self.seen.fits.good.sum() >= _FEWEST_CORNERS
+        return enough or self._target.tags == 1
+
+    def is_whole(self, doubts: float) -> bool:
+        """Return whether there are enough tags, and hardly others where some should be, `doubts` over those found."""
+        found = len(self.seen.number)
+        missed = np.count_nonzero(self._expected) - np.count_nonzero(self._expected[self.seen.number])
+        return found >= min(_ENOUGH, self._target.tags) and bool(missed <= doubts * found)
+
+    def _fit(self, corners: Floats, chosen: Booleans | None = None) -> CornerFits:
+        """Return the fits (4 k,) of the corners of tags (k, 4, 2), or of some of these (k, 4)."""
+        edges = corners[:, _NEXT_TO] - corners[:, :, None]
+        guess = corners.reshape(-1, 2)
+        edges = edges.reshape(-1, 2, 2)
+        if chosen is not None:
+            guess, edges = guess[chosen.ravel()], edges[chosen.ravel()]
+        length = np.maximum(np.hypot(edges[..., 0], edges[..., 1]), 1e-9)
+        edges = edges / length[..., None]
+        sine = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+        shortest = length.min(axis=1)
+        free = _WINDOW * min(_border(self._target), self._target.tag_spacing)
+        return fit_corners(self._image, guess, edges, free * shortest * sine, self._kind, arm=_ARM * shortest)
+
+    def _grow(self) -> None:
+        """Look for more tags next to those that were found, until there are none."""
+        asked = np.zeros(self._target.tags, np.int64)  # by how many neighbours each tag was told its place already
+        for _ in range(_GROWTHS):
+            more = self._next_to(asked)
+            if more is None:
+                break
+            self.seen = self.seen.with_more(more)
+
+    def _next_to(self, asked: Integers) -> _Seen | None:
+        seen = self.seen
+        missing = np.flatnonzero(~_within(seen.number, self._target.tags))
+        if not len(missing):
+            return None
+        near = (far_apart(self._target, seen.number, missing) == 1) & (seen.good.sum(axis=1) >= 3)[:, None]
+        tellers = near.sum(axis=0)
+        chosen = np.flatnonzero(tellers > asked[missing])
+        if not len(chosen):
+            return None
+        asked[missing[chosen]] = tellers[chosen]
+        if len(seen.number) >= _FEWEST_FOR_CHART:
+            points = self._target.points[:, :2]
+            found = points[self._points(seen.number)[seen.fits.good]]
+            expected = charted(found, seen.fits.pixels[seen.fits.good], points[self._points(missing[chosen])])
+            expected = expected.reshape(-1, 4, 2)
+        else:
+            places = predictions(self._target, seen.number, seen.corners, missing[chosen], TAG)
+            expected = np.einsum("kn,knij->nij", near[:, chosen] / tellers[chosen], places)
+        visible = self._inside(expected, BORDER_PX).any(axis=1)
+        if not visible.any():
+            return None
+        number, expected, near = missing[chosen[visible]], expected[visible], near[:, chosen[visible]]
+        self._expected[number[self._inside(expected, BORDER_PX).all(axis=1)]] = True
+        contrasts = (seen.fits.white - seen.fits.black).reshape(-1, 4).mean(axis=1)
+        contrast = (contrasts[:, None] * near).sum(axis=0) / near.sum(axis=0)
+        return self._confirmed(number, expected, contrast)
+
+    def _confirmed(self, number: Integers, expected: Floats, contrast: Floats) -> _Seen | None:
+        """Return the tags that are there: with corners where they should be, and their code, as far as it is seen."""
+        fits = self._fit(expected)
+        pixels = fits.pixels.reshape(-1, 4, 2)
+        good = (
+            fits.good.reshape(-1, 4)
+            & (np.linalg.norm(pixels - expected, axis=2) < _MOVED_PX + _MOVED * shortest_side(expected)[:, None])
+            & ((fits.white - fits.black).reshape(-1, 4) > _CONTRAST * contrast[:, None])
+        )
+        corners = _completed(np.where(good[:, :, None], pixels, expected), expected, good)
+        likeness = likeness_of(self._image, corners, number + self._target.first_tag, self._target.border_bits)
+        there = (good.sum(axis=1) >= 2) & (likeness > _LEAST_LIKENESS)
+        kept = replace(fits, pixels=corners.reshape(-1, 2), good=good.ravel())
+        for k in np.flatnonzero(~there & good.any(axis=1)).tolist():
+            self._parts[int(number[k])] = float(likeness[k]), kept.only(np.arange(4 * k, 4 * k + 4))
+        if not there.any():
+            return None
+        return _Seen(number=number[there], fits=kept.only(np.repeat(there, 4)))
+
+    def _inside(self, pixels: Floats, margin_px: float) -> Booleans:
+        height, width = self._image.shape
+        x, y = pixels[..., 0], pixels[..., 1]
+        return (np.minimum(x, width - 1 - x) >= margin_px) & (np.minimum(y, height - 1 - y) >= margin_px)
+
+    def view(self, tags: Tags) -> BoardView:
+        """Return the corners, without those that are doubtful.
+
+        Parameters
+        ----------
+        tags : all that were read
+        """
+        seen, dropped = self.seen, Counter[str]()
+        at = np.full((self._target.tags, 4, 2), np.inf)
+        at[seen.number] = seen.corners
+        away = np.linalg.norm(at[tags.number] - tags.corners, axis=2).min(axis=1)
+        strange = away > shortest_side(tags.corners) / 2
+        dropped[NOT_WITH_NEIGHBOURS] += 4 * int(np.count_nonzero(strange))
+        near_border = seen.fits.good & ~self._inside(seen.fits.pixels, BORDER_PX) & self._inside(seen.fits.pixels, 0)
+        dropped[_NEAR_BORDER] += int(np.count_nonzero(near_border))
+        alike = self._alike(seen.fits, seen.fits)
+        dropped[_COVERED] += int(np.count_nonzero(seen.fits.good & ~alike))
+        kept = seen.fits.good & alike
+        point, fits = self._points(seen.number)[kept], seen.fits.only(kept)
+        board = self._target.points[:, :2]
+        kept, most = consistent(board[point], fits.pixels, fits.sigma_px)
+        dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
+        point, fits = point[kept], fits.only(kept)
+        single, found = self._single(point, fits, dropped)
+        if len(single):
+            point, fits = np.concatenate([point, single]), joined(fits, found)
+            kept = added(board[point], fits.pixels, fits.sigma_px, len(single), most)
+            dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
+            point, fits = point[kept], fits.only(kept)
+        return self._as_view(point, fits, dropped)
+
+    def _alike(self, fits: CornerFits, others: CornerFits) -> Booleans:
+        """Return which corners look like a corner as much as the others do, and are told as well."""
+        misfit, sigma = _middle(others.misfit[others.good]), _middle(others.sigma_px[others.good])
+        return (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma)
+
+    def _points(self, number: Integers) -> Integers:
+        return self._target.point_of_tag_corner(np.repeat(number, 4), np.tile(np.arange(4), len(number)))
+
+    def _single(self, point: Integers, fits: CornerFits, dropped: Counter[str]) -> tuple[Integers, CornerFits]:
+        """Return corners of tags of which not all, or not the code, was found, where those around say they are."""
+        found, more = point[:0], fits.only(np.empty(0, np.int64))
+        if len(point) < _FEWEST_CORNERS:
+            return found, more
+        for number, corners in self._of_parts():
+            found, more = np.concatenate([found, self._points(np.array([number]))]), joined(more, corners)
+        again = self._again(point, fits)
+        found, more = np.concatenate([found, again[0]]), joined(more, again[1])
+        good = more.good & self._alike(more, fits)
+        dropped[_COVERED] += int(np.count_nonzero(~good & self._inside(more.pixels, BORDER_PX)))
+        return found[good], more.only(good)
+
+    def _of_parts(self) -> list[tuple[int, CornerFits]]:
+        """Return tags that can hardly be seen.
+
+        They must not look like others, or else, where nothing of the code is seen, be beside a block of tags.
+        """
+        row, col = np.divmod(self.seen.number, self._target.cols)
+        block = bool(np.ptp(row) > 0 and np.ptp(col) > 0)
+        return [
+            (number, corners)
+            for number, (likeness, corners) in self._parts.items()
+            if number not in self.seen.number and (block if np.isnan(likeness) else likeness > _NOT_ANOTHER)
+        ]
+
+    def _again(self, point: Integers, fits: CornerFits) -> tuple[Integers, CornerFits]:
+        """Return the corners of tags that were read which could not be fitted, from where those around them say."""
+        seen, board = self.seen, self._target.points[:, :2]
+        left_out = ~_within(point, len(self._target))[self._points(seen.number)].reshape(-1, 4)
+        tag = np.flatnonzero(left_out.any(axis=1))
+        if not len(tag):
+            return point[:0], fits.only(np.empty(0, np.int64))
+        corners = self._points(seen.number[tag])
+        expected = charted(board[point], fits.pixels, board[corners]).reshape(-1, 4, 2)
+        missing = left_out[tag] & self._inside(expected, BORDER_PX)
+        found = self._fit(expected, missing)
+        limit = _MOVED_PX + _MOVED * np.repeat(shortest_side(expected), 4)[missing.ravel()]
+        near = np.linalg.norm(found.pixels - expected[missing], axis=1) < limit
+        bright = found.white - found.black > _CONTRAST * _middle(fits.white - fits.black)
+        return corners[missing.ravel()], replace(found, good=found.good & near & bright)
+
+    def _as_view(self, point: Integers, fits: CornerFits, dropped: Counter[str]) -> BoardView:
+        kept = np.flatnonzero(self._inside(fits.pixels, BORDER_PX))
+        kept = kept[np.argsort(point[kept])]
+        if not len(kept):
+            return nothing_seen(+dropped)
+        places = self._target.points[point[kept], :2]
+        return BoardView(
+            point=point[kept],
+            pixels=corrected(places, fits.only(kept), self._image.shape[::-1]),
+            sigma_px=fits.sigma_px[kept],
+            blur_px=_middle(fits.blur_px[kept]),
+            black=_middle(fits.black[kept]),
+            white=_middle(fits.white[kept]),
+            dropped=+dropped,
+        )
+
+
+def _within(numbers: Integers, count: int) -> Booleans:
+    """Return which of the numbers 0 ... count - 1 are there."""
+    there = np.zeros(count, dtype=bool)
+    there[numbers] = True
+    return there
+
+
+def _middle(values: Floats) -> float:
+    """Return the median, of an even number of values the upper one; nan of none."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2]) if len(values) else float("nan")
+
+
+def _completed(corners: Floats, expected: Floats, good: Booleans) -> Floats:
+    """Return corners (k, 4, 2), those that are not good moved as the good ones of their tag were."""
+    count = np.maximum(good.sum(axis=1), 1)[:, None]
+    moved = np.where(good[:, :, None], corners - expected, 0).sum(axis=1) / count
+    return np.where(good[:, :, None], corners, expected + moved[:, None])

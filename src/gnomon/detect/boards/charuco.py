@@ -1,0 +1,400 @@
+"""ChArUco boards: which inner corners of the chessboard are where in an image; parts of the board are enough.
+
+find black quadrilaterals -> read the markers -> take those that agree on where they are -> fit the corners next to them
+-> go on to their neighbours -> drop corners that are not where those around them say
+
+The markers only tell which corner is which. Each corner is a crossing of two edges and is fitted like one; where the
+next ones are, those around tell, by a map of their own that follows perspective and lens.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from ...images import Grey
+from ...models.board_pattern import black_square, marker_cells
+from ...models.target import Target
+from ...recording import Floats, Integers
+from ..corners.corner_fit import fit_corners
+from ..corners.fitted_corners import CornerFits, joined
+from ..corners.straight import corrected
+from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
+from .charuco_lattice import corners_by_lattice
+from .markers import Markers, read_markers
+from .plane_map import plane_map
+from .quads import LARGE_IMAGE_PX, Search, black_quads
+from .tag_places import Booleans, charted, consistent, shortest_side, through
+from .tags import square_to_quads
+
+BORDER_PX = 5.0
+"""Corners nearer to the image's border are left out."""
+
+_COVERED, _NEAR_BORDER = "blurred or covered", "near the border"
+_SEARCHES: tuple[Search, ...] = ("coarse", "usual", "motion", "small")
+_FEW_CORNERS = 12  # with fewer of them, they are also sought as a lattice
+_FEWEST_MARKERS, _FEWEST_CORNERS = 2, 4  # a marker that is alone might be any
+_MISSED = {"coarse": 0.1}  # corners that are missed over those that are found, above which another search follows
+_MISSED_LATER = 0.5
+_APART_PX, _APART, _REACH = 1.5, 0.35, 2.9  # of markers from where others say: px, of a marker; over squares at most
+_NEXT = 0.8  # squares from a marker's middle to corners that it tells
+_LEAST_SPREAD = 0.6  # squares, of corners across the line that they are nearest to, to tell where others are
+_STEP = 0.2  # squares, for the direction of the edges
+_RIGHT, _UP = np.array([_STEP, 0.0]), np.array([0.0, _STEP])
+_GROWTHS = 20
+_MOVED_PX, _MOVED = 1.5, 0.12  # how far corners may be from where they are told, in px and in squares
+_WINDOW = 0.85  # radius of the window over the distance to the nearest marker
+_CONTRAST = 0.4  # of a corner over that of the others
+_FEWEST_FOR_MAP = 16
+_ASTRAY_PX, _ASTRAY, _ASTRAY_SIGMAS = 0.1, 3.0, 3.0  # how far from the map a corner may be: px, medians, sigmas
+_SIGMAS = 5.0  # what the sigma may be, over that of the others
+_MISFIT, _MISFITS = 0.035, 3.0  # what the misfit may be, over the contrast and over that of the others
+
+
+def detect_charuco(image: Grey, target: Target) -> BoardView:
+    """Find the inner corners of a ChArUco board; parts of the board are enough.
+
+    Parameters
+    ----------
+    image : (h, w)
+    target : the board, a charuco
+
+    Raises
+    ------
+    OptionError
+        If OpenCV has no dictionary of that name, or it has not as many markers.
+    """
+    image = np.ascontiguousarray(image)
+    marker_cells(target.dictionary, target.first_tag + len(_layout(target).marker_corners) - 1)  # there must be such
+    best, strangers = None, 0
+    for search, markers in _searched(image, target):
+        found = _board(image, target, markers)
+        if found is None:
+            strangers = max(strangers, len(markers))
+            continue
+        if best is None or len(found.number) > len(best.number):
+            best = found
+        few = len(best.number) < min(_FEW_CORNERS, len(target) // 2)
+        if not few and best.missed <= _MISSED.get(search, _MISSED_LATER) * len(best.number):
+            break
+    if best is None or len(best.number) < min(_FEW_CORNERS, len(target) // 2):
+        found = _by_lattice(image, target)
+        if found is not None and (best is None or len(found.number) > len(best.number)):
+            best = found
+    if best is None:
+        return nothing_seen({NOT_WITH_NEIGHBOURS: 2 * strangers} if strangers else None)
+    return _view(image, target, best)
+
+
+def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Markers]]:
+    """Yield the markers that were read, as more and more ways to find them are tried."""
+    quads = np.empty((0, 4, 2))
+    for search in _SEARCHES:
+        if search == "coarse" and image.size > LARGE_IMAGE_PX:
+            continue
+        more = black_quads(image, search)
+        if not len(more):
+            continue
+        quads = np.concatenate([quads, more])
+        markers = _once(
+            read_markers(
+                image, quads, target.dictionary, first=target.first_tag, count=len(_layout(target).marker_corners)
+            )
+        )
+        if len(markers):
+            yield search, markers
+
+
+def _once(markers: Markers) -> Markers:
+    """Return the markers, one that was found twice in one place once."""
+    middle = markers.corners.mean(axis=1)
+    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
+    same = (markers.number[:, None] == markers.number) & (apart < 3) & np.tri(len(markers), k=-1, dtype=bool)
+    once = ~same.any(axis=1)
+    return Markers(number=markers.number[once], corners=markers.corners[once], likeness=markers.likeness[once])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Layout:
+    """What is where on a board, lengths in squares.
+
+    Attributes
+    ----------
+    points : (n, 2) the inner corners
+    marker_corners : (k, 4, 2) of the markers, clockwise from the upper left as they stand
+    falling : (n,) whether the square at the upper left of a corner is black
+    gap : between a marker and the sides of its square
+    """
+
+    points: Floats
+    marker_corners: Floats
+    falling: Booleans
+    gap: float
+
+
+@lru_cache(maxsize=8)
+def _layout(target: Target) -> _Layout:
+    side = target.marker_size_m / target.square_size_m
+    inner = side / 2 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
+    middles = [
+        (col - 0.5, target.rows - 1.5 - row)
+        for row, col in np.ndindex(target.rows, target.cols)
+        if not black_square(target, row, col)
+    ]
+    row, col = np.divmod(np.arange(len(target)), target.cols - 1)
+    return _Layout(
+        points=target.points[:, :2] / target.square_size_m,
+        marker_corners=np.array(middles)[:, None] + inner,
+        falling=np.array([black_square(target, i, j) for i, j in zip(row.tolist(), col.tolist(), strict=True)]),
+        gap=(1 - side) / 2,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Board:
+    """Corners in an image: their numbers (m,), their fits (m,), and how many are missing that should be there."""
+
+    number: Integers
+    fits: CornerFits
+    missed: int
+    strange: int
+
+
+def _board(image: Grey, target: Target, markers: Markers) -> _Board | None:
+    """Return the board that most markers make up; None where there are only single ones."""
+    layout = _layout(target)
+    number = markers.number - target.first_tag
+    H = _from_board(layout.marker_corners[number], markers.corners)
+    for members in _groups(layout, number, markers.corners, H):
+        if len(members) < _FEWEST_MARKERS:
+            break
+        start = _next_to_markers(image, target, number[members], H[members])
+        if start is None:
+            continue
+        return _grown(image, target, *start, strange=len(markers) - len(members))
+    return None
+
+
+def _by_lattice(image: Grey, target: Target) -> _Board | None:
+    """Return the board by the lattice of its corners; None where there is none, or no place of it is likely."""
+    found = corners_by_lattice(image, target)
+    if found is None or not _spread(_layout(target).points[found[0]]):
+        return None
+    number, pixels = found
+    layout = _layout(target)
+    points = layout.points[number]
+    start = _charted(image, target, number, points, pixels)
+    return None if start is None else _grown(image, target, *start, strange=0)
+
+
+def _from_board(marker_corners: Floats, pixels: Floats) -> Floats:
+    """Return the homographies (k, 3, 3) from the board, in squares, to the image that markers tell."""
+    # from the board to the unit square, whose corners are (0,0) (1,0) (1,1) (0,1): the marker's upper left one first
+    origin, side = marker_corners[:, 0], marker_corners[:, 1, 0] - marker_corners[:, 0, 0]
+    to_unit = np.zeros((len(pixels), 3, 3))
+    to_unit[:, 0, 0], to_unit[:, 1, 1], to_unit[:, 2, 2] = 1 / side, -1 / side, 1
+    to_unit[:, 0, 2], to_unit[:, 1, 2] = -origin[:, 0] / side, origin[:, 1] / side
+    return square_to_quads(pixels) @ to_unit
+
+
+def _groups(layout: _Layout, number: Integers, corners: Floats, H: Floats) -> list[Integers]:
+    """Return which markers agree with each other on where they are, the largest group first.
+
+    A marker that is twice in a group is there once, as more of the others say.
+    """
+    middles = layout.marker_corners[number].mean(axis=1)
+    told = through(H, np.broadcast_to(middles, (len(H), *middles.shape)))
+    apart = np.linalg.norm(told - corners.mean(axis=1), axis=2)
+    distance = np.linalg.norm(middles[:, None] - middles, axis=2)
+    agrees = (apart < _APART_PX + _APART * shortest_side(corners) * distance) & (distance > 0) & (distance < _REACH)
+    agrees &= agrees.T
+    group = np.arange(len(number))
+    while True:
+        smallest = np.minimum(group, np.where(agrees, group, len(number)).min(axis=1, initial=len(number)))
+        if (smallest == group).all():
+            break
+        group = smallest
+    votes = agrees.sum(axis=1)
+    found: list[Integers] = []
+    for name in np.unique(group).tolist():
+        members = np.flatnonzero(group == name)
+        by_votes = members[np.argsort(-votes[members], kind="stable")]
+        found.append(by_votes[np.unique(number[by_votes], return_index=True)[1]])
+    return sorted(found, key=len, reverse=True)
+
+
+def _next_to_markers(image: Grey, target: Target, number: Integers, H: Floats) -> tuple[Integers, CornerFits] | None:
+    """Return the corners around markers; None where there are too few."""
+    layout = _layout(target)
+    middles = layout.marker_corners[number].mean(axis=1)
+    near = np.linalg.norm(middles[:, None] - layout.points, axis=2) < _NEXT  # (k, n)
+    # those at the marker's own square tell best
+    weight = near / (0.1 + np.square(np.linalg.norm(middles[:, None] - layout.points, axis=2)))
+    asked = np.flatnonzero(near.any(axis=0))
+    share = weight[:, asked] / weight[:, asked].sum(axis=0)
+
+    def told(points: Floats) -> Floats:
+        return np.einsum("kn,knj->nj", share, through(H, np.broadcast_to(points, (len(H), *points.shape))))
+
+    points = layout.points[asked]
+    fits = _fit(image, target, asked, (told(points), told(points + _RIGHT), told(points + _UP)))
+    return _bright(asked, fits)
+
+
+def _bright(number: Integers, fits: CornerFits) -> tuple[Integers, CornerFits] | None:
+    """Return the good ones of corners, without those of little contrast; None where there are too few."""
+    if np.count_nonzero(fits.good) < _FEWEST_CORNERS:
+        return None
+    contrast = fits.white - fits.black
+    good = fits.good & (contrast > _CONTRAST * np.median(contrast[fits.good]))
+    return number[good], fits.only(good)
+
+
+def _charted(
+    image: Grey, target: Target, number: Integers, points: Floats, pixels: Floats
+) -> tuple[Integers, CornerFits] | None:
+    """Return the fits of corners that are known to a pixel or two; None where there are too few."""
+    right, up = np.split(charted(points, pixels, np.concatenate([points + _RIGHT, points + _UP])), 2)
+    return _bright(number, _fit(image, target, number, (pixels, right, up)))
+
+
+def _fit(image: Grey, target: Target, number: Integers, places: tuple[Floats, Floats, Floats]) -> CornerFits:
+    """Return the fits of corners; good are those that are where they should be.
+
+    Parameters
+    ----------
+    number : (m,) of the corners
+    places : (m, 2) each, where they should be, and places to the right of them and above them on the board [px]
+    """
+    layout = _layout(target)
+    expected, right, up = places
+    across, along = (right - expected) / _STEP, (up - expected) / _STEP
+    length = np.maximum(np.linalg.norm(np.stack([across, along]), axis=2), 1e-9)
+    sine = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]) / (length[0] * length[1])
+    height = length.min(axis=0) * sine
+    # the black wedge at the upper left lies between the ways to the left and up, that at the upper right otherwise
+    sign = np.where(layout.falling[number], -1.0, 1.0)[:, None]
+    edges = np.stack([sign * across / length[0][:, None], along / length[1][:, None]], axis=1)
+    free = layout.gap * np.minimum(*(_to_marker(first, -sign * second) for first, second in _both(across, along)))
+    fits = fit_corners(image, expected, edges, _WINDOW * free)
+    near = np.linalg.norm(fits.pixels - expected, axis=1) < _MOVED_PX + _MOVED * height
+    return replace(fits, good=fits.good & near)
+
+
+def _both(across: Floats, along: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    return (across, along), (along, across)
+
+
+def _to_marker(first: Floats, second: Floats) -> Floats:
+    """Return the distance of the nearest marker from corners, (m,) [px] over its gap to the sides of its square.
+
+    Parameters
+    ----------
+    first, second : (m, 2) steps along the sides of the white square [px]
+    """
+    onward = -(first * second).sum(axis=1) / np.maximum(np.square(first).sum(axis=1), 1e-9)
+    return np.linalg.norm(np.maximum(onward, 1)[:, None] * first + second, axis=1)
+
+
+def _grown(image: Grey, target: Target, number: Integers, fits: CornerFits, *, strange: int) -> _Board:
+    """Return the board with more corners next to those that were found, until there are none."""
+    layout = _layout(target)
+    asked = np.zeros(len(target), np.int64)  # by how many neighbours each corner was told its place already
+    apart = np.abs(layout.points[:, None] - layout.points).max(axis=2)
+    expected_inside = np.zeros(len(target), bool)
+    for _ in range(_GROWTHS):
+        missing = np.ones(len(target), bool)
+        missing[number] = False
+        tellers = (apart[:, number] < 1.5).sum(axis=1)
+        chosen = np.flatnonzero(missing & (tellers > asked) & _spread(layout.points[number]))
+        if not len(chosen):
+            break
+        asked[chosen] = tellers[chosen]
+        points = layout.points[chosen]
+        three = np.concatenate([points, points + _RIGHT, points + _UP])
+        places = np.stack(np.split(charted(layout.points[number], fits.pixels, three), 3))
+        visible = _inside(image, places[0], BORDER_PX)
+        expected_inside[chosen] = visible
+        more = _fit(image, target, chosen[visible], (places[0, visible], places[1, visible], places[2, visible]))
+        contrast = float(np.median(fits.white - fits.black))
+        good = more.good & (more.white - more.black > _CONTRAST * contrast)
+        number, fits = np.concatenate([number, chosen[visible][good]]), joined(fits, more.only(good))
+    expected_inside[number] = False
+    return _Board(
+        number=number,
+        fits=fits,
+        missed=int(np.count_nonzero(expected_inside)),
+        strange=strange,
+    )
+
+
+def _spread(points: Floats) -> bool:
+    """Return whether points (m, 2) are not on a line."""
+    return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] > _LEAST_SPREAD)
+
+
+def _inside(image: Grey, pixels: Floats, margin_px: float) -> Booleans:
+    height, width = image.shape
+    x, y = pixels[:, 0], pixels[:, 1]
+    return (np.minimum(x, width - 1 - x) >= margin_px) & (np.minimum(y, height - 1 - y) >= margin_px)
+
+
+def _alike(fits: CornerFits, others: CornerFits) -> Booleans:
+    """Return which corners look like a corner as much as the others do, and are told as well."""
+    misfit, sigma = np.median(others.misfit), np.median(others.sigma_px)
+    return (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma)
+
+
+def _again(
+    image: Grey, target: Target, asked: Integers, found: tuple[Integers, CornerFits]
+) -> tuple[Integers, CornerFits]:
+    """Return the corners that were found, and those that are as good where the fit starts from what these tell."""
+    (number, fits), board = found, _layout(target).points
+    if not len(asked) or len(number) < _FEWEST_CORNERS or not _spread(board[number]):
+        return found
+    points = board[asked]
+    three = charted(board[number], fits.pixels, np.concatenate([points, points + _RIGHT, points + _UP]))
+    expected, right, up = np.split(three, 3)
+    more = _fit(image, target, asked, (expected, right, up))
+    good = more.good & _inside(image, more.pixels, BORDER_PX) & _alike(more, fits)
+    return np.concatenate([number, asked[good]]), joined(fits, more.only(good))
+
+
+def _where_they_belong(points: Floats, fits: CornerFits, size: tuple[int, int]) -> Booleans:
+    """Return which corners are where those around them say, or a smooth map through those that are (wide lenses)."""
+    kept, _ = consistent(points, fits.pixels, fits.sigma_px)
+    if kept.all() or np.count_nonzero(kept) < _FEWEST_FOR_MAP:
+        return kept
+    seen = plane_map(points[kept], fits.pixels[kept], size)
+    away = seen.away_px(points, fits.pixels)
+    return kept | (away < _ASTRAY_PX + np.maximum(_ASTRAY * np.median(away[kept]), _ASTRAY_SIGMAS * fits.sigma_px))
+
+
+def _view(image: Grey, target: Target, board: _Board) -> BoardView:
+    """Return the corners, without those that are doubtful."""
+    number, fits = board.number, board.fits
+    points = _layout(target).points
+    dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 2 * board.strange, _COVERED: board.missed})
+    inside = _inside(image, fits.pixels, BORDER_PX)
+    dropped[_NEAR_BORDER] += int(np.count_nonzero(~inside))
+    number, fits = number[inside], fits.only(inside)
+    alike = _alike(fits, fits)
+    number, fits = _again(image, target, number[~alike], (number[alike], fits.only(alike)))
+    dropped[_COVERED] += int(np.count_nonzero(inside)) - len(number)
+    kept = _where_they_belong(points[number], fits, image.shape[::-1])
+    dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
+    kept = np.flatnonzero(kept)[np.argsort(number[kept])]
+    if len(kept) < _FEWEST_CORNERS:
+        return nothing_seen(+dropped)
+    number, chosen = number[kept], fits.only(kept)
+    return BoardView(
+        point=number,
+        pixels=corrected(points[number], chosen, image.shape[::-1]),
+        sigma_px=chosen.sigma_px,
+        blur_px=float(np.median(chosen.blur_px)),
+        black=float(np.median(chosen.black)),
+        white=float(np.median(chosen.white)),
+        dropped=+dropped,
+    )

@@ -1,0 +1,152 @@
+"""The pixels around corners that are looked at."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...images import Grey
+from ...recording import Floats, Integers
+
+Singles = NDArray[np.floating[Any]]
+Booleans = NDArray[np.bool_]
+
+SATURATED = 255
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Windows:
+    """Pixels around the corners, (m, n), and their weights; their places relative to the middle, (m or 1, 3, n).
+
+    A place is x, y, 1.
+    """
+
+    values: Singles
+    place: Singles
+    weight: Singles
+    saturated: bool
+
+    def only(self, chosen: NDArray[np.integer]) -> "Windows":
+        """Return some of the windows."""
+        if len(chosen) == len(self.values):
+            return self
+        own = len(self.place) > 1
+        return Windows(
+            values=self.values[chosen],
+            place=self.place[chosen] if own else self.place,
+            weight=self.weight[chosen],
+            saturated=self.saturated,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """Pixels around a middle, the nearest first.
+
+    Attributes
+    ----------
+    x, y : (n,) [px]
+    distance : (n,) from the middle [px]
+    right, left, below, above : (k,) which pixels are beside those nearest to the middle
+    """
+
+    x: Singles
+    y: Singles
+    distance: Singles
+    right: Integers
+    left: Integers
+    below: Integers
+    above: Integers
+
+    @property
+    def place(self) -> Singles:
+        """x, y and 1 of the pixels, (3, n)."""
+        return np.stack([self.x, self.y, np.ones_like(self.x)])
+
+
+@lru_cache(maxsize=16)
+def grid_around(half: int) -> Grid:
+    """Return the pixels of the square that reaches so many pixels to all sides."""
+    offset = np.arange(-half, half + 1)
+    x, y = np.tile(offset, len(offset)), np.repeat(offset, len(offset))
+    distance = np.hypot(x, y)
+    order = np.argsort(distance, kind="stable")
+    at = np.empty(len(order), np.int64)
+    at[order] = np.arange(len(order))
+    side = len(offset)
+    core = np.flatnonzero((np.abs(x) <= min(2, half - 1)) & (np.abs(y) <= min(2, half - 1)))
+    return Grid(
+        x=x[order].astype(np.float32),
+        y=y[order].astype(np.float32),
+        distance=distance[order].astype(np.float32),
+        right=at[core + 1],
+        left=at[core - 1],
+        below=at[core + side],
+        above=at[core - side],
+    )
+
+
+def gathered(image: Grey, middle: Integers, grid: Grid) -> tuple[Singles, Booleans | None]:
+    """Return the pixels around middles, (m, n), and which are inside the image; None for all of them."""
+    height, width = image.shape
+    x, y = grid.x.astype(np.int64), grid.y.astype(np.int64)
+    half = int(x.max())
+    flat = image.reshape(-1)
+    if (middle >= half).all() and (middle < [width - half, height - half]).all():
+        place = (middle[:, 1] * width + middle[:, 0])[:, None] + (y * width + x)
+        return flat.take(place).astype(np.float32), None
+    u, v = middle[:, :1] + x, middle[:, 1:] + y
+    seen = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    return flat.take(np.where(seen, v * width + u, 0)).astype(np.float32), seen
+
+
+def disc(values: Singles, seen: Booleans | None, grid: Grid, reach: Floats) -> Windows:
+    """Return the pixels of round windows."""
+    count = int(np.searchsorted(grid.distance, reach.max() + 0.5))
+    weight = np.clip((reach[:, None] + 0.5).astype(np.float32) - grid.distance[:count], 0, 1)
+    if seen is not None:
+        weight *= seen[:, :count]
+    return _windows(np.ascontiguousarray(values[:, :count]), grid.place[None, :, :count], weight)
+
+
+def arms_of(
+    values: Singles,
+    seen: Booleans | None,
+    grid: Grid,
+    edges: tuple[Floats, Floats],
+    shape: tuple[Floats, Floats, Floats],
+) -> Windows:
+    """Return the pixels near either edge of tips.
+
+    Parameters
+    ----------
+    edges : place of the corner (m, 2), and directions of the edges (m, 2, 2)
+    shape : (m,) how far outwards from the edges, into the black, and along the edges [px]
+    """
+    (centre, directions), (outer, inner, arms) = edges, shape
+    count = len(values)
+    start, single = centre.astype(np.float32), directions.astype(np.float32)
+    dx, dy = grid.x - start[:, :1], grid.y - start[:, 1:]
+    turn = np.sign(single[:, 0, 0] * single[:, 1, 1] - single[:, 0, 1] * single[:, 1, 0])[:, None]
+    chosen = np.zeros(dx.shape, dtype=bool)
+    for i, into in ((0, turn), (1, -turn)):
+        ex, ey = single[:, i, :1], single[:, i, 1:]
+        along, depth = ex * dx + ey * dy, into * (ex * dy - ey * dx)
+        across = (depth <= inner[:, None]) & (depth >= -outer[:, None])
+        chosen |= across & (along <= arms[:, None]) & (along >= -outer[:, None])
+    if seen is not None:
+        chosen &= seen
+    row, pixel = np.nonzero(chosen)
+    each = chosen.sum(axis=1)
+    slot = np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each)
+    index = np.zeros((count, max(int(each.max()), 1)), np.int64)
+    weight = np.zeros(index.shape, np.float32)
+    index[row, slot], weight[row, slot] = pixel, 1
+    return _windows(np.take_along_axis(values, index, axis=1), grid.place[:, index].transpose(1, 0, 2), weight)
+
+
+def _windows(values: Singles, place: Singles, weight: Singles) -> Windows:
+    saturated = bool(values.max() >= SATURATED or values.min() <= 0)
+    return Windows(values=values, place=place, weight=weight, saturated=saturated)

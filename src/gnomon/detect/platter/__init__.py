@@ -1,0 +1,1 @@
+"""Video of a turning platter -> its rate (document C)."""

@@ -1,0 +1,1 @@
+"""Samples -> static and steady intervals, saturation, noise, the time base."""

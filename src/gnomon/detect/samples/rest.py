@@ -1,0 +1,149 @@
+"""What a long recording at rest looks like, window by window, read once and in little memory."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...recording import Floats, Integers, TriadSamples
+
+_WINDOW_S = 1.0
+_FEWEST = 16
+_GAP_PERIODS = 1.5
+_PACKETS = 3.0
+_PACKET_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestTable:
+    """A recording in windows of about a second.
+
+    Attributes
+    ----------
+    t_s : (k,) middle of the window [s from the first sample]
+    mean, variance, low, high : (k, 3) of the samples in it [unit]
+    samples : number of samples in all
+    rate_hz : mean sample rate, gaps left out [Hz]
+    duration_s : from the first to the last sample [s]
+    gaps : number of gaps
+    lost : samples that are missing in them, about
+    longest_gap_s, longest_gap_at_s : how long the longest one is, and where it begins [s from the first sample]
+    repeats : share of the samples that repeat the one before in all axes
+    """
+
+    t_s: Floats
+    mean: Floats
+    variance: Floats
+    low: Floats
+    high: Floats
+    samples: int
+    rate_hz: float
+    duration_s: float
+    gaps: int
+    lost: int
+    longest_gap_s: float
+    longest_gap_at_s: float
+    repeats: float
+
+
+@dataclass(slots=True, kw_only=True)
+class RestWatch:
+    """Looks at samples block by block; stamps must not fall.
+
+    Attributes
+    ----------
+    samples : number of samples so far
+    backward : index of the first sample whose stamp lies before the one before it; None where there is none
+    """
+
+    samples: int = 0
+    backward: int | None = None
+    _first: int = 0
+    _last: int | None = None
+    _previous: Floats = field(default_factory=lambda: np.full((1, 3), np.nan))
+    _period: float = 0.0
+    _limit: float = 0.0
+    _gaps: int = 0
+    _gap_ns: float = 0.0
+    _lost: float = 0.0
+    _longest: tuple[float, int] = (0.0, 0)
+    _repeats: int = 0
+    _window: int = 0
+    _rest: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    _rest_t: Integers = field(default_factory=lambda: np.empty(0, np.int64))
+    _rows: list[Floats] = field(default_factory=list[Floats])
+
+    def add(self, block: TriadSamples) -> None:
+        """Take the next samples."""
+        if not len(block):
+            return
+        if self._last is None:
+            self._begin(block)
+        self._stamps(block.t_ns)
+        values = np.concatenate([self._previous, block.values])
+        self._repeats += int(np.count_nonzero((values[1:] == values[:-1]).all(axis=1)))
+        self._previous = block.values[-1:]
+        self._windows(block)
+        self.samples += len(block)
+
+    def _begin(self, block: TriadSamples) -> None:
+        steps = np.diff(block.t_ns)
+        self._first = int(block.t_ns[0])
+        self._period = 1e9 / block.rate_hz if len(steps) else 0.0
+        spread = 1.4826 * float(np.median(np.abs(steps - self._period))) if len(steps) else 0.0
+        self._limit = _GAP_PERIODS * self._period + 3 * spread
+        if len(steps) and np.median(steps) * _PACKETS < self._period:
+            self._limit = max(self._limit, _PACKET_S * 1e9)  # samples that were stamped in packets
+        self._window = max(_FEWEST, round(_WINDOW_S * 1e9 / self._period)) if self._period > 0 else _FEWEST
+
+    def _stamps(self, t_ns: Integers) -> None:
+        before = t_ns[:1] if self._last is None else np.array([self._last])
+        steps = np.diff(t_ns, prepend=before)
+        if self.backward is None and (steps < 0).any():
+            self.backward = self.samples + int(np.argmax(steps < 0))
+        gaps = np.flatnonzero(steps > self._limit) if self._limit > 0 else np.empty(0, np.int64)
+        if len(gaps):
+            self._gaps += len(gaps)
+            self._gap_ns += float(steps[gaps].sum())
+            self._lost += float(np.rint(steps[gaps] / self._period - 1).sum())
+            longest = int(gaps[np.argmax(steps[gaps])])
+            if steps[longest] > self._longest[0]:
+                self._longest = float(steps[longest]), int(t_ns[longest] - steps[longest]) - self._first
+        self._last = int(t_ns[-1])
+
+    def _windows(self, block: TriadSamples) -> None:
+        t = np.concatenate([self._rest_t, block.t_ns - self._first])
+        values = np.concatenate([self._rest, block.values])
+        count, width = len(t) // self._window, self._window
+        whole = count * width
+        if count:
+            parts = values[:whole].reshape(count, width, 3)
+            middle = parts[:, :1]
+            centred = parts - middle
+            mean = centred.mean(axis=1)
+            variance = np.maximum(np.einsum("kwi,kwi->ki", centred, centred) / width - mean**2, 0)
+            t_s = t[:whole].reshape(count, width).mean(axis=1, keepdims=True)[:, 0] * 1e-9
+            low, high = parts.min(axis=1), parts.max(axis=1)
+            self._rows.append(np.column_stack([t_s, mean + middle[:, 0], variance * width / (width - 1), low, high]))
+        self._rest, self._rest_t = values[whole:], t[whole:]
+
+    def table(self) -> RestTable:
+        """Return what was seen."""
+        rows = np.concatenate([np.empty((0, 13)), *self._rows])
+        span = 0.0 if self._last is None else float(self._last - self._first)
+        steps = self.samples - 1 - self._gaps
+        duration = span - self._gap_ns
+        return RestTable(
+            t_s=rows[:, 0],
+            mean=rows[:, 1:4],
+            variance=rows[:, 4:7],
+            low=rows[:, 7:10],
+            high=rows[:, 10:13],
+            samples=self.samples,
+            rate_hz=1e9 * steps / duration if duration > 0 and steps > 0 else float("nan"),
+            duration_s=span * 1e-9,
+            gaps=self._gaps,
+            lost=round(self._lost),
+            longest_gap_s=self._longest[0] * 1e-9,
+            longest_gap_at_s=self._longest[1] * 1e-9,
+            repeats=self._repeats / max(self.samples - 1, 1),
+        )

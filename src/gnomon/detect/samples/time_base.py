@@ -1,0 +1,77 @@
+"""From stamps to the instants of sampling."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ...recording import Floats, TriadSamples, frozen_array
+
+_PACKETS = 0.3  # share of samples that are stamped together with the one before
+_PACKET_S = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimeBase:
+    """Instants at which the samples were taken.
+
+    Attributes
+    ----------
+    t_s : (n,) [s since `origin_ns`]
+    uniform : whether they lie on a straight line through the stamps
+    jitter_s : rms distance of the stamps from that line [s]; nan where there is none
+    """
+
+    t_s: Floats
+    uniform: bool
+    jitter_s: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_s", frozen_array(self.t_s))
+
+
+def _near_a_line(stamps: Floats) -> bool:
+    """Return whether stamps of packets lie near a straight line over the sample's number: nothing is missing."""
+    number = np.arange(len(stamps), dtype=np.float64)
+    slope, start = np.polyfit(number, stamps, 1)
+    return bool(np.abs(stamps - start - slope * number).max() < _PACKET_S)
+
+
+def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "stamps", "uniform"] = "auto") -> TimeBase:
+    """Return the instants of sampling.
+
+    A sensor samples by its own clock; stamps are often rounded or delayed on their way. The hypothesis of a uniform
+    clock is tested: every stamp must lie within half a period of a straight line over the sample's number, counted with
+    missing samples. If it holds the line is the better clock, otherwise the stamps are all there is. Where samples were
+    stamped in packets, as they came over a wire, the line over all of them is the clock while no packet is far from it.
+
+    Parameters
+    ----------
+    samples : stamps, not falling
+    origin_ns : where the seconds start [ns]
+    choice : force the stamps or the line
+    """
+    stamps = np.asarray((samples.t_ns - origin_ns) * 1e-9, dtype=np.float64)
+    if choice == "stamps" or len(stamps) < 3:
+        return TimeBase(t_s=stamps, uniform=False, jitter_s=float("nan"))
+    steps = np.diff(stamps)
+    period = 1 / samples.rate_hz
+    together = steps < 0.5 * period
+    if choice == "auto" and np.mean(together) > _PACKETS:
+        choice = "uniform" if _near_a_line(stamps) else "stamps"
+        if choice == "stamps":
+            return TimeBase(t_s=stamps, uniform=False, jitter_s=float("nan"))
+    number = np.zeros(len(stamps))
+    np.cumsum(np.rint(steps / period), out=number[1:])
+    if choice == "uniform":
+        number = np.arange(len(stamps), dtype=np.float64)
+    mean_number, mean_stamp = number.mean(), stamps.mean()
+    spread = float((number - mean_number) @ (number - mean_number))
+    slope = float((number - mean_number) @ (stamps - mean_stamp)) / spread if spread > 0 else 0.0
+    line = mean_stamp + slope * (number - mean_number)
+    error = stamps - line
+    jitter = float(np.sqrt(np.mean(error**2)))
+    holds = slope > 0 and bool(np.all(np.diff(number) >= 1)) and float(np.abs(error).max()) < 0.5 * slope
+    if holds or choice == "uniform":
+        return TimeBase(t_s=line, uniform=True, jitter_s=jitter)
+    return TimeBase(t_s=stamps, uniform=False, jitter_s=jitter)

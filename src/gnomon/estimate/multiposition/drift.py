@@ -1,0 +1,164 @@
+"""Biases that wander during the recording, as when a cheap sensor warms up.
+
+The bias is its mean plus hat functions of time, whose values at the knots follow a random walk. Whether it wanders, and
+how fast, is read from the residuals at rest.
+"""
+
+from dataclasses import replace
+from statistics import NormalDist
+
+import numpy as np
+
+from ...geometry.so3 import inverse
+from ...intervals import Booleans
+from ...recording import Floats
+from .model import MultiPositionData
+
+_MOST_KNOTS = 30
+_INTERVALS_PER_KNOT = 1.5
+_SIGMA = 1.3
+_CHANCE = 0.005  # that an accelerometer which stays is said to drift
+_FEWEST_FOR_DRIFT = 18
+_STEADY = 2.5  # sigmas of a straight line in time that is no chance
+_FARTHEST = 60  # intervals between two that are compared
+_ZERO_MEAN_WEIGHT = 1e6  # of the walk's own precision: the mean over time belongs to the bias
+
+
+def walk_density(t_s: Floats, residual: Floats, used: Booleans) -> Floats | None:
+    """Return the random walk's density of each axis, (3,) [unit^2/s]; None where no axis wanders.
+
+    Von Neumann's ratio of neighbouring to total differences is 2 for independent residuals and falls where they
+    follow each other. The density is the slope of mean squared differences over their distance in time, up to a third
+    of the recording.
+
+    Parameters
+    ----------
+    t_s : (n,) middle of the static intervals [s]
+    residual : (n, 3) of the gyroscope at rest [unit]
+    used : (n,) bool
+    """
+    t, r = t_s[used], residual[used]
+    n = len(t)
+    if n < 12:
+        return None
+    total = np.sum((r - r.mean(axis=0)) ** 2, axis=0)
+    ratio = np.sum(np.diff(r, axis=0) ** 2, axis=0) / np.where(total > 0, total, 1.0)
+    wanders = (ratio < 2 - _SIGMA * 2 / np.sqrt(n)) & (total > 0)
+    if not wanders.any():
+        return None
+    first = np.arange(n)
+    apart = np.arange(1, min(n, _FARTHEST))
+    i, j = (pairs.ravel() for pairs in np.broadcast_arrays(first[:, None], first[:, None] + apart))
+    i, j = i[j < n], j[j < n]
+    near = t[j] - t[i] < (t[-1] - t[0]) / 3
+    i, j = i[near], j[near]
+    lag = (t[j] - t[i]) - np.mean(t[j] - t[i])
+    squares = (r[j] - r[i]) ** 2
+    slope = lag @ squares / (lag @ lag)
+    least = total / n / (t[-1] - t[0]) * 1e-4  # an axis that stays keeps a walk too small to matter
+    return np.where(wanders, np.maximum(slope, least), least)
+
+
+def with_trend(t_s: Floats, measured: Floats, residual: Floats, u: Floats, used: Booleans) -> Floats:
+    """Return residuals (n, 3) with the straight line in time that the g-sensitivity may have taken for itself.
+
+    Where the order of attitudes resembles time, a steady drift looks like g-sensitivity and leaves nothing behind that
+    wanders. Axes on which a straight line beside it stands out get back what it explains.
+
+    Parameters
+    ----------
+    t_s : (n,) middle of the static intervals [s]
+    measured, residual : (n, 3) of the gyroscope at rest [unit]
+    u : (n, 3) directions of gravity
+    used : (n,) bool
+    """
+    time = (t_s - t_s[used].mean()) / max(float(np.ptp(t_s[used])), 1e-9)
+    design = np.column_stack([np.ones(len(u)), u, time])
+    if used.sum() < 12:
+        return residual
+    found, _, rank, _ = np.linalg.lstsq(design[used], measured[used], rcond=None)
+    if rank < design.shape[1]:
+        return residual
+    left = measured - design @ found
+    variance = np.sum(left[used] ** 2, axis=0) / (used.sum() - design.shape[1])
+    sigma = np.sqrt(variance * np.linalg.inv(design[used].T @ design[used])[-1, -1])
+    steady = np.abs(found[-1]) > _STEADY * sigma
+    return np.where(steady, left + time[:, None] * found[-1], residual)
+
+
+def accelerometer_drifts(t_s: Floats, measured: Floats, sensitivity: Floats, bias: Floats, used: Booleans) -> bool:
+    """Return whether the accelerometer's bias drifts steadily, by the magnitude of gravity in its attitudes.
+
+    An F test must show it, and attitudes that are left out must be predicted better with it.
+
+    Parameters
+    ----------
+    t_s : (n,) middle of the static intervals [s]
+    measured : (n, 3) means [unit]
+    sensitivity, bias : (3, 3) [unit/g], (3,) [unit], near the best
+    used : (n,) bool
+    """
+    n = int(used.sum())
+    if n < _FEWEST_FOR_DRIFT:
+        return False
+    correction = inverse(sensitivity)
+    force = (measured[used] - bias) @ correction.T
+    length = np.linalg.norm(force, axis=1)
+    u = force / length[:, None]
+    pull = u @ correction
+    time = _unit_time(t_s[used])[:, None]
+    constant = np.concatenate([(pull[:, :, None] * u[:, None, :])[:, *np.tril_indices(3)], pull], axis=1)
+    still, left_out = _remaining(constant, length - 1)
+    moving, moving_left_out = _remaining(np.concatenate([constant, time * pull], axis=1), length - 1)
+    freedom = n - 12
+    ratio = (still - moving) / 3 / max(moving / freedom, np.finfo(float).tiny)
+    return _chance_of_ratio(ratio, 3, freedom) < _CHANCE and moving_left_out < left_out
+
+
+def _chance_of_ratio(ratio: float, above: int, below: int) -> float:
+    """Return how often a ratio of variances is larger by chance, by Paulson's approximation of the F distribution."""
+    one, two = 2 / (9 * above), 2 / (9 * below)
+    root = max(ratio, 0.0) ** (1 / 3)
+    return 1 - NormalDist().cdf(((1 - two) * root - (1 - one)) / float(np.sqrt(two * root**2 + one)))
+
+
+def _remaining(design: Floats, y: Floats) -> tuple[float, float]:
+    """Return the sum of squares that least squares leave, and that of the errors where each row is left out."""
+    q, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
+    residual = y - q @ (q.T @ y)
+    kept = np.maximum(1 - np.sum(q**2, axis=1), 1e-3)
+    return float(residual @ residual), float(np.sum((residual / kept) ** 2))
+
+
+def _unit_time(t_s: Floats) -> Floats:
+    """Return times from -1/2 to 1/2."""
+    return (t_s - 0.5 * (t_s[0] + t_s[-1])) / max(float(t_s[-1] - t_s[0]), 1e-9)
+
+
+def with_accelerometer_drift(data: MultiPositionData) -> MultiPositionData:
+    """Return the data with a straight line in time, of mean zero over the recording, in the accelerometer's bias."""
+    start, stop = data.span_s
+    return replace(data, accelerometer_drift=((data.interval_s - 0.5 * (start + stop)) / (stop - start))[:, None])
+
+
+def with_drift(data: MultiPositionData) -> MultiPositionData:
+    """Return the data with hat functions over the time of the recording."""
+    count = int(np.clip(len(data.interval_s) // _INTERVALS_PER_KNOT, 3, _MOST_KNOTS))
+    knots = np.linspace(*data.span_s, count)
+    spacing = knots[1] - knots[0]
+
+    def hats(t_s: Floats) -> Floats:
+        return np.clip(1 - np.abs(t_s[:, None] - knots) / spacing, 0.0, None)
+
+    return replace(data, drift_at_rest=hats(data.interval_s), drift_in_motion=hats(data.rotation_s))
+
+
+def walk_precision(data: MultiPositionData, density: Floats) -> Floats:
+    """Return the precision (3 j, 3 j) of the knots' values: a random walk with a mean of zero over time."""
+    count = data.drift[0].shape[1]
+    spacing = (data.span_s[1] - data.span_s[0]) / (count - 1)
+    difference = np.diff(np.eye(count), axis=0)
+    mean = np.full(count, 1 / (count - 1))
+    mean[[0, -1]] *= 0.5
+    walk = difference.T @ difference + _ZERO_MEAN_WEIGHT * np.outer(mean, mean)
+    return np.asarray(np.kron(walk, np.diag(1 / (density * spacing))), dtype=np.float64)

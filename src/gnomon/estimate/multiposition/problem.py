@@ -1,0 +1,147 @@
+"""From a recording and its static intervals to the multi-position problem."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...intervals import Booleans, StaticIntervals, interval_means
+from ...recording import Floats, Integers
+from .model import MultiPositionData
+from .rotations import MotionSegments, cut_segments, segments_between
+from .scaling import Scaling
+
+_LONGEST_GAP_S = 0.05
+_LONGEST_GAP_PERIODS = 3.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadStream:
+    """Samples of a triad as estimation needs them.
+
+    Attributes
+    ----------
+    t_s : (n,) instants [s]
+    values : (n, 3) [unit]
+    saturated : (n,) bool
+    rate_hz : sample rate [Hz]
+    density : (3,) noise density of means at rest [unit^2 s]
+    density_in_motion : (3,) noise density of integrals in motion [unit^2 s]
+    intervals : its samples at rest
+    """
+
+    t_s: Floats
+    values: Floats
+    saturated: Booleans
+    rate_hz: float
+    density: Floats
+    density_in_motion: Floats
+    intervals: StaticIntervals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MultiPositionProblem:
+    """The problem in scaled units, and the way back.
+
+    Attributes
+    ----------
+    data : means and segments in scaled units
+    accelerometer, gyroscope : the scaling of each triad
+    accelerometer_means, gyroscope_means : (n, 3) [unit]
+    start_s, stop_s : (n - 1,) where each rotation begins and ends [s]
+    unlinked : (n - 1,) why a rotation is not used, or ""
+    """
+
+    data: MultiPositionData
+    accelerometer: Scaling
+    gyroscope: Scaling
+    accelerometer_means: Floats
+    gyroscope_means: Floats
+    start_s: Floats
+    stop_s: Floats
+    unlinked: tuple[str, ...]
+
+
+def gyroscope_intervals(t_s: Floats, start_s: Floats, stop_s: Floats) -> StaticIntervals:
+    """Return the samples of another stream within static intervals that are given by time."""
+    return StaticIntervals(
+        start=np.searchsorted(t_s, start_s, side="left"), stop=np.searchsorted(t_s, stop_s, side="right")
+    )
+
+
+def build_problem(
+    accelerometer: TriadStream, gyroscope: TriadStream, earth_rate_variance: float
+) -> MultiPositionProblem:
+    """Gather the means of all static intervals and the samples of the rotations between them.
+
+    Parameters
+    ----------
+    accelerometer, gyroscope : streams, their intervals in the same order
+    earth_rate_variance : see MultiPositionData
+    """
+    still = accelerometer.intervals
+    means_a = interval_means(accelerometer.values, still)
+    means_g = interval_means(gyroscope.values, gyroscope.intervals)
+    start_s = accelerometer.t_s[still.stop[:-1] - 1]
+    stop_s = accelerometer.t_s[still.start[1:]]
+    first, lengths = segments_between(gyroscope.t_s, start_s, stop_s)
+    segments = _segments(accelerometer, gyroscope, first, lengths)
+    scale_a = Scaling.of(means_a.mean(axis=0), means_a - means_a.mean(axis=0))
+    rest = np.median(means_g, axis=0)
+    scale_g = Scaling.of(rest, segments.gyroscope - rest)
+    unlinked = tuple(_why_unlinked(gyroscope, a, n) for a, n in zip(first, lengths, strict=True))
+    data = MultiPositionData(
+        accelerometer=scale_a.scaled(means_a),
+        gyroscope=scale_g.scaled(means_g),
+        accelerometer_variance=_variance_of_means(accelerometer, scale_a),
+        gyroscope_variance=_variance_of_means(gyroscope, scale_g),
+        segments=MotionSegments(
+            gyroscope=scale_g.scaled(segments.gyroscope),
+            accelerometer=scale_a.scaled(segments.accelerometer),
+            dt_s=segments.dt_s,
+            lengths=segments.lengths,
+        ),
+        rotation_variance=segments.duration_s[:, None] * gyroscope.density_in_motion / scale_g.spread**2,
+        linked=np.array([not reason for reason in unlinked], dtype=bool),
+        interval_s=0.5 * (accelerometer.t_s[still.start] + accelerometer.t_s[still.stop - 1]),
+        rotation_s=0.5 * (start_s + stop_s),
+        span_s=(float(accelerometer.t_s[still.start[0]]), float(accelerometer.t_s[still.stop[-1] - 1])),
+        earth_rate_variance=earth_rate_variance,
+    )
+    return MultiPositionProblem(
+        data=data,
+        accelerometer=scale_a,
+        gyroscope=scale_g,
+        accelerometer_means=means_a,
+        gyroscope_means=means_g,
+        start_s=start_s,
+        stop_s=stop_s,
+        unlinked=unlinked,
+    )
+
+
+def _variance_of_means(stream: TriadStream, scaling: Scaling) -> Floats:
+    duration = (stream.intervals.stop - stream.intervals.start) / stream.rate_hz
+    variance = stream.density / duration[:, None] / scaling.spread**2
+    return np.maximum(variance, 1e-14)  # noiseless recordings keep a finite weight
+
+
+def _segments(accelerometer: TriadStream, gyroscope: TriadStream, first: Integers, lengths: Integers) -> MotionSegments:
+    """Cut out the rotations; the specific force is interpolated where it has stamps of its own."""
+    if np.array_equal(accelerometer.t_s, gyroscope.t_s):
+        return cut_segments(gyroscope.t_s, gyroscope.values, accelerometer.values, first, lengths)
+    cut = cut_segments(gyroscope.t_s, gyroscope.values, gyroscope.values, first, lengths)
+    offsets = np.cumsum(lengths) - lengths
+    instants = gyroscope.t_s[np.arange(lengths.sum()) - np.repeat(offsets - first, lengths)]
+    force = [np.interp(instants, accelerometer.t_s, accelerometer.values[:, axis]) for axis in range(3)]
+    return MotionSegments(gyroscope=cut.gyroscope, accelerometer=np.column_stack(force), dt_s=cut.dt_s, lengths=lengths)
+
+
+def _why_unlinked(gyroscope: TriadStream, first: int, length: int) -> str:
+    part = slice(first, first + length)
+    clipped = int(gyroscope.saturated[part].sum())
+    if clipped:
+        return f"the gyroscope is saturated in {clipped} samples"
+    gap = float(np.max(np.diff(gyroscope.t_s[part]), initial=0.0))
+    if gap > max(_LONGEST_GAP_S, _LONGEST_GAP_PERIODS / gyroscope.rate_hz):
+        return f"a gap of {gap:.2f} s in the gyroscope's samples"
+    return "" if length >= 3 else "fewer than three gyroscope samples"

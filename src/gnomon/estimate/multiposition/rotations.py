@@ -1,0 +1,198 @@
+"""The rotations between static intervals, integrated from the gyroscope (document A, sections 3.3 and 3.4.2).
+
+Within a rotation the rate is omega(t) = C z(t): C (3, 7) is linear in what is sought, and z = (y, 1, f) holds the
+measured rate y, a one for the bias and the specific force f for the g-sensitivity.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
+from ...recording import Floats, Integers, frozen_array
+
+_PART = 100_000  # samples
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MotionSegments:
+    """The samples of all rotations, one after the other.
+
+    Attributes
+    ----------
+    gyroscope : (n, 3) measured rate, any unit
+    accelerometer : (n, 3) measured specific force at the same instants, any unit
+    dt_s : (n,) [s], time to the next sample of the same rotation; 0 at the last sample of each
+    lengths : (m,) number of samples of each rotation, summing to n
+    """
+
+    gyroscope: Floats
+    accelerometer: Floats
+    dt_s: Floats
+    lengths: Integers
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gyroscope", frozen_array(self.gyroscope))
+        object.__setattr__(self, "accelerometer", frozen_array(self.accelerometer))
+        object.__setattr__(self, "dt_s", frozen_array(self.dt_s))
+        object.__setattr__(self, "lengths", frozen_array(self.lengths, np.int64))
+
+    @property
+    def first(self) -> Integers:
+        """Index of the first sample of each rotation, (m,)."""
+        return np.cumsum(self.lengths) - self.lengths
+
+    def parts(self) -> list[tuple[slice, slice]]:
+        """Return slices of rotations, and of their samples, that bound the memory of what each sample needs."""
+        ends = np.cumsum(self.lengths)
+        parts: list[tuple[slice, slice]] = []
+        rotation = sample = 0
+        while rotation < len(ends):
+            last = max(int(np.searchsorted(ends, sample + _PART, "right")), rotation + 1)
+            parts.append((slice(rotation, last), slice(sample, int(ends[last - 1]))))
+            rotation, sample = last, int(ends[last - 1])
+        return parts
+
+    def part(self, rotations: slice, samples: slice) -> "MotionSegments":
+        """Return some of the rotations with their samples, without copying them."""
+        return MotionSegments(
+            gyroscope=self.gyroscope[samples],
+            accelerometer=self.accelerometer[samples],
+            dt_s=self.dt_s[samples],
+            lengths=self.lengths[rotations],
+        )
+
+    @property
+    def duration_s(self) -> Floats:
+        """Length of each rotation [s], (m,)."""
+        return np.add.reduceat(self.dt_s, self.first) if len(self.lengths) else np.empty(0)
+
+
+def segments_between(t_s: Floats, start_s: Floats, stop_s: Floats) -> tuple[Integers, Integers]:
+    """Return for each rotation the index of its first sample and its number of samples.
+
+    Parameters
+    ----------
+    t_s : (n,) stamps, rising [s]
+    start_s : (m,) last instant of the static interval before the rotation [s]
+    stop_s : (m,) first instant of the static interval after it [s]
+    """
+    first = np.maximum(np.searchsorted(t_s, start_s, side="right") - 1, 0)
+    last = np.minimum(np.searchsorted(t_s, stop_s, side="left"), len(t_s) - 1)
+    return first, last - first + 1
+
+
+def cut_segments(
+    t_s: Floats, gyroscope: Floats, accelerometer: Floats, first: Integers, lengths: Integers
+) -> MotionSegments:
+    """Cut the samples of the rotations out of a recording.
+
+    Parameters
+    ----------
+    t_s : (n,) [s]
+    gyroscope, accelerometer : (n, 3), both at t_s
+    first, lengths : (m,), from `segments_between`
+    """
+    offsets = np.cumsum(lengths) - lengths
+    index = np.arange(lengths.sum()) - np.repeat(offsets - first, lengths)
+    dt = t_s[np.minimum(index + 1, len(t_s) - 1)] - t_s[index]
+    dt[np.cumsum(lengths) - 1] = 0.0
+    return MotionSegments(gyroscope=gyroscope[index], accelerometer=accelerometer[index], dt_s=dt, lengths=lengths)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turns:
+    """Integrated rotations.
+
+    Attributes
+    ----------
+    rotation : (m, 3, 3), R_start_end: v_start = rotation @ v_end for a vector fixed in the world
+    sensitivity : (m, 3, 3, 7), small rotation of the end attitude, seen from the start frame, by a change of omega's
+        coefficients: delta_theta[i] = sum over a, c of sensitivity[i, a, c] dC[a, c]
+    """
+
+    rotation: Floats
+    sensitivity: Floats
+
+
+def integrate(segments: MotionSegments, omega: Floats, regressors: Floats | None = None) -> Turns:
+    """Integrate rates by RK4n, Eqs. (3.10)-(3.16), with first-order sensitivities.
+
+    The sensitivity is the integral of R(t) dC z(t) dt by the trapezoid rule, whose error vanishes for motions that
+    begin and end at rest (Euler and Maclaurin).
+
+    Parameters
+    ----------
+    segments : the rotations
+    omega : (n, 3) [rad/s] at the samples of the segments
+    regressors : (n, 7) z of the module's head; no sensitivity is computed where it is not given
+    """
+    parts = [
+        _integrate_part(
+            segments.part(rotations, samples), omega[samples], None if regressors is None else regressors[samples]
+        )
+        for rotations, samples in segments.parts()
+    ]
+    return Turns(
+        rotation=np.concatenate([part.rotation for part in parts]),
+        sensitivity=np.concatenate([part.sensitivity for part in parts]),
+    )
+
+
+def _integrate_part(segments: MotionSegments, omega: Floats, regressors: Floats | None) -> Turns:
+    first, lengths = segments.first, segments.lengths
+    following = np.minimum(np.arange(len(omega)) + 1, len(omega) - 1)
+    steps = rk4n_steps(omega, omega[following], segments.dt_s)
+    attitude = running_products(steps, lengths)  # of the next sample, seen from the start of the segment
+    rotation = rotation_from_quaternion(attitude[first + lengths - 1])
+    if regressors is None:
+        return Turns(rotation=rotation, sensitivity=np.zeros((len(lengths), 3, 3, 7)))
+    at_sample = np.empty_like(attitude)
+    at_sample[1:] = attitude[:-1]
+    at_sample[first] = (1.0, 0.0, 0.0, 0.0)
+    weight = 0.5 * segments.dt_s
+    weight[1:] += 0.5 * segments.dt_s[:-1]
+    path = rotation_from_quaternion(at_sample).reshape(-1, 9)
+    path *= weight[:, None]
+    sensitivity = np.empty((len(lengths), 9, 7))
+    for k, (a, n) in enumerate(zip(first, lengths, strict=True)):
+        np.matmul(path[a : a + n].T, regressors[a : a + n], out=sensitivity[k])
+    return Turns(rotation=rotation, sensitivity=sensitivity.reshape(-1, 3, 3, 7))
+
+
+def propagate(rotation: Floats, u_start: Floats) -> Floats:
+    """Return world-fixed vectors (m, 3) at the end of their rotations: u_end = R_start_end' u_start, Eq. (3.7)."""
+    return np.einsum("kij,ki->kj", rotation, u_start)
+
+
+def linear_start(segments: MotionSegments, u_path: Floats) -> tuple[Floats, Floats]:
+    """Return a first estimate of C_g (3, 3) and how well each of its entries is known, without any guess.
+
+    A direction fixed in the world obeys u' = -omega x u in the body. Where the direction is known all along the motion
+    at least roughly, u(end) - u(start) = -integral of (C y) x u dt is linear in C.
+
+    Parameters
+    ----------
+    segments : gyroscope values with their bias removed
+    u_path : (n, 3) direction of gravity in the body at the samples of the segments
+
+    Returns
+    -------
+    (3, 3) correction with omega = C y, and (9,) singular values of the scaled problem, largest first
+    """
+    weight = 0.5 * segments.dt_s
+    weight[1:] += 0.5 * segments.dt_s[:-1]
+    weighted = weight[:, None] * segments.gyroscope
+    moments = np.empty((len(segments.lengths), 3, 3))  # integral of u_b y_c
+    for b in range(3):
+        moments[:, b] = np.add.reduceat(u_path[:, b : b + 1] * weighted, segments.first)
+    last = segments.first + segments.lengths - 1
+    change = u_path[last] - u_path[segments.first]
+    levi_civita = np.zeros((3, 3, 3))
+    levi_civita[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+    levi_civita[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1.0
+    design = -np.einsum("iab,kbc->kiac", levi_civita, moments).reshape(-1, 9)
+    scale = np.linalg.norm(design, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    solution, _, _, singular = np.linalg.lstsq(design / scale, change.ravel(), rcond=1e-6)
+    return (solution / scale).reshape(3, 3), singular

@@ -1,0 +1,184 @@
+"""Between the sensors' units and the scaled units in which the multi-position problem is solved.
+
+Every axis is centred and divided by its spread, so that offsets and scales of any size are the same problem.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ...intervals import Booleans
+from ...models.gravity import EARTH_RATE_RAD_S
+from ...recording import Floats, frozen_array
+from .model import B_, BG_, CG_, G_, LOWER, S_, State
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scaling:
+    """scaled = (measured - centre) / spread, axis by axis.
+
+    Attributes
+    ----------
+    centre, spread : (3,) [unit]
+    """
+
+    centre: Floats
+    spread: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", frozen_array(self.centre))
+        object.__setattr__(self, "spread", frozen_array(self.spread))
+
+    @classmethod
+    def of(cls, centre: Floats, deviations: Floats) -> "Scaling":
+        """Return the scaling with a given centre and the rms of deviations (n, 3) as spread."""
+        spread = np.sqrt(np.mean(deviations**2, axis=0)) if len(deviations) else np.ones(3)
+        return cls(centre=centre, spread=np.where(spread > 0, spread, 1.0))
+
+    def scaled(self, values: Floats) -> Floats:
+        """Return scaled values (n, 3)."""
+        return (values - self.centre) / self.spread
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuEstimate:
+    """An IMU's parameters in the sensors' units, in frame accel-x, with their covariance.
+
+    Attributes
+    ----------
+    accelerometer_sensitivity : (3, 3) [unit per m/s^2]
+    accelerometer_bias : (3,) [unit]
+    gyroscope_sensitivity : (3, 3) [unit per rad/s]
+    gyroscope_bias : (3,) [unit]
+    g_sensitivity : (3, 3) [unit per m/s^2]
+    covariance : (33, 33), elements in the order of the attributes, matrices in row order
+    """
+
+    accelerometer_sensitivity: Floats
+    accelerometer_bias: Floats
+    gyroscope_sensitivity: Floats
+    gyroscope_bias: Floats
+    g_sensitivity: Floats
+    covariance: Floats
+
+    @property
+    def values(self) -> Floats:
+        """All scalars (33,), in the order of the covariance."""
+        parts = (
+            self.accelerometer_sensitivity,
+            self.accelerometer_bias,
+            self.gyroscope_sensitivity,
+            self.gyroscope_bias,
+            self.g_sensitivity,
+        )
+        return np.concatenate([part.ravel() for part in parts])
+
+
+class Fitted(Protocol):
+    """What a fit says in scaled units: the state, the covariance (30, 30), and which parameters were estimated."""
+
+    @property
+    def state(self) -> State:
+        """Where it stands."""
+        ...
+
+    @property
+    def covariance(self) -> Floats:
+        """Of theta."""
+        ...
+
+    @property
+    def free(self) -> Booleans:
+        """Whether each of theta was estimated."""
+        ...
+
+
+def unscaled(
+    fit: Fitted,
+    accelerometer: Scaling,
+    gyroscope: Scaling,
+    *,
+    gravity_m_s2: float,
+    gravity_sigma_m_s2: float,
+    latitude_deg: float | None,
+) -> ImuEstimate:
+    """Return the fit in the sensors' units.
+
+    The uncertainty of gravity goes to the sensitivities, which are proportional to 1 / g. The vertical part of the
+    earth's rate turns with the attitude like gravity and hides in the g-sensitivity: it is taken off where the latitude
+    is known, and is part of the sigma where it is not.
+    """
+    values, jacobian = sensor_scalars(
+        fit.state, accelerometer, gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
+    )
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    by_gravity = np.zeros(33)
+    by_gravity[:9], by_gravity[24:] = -values[:9] / gravity_m_s2, -values[24:] / gravity_m_s2
+    covariance += gravity_sigma_m_s2**2 * np.outer(by_gravity, by_gravity)
+    if not fit.free[G_].any():
+        values[24:] = 0.0
+    elif latitude_deg is None:
+        by_earth = np.zeros(33)
+        by_earth[24:] = values[12:21] / gravity_m_s2
+        covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth)
+    return ImuEstimate(
+        accelerometer_sensitivity=values[:9].reshape(3, 3),
+        accelerometer_bias=values[9:12],
+        gyroscope_sensitivity=values[12:21].reshape(3, 3),
+        gyroscope_bias=values[21:24],
+        g_sensitivity=values[24:].reshape(3, 3),
+        covariance=covariance,
+    )
+
+
+def blocks_of_scalars(values: Floats) -> tuple[tuple[str, Floats, str], ...]:
+    """Return of each block of scalars (33,) its path, the factors (33,) by which it is shown, and the unit of that.
+
+    Sensitivities are shown as shares of the axis' own, biases and g-sensitivity as what they make of the rate or force.
+    """
+    force, rate = (np.linalg.norm(values[part].reshape(3, 3), axis=1) for part in (slice(0, 9), slice(12, 21)))
+    shares = {
+        "imu0.accelerometer.sensitivity": (slice(0, 9), 100 / np.repeat(force, 3), "%"),
+        "imu0.accelerometer.bias": (slice(9, 12), 1 / force, "m/s^2"),
+        "imu0.gyroscope.sensitivity": (slice(12, 21), 100 / np.repeat(rate, 3), "%"),
+        "imu0.gyroscope.bias": (slice(21, 24), 1 / rate, "rad/s"),
+        "imu0.gyroscope.g_sensitivity": (slice(24, 33), 1 / np.repeat(rate, 3), "rad/s per m/s^2"),
+    }
+    found: list[tuple[str, Floats, str]] = []
+    for path, (part, share, unit) in shares.items():
+        factor = np.zeros(len(values))
+        factor[part] = share
+        found.append((path, factor, unit))
+    return tuple(found)
+
+
+def sensor_scalars(
+    state: State, accelerometer: Scaling, gyroscope: Scaling, *, gravity_m_s2: float, latitude_deg: float | None
+) -> tuple[Floats, Floats]:
+    """Return the scalars (33,) in the sensors' units, in the order of `ImuEstimate.covariance`, and their derivative.
+
+    The derivative (33, 30) is by the scaled parameters theta.
+    """
+    s, b, c_g, b_g, g = state.matrices
+    s_g = np.linalg.inv(c_g) if np.any(c_g) else np.zeros((3, 3))
+    da, dg = accelerometer.spread, gyroscope.spread
+    vertical = EARTH_RATE_RAD_S * np.sin(np.radians(latitude_deg)) if latitude_deg is not None else 0.0
+    gyro_sensitivity = dg[:, None] * s_g
+    values = np.concatenate(
+        [
+            (da[:, None] * s / gravity_m_s2).ravel(),
+            da * b + accelerometer.centre,
+            gyro_sensitivity.ravel(),
+            dg * b_g + gyroscope.centre,
+            (dg[:, None] * g / gravity_m_s2 - gyro_sensitivity * vertical / gravity_m_s2).ravel(),
+        ]
+    )
+    jacobian = np.zeros((33, 30))
+    for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        jacobian[3 * i + j, S_.start + column] = da[i] / gravity_m_s2
+    jacobian[9:12, B_] = np.diag(da)
+    jacobian[12:21, CG_] = -np.kron(np.diag(dg) @ s_g, s_g.T)  # d inv(C) = -inv(C) dC inv(C)
+    jacobian[21:24, BG_] = np.diag(dg)
+    jacobian[24:33, G_] = np.kron(np.diag(dg), np.eye(3)) / gravity_m_s2
+    return values, jacobian

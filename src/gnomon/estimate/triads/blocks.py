@@ -1,0 +1,173 @@
+"""Uncertainty by leaving out blocks of time, honest where errors are correlated, as when a hand turns a sensor.
+
+The field differs from place to place, and a hand accelerates: neighbouring residuals err together, and the covariance
+for independent errors is too small. Blocks longer than this memory are as good as independent; how the estimate moves
+when each is left out tells its covariance (the delete-one-block jackknife). Each step is one exact Gauss-Newton step.
+Estimates that rest on earlier ones move along with them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...recording import Floats, Integers
+
+_CELLS_S = 0.25
+_FORGOTTEN = 0.1  # correlation that counts as none
+_LONGER = 3.0  # a block, than that takes
+FEWEST_BLOCKS = 15
+_SHORTEST_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stage:
+    """One least-squares estimate, linearised at its solution; residuals in units of their sigma.
+
+    Attributes
+    ----------
+    residual : (n,); zero rows where a pose was not used
+    jacobian : (n, p) derivative by its own parameters
+    earlier : derivatives (n, q) by the parameters of each of the stages before it; empty where it rests on none
+    covariance : (p, p) for independent errors, with what was known beforehand
+    precision : (p, p) of what was known beforehand; None where that is nothing
+    """
+
+    residual: Floats
+    jacobian: Floats
+    covariance: Floats
+    earlier: tuple[Floats, ...] = ()
+    precision: Floats | None = None
+
+
+def memory_s(t_s: Floats, residual: Floats) -> float:
+    """Return after how long residuals (n,) at rising times have forgotten each other [s]."""
+    cell = np.floor((t_s - t_s[0]) / _CELLS_S).astype(np.int64)
+    count = np.bincount(cell)
+    filled = count > 0
+    mean = np.where(filled, np.bincount(cell, residual) / np.maximum(count, 1), 0.0)
+    power = float(np.sum(mean**2)) / filled.sum()
+    if power <= 0:
+        return 0.0
+    for lag in range(1, len(mean) // 4):
+        pairs = int(np.sum(filled[lag:] & filled[:-lag]))
+        if pairs and float(mean[lag:] @ mean[:-lag]) / pairs < _FORGOTTEN * power:
+            return (lag - 1) * _CELLS_S
+    return len(mean) / 4 * _CELLS_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Blocks:
+    """Blocks of time.
+
+    Attributes
+    ----------
+    block : (n,) of each pose
+    length_s : of a block [s]
+    memory_s : after which errors are forgotten [s]
+    """
+
+    block: Integers
+    length_s: float
+    memory_s: float
+
+    @classmethod
+    def of(cls, t_s: Floats, memory: float) -> "Blocks":
+        """Return blocks of rising times (n,), three times as long as the memory unless they became too few."""
+        span = float(t_s[-1] - t_s[0]) * (1 + 1e-9)
+        length = min(max(_LONGER * memory, _SHORTEST_S), span / FEWEST_BLOCKS)
+        return cls(block=np.floor((t_s - t_s[0]) / length).astype(np.int64), length_s=length, memory_s=memory)
+
+    @property
+    def long_enough(self) -> bool:
+        """Whether they are long enough."""
+        return self.length_s > (_LONGER - 0.5) * self.memory_s
+
+    @property
+    def seen(self) -> float:
+        """Share of the variance of means that blocks show: errors that straddle a border are missed."""
+        ratio = self.length_s * np.log(1 / _FORGOTTEN) / self.memory_s if self.memory_s > 0 else np.inf
+        return float(1 - (1 - np.exp(-ratio)) / ratio)
+
+
+def left_out(stages: Sequence[Stage], block: Integers) -> Floats:
+    """Return how all parameters, stage by stage, move when each block is left out, (blocks, p + q + ...)."""
+    count = int(block.max()) + 1
+    moved: list[Floats] = []
+    for stage in stages:
+        j, r = stage.jacobian, stage.residual
+        size = np.linalg.norm(j, axis=0)
+        size = np.where(size > 0, size, 1.0)
+        j = j / size
+        known = 0.0 if stage.precision is None else stage.precision / np.outer(size, size)
+        inner = _by_block(j[:, :, None] * j[:, None, :], block, count)
+        pull = _by_block(j * r[:, None], block, count)
+        for by, step in zip(stage.earlier, moved, strict=False):
+            cross = _by_block(j[:, :, None] * by[:, None, :], block, count)
+            pull -= np.einsum("bpq,bq->bp", cross.sum(axis=0) - cross, step)
+        rest = inner.sum(axis=0) - inner + known
+        moved.append((np.linalg.pinv(rest, rcond=1e-13, hermitian=True) @ pull[..., None])[..., 0] / size)
+    return np.concatenate(moved, axis=1)
+
+
+def block_covariance(stages: Sequence[Stage], blocks: Blocks, moves: Floats) -> Floats:
+    """Return the joint covariance of all parameters.
+
+    The blocks tell the variances, none of them below that for independent errors. Correlations of many parameters they
+    tell badly, and of more parameters than blocks not at all: the fewer blocks, the more the correlations for
+    independent errors count.
+    """
+    count = len(np.unique(blocks.block[np.any([stage.residual != 0 for stage in stages], axis=0)]))
+    # A variance of few degrees of freedom is taken for larger, as Student's is.
+    student = (count - 1) / max(count - 3, 1)
+    covariance = student * (count - 1) / max(count, 1) / blocks.seen * moves.T @ moves
+    ordinary, known = _independent(stages)
+    covariance += known
+    variance = np.maximum(np.diag(covariance), np.diag(ordinary))
+    share = len(variance) / (len(variance) + count)
+    correlation = (1 - share) * _correlation(covariance) + share * _correlation(ordinary)
+    return correlation * np.sqrt(np.outer(variance, variance))
+
+
+def _independent(stages: Sequence[Stage]) -> tuple[Floats, Floats]:
+    """Return the joint covariance for independent errors, and the part of it that the prior brings."""
+    edges = np.concatenate([[0], np.cumsum([len(stage.covariance) for stage in stages])])
+    total = np.eye(edges[-1])
+    ordinary, known = np.zeros_like(total), np.zeros_like(total)
+    for k, stage in enumerate(stages):
+        at = slice(edges[k], edges[k + 1])
+        ordinary[at, at] = stage.covariance
+        if stage.precision is not None:
+            known[at, at] = stage.covariance @ stage.precision @ stage.covariance
+        for j, by in enumerate(stage.earlier):
+            total[at] -= stage.covariance @ (stage.jacobian.T @ by) @ total[edges[j] : edges[j + 1]]
+    return total @ ordinary @ total.T, total @ known @ total.T
+
+
+def _correlation(covariance: Floats) -> Floats:
+    sigma = np.sqrt(np.diag(covariance))
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    correlation = covariance / np.outer(sigma, sigma)
+    np.fill_diagonal(correlation, 1.0)
+    return correlation
+
+
+def _by_block(rows: Floats, block: Integers, count: int) -> Floats:
+    flat = rows.reshape(len(rows), -1)
+    order = np.argsort(block, kind="stable")
+    sums = np.zeros((count, flat.shape[1]))
+    found, first = np.unique(block[order], return_index=True)
+    sums[found] = np.add.reduceat(flat[order], first, axis=0)
+    return sums.reshape(count, *rows.shape[1:])
+
+
+def by_direction(x: Floats, correction: Floats) -> Floats:
+    """Return the derivatives (n, 3, 12) of the directions of vectors x = correction @ (measured - bias), (n, 3).
+
+    By the entries of the sensitivity, whose inverse the correction is, in row order, and by the bias.
+    """
+    length = np.linalg.norm(x, axis=1)
+    u = x / length[:, None]
+    across = (np.eye(3) - u[:, :, None] * u[:, None, :]) @ correction / length[:, None, None]
+    by_sensitivity = (across[:, :, :, None] * x[:, None, None, :]).reshape(len(x), 3, 9)
+    return -np.concatenate([by_sensitivity, across], axis=2)

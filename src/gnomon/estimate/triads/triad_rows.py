@@ -1,0 +1,283 @@
+"""The equations of one triad's poses in scaled units, with the unknown direction of each pose eliminated.
+
+A pose measures m = S x + b + G f with noise of covariance V, where x = w u. With C = inv(S), the corrected measurement
+C (m - b - G f) has the covariance C V C' and should be x.
+
+- Only w known: u is the foot of m on the ellipsoid in the metric of V, and one residual u'C (m - b - G f) - w is left.
+- Direction known to an angle: u moves away from it as far as the noise says, and three residuals are left.
+- w = 0: three residuals, and no direction.
+
+Noise across u lengthens a vector on the average. That is taken off (`excess`), so that ten thousand noisy samples do
+not agree on a wrong scale.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...geometry.so3 import inverse
+from ...intervals import Booleans
+from ...recording import Floats, Integers
+from .triad_poses import B_, G_, PARAMETERS, S_
+
+_FOOT_STEPS = 2
+_TURN_STEPS = 3
+_LARGEST_EXCESS = 0.1  # of the magnitude; noise that large is no perturbation
+_TINY = 1e-18  # variance below all rounding, in scaled units
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadProblem:
+    """Poses in scaled units, and what is known beforehand. The parameters are S, b, G and p relative magnitude errors.
+
+    Attributes
+    ----------
+    measured, variance, force : (n, 3)
+    magnitude, magnitude_sigma : (n,)
+    level : (n, p) derivative of the logarithm of each magnitude by the magnitude errors
+    direction : (n, 3) unit vectors; zero where unknown
+    direction_sigma : (n,) [rad]; infinite where unknown
+    free : (21 + p,) bool
+    prior_root : (k, 21 + p), rows of the square root of the prior's precision
+    prior_target : (k,) what they should give
+    """
+
+    measured: Floats
+    variance: Floats
+    force: Floats
+    magnitude: Floats
+    magnitude_sigma: Floats
+    level: Floats
+    direction: Floats
+    direction_sigma: Floats
+    free: Booleans
+    prior_root: Floats
+    prior_target: Floats
+
+    @property
+    def length_only(self) -> Booleans:
+        """(n,) bool, poses with one equation."""
+        return (self.magnitude > 0) & ~np.isfinite(self.direction_sigma)
+
+    def of(self, kept: Booleans) -> "TriadProblem":
+        """Return the problem of some of the poses."""
+        names = ("measured", "variance", "force", "magnitude", "magnitude_sigma", "level", "direction")
+        some = {name: getattr(self, name)[kept] for name in (*names, "direction_sigma")}
+        return replace(self, **some)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Noise:
+    """What stays the same while the parameters settle.
+
+    Attributes
+    ----------
+    covariance : (n, 3, 3) of each measurement
+    excess : (n,) by how much noise lengthens each vector on the average
+    """
+
+    covariance: Floats
+    excess: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Latent:
+    """Where the poses are, by some parameters: all poses of one equation first, then those of three.
+
+    Attributes
+    ----------
+    pose : (r,) index of the pose of each residual; slice(None) where each has one
+    u : (n, 3) unit vectors; zero where the magnitude is
+    spread : (n,) mean squared angle between u and the true direction, both axes together
+    q : (r, 3) in the body frame, along which the residual is taken
+    error, sigma : (r,) residual and its standard deviation
+    length : (n,) of the vector
+    """
+
+    pose: Integers | slice
+    u: Floats
+    spread: Floats
+    q: Floats
+    error: Floats
+    sigma: Floats
+    length: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Residuals with unit variance and their derivatives, all poses of one equation first, then those of three.
+
+    Attributes
+    ----------
+    pose : (r,) index of the pose
+    residual : (r,)
+    jacobian : (r, f) by the free parameters
+    sigma : (r,) standard deviation of the residuals before they were divided by it
+    u : (n, 3) unit vectors; zero where the magnitude is
+    """
+
+    pose: Integers
+    residual: Floats
+    jacobian: Floats
+    sigma: Floats
+    u: Floats
+
+
+def sensor_covariance(problem: TriadProblem, theta: Floats, u: Floats, extra: float) -> Floats:
+    """Return the covariance (n, 3, 3) of the measurements: noise, magnitude's error, extra variance."""
+    s = theta[S_].reshape(3, 3)
+    lengths = problem.magnitude_sigma**2
+    along = u @ s.T
+    at_rest = problem.magnitude == 0
+    isotropic = extra + np.where(at_rest, lengths, 0.0)
+    floor = _TINY * np.einsum("ij,ij->i", s, s) + problem.variance
+    return (
+        floor[:, :, None] * np.eye(3)
+        + isotropic[:, None, None] * (s @ s.T)
+        + np.where(at_rest, 0.0, lengths)[:, None, None] * along[:, :, None] * along[:, None, :]
+    )
+
+
+def corrected(problem: TriadProblem, theta: Floats) -> Floats:
+    """Return the true vectors (n, 3) that measurements and parameters say."""
+    c = inverse(theta[S_].reshape(3, 3))
+    return (problem.measured - theta[B_] - problem.force @ theta[G_].reshape(3, 3).T) @ c.T
+
+
+def magnitudes(problem: TriadProblem, theta: Floats) -> Floats:
+    """Return the known magnitudes (n,) with their estimated errors."""
+    return problem.magnitude * (1 + problem.level @ theta[PARAMETERS:])
+
+
+def latent(problem: TriadProblem, theta: Floats, noise: Noise) -> Latent:
+    """Return the direction of each pose and the residuals that are left when it is eliminated."""
+    c = inverse(theta[S_].reshape(3, 3))
+    x = corrected(problem, theta)
+    w = magnitudes(problem, theta) + noise.excess
+    body = c @ noise.covariance @ c.T
+    single = problem.length_only
+    if single.all():
+        u, spread, q, error, sigma = _feet(x, w, body)
+        return Latent(pose=slice(None), u=u, spread=spread, q=q, error=error, sigma=sigma, length=w)
+    one, three = np.flatnonzero(single), np.flatnonzero(~single)
+    u, spread = np.zeros_like(x), np.zeros(len(x))
+    u[one], spread[one], q_one, e_one, sigma_one = _feet(x[one], w[one], body[one])
+    u[three], spread[three], q_three, e_three, sigma_three = _posteriors(
+        x[three], w[three], body[three], problem.direction[three], problem.direction_sigma[three]
+    )
+    return Latent(
+        pose=np.concatenate([one, np.repeat(three, 3)]),
+        u=u,
+        spread=spread,
+        q=np.concatenate([q_one, q_three.reshape(-1, 3)]),
+        error=np.concatenate([e_one, e_three.ravel()]),
+        sigma=np.concatenate([sigma_one, sigma_three.ravel()]),
+        length=w,
+    )
+
+
+def rows(problem: TriadProblem, theta: Floats, noise: Noise) -> Rows:
+    """Return the residuals and their derivatives by the free parameters."""
+    at = latent(problem, theta, noise)
+    pose, scale = at.pose, 1 / at.sigma
+    c = inverse(theta[S_].reshape(3, 3))
+    normal = -(at.q @ c) * scale[:, None]
+    along = -scale * np.einsum("ri,ri->r", at.q, at.u[pose]) * problem.magnitude[pose]
+    point = (at.length[:, None] * at.u)[pose]
+    columns = _columns(problem, pose, normal, point, along)
+    return Rows(
+        pose=np.arange(len(at.u)) if isinstance(pose, slice) else pose,
+        residual=at.error * scale,
+        jacobian=np.stack(columns).T,  # each column in one piece, as it is made and used
+        sigma=at.sigma,
+        u=at.u,
+    )
+
+
+def _columns(
+    problem: TriadProblem, pose: Integers | slice, normal: Floats, point: Floats, along: Floats
+) -> list[Floats]:
+    """Return the derivatives (r,) by each free parameter.
+
+    Parameters
+    ----------
+    normal : (r, 3) derivative of the residual by the bias
+    point : (r, 3) true vectors
+    along : (r,) derivative by the logarithm of the magnitude
+    """
+    force, level = problem.force[pose], problem.level[pose]
+    columns: list[Floats] = []
+    for k in np.flatnonzero(problem.free):
+        if k < B_.start:
+            columns.append(normal[:, k // 3] * point[:, k % 3])
+        elif k < G_.start:
+            columns.append(normal[:, k - B_.start])
+        elif k < PARAMETERS:
+            columns.append(normal[:, (k - G_.start) // 3] * force[:, k % 3])
+        else:
+            columns.append(along * level[:, k - PARAMETERS])
+    return columns
+
+
+def _feet(x: Floats, w: Floats, body: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return u, spread, q, error and sigma of Latent for poses of known length only; u is the foot, and q is u."""
+    u = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), np.sqrt(_TINY))
+    for _ in range(_FOOT_STEPS):
+        pull = (body @ u[..., None])[..., 0]
+        variance = np.einsum("ki,ki->k", u, pull)
+        foot = x - pull * ((np.einsum("ki,ki->k", u, x) - w) / variance)[:, None]
+        u = foot / np.maximum(np.linalg.norm(foot, axis=1, keepdims=True), np.sqrt(_TINY))
+    pull = (body @ u[..., None])[..., 0]
+    variance = np.einsum("ki,ki->k", u, pull)
+    across = np.trace(body, axis1=1, axis2=2) - np.einsum("ki,ki->k", pull, pull) / variance
+    return u, across / w**2, u, np.einsum("ki,ki->k", u, x) - w, np.sqrt(variance)
+
+
+def _posteriors(
+    x: Floats, w: Floats, body: Floats, direction: Floats, sigma: Floats
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return the same for poses with three equations; q, error and sigma are (k, 3, 3), (k, 3) and (k, 3)."""
+    known = np.isfinite(sigma)
+    angle = np.where(known, sigma, 0.0)
+    u = np.where(known[:, None], direction, 0.0)
+    prior = (angle**2)[:, None, None] * np.eye(3)
+    across, gain, total, error = prior, prior, body, x
+    for step in range(_TURN_STEPS + 1):
+        across = prior - (angle**2)[:, None, None] * u[:, :, None] * u[:, None, :]
+        total = body + (w**2)[:, None, None] * across
+        offset = _logarithm(u, direction)
+        error = x - w[:, None] * (u + offset)
+        gain = w[:, None, None] * np.swapaxes(np.linalg.solve(total, across), 1, 2)
+        if step < _TURN_STEPS and angle.any():
+            u = _exponential(u, offset + np.einsum("kij,kj->ki", gain, error))
+    spread = np.trace(across - w[:, None, None] * gain @ across, axis1=1, axis2=2)
+    variance, vectors = np.linalg.eigh(total)
+    q = np.swapaxes(vectors, 1, 2)
+    return u, spread, q, np.einsum("kij,kj->ki", q, error), np.sqrt(variance)
+
+
+def _logarithm(u: Floats, target: Floats) -> Floats:
+    """Return the tangent vectors at u that lead to target, (k, 3) [rad]; zero where either is."""
+    cosine = np.einsum("ki,ki->k", u, target)
+    across = target - cosine[:, None] * u
+    sine = np.linalg.norm(across, axis=1)
+    return across * (np.arctan2(sine, cosine) / np.where(sine > 0, sine, 1.0))[:, None]
+
+
+def _exponential(u: Floats, tangent: Floats) -> Floats:
+    """Return unit vectors u moved along tangent vectors (k, 3) [rad]."""
+    angle = np.linalg.norm(tangent, axis=1, keepdims=True)
+    moved = np.cos(angle) * u + np.sinc(angle / np.pi) * tangent
+    length = np.linalg.norm(moved, axis=1, keepdims=True)
+    return moved / np.where(length > 0, length, 1.0)
+
+
+def noise_at(problem: TriadProblem, theta: Floats, extra: float) -> Noise:
+    """Return the noise as it is at these parameters, with an extra variance of every component."""
+    x = corrected(problem, theta)
+    length = np.linalg.norm(x, axis=1, keepdims=True)
+    u = np.where(problem.magnitude[:, None] > 0, x / np.where(length > 0, length, 1.0), 0.0)
+    noise = Noise(covariance=sensor_covariance(problem, theta, u, extra), excess=np.zeros(len(x)))
+    w = magnitudes(problem, theta)
+    spread = latent(problem, theta, noise).spread
+    return replace(noise, excess=np.clip(0.5 * w * spread, 0.0, _LARGEST_EXCESS * w))

@@ -1,0 +1,228 @@
+"""Steps of the fit of a triad: minimum at a given noise, robust reweighting, extra variance, outliers."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...intervals import Booleans
+from ...recording import Floats
+from ...solve.levenberg_marquardt import levenberg_marquardt
+from .triad_rows import Noise, Rows, TriadProblem, noise_at, rows
+
+_REWEIGHTINGS = 10
+_SAME_WEIGHT = 0.02
+_SETTLINGS = 8
+_SAME_VARIANCE = 0.01
+_SUSPICIOUS = 1.5  # times sqrt(2 log n) times the median size, which is where the largest of n should be
+_GATE_SIGMA = 5.0
+_GATE = {1: _GATE_SIGMA**2, 3: 32.0}  # square sum of one and of three residuals, equally improbable
+_FEWEST_SHARE = 0.6  # of the poses; where more would have to go, the model does not hold
+_MEDIAN_SQUARE = 0.4549  # of chi-square with one degree of freedom
+_ROUGH, _FINE = (1e-6, 30), (1e-11, 100)  # relative length of the last step, and most steps
+_FEWEST_REDUNDANT = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Minimum:
+    """Where a fit stands.
+
+    Attributes
+    ----------
+    theta : (21 + p,)
+    noise : at which it was found
+    cost : half the sum of squares, prior included
+    iterations : steps
+    converged : whether the last step was negligible
+    """
+
+    theta: Floats
+    noise: Noise
+    cost: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linear:
+    """A fit linearised where it stands.
+
+    Attributes
+    ----------
+    rows : of all poses, also of those not used
+    covariance : (f, f) of the free parameters
+    leverage : (r,) variance of each row's prediction in units of its noise; for a row that was used its hat value
+    redundancy : residuals used less what the parameters take
+    """
+
+    rows: Rows
+    covariance: Floats
+    leverage: Floats
+    redundancy: float
+
+
+def minimise(problem: TriadProblem, theta: Floats, noise: Noise, weight: Floats, *, rough: bool = False) -> Minimum:
+    """Return the minimum from a point, with poses weighted (n,)."""
+    free = problem.free
+
+    def residuals(x: Floats) -> tuple[Floats, Floats]:
+        """Return weighted residuals (r,) and their derivatives (r, f) by the free parameters."""
+        full = theta.copy()
+        full[free] = x
+        try:
+            lines = rows(problem, full, noise)
+        except np.linalg.LinAlgError:  # a step that makes the sensitivity singular is refused
+            bad = np.full(shape[0], np.inf)
+            return bad, np.zeros(shape)
+        root = np.sqrt(weight)[lines.pose]
+        prior = problem.prior_root @ full - problem.prior_target
+        return (
+            np.concatenate([root * lines.residual, prior]),
+            np.concatenate([root[:, None] * lines.jacobian, problem.prior_root[:, free]]),
+        )
+
+    three = ~problem.length_only
+    shape = (len(three) + 2 * int(three.sum()) + len(problem.prior_target), int(free.sum()))
+    solution = levenberg_marquardt(residuals, theta[free], *(_ROUGH if rough else _FINE))
+    found = theta.copy()
+    found[free] = solution.x
+    return Minimum(
+        theta=found,
+        noise=noise,
+        cost=solution.cost,
+        iterations=solution.iterations,
+        converged=solution.converged,
+    )
+
+
+def linearised(problem: TriadProblem, theta: Floats, noise: Noise, used: Booleans) -> Linear:
+    """Return covariance and leverages where a fit stands."""
+    lines = rows(problem, theta, noise)
+    free = problem.free
+    counted = used[lines.pose]
+    stacked = np.concatenate([lines.jacobian[counted], problem.prior_root[:, free]])
+    size = np.linalg.norm(stacked, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    inverse = np.linalg.pinv(np.linalg.qr(stacked / size, mode="r")) / size[:, None]
+    share = lines.jacobian @ inverse
+    leverage = np.einsum("ij,ij->i", share, share)
+    return Linear(
+        rows=lines,
+        covariance=inverse @ inverse.T,
+        leverage=leverage,
+        redundancy=float(counted.sum() - leverage[counted].sum()),
+    )
+
+
+def reweighted(problem: TriadProblem, theta: Floats, extra: float) -> Minimum:
+    """Return a fit in which poses that stand out count by their size, not by its square.
+
+    Several bad poses bend an ordinary fit until none of them stands out; they cannot bend this one as far.
+    """
+    noise = noise_at(problem, theta, extra)
+    weight = _weights(problem, theta, noise)
+    point = minimise(problem, theta, noise, weight, rough=True)
+    iterations = point.iterations
+    for _ in range(_REWEIGHTINGS):
+        old, weight = weight, _weights(problem, point.theta, noise)
+        if np.abs(weight - old).max() < _SAME_WEIGHT:
+            break
+        point = minimise(problem, point.theta, noise, weight, rough=True)
+        iterations += point.iterations
+    return replace(point, iterations=iterations)
+
+
+def _weights(problem: TriadProblem, theta: Floats, noise: Noise) -> Floats:
+    size = pose_sizes(problem, rows(problem, theta, noise))
+    usual = float(np.median(size))
+    if usual <= 0 or size.max() <= _SUSPICIOUS * np.sqrt(2 * np.log(len(size))) * usual:
+        return np.ones(len(size))
+    return 1 / np.maximum(size / usual, 1.0)
+
+
+def pose_sizes(problem: TriadProblem, lines: Rows, shrink: Floats | None = None) -> Floats:
+    """Return the root mean square of each pose's residuals (n,), each first divided by the root of `shrink` (r,)."""
+    squares = lines.residual**2 if shrink is None else lines.residual**2 / shrink
+    total = np.bincount(lines.pose, squares, minlength=len(problem.measured))
+    return np.sqrt(total / equations(problem))
+
+
+def equations(problem: TriadProblem) -> np.ndarray:
+    """Return how many residuals each pose has, (n,)."""
+    return np.where(problem.length_only, 1, 3)
+
+
+def extra_variance(problem: TriadProblem, theta: Floats, used: Booleans, given: float, *, robust: bool) -> float:
+    """Return the variance per component beyond the noise at rest with which the residuals are as large as they should.
+
+    Parameters
+    ----------
+    given : extra variance with which theta was found
+    robust : take the median for the mean, so that outliers do not count
+    """
+    linear = linearised(problem, theta, noise_at(problem, theta, given), used)
+    plain = rows(problem, theta, noise_at(problem, theta, 0.0))
+    counted = used[plain.pose]
+    squares, variance = (plain.residual * plain.sigma)[counted] ** 2, plain.sigma[counted] ** 2
+    if linear.redundancy < _FEWEST_REDUNDANT:
+        return 0.0
+    if robust:
+        kept = np.maximum(1 - linear.leverage[counted], 0.05)
+        excess = float(np.median(squares / variance / kept)) / _MEDIAN_SQUARE - 1
+        return max(excess, 0.0) * float(np.median(variance))
+    return _matching_variance(squares, variance, linear.redundancy)
+
+
+def _matching_variance(squares: Floats, variance: Floats, redundancy: float) -> float:
+    """Return v with sum of squares / (variance + v) equal to the redundancy.
+
+    Nothing is added unless the excess over the noise at rest is significant (three sigma of chi-square), so that poses
+    which the noise explains keep its exactly known level.
+    """
+    total = float(np.sum(squares / variance))
+    if total <= redundancy + 3 * np.sqrt(2 * redundancy):
+        return 0.0
+    extra = 0.0
+    for _ in range(100):  # Newton on the inverse of the sum, which is concave and rising: no step goes too far
+        step = (total / redundancy - 1) * total / float(np.sum(squares / (variance + extra) ** 2))
+        extra += step
+        total = float(np.sum(squares / (variance + extra)))
+        if step < 1e-6 * extra:
+            break
+    return extra
+
+
+def settled(problem: TriadProblem, theta: Floats, used: Booleans, extra: float) -> tuple[Minimum, float]:
+    """Return minimum and extra variance that belong together."""
+    weight = used.astype(np.float64)
+    theta = minimise(problem, theta, noise_at(problem, theta, extra), weight, rough=True).theta
+    point = minimise(problem, theta, noise_at(problem, theta, extra), weight)
+    iterations = point.iterations
+    for _ in range(_SETTLINGS):
+        old, extra = extra, extra_variance(problem, point.theta, used, extra, robust=False)
+        if abs(extra - old) <= _SAME_VARIANCE * max(extra, old):
+            return replace(point, iterations=iterations), old
+        point = minimise(problem, point.theta, noise_at(problem, point.theta, extra), weight)
+        iterations += point.iterations
+    return replace(point, iterations=iterations), extra
+
+
+def gated(problem: TriadProblem, theta: Floats, used: Booleans, extra: float, *, known: bool) -> Booleans:
+    """Return which poses stay (n,): those that the others predict within five sigma.
+
+    Parameters
+    ----------
+    used : those of which theta was found
+    known : whether the noise is known, not estimated from these residuals (then few of them prove little)
+    """
+    from scipy.special import ndtr, stdtrit
+
+    linear = linearised(problem, theta, noise_at(problem, theta, extra), used)
+    counted = used[linear.rows.pose]
+    shrink = np.where(counted, np.maximum(1 - linear.leverage, 1e-3), 1 + linear.leverage)
+    size = pose_sizes(problem, linear.rows, shrink) ** 2 * equations(problem)
+    limit = np.where(problem.length_only, _GATE[1], _GATE[3])
+    if not known:
+        limit = limit * (stdtrit(max(linear.redundancy, 1.0), ndtr(-_GATE_SIGMA)) / _GATE_SIGMA) ** 2
+    kept = size < limit
+    enough = equations(problem)[kept].sum() > problem.free.sum()
+    return kept if enough and kept.mean() >= _FEWEST_SHARE else np.ones_like(kept)

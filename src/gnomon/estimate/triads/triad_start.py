@@ -1,0 +1,224 @@
+"""Where the fit of a triad starts: closed forms from the poses alone, tried in order of their accuracy."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from ...errors import InitialisationError
+from ...geometry.so3 import inverse, nearest_rotation
+from ...recording import Floats
+from .triad_ellipsoid import Ellipsoid, constrained_ellipsoid, from_quadric, general_ellipsoid, sphere
+from .triad_poses import B_, G_, PARAMETERS, S_, TriadPrior
+from .triad_rows import TriadProblem
+from .triad_scaling import TriadScaling, not_wild, with_weak_prior
+from .triad_search import concentrated, most_errors, subset_starts
+from .triad_solve import Minimum, equations, reweighted
+
+START_VARIANCE = 1e-4
+"""Of a component, scaled: a start is good to one percent or so."""
+
+ENOUGH = 2000
+"""Poses for a start."""
+
+_GOOD = 0.03  # of the magnitude that a good start leaves
+_EXPLAINED = 3.0  # times the noise at rest; a start that leaves more may have followed bad poses
+_NOTHING_BUT_NOISE = 5.0
+_FLAT = 0.02
+_DIAGONAL = [0, 4, 8]
+
+
+def check_determined(problem: TriadProblem, prior: TriadPrior | None) -> None:
+    """Refuse poses that determine no triad whatever their values, and say what is missing.
+
+    Raises
+    ------
+    InitialisationError
+        If all magnitudes are zero, equations are fewer than unknowns, or all measurements are in a plane or a point.
+    """
+    if prior is not None and np.any(prior.precision):
+        return
+    moving = problem.magnitude > 0
+    if not moving.any():
+        raise InitialisationError(
+            "the magnitude is zero in every pose, which shows the bias and no scale. Add poses at a known rate."
+        )
+    unknowns = int(problem.free[:PARAMETERS].sum())
+    if equations(problem).sum() < unknowns:
+        raise InitialisationError(
+            f"{len(moving)} poses give {equations(problem).sum()} equations for {unknowns} unknowns. "
+            f"Record at least {unknowns} well spread attitudes, better 18."
+        )
+    m = problem.measured[moving]
+    m = m[not_wild(m, np.ones(len(m)))]
+    away = m - (m.mean(axis=0) if moving.all() else np.median(problem.measured[~moving], axis=0))
+    values, vectors = np.linalg.eigh(away.T @ away / len(away))
+    noise = float(np.sqrt(np.median(problem.variance[moving].max(axis=1))))
+    axis = "xyz"[int(np.argmax(np.abs(vectors[:, 0])))]
+    if np.sqrt(values[-1]) <= _NOTHING_BUT_NOISE * noise:
+        raise InitialisationError(
+            "all poses show the same measurement within its noise: one orientation only. Turn the sensor between "
+            "recordings, so that every axis points up once and down once, and some directions between."
+        )
+    if np.sqrt(values[0]) <= max(_FLAT * np.sqrt(values[-1]), noise):
+        raise InitialisationError(
+            f"the measurements of all poses lie in one plane; the direction missing is mostly axis {axis}. "
+            f"Add poses in which axis {axis} points along what is measured, and against it."
+        )
+
+
+def first_fit(
+    problem: TriadProblem, scaling: TriadScaling, prior: TriadPrior | None, start: Floats | None, *, robust: bool
+) -> Minimum:
+    """Return a fit good to a few percent, by a sample of the poses where there are many.
+
+    Raises
+    ------
+    InitialisationError
+        If no start leads anywhere.
+    """
+    kept = not_wild(problem.measured, problem.magnitude) if robust else np.ones(len(problem.measured), dtype=bool)
+    kept &= np.cumsum(kept) % max(1, kept.sum() // ENOUGH) == 0
+    sample = problem.of(kept)
+    tried: list[tuple[float, Minimum]] = []
+    for theta in _all_starts(sample, scaling, prior, start):
+        tried += _tried(sample, theta)
+        if tried and tried[-1][1].converged and tried[-1][0] < _GOOD and start is None:
+            break
+    if not tried:
+        raise InitialisationError(
+            "the poses do not surround an ellipsoid: they are too much alike, or the sensor moved in them. "
+            "Turn the sensor so that every axis points up once and down once, and some directions between."
+        )
+    size, best = min(tried, key=_size)
+    if robust and size > _EXPLAINED * _noise_size(sample, best.theta):
+        for theta in subset_starts(sample, best.theta):
+            tried += _tried(sample, np.where(sample.free, theta, best.theta), concentrated)
+    return min(tried, key=_size)[1]
+
+
+def _size(tried: tuple[float, Minimum]) -> float:
+    return tried[0]
+
+
+def _all_starts(
+    problem: TriadProblem, scaling: TriadScaling, prior: TriadPrior | None, start: Floats | None
+) -> Iterator[Floats]:
+    """Yield the stated start and the closed forms, with the held parameters at their values."""
+    if start is not None:
+        yield _stated(start, scaling, len(problem.free))
+    common_axes = scaling.spread / scaling.spread.max()
+    if prior is None:
+        yield from starts(problem, common_axes, None)
+        return
+    known = (prior.mean - scaling.shift) / scaling.turn
+    able = bool(np.all((np.diag(prior.precision) > 0)[_DIAGONAL] | prior.fixed[_DIAGONAL]))
+    for theta in starts(problem, common_axes, known if able else None):
+        theta[:PARAMETERS] = np.where(prior.fixed, known, theta[:PARAMETERS])
+        yield theta
+
+
+def _tried(
+    problem: TriadProblem, theta: Floats, method: Callable[[TriadProblem, Floats, float], Minimum] = reweighted
+) -> list[tuple[float, Minimum]]:
+    """Return a fit from a start with the mean of most poses' errors, by which to compare; nothing if it breaks down."""
+    try:
+        point = method(with_weak_prior(problem, theta), theta, START_VARIANCE)
+        size = most_errors(problem, point.theta)
+    except np.linalg.LinAlgError:
+        return []
+    return [(size, point)] if np.isfinite(size) else []
+
+
+def _noise_size(problem: TriadProblem, theta: Floats) -> float:
+    """Return the mean error by noise at rest, in the unit of the measurements."""
+    size = float(np.abs(np.linalg.det(theta[S_].reshape(3, 3)))) ** (1 / 3)
+    return float(np.mean(np.sqrt(np.mean(problem.variance, axis=1) + (size * problem.magnitude_sigma) ** 2)))
+
+
+def _stated(start: Floats, scaling: TriadScaling, size: int) -> Floats:
+    """Return the scaled parameters of document C's nine (Eq. 3), with positive scales, in the triad's own frame."""
+    x, y, z = start[:3]
+    correction = np.array([[1, z, y], [0, 1, x], [0, 0, 1]]) * start[6:]
+    theta = np.zeros(size)
+    found = from_quadric(correction.T @ correction, start[3:6], np.inf)
+    if found is None:
+        raise InitialisationError("a start needs scales other than zero.")
+    parameters = np.zeros(PARAMETERS)
+    parameters[S_], parameters[B_] = inverse(found.correction).ravel(), found.bias
+    theta[:PARAMETERS] = (parameters - scaling.shift) / scaling.turn
+    return theta
+
+
+def starts(problem: TriadProblem, common_axes: Floats, prior: Floats | None) -> Iterator[Floats]:
+    """Yield starting points (21 + p,), the most accurate first.
+
+    Parameters
+    ----------
+    problem : in scaled units
+    common_axes : (3,) multiplies scaled measurements so that all axes have one unit again
+    prior : (21,) parameters from elsewhere that can serve as a start
+    """
+    linear = _by_directions(problem)
+    if linear is not None:
+        yield linear
+    moving = problem.magnitude > 0
+    if not moving.any():
+        if prior is not None:
+            yield np.concatenate([prior, np.zeros(problem.level.shape[1])])
+        return
+    m, w = problem.measured[moving], problem.magnitude[moving]
+    rest = problem.measured[~moving]
+    centre = rest.mean(axis=0) if len(rest) else 0.5 * (m.max(axis=0) + m.min(axis=0))
+    for found in (
+        general_ellipsoid(m - centre, w),
+        _in_common_axes(constrained_ellipsoid, m - centre, w, common_axes),
+        _in_common_axes(sphere, m - centre, w, common_axes),
+    ):
+        if found is not None:
+            shifted = Ellipsoid(correction=found.correction, bias=found.bias + centre)
+            yield _oriented(problem, shifted, prior)
+    if prior is not None:
+        yield np.concatenate([prior, np.zeros(problem.level.shape[1])])
+
+
+def _in_common_axes(method: object, m: Floats, w: Floats, axes: Floats) -> Ellipsoid | None:
+    found = method(m * axes, w)  # type: ignore[operator]
+    if found is None:
+        return None
+    return Ellipsoid(correction=found.correction * axes, bias=found.bias / axes)
+
+
+def _oriented(problem: TriadProblem, found: Ellipsoid, prior: Floats | None) -> Floats:
+    """Return the parameters of an ellipsoid in the body frame that directions or a prior mean, else in its own."""
+    theta = np.zeros(len(problem.free))
+    theta[S_], theta[B_] = inverse(found.correction).ravel(), found.bias
+    if not problem.free[[1, 2, 5]].any():
+        theta[[1, 2, 5]] = 0.0
+        return theta
+    known = (problem.magnitude > 0) & np.isfinite(problem.direction_sigma)
+    own = (problem.measured - found.bias) @ found.correction.T
+    if known.any():
+        turn = nearest_rotation(problem.direction[known].T @ own[known])
+    elif prior is not None:
+        turn = nearest_rotation(prior[S_].reshape(3, 3).T @ found.correction.T)
+    else:
+        turn = np.eye(3)
+    theta[S_] = (inverse(found.correction) @ turn.T).ravel()
+    return theta
+
+
+def _by_directions(problem: TriadProblem) -> Floats | None:
+    """Return the linear least-squares solution by poses of known direction (document C, Eqs. 4-7); None if too few."""
+    usable = (problem.magnitude == 0) | np.isfinite(problem.direction_sigma)
+    x = problem.magnitude[usable, None] * problem.direction[usable]
+    design = np.column_stack([x, np.ones(len(x)), problem.force[usable]])
+    if not problem.free[G_].any():
+        design = design[:, :4]
+    if len(x) < 4 or np.linalg.svd(design[:, :4], compute_uv=False)[-1] < 0.02 * np.sqrt(len(x)):
+        return None
+    found = np.linalg.lstsq(design, problem.measured[usable], rcond=1e-9)[0].T
+    theta = np.zeros(len(problem.free))
+    theta[S_], theta[B_] = found[:, :3].ravel(), found[:, 3]
+    if found.shape[1] > 4:
+        theta[G_] = found[:, 4:].ravel()
+    return theta if abs(np.linalg.det(found[:, :3])) > 1e-6 and len(theta) >= PARAMETERS else None

@@ -1,0 +1,107 @@
+"""Sigmas of a triad that hold where poses do not err alike or not independently."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...parameters import element_names
+from ...recording import Floats, Integers
+from ...trust import BlockAgreement, Splits, Trust
+from ..trust.cluster_trust import Trusted, trusted
+from ..trust.clusters import ClusterSums
+from .triad import TriadFit
+
+
+def triad_sums(fit: TriadFit, stretch: Integers, t_s: Floats) -> ClusterSums:
+    """Return pulls and information of stretches of time on the free parameters.
+
+    Parameters
+    ----------
+    stretch : (n,) number of the stretch, from 0 and rising in time, that a pose belongs to
+    t_s : (n,) when each pose was measured [s]
+    """
+    lines = fit.lines
+    row = stretch[lines.pose]
+    order = np.argsort(row, kind="stable")
+    _, first = np.unique(row[order], return_index=True)
+    jacobian, residual = lines.jacobian[order], lines.residual[order]
+    return ClusterSums(
+        t_s=np.bincount(stretch, t_s) / np.bincount(stretch),
+        pull=-np.add.reduceat(jacobian * residual[:, None], first),
+        information=np.add.reduceat(jacobian[:, :, None] * jacobian[:, None, :], first),
+        prior_pull=lines.prior_pull,
+        prior_information=lines.prior_information,
+    )
+
+
+def robust_triad(
+    fit: TriadFit,
+    triad: str,
+    *,
+    t_s: Floats | None = None,
+    stretch: Integers | None = None,
+    g_sensitivity: bool = False,
+    widened: bool = True,
+) -> tuple[TriadFit, Trusted]:
+    """Return the fit with the covariance from clusters of poses, and how parts of the recording agree.
+
+    Parameters
+    ----------
+    fit : of n poses
+    triad : its path, such as "imu0.accelerometer"
+    t_s : (n,) when each pose was measured [s]; None where only their order is known
+    stretch : (n,) number of the stretch of a pose, such as its attitude on a turntable; each its own where not given
+    g_sensitivity : whether it belongs to the triad
+    widened : as in `trusted`
+    """
+    n = len(fit.used)
+    t_s = np.arange(n, dtype=np.float64) if t_s is None else t_s
+    stretch = np.arange(n) if stretch is None else np.unique(stretch, return_inverse=True)[1]
+    names = [*element_names(f"{triad}.sensitivity", (3, 3)), *element_names(f"{triad}.bias", (3,))]
+    names += element_names(f"{triad}.g_sensitivity", (3, 3)) if g_sensitivity else []
+    count = len(names)
+    found = trusted(
+        triad_sums(fit, stretch, t_s),
+        fit.lines.unscaled[:count],
+        names,
+        fit.covariance[:count, :count],
+        biases=(f"{triad}.bias",),
+        widened=widened,
+    )
+    covariance = fit.covariance.copy()
+    covariance[:count, :count] = found.covariance
+    return replace(fit, covariance=covariance), found
+
+
+def together(trusts: Sequence[Trust]) -> Trust:
+    """Return what recordings of several triads say, as if they were of one."""
+    if len(trusts) == 1:
+        return trusts[0]
+    counted = [trust.clusters for trust in trusts if trust.clusters is not None]
+    return Trust(
+        clusters=min(counted, key=lambda clusters: clusters.count) if counted else None,
+        names=tuple(name for trust in trusts for name in trust.names),
+        ordinary_sigma=np.concatenate([trust.ordinary_sigma for trust in trusts]),
+        sigma=np.concatenate([trust.sigma for trust in trusts]),
+        ratios=tuple(ratio for trust in trusts for ratio in trust.ratios),
+        splits=_pooled([trust.splits for trust in trusts if trust.splits is not None]),
+    )
+
+
+def _pooled(splits: Sequence[Splits]) -> Splits | None:
+    if not splits:
+        return None
+    blocks: tuple[BlockAgreement, ...] = tuple(block for one in splits for block in one.blocks)
+    weight = np.array([sum(block.comparisons for block in one.blocks) for one in splits])
+
+    def pooled(values: list[float]) -> float:
+        return float(np.sqrt(np.average(np.square(values), weights=weight)))
+
+    return Splits(
+        splits=tuple(dict.fromkeys(name for one in splits for name in one.splits)),
+        blocks=blocks,
+        z_rms=pooled([one.z_rms for one in splits]),
+        z_rms_ordinary=pooled([one.z_rms_ordinary for one in splits]),
+        limit=pooled([one.limit for one in splits]),
+    )

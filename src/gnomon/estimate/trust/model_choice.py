@@ -1,0 +1,165 @@
+"""Which blocks of parameters a recording asks for: the fit to clusters of time that an estimate has not seen.
+
+"Set to 0 what the recording does not determine" (document B, section 5.2) made rigorous. Every smaller model is
+estimated from the same cluster sums; for each cluster of time the model is estimated from the others, and its cost on
+the one left out is compared with that of the model without the block. A block that is not there makes gains and losses
+alike: were all their signs random, their sum would exceed what is needed by chance alone, and the more blocks are
+tried the more is needed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...recording import Floats, Integers
+from .clusters import ClusterSums, held_out_costs, whole_estimate
+
+_CHANCE = 0.01
+"""Chance that a block which is not there is added by any of the tries."""
+
+_LEAST_GAIN = 2.0  # of the log-likelihood: less is no evidence at all, however well the clusters agree
+_DRAWS = 20_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Candidate:
+    """A block of parameters that a model may have or not.
+
+    Attributes
+    ----------
+    name : of the step, such as "lever arms"
+    columns : (k,) of the sums
+    away : (k,) step from the present values to those that a model without the block holds them at
+    forced : in the model whatever the recording says (True), never (False), or by evidence (None)
+    """
+
+    name: str
+    columns: Integers
+    away: Floats
+    forced: bool | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """What one candidate brings.
+
+    Attributes
+    ----------
+    candidate : see there
+    gain, gain_sigma : held-out log-likelihood, summed over the clusters, and its standard deviation
+    needed : what the gain must exceed
+    used : whether it is in the model
+    change, sigma : (p,) what it moves among all columns of the sums, and the sigmas of the larger model; nan where held
+    """
+
+    candidate: Candidate
+    gain: float
+    gain_sigma: float
+    needed: float
+    used: bool
+    change: Floats
+    sigma: Floats
+
+
+def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candidate]) -> tuple[Step, ...]:
+    """Return what each candidate brings, in their order.
+
+    Those on which the recording decides join the model one by one, the one with the largest gain first, as long as one
+    proves itself; each is shown by what the model has from it or would have from it. The others are shown one after the
+    other, beyond those before them and those that were added.
+
+    Parameters
+    ----------
+    sums : of clusters longer than the residuals' memory, over all columns
+    always : columns that every model estimates
+    candidates : those that are decided on first, in the order of the ladder
+    """
+    bench = _Bench(sums, always, candidates)
+    decided = [candidate for candidate in candidates if candidate.forced is not None]
+    open_ones = [candidate for candidate in candidates if candidate.forced is None]
+    stated = [candidate for candidate in decided if candidate.forced]
+    added: list[Candidate] = []
+    while rest := [candidate for candidate in open_ones if candidate not in added]:
+        trials = [bench.step(candidate, [*stated, *added]) for candidate in rest]
+        best = max(trials, key=lambda step: step.gain - step.needed)
+        if best.gain <= best.needed:
+            break
+        added.append(best.candidate)
+    found: dict[str, Step] = {}
+    for candidate in candidates:
+        if candidate.forced is None:
+            others = [*stated, *(other for other in added if other is not candidate)]
+            found[candidate.name] = replace(bench.step(candidate, others), used=candidate in added)
+        else:
+            before = decided[: decided.index(candidate)]
+            kept = [*(other for other in before if other.forced), *added]
+            found[candidate.name] = replace(bench.step(candidate, kept), used=candidate.forced)
+    return tuple(found.values())
+
+
+class _Bench:
+    """Models on trial, each estimated once."""
+
+    def __init__(self, sums: ClusterSums, always: Integers, candidates: Sequence[Candidate]) -> None:
+        self._sums, self._always, self._candidates = sums, always, candidates
+        self._models: dict[frozenset[str], _Model] = {}
+        tries = sum(candidate.forced is None for candidate in candidates)
+        self._level = 1 - _CHANCE / max(tries, 1)
+        rng = np.random.default_rng(0)
+        self._signs = rng.integers(0, 2, (_DRAWS, len(sums))) * 2.0 - 1.0
+
+    def step(self, candidate: Candidate, kept: Sequence[Candidate]) -> Step:
+        """Return what a candidate brings to a model."""
+        without, larger = self._model(kept), self._model([*kept, candidate])
+        gains = without.costs - larger.costs
+        needed = max(float(np.quantile(self._signs @ gains, self._level)), _LEAST_GAIN)
+        gain = float(gains.sum())
+        return Step(
+            candidate=candidate,
+            gain=gain,
+            gain_sigma=float(np.sqrt(len(gains)) * np.std(gains, ddof=1)),
+            needed=needed,
+            used=gain > needed,
+            change=larger.estimate - without.estimate,
+            sigma=larger.sigma,
+        )
+
+    def _model(self, kept: Sequence[Candidate]) -> "_Model":
+        names = frozenset(candidate.name for candidate in kept)
+        if names not in self._models:
+            self._models[names] = _Model.of(self._sums, self._always, self._candidates, kept)
+        return self._models[names]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Model:
+    """A model by its cluster sums.
+
+    Attributes
+    ----------
+    costs : (c,) of each cluster by the estimate from the others, relative to the present values of all columns
+    estimate : (p,) step from the present values
+    sigma : (p,) ordinary standard deviations; nan where held
+    """
+
+    costs: Floats
+    estimate: Floats
+    sigma: Floats
+
+    @classmethod
+    def of(
+        cls, sums: ClusterSums, always: Integers, candidates: Sequence[Candidate], kept: Sequence[Candidate]
+    ) -> "_Model":
+        """Return the model of some columns and the candidates kept, the others held without."""
+        estimate, sigma = np.zeros(sums.pull.shape[1]), np.full(sums.pull.shape[1], np.nan)
+        inside = {candidate.name for candidate in kept}
+        for candidate in candidates:
+            if candidate.name not in inside:
+                estimate[candidate.columns] = candidate.away
+        held, costs = sums.moved(estimate)
+        free = np.concatenate([always, *(candidate.columns for candidate in kept)]).astype(np.int64)
+        own = held.of_parameters(free)
+        step, covariance = whole_estimate(own)
+        estimate[free], sigma[free] = step, np.sqrt(np.diag(covariance))
+        return cls(costs=costs + held_out_costs(own), estimate=estimate, sigma=sigma)

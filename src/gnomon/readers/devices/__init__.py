@@ -1,0 +1,1 @@
+"""Logs of devices that say themselves what they measured: GoPro cameras and phones."""

@@ -1,0 +1,69 @@
+"""What a device logged with its own app or firmware: triads with stamps of their own, and what was assumed of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...errors import OptionError, RecordingError
+from ...recording import Integers, Source
+from ..samples.table import Triad
+
+StampedTriad = tuple[Integers, Triad]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DeviceLog:
+    """The IMU of one recording of a camera or a phone; the triads share a clock.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope, magnetometer : stamps and samples, or None
+    sources : the files that were read
+    notes : what was assumed
+    """
+
+    accelerometer: StampedTriad | None
+    gyroscope: StampedTriad | None
+    magnetometer: StampedTriad | None
+    sources: tuple[Source, ...]
+    notes: tuple[str, ...]
+
+
+def is_device_log(paths: Sequence[str | Path]) -> bool:
+    """Tell whether paths are what a camera or a phone logged: one path that holds a whole recording."""
+    return _reader(paths) is not None
+
+
+def read_device_log(
+    paths: Sequence[str | Path], columns: str | None = None, rate_hz: float | None = None
+) -> DeviceLog | None:
+    """Read what a camera or a phone logged; None where the paths are something else.
+
+    Raises
+    ------
+    RecordingError
+        If it is such a log, and cannot be read or understood.
+    OptionError
+        If columns or a rate are stated: such a log says itself what it holds.
+    """
+    reader = _reader(paths)
+    if reader is None:
+        return None
+    path = Path(paths[0])
+    for option, value in (("columns", columns), ("rate", rate_hz)):
+        if value is not None:
+            raise OptionError(f"{path.name}: this log names its columns and has stamps. Leave out --{option}.")
+    try:
+        return reader(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Check its permissions.") from None
+
+
+def _reader(paths: Sequence[str | Path]) -> Callable[[Path], DeviceLog] | None:
+    from .gpmf import is_gpmf, read_gpmf
+    from .phone_log import is_phone_log, read_phone_log
+
+    if len(paths) != 1:
+        return None
+    path = Path(paths[0])
+    return read_gpmf if is_gpmf(path) else read_phone_log if is_phone_log(path) else None

@@ -1,0 +1,49 @@
+"""Logs of phones: which app wrote them, told by their tables and headers.
+
+Sensor Logger (Kelvin Choi) and phyphox (RWTH Aachen) write a table for each sensor, into a folder or a zip. Apps that
+write all sensors into one table need no reader of their own: its header names them.
+"""
+
+from pathlib import Path
+
+from ...errors import RecordingError
+from ..samples.column_roles import HELP
+from .device_log import DeviceLog
+from .phone_files import log_files, zipfile_at
+from .phone_phyphox import is_phyphox, read_phyphox
+from .phone_sensor_logger import is_sensor_logger, read_sensor_logger
+
+
+def is_phone_log(path: Path) -> bool:
+    """Tell whether a folder, a zip or a table is what one of the apps wrote; every zip of tables is taken for one."""
+    try:
+        files = log_files(path)
+    except RecordingError:  # opening it says what is wrong
+        return path.suffix.lower() != ".npz"
+    except OSError:
+        return False
+    if files is None:
+        return False
+    return zipfile_at(path) or is_sensor_logger(files) or is_phyphox(files)
+
+
+def read_phone_log(path: Path) -> DeviceLog:
+    """Read the log of a phone.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged, comes from no app that is known, or holds nothing to calibrate.
+    """
+    files = log_files(path)
+    if files is None:
+        raise RecordingError(f"{path.name}: there are no tables in it.")
+    if is_sensor_logger(files):
+        return read_sensor_logger(files)
+    if is_phyphox(files):
+        return read_phyphox(files)
+    listed = ", ".join(files.names[:6]) + (", ..." if len(files.names) > 6 else "")
+    raise RecordingError(
+        f"{path.name}: the tables in this zip ({listed}) are neither those of Sensor Logger nor of phyphox. Unpack it "
+        f"and give the table, or those of accelerometer and gyroscope. {HELP}"
+    )

@@ -1,0 +1,1 @@
+"""Images of cameras: folders, videos and datasets, with their stamps."""

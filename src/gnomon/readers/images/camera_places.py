@@ -1,0 +1,189 @@
+"""Which folder or file of a recording holds which camera: EuRoC's and TUM-VI's layout, Kalibr's, and plain folders."""
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from ...errors import RecordingError
+from .frame_stamps import is_frame_table
+from .image_file import is_image_name
+
+_CAMERA = re.compile(r"(?:cam(?:era)?|image)[-_]?0*(\d+)", re.IGNORECASE)
+_OF_A_CAMERA = re.compile(r"(cam\d+(?=[-_])|left|right)", re.IGNORECASE)
+_PAIR = {"left": "cam0", "right": "cam1"}
+_USUAL = {"images", "image", "frames", "cam", "camera", "video"}
+_INNER = ("data", "images")
+_STAMPS = "frames|(?:frame[-_])?timestamps?|times?|stamps|images?|data"
+_TABLE = r"\.(csv|txt|tsv)(\.gz)?"
+EXPECTED = (
+    "a ROS bag (.bag, .db3, .mcap); a folder with mav0/cam0/data/*.png (EuRoC, TUM-VI), cam0/*.png (Kalibr) or "
+    "images/*.png and imu0.csv; or a video with imu0.csv beside it"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraPlace:
+    """Where the images of one camera are: in a folder, or in a video.
+
+    Attributes
+    ----------
+    folder : of the images, or None
+    prefix : with which the names of its images begin, in lower case, where several cameras share the folder
+    video : the file, or None
+    table : with the stamps of its frames, or None
+    sensor : its sensor.yaml, or None
+    label : folder or file as it is called in messages
+    """
+
+    label: str
+    folder: Path | None = None
+    prefix: str = ""
+    video: Path | None = None
+    table: Path | None = None
+    sensor: Path | None = None
+
+
+def image_names(folder: Path, prefix: str = "") -> Iterator[str]:
+    """Yield the names of the images in a folder, in no order."""
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if is_image_name(entry.name) and entry.name.lower().startswith(prefix) and entry.is_file():
+                yield entry.name
+
+
+def camera_places(root: Path, notes: list[str]) -> dict[str, CameraPlace]:
+    """Return the cameras, "cam0", "cam1", ..., of a folder; empty where there are no images and no videos.
+
+    Raises
+    ------
+    RecordingError
+        If several folders or videos may be the camera, and their names do not tell.
+    """
+    found: dict[str, CameraPlace] = {}
+    for name, place in _named(root):
+        if name in found:
+            notes.append(f"{found[name].label} was left out: {place.label} is {name}, too.")
+        found[name] = place
+    if not found:
+        found = _unnamed(root, notes)
+    alone = len(found) == 1
+    ordered = sorted(found.items(), key=lambda item: (len(item[0]), item[0]))
+    return {name: _with_table(place, name, root, alone=alone) for name, place in ordered}
+
+
+def has_cameras(root: Path) -> bool:
+    """Tell whether there are images or videos in a folder, whatever they are called."""
+    if _images_of(root) is not None:
+        return True
+    inside = [path for path in root.iterdir() if not path.name.startswith(".")]
+    if any(path.is_dir() and _images_of(path) is not None for path in inside):
+        return True
+    folders = [path for path in inside if path.is_dir() and path.name.lower() in _USUAL]
+    files = [path for folder in folders for path in folder.iterdir() if not path.name.startswith(".")]
+    return any(path.is_file() and _is_video(path) for path in (*inside, *files))
+
+
+def video_place(video: Path) -> CameraPlace:
+    """Return the only camera of a recording that is a video."""
+    return _with_table(CameraPlace(label=video.name, video=video), "cam0", video.parent, alone=False)
+
+
+def _named(root: Path) -> Iterator[tuple[str, CameraPlace]]:
+    """Yield the cameras whose folders or videos are called after them; of both the folder, which comes last."""
+    entries = sorted(path for path in root.iterdir() if not path.name.startswith("."))
+    for path in entries:
+        match = _CAMERA.fullmatch(path.stem)
+        if match and path.is_file() and _is_video(path):
+            yield f"cam{int(match[1])}", CameraPlace(label=path.name, video=path)
+    for path in entries:
+        match = _CAMERA.fullmatch(path.name)
+        folder = _images_of(path) if match and path.is_dir() else None
+        if match and folder is not None:
+            yield f"cam{int(match[1])}", _folder_place(folder, path, root)
+    pair = {_PAIR[path.name.lower()]: path for path in entries if path.is_dir() and path.name.lower() in _PAIR}
+    inside = {name: folder for name, path in pair.items() if (folder := _images_of(path)) is not None}
+    if len(inside) == len(_PAIR):
+        for name, folder in inside.items():
+            yield name, _folder_place(folder, pair[name], root)
+
+
+def _unnamed(root: Path, notes: list[str]) -> dict[str, CameraPlace]:
+    """Return the images of a folder without names of cameras."""
+    entries = sorted(path for path in root.iterdir() if not path.name.startswith("."))
+    top = [match[1].lower() if (match := _OF_A_CAMERA.match(name)) else "" for name in image_names(root)]
+    cameras = set(top)
+    if cameras and "" not in cameras and (len(cameras) > 1 or not cameras & set(_PAIR)):
+        found = {name: CameraPlace(label=f"{name}*", folder=root, prefix=name) for name in sorted(cameras)}
+        return {_PAIR.get(name, name): place for name, place in found.items()}
+    places = [CameraPlace(label=f"{root.name}/", folder=root)] if top else []
+    inner = [(path, _images_of(path)) for path in entries if path.is_dir()]
+    inside = [_folder_place(folder, path, root) for path, folder in inner if folder is not None]
+    without = [path for path, images in inner if images is None and path.name.lower() in _USUAL]
+    files = [path for folder in (root, *without) for path in sorted(folder.iterdir()) if path.is_file()]
+    videos = [
+        CameraPlace(label=path.relative_to(root).as_posix(), video=path)
+        for path in files
+        if not path.name.startswith(".") and _is_video(path)
+    ]
+    usual = [place for place in inside if place.label.rstrip("/").lower() in _USUAL]
+    candidates = places or (usual if len(usual) == 1 else inside) or videos
+    if len(candidates) > 1:
+        listed = ", ".join(place.label for place in candidates[:6]) + (", ..." if len(candidates) > 6 else "")
+        raise RecordingError(
+            f"{root}: {len(candidates)} of its {'videos' if not inside else 'folders'} may be the camera ({listed}). "
+            "Name those that are cameras cam0, cam1, ...; or give the one to read."
+        )
+    if not candidates:
+        return {}
+    (place,) = candidates
+    if place in inside and place not in usual:
+        notes.append(f"the images in {place.label} are those of cam0.")
+    return {"cam0": place}
+
+
+def _images_of(path: Path) -> Path | None:
+    """Return the folder in which the images of a camera's folder are: itself, or data/ or images/ in it."""
+    for folder in (path, *(path / name for name in _INNER)):
+        if folder.is_dir() and next(image_names(folder), None) is not None:
+            return folder
+    return None
+
+
+def _folder_place(folder: Path, camera: Path, root: Path) -> CameraPlace:
+    sensor = camera / "sensor.yaml"
+    label = folder.relative_to(root).as_posix() + "/"
+    return CameraPlace(label=label, folder=folder, sensor=sensor if sensor.is_file() else None)
+
+
+def _is_video(path: Path) -> bool:
+    from .video import is_video  # PyAV takes its time
+
+    return is_video(path)
+
+
+def _with_table(place: CameraPlace, name: str, root: Path, *, alone: bool) -> CameraPlace:
+    """Return the place with the table of its stamps, where there is one."""
+    table = next((path for path in _tables(place, name, root, alone=alone) if is_frame_table(path)), None)
+    return replace(place, table=table)
+
+
+def _tables(place: CameraPlace, name: str, root: Path, *, alone: bool) -> Iterator[Path]:
+    """Yield files whose names are those of tables of stamps, the likeliest first."""
+    own = re.escape(name if place.video is None else place.video.stem)
+    inside = re.compile(rf"(?:{_STAMPS}|{own}){_TABLE}", re.IGNORECASE)
+    beside = re.compile(rf"(?:{own}|{name})(?:[-_.](?:{_STAMPS}))?{_TABLE}", re.IGNORECASE)
+    folder = place.folder
+    if folder is not None and folder != root:
+        camera = folder.parent if folder.name in _INNER and folder.parent != root else folder
+        for place_of_table in dict.fromkeys((camera, folder)):
+            yield from _matching(place_of_table, inside)
+    yield from _matching(root, beside)
+    if alone:
+        yield from _matching(root, inside)
+
+
+def _matching(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
+    with os.scandir(folder) as entries:
+        return sorted(Path(entry.path) for entry in entries if pattern.fullmatch(entry.name) and entry.is_file())

@@ -1,0 +1,278 @@
+"""Pixels as cameras send them (sensor_msgs/Image and CompressedImage) -> 8 bits of grey.
+
+Images of 16 bits hold 10 or 12 of them with most cameras. The smallest of 8, 10, 12, 14 and 16 bits that holds every
+value of a stream is taken for its depth, and the lowest bits are dropped: one scale for all images of the stream.
+"""
+
+import zlib
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ...images import Grey
+
+Buffer = bytes | memoryview
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Layout:
+    """How one encoding lies in memory, and which conversion of OpenCV makes it grey."""
+
+    channels: int = 1
+    depth_bytes: int = 1
+    conversion: str = ""
+    brightness: int = 0  # channel that is brightness already, where there is no conversion
+
+
+_BAYER = ("rggb", "bggr", "gbrg", "grbg")
+_LAYOUTS = {
+    "mono8": _Layout(),
+    "8UC1": _Layout(),
+    "mono16": _Layout(depth_bytes=2),
+    "16UC1": _Layout(depth_bytes=2),
+    "bgr8": _Layout(channels=3, conversion="COLOR_BGR2GRAY"),
+    "8UC3": _Layout(channels=3, conversion="COLOR_BGR2GRAY"),
+    "rgb8": _Layout(channels=3, conversion="COLOR_RGB2GRAY"),
+    "bgra8": _Layout(channels=4, conversion="COLOR_BGRA2GRAY"),
+    "rgba8": _Layout(channels=4, conversion="COLOR_RGBA2GRAY"),
+    **{f"bayer_{name}8": _Layout(conversion=f"COLOR_Bayer{name.upper()}2GRAY") for name in _BAYER},
+    **{f"bayer_{name}16": _Layout(depth_bytes=2, conversion=f"COLOR_Bayer{name.upper()}2GRAY") for name in _BAYER},
+    "yuv422": _Layout(channels=2, brightness=1),  # U Y V Y
+    "uyvy": _Layout(channels=2, brightness=1),
+    "yuv422_yuy2": _Layout(channels=2),  # Y U Y V
+    "yuyv": _Layout(channels=2),
+}
+ENCODINGS = tuple(_LAYOUTS)
+"""The encodings of sensor_msgs/Image that are read."""
+
+_DEPTHS = (8, 10, 12, 14, 16)
+_COMPRESSED = ("jpeg", "jpg", "png", "webp", "tiff", "tif", "bmp")
+_JPEG, _JPEG_END, _JPEG_TAIL = b"\xff\xd8\xff", b"\xff\xd9", 1024
+_PNG, _PNG_BITS = b"\x89PNG\r\n\x1a\n", 24  # where a PNG says how many bits its numbers have
+_CURE = "Convert the topic with image_proc or image_transport, or record the camera as mono8."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawImage:
+    """The fields of sensor_msgs/Image.
+
+    Attributes
+    ----------
+    step : bytes from the start of one row to the start of the next
+    data : step * height bytes
+    """
+
+    height: int
+    width: int
+    encoding: str
+    big_endian: bool
+    step: int
+    data: Buffer
+
+
+def check_encoding(encoding: str, where: str) -> None:
+    """Refuse an encoding of sensor_msgs/Image that is not read.
+
+    Raises
+    ------
+    RecordingError
+        With the encoding that was found, and those that are read.
+    """
+    if encoding not in _LAYOUTS:
+        raise RecordingError(
+            f'{where}: images are encoded as "{encoding}", which gnomon does not read; it reads '
+            f"{', '.join(ENCODINGS)}. {_CURE}"
+        )
+
+
+def check_compression(form: str, where: str) -> None:
+    """Refuse the `format` of a sensor_msgs/CompressedImage that holds no picture of its own, such as depth or video.
+
+    Raises
+    ------
+    RecordingError
+        With the format that was found, and those that are read.
+    """
+    words = form.lower().replace(";", " ").split()
+    if words and ("compresseddepth" in words or not any(name in words for name in _COMPRESSED)):
+        raise RecordingError(
+            f'{where}: images are compressed as "{form}", which gnomon does not read; it reads '
+            f"{', '.join(_COMPRESSED)}. {_CURE}"
+        )
+
+
+def sixteen_bits(encoding: str) -> bool:
+    """Return whether the numbers of an image have 16 bits, so that their scale has to be found."""
+    layout = _LAYOUTS.get(encoding)
+    return layout is not None and layout.depth_bytes == 2
+
+
+def largest_value(image: RawImage, where: str) -> int:
+    """Return the largest number in an image; the largest of a stream goes to `bit_depth`.
+
+    Raises
+    ------
+    RecordingError
+        If the image is damaged.
+    """
+    return int(_numbers(image, _LAYOUTS[image.encoding], where).max())
+
+
+def bit_depth(largest: int) -> int:
+    """Return the bits of a camera whose largest number is this one: 8, 10, 12, 14 or 16."""
+    return next(bits for bits in _DEPTHS if largest < 1 << bits or bits == _DEPTHS[-1])
+
+
+def grey_image(image: RawImage, where: str, bits: int | None = None) -> Grey:
+    """Return an image in 8 bits of grey, (height, width).
+
+    Parameters
+    ----------
+    image : as the camera sent it; colour is weighted as ITU-R BT.601 says, a Bayer pattern is interpolated
+    where : file, topic and stamp, for messages
+    bits : how many bits images of 16 bits really have; None to tell from this image alone. Larger numbers are white
+
+    Raises
+    ------
+    RecordingError
+        If its encoding is not read, or it holds fewer bytes than its size needs.
+    """
+    check_encoding(image.encoding, where)
+    layout = _LAYOUTS[image.encoding]
+    numbers = _numbers(image, layout, where)
+    if layout.depth_bytes == 2:
+        numbers = _eight_bits(numbers, bits)
+    if not layout.conversion:
+        return np.array(numbers[:, :, layout.brightness], dtype=np.uint8, order="C")
+    import cv2
+
+    try:
+        grey = cv2.cvtColor(np.ascontiguousarray(numbers), getattr(cv2, layout.conversion))
+    except cv2.error as error:  # a Bayer pattern needs some rows and columns
+        raise RecordingError(
+            f"{where}: an image of {image.width} x {image.height} pixels in {image.encoding} cannot be made grey "
+            f"({error.err})."
+        ) from None
+    return np.asarray(grey, dtype=np.uint8)
+
+
+def _numbers(image: RawImage, layout: _Layout, where: str) -> NDArray[Any]:
+    """Return the numbers of an image, (height, width, channels), without the padding of its rows."""
+    row = image.width * layout.channels * layout.depth_bytes
+    step = image.step or row  # some drivers leave it at zero
+    needed = step * image.height
+    if not row or not image.height or step < row or len(image.data) < needed:
+        raise RecordingError(
+            f"{where}: the image is damaged: {image.width} x {image.height} pixels in {image.encoding} need rows of "
+            f"{row} bytes, {needed} bytes in all with its step of {image.step}; found {len(image.data)} bytes."
+        )
+    rows = np.frombuffer(image.data, np.uint8, needed).reshape(image.height, step)[:, :row]
+    if layout.depth_bytes == 2:
+        rows = np.ascontiguousarray(rows).view(">u2" if image.big_endian else "<u2").astype(np.uint16, copy=False)
+    return rows.reshape(image.height, image.width, layout.channels)
+
+
+def _eight_bits(numbers: NDArray[Any], bits: int | None) -> NDArray[np.uint8]:
+    depth = bit_depth(int(numbers.max())) if bits is None else bits
+    return (np.minimum(numbers, (1 << depth) - 1) >> (depth - 8)).astype(np.uint8)
+
+
+def compressed_image(data: Buffer, form: str, where: str, bits: int | None = None) -> Grey:
+    """Return the image of a sensor_msgs/CompressedImage in 8 bits of grey, (height, width).
+
+    Parameters
+    ----------
+    data : a whole JPEG, PNG or other picture file
+    form : its `format`, such as "jpeg", "bgr8; jpeg compressed bgr8" or "bayer_rggb8; jpeg compressed"
+    where : file, topic and stamp, for messages
+    bits : as for `grey_image`
+
+    Raises
+    ------
+    RecordingError
+        If the format is not read, or the picture is damaged.
+    """
+    check_compression(form, where)
+    grey = picture(data, where, bits)
+    name = form.partition(";")[0].strip()
+    if not name.startswith("bayer_") or "bgr8" in form or "rgb8" in form:
+        return grey
+    height, width = grey.shape
+    eight = name.replace("16", "8")  # the pattern was compressed as if it were grey
+    pattern = RawImage(height=height, width=width, encoding=eight, big_endian=False, step=width, data=grey.tobytes())
+    return grey_image(pattern, where)
+
+
+def picture(data: Buffer, where: str, bits: int | None = None) -> Grey:
+    """Return a picture file in memory (PNG, JPEG, ...) in 8 bits of grey, (height, width).
+
+    Parameters
+    ----------
+    data : the whole file
+    where : file, or file, topic and stamp, for messages
+    bits : as for `grey_image`
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged or no picture.
+    """
+    found = _decoded(data, where)
+    if found.dtype == np.uint16:
+        return _eight_bits(found, bits)
+    return np.ascontiguousarray(found, dtype=np.uint8)
+
+
+def largest_in_picture(data: Buffer, where: str) -> int:
+    """Return the largest number in a picture file of 16 bits, for `bit_depth`; zero where it has 8 bits.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged or no picture.
+    """
+    begin = bytes(memoryview(data)[: _PNG_BITS + 1])
+    if begin.startswith(_PNG) and len(begin) > _PNG_BITS and begin[-1] <= 8 and not _fault(memoryview(data)):
+        return 0  # known without decoding it
+    found = _decoded(data, where)
+    return int(found.max()) if found.dtype == np.uint16 else 0
+
+
+def _decoded(data: Buffer, where: str) -> NDArray[Any]:
+    import cv2
+
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    fault = _fault(memoryview(data))
+    found = None
+    if len(data) and not fault:
+        with suppress(cv2.error):
+            found = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if found is None or found.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
+        raise RecordingError(f"{where}: the picture is {fault or 'damaged or of an unknown kind'} ({len(data)} bytes).")
+    return np.asarray(found)
+
+
+def _fault(data: memoryview) -> str:
+    """Return what is wrong with a picture file by its own ends and sums, before a decoder sees it; "" if nothing is.
+
+    Of a JPEG that is cut off some decoders make up the rest, and of a damaged PNG they complain on the terminal.
+    """
+    if bytes(data[:3]) == _JPEG:
+        return "" if _JPEG_END in bytes(data[-_JPEG_TAIL:]) else "cut off"
+    if bytes(data[:8]) != _PNG:
+        return ""
+    at, kind = len(_PNG), b""
+    while kind != b"IEND":
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        kind = bytes(data[at + 4 : at + 8])
+        if end + 4 > len(data):
+            return "cut off"
+        needed = kind[:1].isupper()  # else it is text, time, or whatever a program put there
+        if needed and zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
+            return "damaged"
+        at = end + 4
+    return ""

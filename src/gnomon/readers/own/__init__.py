@@ -1,0 +1,1 @@
+"""Gnomon's own files: calibrations, noise, options, what a use needs."""

@@ -1,0 +1,340 @@
+"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.4"; `writers.calibration_file` writes it.
+
+A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
+newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
+assessment.camera_imu, which stands there in place of the counts of a multi-position recording. "gnomon/1.2" added
+magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
+"gnomon/1.3" added lever arms of accelerometers, and assessment.trust. "gnomon/1.4" added cameras without an IMU: body
+frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras.
+"""
+
+import re
+from dataclasses import replace
+from os import PathLike
+
+import numpy as np
+
+from ...calibration import (
+    UNSTATED_GRAVITY,
+    AccelerometerCalibration,
+    Assessment,
+    Calibration,
+    Covariance,
+    Gravity,
+    GyroscopeCalibration,
+    Holdout,
+    ImuCalibration,
+    MagnetometerCalibration,
+    Provenance,
+    covariance_names,
+    parameters,
+)
+from ...errors import OptionError
+from ...findings import Finding
+from ...models.forms import in_frame
+from ...recording import Floats, Source
+from ...trust import Need, TrustNote
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from ..structured import Node
+from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry, cameras_entry
+from .own_root import read_own
+
+SCHEMA_MAJOR = 1
+SCHEMA_MINOR = 4
+
+_ALWAYS = ("schema", "verdict", "body_frame", "cameras", "assessment", "provenance", "covariance")
+_OF_IMUS = ("gravity", "imus")
+FIELD_UNITS = ("uT", "local field")
+"""Units of a calibrated magnetic field."""
+_VERDICTS = ("pass", "warn", "fail")
+_FRAMES = {
+    "accel-x": ("accelerometer", "accel-x"),
+    "accel-z": ("accelerometer", "accel-z"),
+    "gyro-x": ("gyroscope", "accel-x"),
+    "mag-x": ("magnetometer", "accel-x"),
+}
+"""Body frame -> the triad that defines it, and the frame of `models.frames` whose zeros its sensitivity has."""
+
+
+def load(path: str | PathLike[str]) -> Calibration:
+    """Read a calibration from gnomon's own file, calibration.yaml or the same as calibration.json.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or is not as the schema says; the message names the key.
+    """
+    root = read_own(path)
+    minor = _checked_minor(root)
+    if minor >= 4 and root.value.get("body_frame") == "cam0":
+        return _checked(root.mapping(_ALWAYS), _cameras_alone(root.mapping(_ALWAYS)))
+    top = root.mapping((*_ALWAYS, *_OF_IMUS))
+    imus = {node.key: _imu(node, minor) for node in top["imus"].entries()}
+    if minor == 0:
+        top["cameras"].mapping()
+    cameras = {node.key: camera_entry(node) for node in top["cameras"].entries()}
+    calibration = Calibration(
+        imus=imus,
+        frame=_frame(top["body_frame"], top["imus"], imus, minor),
+        gravity=_gravity(top["gravity"]),
+        uncertainty=_covariance(top["covariance"], covariance_names(imus, cameras)),
+        assessment=_assessment(top["assessment"], tuple(cameras), minor),
+        provenance=provenance_entry(top["provenance"]),
+        cameras=cameras,
+    )
+    return _checked(top, calibration)
+
+
+def _cameras_alone(top: dict[str, Node]) -> Calibration:
+    """Return a calibration of cameras without an IMU."""
+    cameras = {node.key: camera_entry(node, alone=True) for node in top["cameras"].entries()}
+    if not cameras:
+        raise top["cameras"].fail("found no camera; a calibration holds an IMU or a camera.")
+    node = top["assessment"]
+    keys = node.mapping(("verdict", "model", "held_by_prior", "findings"), ("cameras", "trust"))
+    common = _common_assessment(keys)
+    fit = cameras_entry(keys["cameras"], tuple(cameras)) if "cameras" in keys else None
+    return Calibration(
+        imus={},
+        frame="cam0",
+        gravity=UNSTATED_GRAVITY,
+        uncertainty=_covariance(top["covariance"], covariance_names({}, cameras)),
+        assessment=replace(common, cameras=fit),
+        provenance=provenance_entry(top["provenance"]),
+        cameras=cameras,
+    )
+
+
+def _checked(top: dict[str, Node], calibration: Calibration) -> Calibration:
+    """Return the calibration if what stands twice in its file agrees."""
+    if top["verdict"].text(_VERDICTS) != calibration.verdict:
+        raise top["verdict"].fail(
+            f'"{top["verdict"].value}" contradicts assessment.verdict, "{calibration.verdict}". They are one thing.'
+        )
+    _check_sigmas(top, calibration)
+    return calibration
+
+
+def _checked_minor(root: Node) -> int:
+    """Return the minor of a schema that this version reads."""
+    if not isinstance(root.value, dict) or not isinstance(root.value.get("schema"), str):
+        raise root.fail(
+            'this is no gnomon calibration: it does not begin with "schema: gnomon/1". '
+            "Give the calibration.yaml that gnomon wrote."
+        )
+    stated = root.child("schema")
+    match = re.fullmatch(r"gnomon/(\d+)(?:\.(\d+))?", stated.value)
+    if match is None:
+        raise stated.fail(f'found "{stated.value}", expected gnomon/{SCHEMA_MAJOR}.')
+    major, minor = int(match[1]), int(match[2] or 0)
+    if (major, minor) > (SCHEMA_MAJOR, SCHEMA_MINOR):
+        raise stated.fail(
+            f"found {stated.value}, this version of gnomon reads up to gnomon/{SCHEMA_MAJOR}.{SCHEMA_MINOR}. "
+            "The file comes from a newer gnomon: update gnomon (pip install -U gnomon)."
+        )
+    if major < SCHEMA_MAJOR:
+        raise stated.fail(f"found {stated.value}, expected gnomon/{SCHEMA_MAJOR}.")
+    return minor
+
+
+def _imu(node: Node, minor: int) -> ImuCalibration:
+    required, optional = ["accelerometer"], ["gyroscope"]
+    if minor >= 2:
+        required, optional = [], ["accelerometer", "gyroscope", "magnetometer"]
+    triads = node.mapping(required, optional)
+    if not triads:
+        raise node.fail("found no sensor, expected an accelerometer, a gyroscope or a magnetometer.")
+    return ImuCalibration(
+        accelerometer=_accelerometer(triads["accelerometer"], minor) if "accelerometer" in triads else None,
+        gyroscope=_gyroscope(triads["gyroscope"]) if "gyroscope" in triads else None,
+        magnetometer=_magnetometer(triads["magnetometer"]) if "magnetometer" in triads else None,
+    )
+
+
+def _accelerometer(node: Node, minor: int) -> AccelerometerCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias", may=("lever_arms_m",) if minor >= 3 else ())
+    return AccelerometerCalibration(
+        unit=keys["unit"].text(tuple(ACCELEROMETER_UNITS_M_S2)),
+        sensitivity=_invertible(keys["sensitivity"]),
+        bias=keys["bias"].floats(3),
+        lever_arms_m=keys["lever_arms_m"].floats(3, 3) if "lever_arms_m" in keys else None,
+    )
+
+
+def _gyroscope(node: Node) -> GyroscopeCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias", "g_sensitivity")
+    return GyroscopeCalibration(
+        unit=keys["unit"].text(tuple(GYROSCOPE_UNITS_RAD_S)),
+        sensitivity=_invertible(keys["sensitivity"]),
+        bias=keys["bias"].floats(3),
+        g_sensitivity=keys["g_sensitivity"].floats(3, 3),
+    )
+
+
+def _magnetometer(node: Node) -> MagnetometerCalibration:
+    keys = _triad_keys(node, "sensitivity", "bias", also=("field_unit",))
+    return MagnetometerCalibration(
+        unit=keys["unit"].text(tuple(MAGNETOMETER_UNITS_UT)),
+        field_unit=keys["field_unit"].text(FIELD_UNITS),
+        sensitivity=_invertible(keys["sensitivity"]),
+        bias=keys["bias"].floats(3),
+    )
+
+
+def _triad_keys(node: Node, *values: str, also: tuple[str, ...] = (), may: tuple[str, ...] = ()) -> dict[str, Node]:
+    return node.mapping(["unit", *also, *values], [*may, *(f"{name}_sigma" for name in (*values, *may))])
+
+
+def _invertible(node: Node) -> Floats:
+    matrix = node.floats(3, 3)
+    if np.linalg.matrix_rank(matrix) < 3:
+        raise node.fail("this matrix is singular: the three axes do not measure three directions.")
+    return matrix
+
+
+def _frame(node: Node, imus_node: Node, imus: dict[str, ImuCalibration], minor: int) -> str:
+    frame = node.text((*(_FRAMES if minor >= 2 else ("accel-x", "accel-z")), "user"))
+    if frame == "user":
+        return frame
+    triad, zeros = _FRAMES[frame]
+    for name, imu in imus.items():
+        sensor = getattr(imu, triad)
+        if sensor is None:
+            raise imus_node.child(name).fail(
+                f"body frame {frame} is that of the {triad}, and there is none here. Correct body_frame, or state user."
+            )
+        try:
+            in_frame(sensor.sensitivity, zeros)
+        except OptionError:
+            place = imus_node.child(name).child(triad).child("sensitivity")
+            raise place.fail(
+                f"in body frame {frame} this matrix is {'upper' if zeros == 'accel-z' else 'lower'} triangular, "
+                "which it is not. Correct it, or state body_frame: user."
+            ) from None
+    return frame
+
+
+def _gravity(node: Node) -> Gravity:
+    keys = node.mapping(("value", "sigma", "source"))
+    return Gravity(value=keys["value"].number(), sigma=keys["sigma"].number(finite=False), source=keys["source"].text())
+
+
+def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
+    keys = node.mapping(("names", "lower_triangle"))
+    names = tuple(item.text() for item in keys["names"].items())
+    for i, (name, right) in enumerate(zip(names, expected, strict=False)):
+        if name != right:
+            raise keys["names"].fail(f"entry {i} is {name}, expected {right}.")
+    if len(names) != len(expected):
+        raise keys["names"].fail(f"found {len(names)} names, expected {len(expected)}, one for each parameter.")
+    rows = list(keys["lower_triangle"].items())
+    if len(rows) != len(names):
+        raise keys["lower_triangle"].fail(f"found {len(rows)} rows, expected {len(names)}, one for each name.")
+    matrix = np.zeros((len(names), len(names)))
+    for i, row in enumerate(rows):
+        matrix[i, : i + 1] = matrix[: i + 1, i] = row.floats(i + 1, finite=False)
+    return Covariance(names=names, matrix=matrix)
+
+
+def _check_sigmas(top: dict[str, Node], calibration: Calibration) -> None:
+    """Refuse sigmas that contradict the covariance: which of the two was meant cannot be known."""
+    for path, value in parameters(calibration.imus, calibration.cameras):
+        sensor, _, name = path.partition(".")
+        if sensor in calibration.cameras:
+            stated, key = top["cameras"].child(sensor), SIGMAS[name]
+        else:
+            triad, name = name.split(".")
+            stated, key = top["imus"].child(sensor).child(triad), f"{name}_sigma"
+        if key not in stated.value:
+            continue
+        entry = stated.child(key)
+        given = entry.floats(*value.shape, finite=False) if value.ndim else entry.number(finite=False)
+        if not np.allclose(given, calibration.sigma(path), rtol=1e-6, atol=0.0, equal_nan=True):
+            raise entry.fail("this contradicts the covariance, whose copy it is. Correct both, or remove this line.")
+
+
+def _assessment(node: Node, cameras: tuple[str, ...], minor: int) -> Assessment:
+    counts = ("intervals_found", "intervals_used", "rotations_found", "rotations_used")
+    with_cameras = minor > 0 and isinstance(node.value, dict) and "camera_imu" in node.value
+    basis = ("camera_imu",) if with_cameras else ("holdout", *counts)
+    keys = node.mapping(("verdict", "model", *basis, "held_by_prior", "findings"), ("trust",) if minor >= 3 else ())
+    common = _common_assessment(keys)
+    if with_cameras:
+        return replace(common, camera_imu=camera_imu_entry(keys["camera_imu"], cameras))
+    newer = ("rate_rms", "field_rms") if minor >= 2 else ()
+    holdout = keys["holdout"].mapping(("accelerometer_rms", "rotation_rms"), newer)
+    rms = {name: float("nan") if item.value is None else item.number() for name, item in holdout.items()}
+    return replace(common, holdout=Holdout(**rms), **{name: keys[name].integer() for name in counts})
+
+
+def _common_assessment(keys: dict[str, Node]) -> Assessment:
+    """Return the part of an assessment that calibrations of every kind have."""
+    verdict = keys["verdict"].text(_VERDICTS)
+    return Assessment(
+        verdict=verdict,  # pyright: ignore[reportArgumentType]
+        findings=tuple(finding_entry(item) for item in keys["findings"].items()),
+        model=keys["model"].text(),
+        held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
+        trust=_trust(keys["trust"]) if "trust" in keys else TrustNote(),
+    )
+
+
+def _trust(node: Node) -> TrustNote:
+    keys = node.mapping(
+        ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs")
+    )
+    return TrustNote(
+        covariance=keys["covariance"].text(("cluster-robust", "ordinary")),  # pyright: ignore[reportArgumentType]
+        clusters=keys["clusters"].integer(),
+        cluster_s=keys["cluster_s"].number(),
+        sigma_ratio={item.key: item.number(finite=False) for item in keys["sigma_ratio"].entries()},
+        split_z=float("nan") if keys["split_z"].value is None else keys["split_z"].number(),
+        added=tuple(item.text() for item in keys["added"].items()),
+        tries=keys["tries"].integer(),
+        use=keys["use"].text(),
+        needs=tuple(_need(item) for item in keys["needs"].items()),
+    )
+
+
+def _need(node: Node) -> Need:
+    keys = node.mapping(("block", "sigma", "needed", "unit", "verdict"), ("cure",))
+    return Need(
+        block=keys["block"].text(),
+        sigma=keys["sigma"].number(finite=False),
+        needed=keys["needed"].number(finite=False),
+        unit=keys["unit"].text(),
+        verdict=keys["verdict"].text(_VERDICTS),  # pyright: ignore[reportArgumentType]
+        cure=keys["cure"].text() if "cure" in keys else "",
+    )
+
+
+def finding_entry(node: Node) -> Finding:
+    """Return a finding.
+
+    Raises
+    ------
+    FormatError
+        If the entry is none.
+    """
+    keys = node.mapping(("severity", "code", "message"), ("consequence", "cure"))
+    keys["severity"].text(("good", "info", "warning", "problem"))
+    return Finding(**{name: item.text() for name, item in keys.items()})  # pyright: ignore[reportArgumentType]
+
+
+def provenance_entry(node: Node) -> Provenance:
+    """Return where a result comes from.
+
+    Raises
+    ------
+    FormatError
+        If the entry does not say.
+    """
+    keys = node.mapping(("gnomon_version", "method", "inputs", "options"), ("seed",))
+    inputs = [item.mapping(("name", "sha256")) for item in keys["inputs"].items()]
+    return Provenance(
+        gnomon_version=keys["gnomon_version"].text(),
+        method=keys["method"].text(),
+        inputs=tuple(Source(name=item["name"].text(), sha256=item["sha256"].text()) for item in inputs),
+        options={item.key: item.text() for item in keys["options"].entries()},
+        seed=keys["seed"].integer() if "seed" in keys else None,
+    )

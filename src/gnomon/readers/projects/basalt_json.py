@@ -1,0 +1,204 @@
+"""Basalt's calibration JSON: cameras against the IMU, its scale, misalignment and bias, and its noise.
+
+Basalt corrects f = (I + S) a - b, S lower triangular, and w = (I + S_g) y - b_g; its lists hold the bias, then the
+columns of S. T_imu_cam maps camera to IMU coordinates, with a Hamilton quaternion (x, y, z, w); cam_time_offset_ns is
+t_imu - t_cam. Densities are of continuous time, as Kalibr's are.
+"""
+
+from os import PathLike
+
+import numpy as np
+
+from ...calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
+from ...errors import OptionError
+from ...geometry.quaternion import normalised, rotation_from_quaternion
+from ...models.camera import Camera, DistortionName, ProjectionName
+from ...models.estimator_forms import BasaltTriad
+from ...models.noise import ImuNoise
+from ...recording import Floats
+from ..rig.kalibr_yaml import passed_over, required, whole_number
+from ..structured import Node, read_json
+from .foreign import ForeignCalibration, ForeignImu, recognised_frame
+
+_NOISE = {
+    "accel_noise_std": "accelerometer_noise_density",
+    "accel_bias_std": "accelerometer_random_walk",
+    "gyro_noise_std": "gyroscope_noise_density",
+    "gyro_bias_std": "gyroscope_random_walk",
+}
+_KEYS = (
+    "T_imu_cam", "intrinsics", "resolution", "calib_accel_bias", "calib_gyro_bias", "imu_update_rate",
+    "cam_time_offset_ns", "vignette", "comment", *_NOISE,
+)  # fmt: skip
+_LINEAR = ("fx", "fy", "cx", "cy")
+_RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_NAMES = {
+    "pinhole": (),
+    "ds": ("xi", "alpha"),
+    "eucm": ("alpha", "beta"),
+    "ucm": ("alpha",),
+    "kb4": ("k1", "k2", "k3", "k4"),
+    "pinhole-radtan8": _RATIONAL,
+}
+"""Basalt's name of a camera -> its parameters beside focal lengths and principal point."""
+_PROJECTIONS: dict[str, ProjectionName] = {"ds": "ds", "eucm": "eucm", "ucm": "omni"}
+_DISTORTIONS: dict[str, DistortionName] = {"kb4": "equidistant", "pinhole-radtan8": "radtan"}
+
+
+def is_basalt(root: Node) -> bool:
+    """Return whether a JSON document is laid out as Basalt's calibrations are."""
+    value = root.value.get("value0", root.value) if isinstance(root.value, dict) else None
+    return isinstance(value, dict) and "T_imu_cam" in value and "intrinsics" in value
+
+
+def read_basalt(path: str | PathLike[str]) -> ForeignCalibration:
+    """Read a calibration of Basalt's.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, is not in Basalt's layout, or has a camera that gnomon does not know.
+    """
+    return basalt_of(read_json(path))
+
+
+def basalt_of(root: Node) -> ForeignCalibration:
+    """Return the calibration in a JSON document; see `read_basalt`.
+
+    Raises
+    ------
+    FormatError
+        If it is not in Basalt's layout, or has a camera that gnomon does not know.
+    """
+    if not is_basalt(root):
+        raise root.fail("expected Basalt's calibration, with T_imu_cam and intrinsics under value0.")
+    top = root.child("value0") if "value0" in root.value else root
+    keys = {node.key: node for node in top.entries()}
+    notes: list[str] = []
+    passed_over((node for key, node in keys.items() if key not in _KEYS), notes)
+    imu = ImuCalibration(
+        accelerometer=_accelerometer(keys.get("calib_accel_bias")),
+        gyroscope=_gyroscope(keys.get("calib_gyro_bias")),
+    )
+    noise = _noise(keys, notes)
+    rate = keys["imu_update_rate"].number() if "imu_update_rate" in keys else None
+    return ForeignCalibration(
+        imus={"imu0": imu},
+        frame=recognised_frame({"imu0": imu}),
+        notes=tuple(notes),
+        cameras=_cameras(keys, top),
+        imu_data={"imu0": ForeignImu(noise=noise, update_rate_hz=rate)},
+        format="Basalt",
+    )
+
+
+def _triad(node: Node | None, count: int) -> BasaltTriad:
+    if node is None:
+        return BasaltTriad(S=np.zeros((3, 3)), b=np.zeros(3))
+    values = node.floats(count)
+    S = np.zeros((3, 3))
+    if count == 9:  # the lower triangle, column by column
+        S[[0, 1, 2, 1, 2, 2], [0, 0, 0, 1, 1, 2]] = values[3:]
+    else:
+        S[:] = values[3:].reshape(3, 3).T
+    if np.linalg.matrix_rank(np.eye(3) + S) < 3:
+        raise node.fail("with these scales and misalignments the three axes do not measure three directions.")
+    return BasaltTriad(S=S, b=values[:3])
+
+
+def _accelerometer(node: Node | None) -> AccelerometerCalibration:
+    sensitivity, bias = _triad(node, 9).to_sensor()
+    return AccelerometerCalibration(sensitivity=np.tril(sensitivity), bias=bias, unit="m/s^2")
+
+
+def _gyroscope(node: Node | None) -> GyroscopeCalibration:
+    sensitivity, bias = _triad(node, 12).to_sensor()
+    return GyroscopeCalibration(sensitivity=sensitivity, bias=bias, g_sensitivity=np.zeros((3, 3)), unit="rad/s")
+
+
+def _noise(keys: dict[str, Node], notes: list[str]) -> ImuNoise | None:
+    found: dict[str, float] = {}
+    for name, ours in _NOISE.items():
+        if name in keys:
+            node = keys[name]
+            values = node.floats(3) if isinstance(node.value, list) else np.full(3, node.number())
+            found[ours] = float(values[0] if np.ptp(values) == 0 else np.sqrt(np.mean(np.square(values))))
+            if np.ptp(values) != 0:
+                notes.append(f"{name} differs from axis to axis; taken: the root of the mean square.")
+    try:
+        return ImuNoise(**found) if len(found) == len(_NOISE) else None
+    except OptionError as error:
+        notes.append(f"The noise was left out: {error}")
+        return None
+
+
+def _cameras(keys: dict[str, Node], top: Node) -> dict[str, CameraCalibration]:
+    poses, lenses = list(keys["T_imu_cam"].items()), list(keys["intrinsics"].items())
+    sizes = list(required(keys, "resolution", top, "[width, height] of each camera").items())
+    if not len(poses) == len(lenses) == len(sizes):
+        raise top.fail(
+            f"found {len(poses)} poses (T_imu_cam), {len(lenses)} intrinsics and {len(sizes)} resolutions; expected "
+            "one of each for every camera."
+        )
+    shift = keys["cam_time_offset_ns"].number() * 1e-9 if "cam_time_offset_ns" in keys else 0.0
+    return {
+        f"cam{i}": CameraCalibration(T_cam_body=_T_cam_imu(pose), time_shift_cam_imu=shift, camera=_camera(lens, size))
+        for i, (pose, lens, size) in enumerate(zip(poses, lenses, sizes, strict=True))
+    }
+
+
+def _T_cam_imu(node: Node) -> Floats:
+    keys = {child.key: child for child in node.entries()}
+    p, q = (
+        np.array([required(keys, name, node, "a number").number() for name in names])
+        for names in (("px", "py", "pz"), ("qw", "qx", "qy", "qz"))
+    )
+    length = float(np.linalg.norm(q))
+    if not 0.98 < length < 1.02:
+        raise node.fail(f"the quaternion (qx, qy, qz, qw) has length {length:.3g}, expected 1.")
+    R_imu_cam = rotation_from_quaternion(normalised(q))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R_imu_cam.T, -R_imu_cam.T @ p
+    return T
+
+
+def _camera(node: Node, size: Node) -> Camera:
+    keys = {child.key: child for child in node.entries()}
+    kind = required(keys, "camera_type", node, f"one of {', '.join(_NAMES)}").text(tuple(_NAMES))
+    values = {child.key: child for child in required(keys, "intrinsics", node, "its parameters").entries()}
+
+    def read(names: tuple[str, ...]) -> Floats:
+        return np.array([required(values, name, keys["intrinsics"], f"a number of {kind}").number() for name in names])
+
+    linear, own = read(_LINEAR), read(_NAMES[kind])
+    sides = list(size.items())
+    if len(sides) != 2:
+        raise size.fail(f"found {len(sides)} numbers, expected [width, height].")
+    resolution = whole_number(sides[0]), whole_number(sides[1])
+    shape, coeffs = (own, np.empty(0)) if kind in {"ds", "eucm", "ucm"} else (np.empty(0), own)
+    bent = _DISTORTIONS.get(kind, "none")
+    if kind == "ucm":
+        shape, linear = _omni(own, linear, node)
+    if kind == "pinhole-radtan8":
+        if coeffs[5:].any():
+            raise node.fail("k4 to k6 are not all zero, and gnomon knows k1 k2 p1 p2 k3 of pinhole-radtan8 only.")
+        bent = bent if coeffs[4] == 0 else "radtan5"
+        coeffs = coeffs[: 4 if coeffs[4] == 0 else 5]
+    try:
+        return Camera(
+            projection=_PROJECTIONS.get(kind, "pinhole"),
+            intrinsics=np.concatenate([shape, linear]),
+            distortion=bent,
+            distortion_coeffs=coeffs,
+            resolution=resolution,
+        )
+    except OptionError as error:
+        raise node.fail(str(error)) from None
+
+
+def _omni(own: Floats, linear: Floats, node: Node) -> tuple[Floats, Floats]:
+    """Return shape and focal lengths: Basalt divides by alpha rho + (1 - alpha) z, Mei and Rives by xi rho + z."""
+    alpha = float(own[0])
+    if not 0 <= alpha < 1:
+        raise node.fail(f"alpha {alpha:g} of ucm is out of range: it must be from 0 to below 1.")
+    return own / (1 - alpha), linear / [1 - alpha, 1 - alpha, 1, 1]

@@ -1,0 +1,235 @@
+"""Calibration files of other projects, told apart by their content and put together."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import TypeVar
+
+from ...calibration import CameraCalibration
+from ...errors import FormatError
+from ..own.own_root import is_own
+from ..own.parameter_csv import read_parameter_csv
+from ..rig.kalibr_camchain import CameraInput, cameras_of
+from ..rig.kalibr_target import target_of
+from ..structured import Node, read_json, read_text
+from .basalt_json import basalt_of, is_basalt
+from .flight_parameters import is_flight_parameters, read_flight_parameters
+from .foreign import ForeignCalibration, recognised_frame
+from .foreign_yaml import read_foreign_yaml
+from .imu_tk_calib import is_imu_tk, read_imu_tk, stated_triad
+from .imucal_json import read_imucal
+from .kalibr_cam_results import is_kalibr_cam_results, read_cam_results
+from .kalibr_imu import imus_of
+from .kalibr_results import is_kalibr_results, read_kalibr_results
+from .okvis import is_okvis, okvis_of
+from .orb_slam3 import is_orb_slam3, orb_slam3_of
+from .ros2_files import camera_info_of, is_camera_info, is_launch, launch_of
+from .vins_fusion import is_vins, is_vins_lens, lens_of, vins_of
+
+__all__ = ["FORMATS", "is_own", "load_foreign"]
+
+FORMATS = (
+    "Kalibr's camchain.yaml, camchain-imucam.yaml, imu.yaml, target.yaml, results-imucam.txt and results-cam.txt, "
+    "OpenVINS' kalibr_imucam_chain.yaml and kalibr_imu_chain.yaml, Basalt's calibration JSON, imu_tk's .calib, "
+    "imucal's JSON, the configurations of VINS-Fusion, ORB-SLAM3 and OKVIS, ROS 2's static transforms and camera_info, "
+    "parameters of PX4 and ArduPilot, gnomon's csv"
+)
+_LAYOUTS: tuple[tuple[Callable[[Node], bool], Callable[[Node, list[str]], ForeignCalibration]], ...] = (
+    (is_vins, vins_of),
+    (is_vins_lens, lens_of),
+    (is_orb_slam3, orb_slam3_of),
+    (is_okvis, okvis_of),
+    (is_launch, launch_of),
+    (is_camera_info, camera_info_of),
+)
+"""What tells a YAML file, and what reads it."""
+_DIGITS = "results-imucam"  # of the format whose numbers are printed with eight digits
+
+_T = TypeVar("_T")
+
+
+def load_foreign(path: str | PathLike[str], *others: str | PathLike[str]) -> ForeignCalibration:
+    """Read a calibration from files of another project.
+
+    What each file is, is told by its content; what several of them say is put together, such as camchain-imucam.yaml,
+    imu.yaml and results-imucam.txt of one calibration.
+
+    Parameters
+    ----------
+    path, others : Kalibr's camchain.yaml, camchain-imucam.yaml, imu.yaml, target.yaml, results-imucam.txt and
+        results-cam.txt; OpenVINS' kalibr_imucam_chain.yaml and kalibr_imu_chain.yaml; Basalt's calibration JSON;
+        imu_tk's .calib files, that of the accelerometer first; imucal's JSON; the configurations of VINS-Fusion,
+        ORB-SLAM3 and OKVIS; ROS 2's launch file with static transforms and its camera_info; parameters of PX4 and of
+        ArduPilot; gnomon's csv
+
+    Raises
+    ------
+    FormatError
+        If a file cannot be read, is none of these, is not as its format says, or two files contradict each other.
+
+    Examples
+    --------
+    >>> found = load_foreign("camchain-imucam.yaml", "imu.yaml")  # doctest: +SKIP
+    >>> found.cameras["cam0"].time_shift_cam_imu  # doctest: +SKIP
+    0.007005771199616974
+    """
+    paths = (path, *others)
+    texts = [read_text(file) for file in paths]
+    if all(is_imu_tk(text) for text in texts) and len(paths) <= 2:
+        return _read_triads(paths, texts)
+    return _joined([_read(file, text) for file, text in zip(paths, texts, strict=True)], paths)
+
+
+def _read_triads(paths: Sequence[str | PathLike[str]], texts: Sequence[str]) -> ForeignCalibration:
+    """Read one or two of imu_tk's files; what they are of is told by a comment of gnomon's, or by their order."""
+    told = [stated_triad(text) for text in texts]
+    if told == ["gyroscope"]:
+        return read_imu_tk(gyroscope=paths[0])
+    return read_imu_tk(*(reversed(paths) if told[0] == "gyroscope" else paths))
+
+
+def _read(path: str | PathLike[str], text: str) -> ForeignCalibration:
+    kinds: tuple[tuple[bool, Callable[[str | PathLike[str]], ForeignCalibration]], ...] = (
+        (is_imu_tk(text), lambda file: _read_triads((file,), (text,))),
+        (text.startswith("name,value,sigma,unit"), read_parameter_csv),
+        (text.lstrip().startswith("{"), _read_json),
+        (is_kalibr_cam_results(text), _read_cam_results),
+        (is_kalibr_results(text), read_kalibr_results),
+        (is_flight_parameters(text), read_flight_parameters),
+    )
+    return next((read for told, read in kinds if told), _read_yaml)(path)
+
+
+def _read_cam_results(path: str | PathLike[str]) -> ForeignCalibration:
+    notes: list[str] = []
+    return _cameras(read_cam_results(path, notes), notes)
+
+
+def _read_json(path: str | PathLike[str]) -> ForeignCalibration:
+    root = read_json(path)
+    if is_own(path):
+        raise root.fail("this is gnomon's own calibration. Read it with gnomon.load.")
+    if is_basalt(root):
+        return basalt_of(root)
+    if isinstance(root.value, dict) and "cal_type" in root.value:
+        return read_imucal(path)
+    raise _unknown(path)
+
+
+def _read_yaml(path: str | PathLike[str]) -> ForeignCalibration:
+    """Read one of Kalibr's yaml files; one that holds cameras and IMUs together, too."""
+    notes: list[str] = []
+    try:
+        root = read_foreign_yaml(path, notes)
+    except FormatError as error:
+        raise FormatError(f"{error} Readable are {FORMATS}.") from None
+    keys: list[str] = [str(key) for key in root.value] if isinstance(root.value, dict) else []
+    if "schema" in keys:
+        raise root.fail("this is gnomon's own calibration. Read it with gnomon.load.")
+    if "target_type" in keys:
+        target = target_of(root, notes)
+        return ForeignCalibration(imus={}, frame="accel-x", notes=tuple(notes), target=target, format="Kalibr, board")
+    for told, read in _LAYOUTS:
+        if told(root):
+            return read(root, notes)
+    parts: list[ForeignCalibration] = []
+    for prefix, flat, read in (("imu", "accelerometer_noise_density", _imus), ("cam", "camera_model", _chain)):
+        named = [key for key in keys if re.fullmatch(rf"{prefix}\d+", key)]
+        if named or flat in keys:
+            part = replace(root, value={key: root.value[key] for key in named}) if named else root
+            parts.append(read(part))
+    if not parts:
+        raise _unknown(path)
+    others = [key for key in keys if not re.fullmatch(r"(cam|imu)\d+", key)]
+    if others and any(re.fullmatch(r"(cam|imu)\d+", key) for key in keys):
+        notes.append(f"{Path(path).name}: {', '.join(others)} {'was' if len(others) == 1 else 'were'} passed over.")
+    found = _joined(parts, (path,) * len(parts))
+    return replace(found, notes=(*notes, *found.notes))
+
+
+def _imus(root: Node) -> ForeignCalibration:
+    return imus_of(root, [])
+
+
+def _chain(root: Node) -> ForeignCalibration:
+    notes: list[str] = []
+    return _cameras(cameras_of(root, notes), notes)
+
+
+def _cameras(found: Mapping[str, CameraInput], notes: list[str]) -> ForeignCalibration:
+    placed: dict[str, CameraCalibration] = {}
+    if len(found) > 1 and all(camera.T_cam_imu is None and camera.T_cam_cam0 is not None for camera in found.values()):
+        for name, camera in found.items():
+            assert camera.T_cam_cam0 is not None
+            placed[name] = CameraCalibration(
+                T_cam_body=camera.T_cam_cam0, time_shift_cam_imu=0.0, camera=camera.camera, body="cam0"
+            )
+        return ForeignCalibration(
+            imus={}, frame="cam0", notes=tuple(notes), cameras=placed, format="Kalibr, cameras without an IMU"
+        )
+    for name, camera in found.items():
+        if camera.T_cam_imu is None:
+            continue
+        if camera.time_shift_cam_imu_s is None:
+            notes.append(f"The time shift of {name} is not stated; taken: zero.")
+        placed[name] = CameraCalibration(
+            T_cam_body=camera.T_cam_imu, time_shift_cam_imu=camera.time_shift_cam_imu_s or 0.0, camera=camera.camera
+        )
+    lenses = {name: camera.camera for name, camera in found.items() if name not in placed}
+    return ForeignCalibration(
+        imus={}, frame="accel-x", notes=tuple(notes), cameras=placed, lenses=lenses, format="Kalibr, cameras"
+    )
+
+
+def _unknown(path: str | PathLike[str]) -> FormatError:
+    return FormatError(f"{path}: this is no calibration file that gnomon knows. Readable are {FORMATS}.")
+
+
+def _joined(parts: Sequence[ForeignCalibration], paths: Sequence[str | PathLike[str]]) -> ForeignCalibration:
+    """Return what several files say together; what results-imucam.txt repeats is taken from the others."""
+    if len(parts) == 1:
+        return parts[0]
+    pairs = sorted(zip(parts, paths, strict=True), key=lambda pair: _DIGITS in pair[0].format)
+    exact = sum(_DIGITS not in part.format for part in parts)
+
+    def together(values: Callable[[ForeignCalibration], Mapping[str, _T]]) -> dict[str, _T]:
+        return _together([(values(part), path) for part, path in pairs], exact)
+
+    imus, cameras = together(lambda part: part.imus), together(lambda part: part.cameras)
+    lenses = together(lambda part: part.lenses)
+    if imus:  # of cameras that were calibrated without one only the lenses belong to it
+        lenses |= {name: camera.camera for name, camera in cameras.items() if camera.body == "cam0"}
+        cameras = {name: camera for name, camera in cameras.items() if camera.body == "imu0"}
+    frames = {part.frame for part, _ in pairs if part.imus}
+    return ForeignCalibration(
+        imus=imus,
+        frame=frames.pop()
+        if len(frames) == 1
+        else recognised_frame(imus)
+        if imus or not cameras
+        else pairs[0][0].frame,
+        sigmas=together(lambda part: part.sigmas),
+        notes=tuple(dict.fromkeys(note for part, _ in pairs[: exact or None] for note in part.notes)),
+        cameras=cameras,
+        lenses={name: lens for name, lens in lenses.items() if name not in cameras},
+        imu_data=together(lambda part: part.imu_data),
+        gravity_target=next((part.gravity_target for part, _ in pairs if part.gravity_target is not None), None),
+        residuals=together(lambda part: part.residuals),
+        target=next((part.target for part, _ in pairs if part.target is not None), None),
+        format=" + ".join(dict.fromkeys(part.format for part, _ in pairs)),
+    )
+
+
+def _together(parts: Sequence[tuple[Mapping[str, _T], str | PathLike[str]]], exact: int) -> dict[str, _T]:
+    """Return all entries; of the first `exact` files, no two may have the same one."""
+    found: dict[str, _T] = {}
+    origin: dict[str, str | PathLike[str]] = {}
+    for i, (part, path) in enumerate(parts):
+        for name, value in part.items():
+            if name in found and (i < exact or exact == 0):
+                raise FormatError(f"{path} and {origin[name]} both describe {name}. Give one of them.")
+            if name not in found:
+                found[name], origin[name] = value, path
+    return found

@@ -1,0 +1,99 @@
+"""What a recording of cameras and IMUs holds: which file is which stream, by its name."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...errors import RecordingError
+
+_TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
+_CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
+_FRAMES = re.compile(rf"(cam\d+)[-_/]frames{_TABLE}", re.IGNORECASE)
+_IMU = re.compile(rf"(imu\d*)(/data)?({_TABLE}|\.npz)", re.IGNORECASE)
+_EXPECTED = "cam0_corners.csv (ts_ns,tag_id,corner_idx,u_px,v_px), cam1_corners.csv, ... and imu0.csv, also gzipped"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CornerStream:
+    """Files of one camera whose corners were detected beforehand.
+
+    Attributes
+    ----------
+    corners : table with one row a corner
+    frames : table with one row a frame, also of frames without corners; None where there is none
+    """
+
+    corners: Path
+    frames: Path | None
+
+
+def corner_streams(folder: Path) -> dict[str, CornerStream]:
+    """Return the cameras, "cam0", "cam1", ..., whose corners are in a folder.
+
+    Raises
+    ------
+    RecordingError
+        If there are none.
+    """
+    corners, frames = _matching(folder, _CORNERS, r"cam\d+"), _matching(folder, _FRAMES, r"cam\d+")
+    if corners:
+        return {name: CornerStream(corners=path, frames=frames.get(name)) for name, path in corners.items()}
+    raise RecordingError(f"{folder}: no corners of a camera in this folder. Expected {_EXPECTED}.")
+
+
+def holds_corners(folder: Path) -> bool:
+    """Tell whether a folder holds tables of corners that were detected beforehand."""
+    return bool(_matching(folder, _CORNERS, r"cam\d+"))
+
+
+def imu_files(folder: Path) -> dict[str, Path]:
+    """Return the IMUs, "imu0", "imu1", ..., whose samples are in a folder.
+
+    Raises
+    ------
+    RecordingError
+        If there are none.
+    """
+    found = {("imu0" if name == "imu" else name): path for name, path in _matching(folder, _IMU, r"imu\d*").items()}
+    if not found:
+        raise RecordingError(f"{folder}: no samples of an IMU in this folder. Expected {_EXPECTED}.")
+    return found
+
+
+def holds_imu(folder: Path) -> bool:
+    """Tell whether a folder of corners holds samples of an IMU, too."""
+    return bool(_matching(folder, _IMU, r"imu\d*"))
+
+
+def recording_folder(path: Path) -> Path:
+    """Return the folder of a recording; of EuRoC's layout the folder mav0 in it.
+
+    Raises
+    ------
+    RecordingError
+        If it is no folder.
+    """
+    if path.is_dir():
+        return path / "mav0" if (path / "mav0").is_dir() else path
+    problem = (
+        "this is a file, and the recording of a camera and an IMU is a folder" if path.exists() else "no such folder"
+    )
+    raise RecordingError(f"{path}: {problem}. Expected a folder with {_EXPECTED}.")
+
+
+def _matching(folder: Path, pattern: re.Pattern[str], inside: str = "") -> dict[str, Path]:
+    """Return name -> file, in the order of their numbers; of the same stream twice the shorter name, unpacked.
+
+    Folders whose names match `inside` are looked into; those of images may hold very many files.
+    """
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        inner = [path]
+        if path.is_dir():
+            looked_into = re.fullmatch(inside, path.name, re.IGNORECASE) is not None
+            inner = sorted(path.glob("*")) + sorted(path.glob("data/*")) if looked_into else []
+        for file in inner:
+            match = pattern.fullmatch(file.relative_to(folder).as_posix())
+            if match and file.is_file():
+                found.setdefault(match[1].lower(), file)
+    return dict(sorted(found.items(), key=lambda item: (len(item[0]), item[0])))

@@ -1,0 +1,156 @@
+"""Format "npz": NumPy arrays with the keys below. `gnomon simulate` writes it, too.
+
+    accelerometer          (n, 3)  as measured; may be missing where there is a magnetometer
+    gyroscope              (m, 3)  as measured; may be missing
+    magnetometer           (k, 3)  as measured; may be missing
+    t_ns or t_s            (n,)    stamps of all triads [ns, integer] or [s]
+    t_accelerometer_ns, t_gyroscope_ns, t_magnetometer_ns (or _s)    where the triads have stamps of their own
+    rate_hz                ()      instead of stamps
+    unit_accelerometer     "m/s^2", "g", "mg" or "count"; recognised where it is missing
+    unit_gyroscope         "rad/s", "deg/s", "mdeg/s" or "count"; recognised where it is missing
+    unit_magnetometer      "uT", "nT", "T", "gauss", "mgauss" or "count"; recognised where it is missing
+
+Keys of a second IMU begin with "imu1.", such as "imu1.accelerometer", and so on; "imu0." may be left out.
+
+Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g, are read too
+(`readers.samples.npz_keys`).
+"""
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ...recording import Floats, Integers, measurable
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from .npz_keys import SensorArray, sensor_arrays
+from .stamps import guess_time_unit, to_ns
+from .table import Table, Triad, uniform_stamps
+
+_UNITS = {
+    "accelerometer": ACCELEROMETER_UNITS_M_S2,
+    "gyroscope": GYROSCOPE_UNITS_RAD_S,
+    "magnetometer": MAGNETOMETER_UNITS_UT,
+}
+
+
+def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
+    """Read the IMUs of an NPZ file, each as tables of one triad.
+
+    Raises
+    ------
+    RecordingError
+        If the file is damaged, a key is missing, or an array has a wrong shape, NaN or infinity.
+    """
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            wanted = {"accelerometer", "gyroscope", "magnetometer"}
+            names = sorted({_imu(key) for key in archive.files if key.split(".")[-1] in wanted})
+            found = {} if names else sensor_arrays(archive.files)
+            if wanted.intersection(found):
+                return {"imu0": [_read_named(archive, *item, path.name, rate_hz) for item in found.items()]}
+            if not names:
+                raise RecordingError(
+                    f"{path.name}: no array named accelerometer; found {', '.join(archive.files)[:200] or 'nothing'}. "
+                    "Save with the keys t_ns (or t_s), accelerometer, gyroscope, magnetometer."
+                )
+            return {name: _read_imu(archive, name, path.name, rate_hz) for name in names}
+    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError) as error:
+        raise RecordingError(f"{path.name}: the NPZ file is damaged or holds Python objects ({error}).") from None
+
+
+def _imu(key: str) -> str:
+    return key.rpartition(".")[0] or "imu0"
+
+
+def _read_named(
+    archive: Mapping[str, Any], quantity: str, array: SensorArray, where: str, rate_hz: float | None
+) -> Table:
+    """Read an array of somebody else's file that names its sensor."""
+    values = _values(archive[array.key], f"{where}, {array.key}")
+    note = f"{where}: {array.key} is the {quantity} (by its name"
+    if array.stamps is None and rate_hz is None:
+        raise RecordingError(f"{where}: no stamps for {array.key} (such as t_{array.key}). State --rate.")
+    if array.stamps is None or rate_hz is not None:
+        t_ns = uniform_stamps(len(values), float(rate_hz or 1.0))
+        note += f"); {rate_hz:g} Hz as stated."
+    else:
+        stamps = np.squeeze(archive[array.stamps])
+        if stamps.ndim != 1 or stamps.dtype.kind not in "fiu" or len(stamps) != len(values):
+            raise RecordingError(
+                f"{where}: {len(values)} samples in {array.key}, but stamps {array.stamps} of shape {stamps.shape} and "
+                f"type {stamps.dtype}."
+            )
+        unit, reason = guess_time_unit(stamps)
+        t_ns = to_ns(stamps, unit, where)
+        note += f"), with the stamps {array.stamps} in {unit} ({reason})."
+    t_ns.flags.writeable = False
+    return Table(t_ns=t_ns, triads=(Triad(quantity=quantity, values=values, unit=array.unit),), notes=(note,))
+
+
+def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float | None) -> list[Table]:
+    def get(name: str) -> NDArray[Any] | None:
+        plain = archive.get(name) if imu == "imu0" else None
+        return archive.get(f"{imu}.{name}", plain)
+
+    shared: dict[int, Integers] = {}
+    tables: list[Table] = []
+    for quantity, units in _UNITS.items():
+        raw = get(quantity)
+        if raw is None:
+            continue
+        values = _values(raw, f"{where}, {imu}, {quantity}")
+        unit = get(f"unit_{quantity}")
+        if unit is not None and str(unit) not in units:
+            known = ", ".join(units)
+            raise RecordingError(f'{where}: unit_{quantity} is "{unit}", expected one of {known}.')
+        own = get(f"t_{quantity}_ns"), get(f"t_{quantity}_s")
+        notes: list[str] = []
+        t_ns = _stamps(own[0], own[1], where)
+        if t_ns is None and len(values) in shared:
+            t_ns = shared[len(values)]
+        elif t_ns is None:
+            t_ns = _stamps(get("t_ns"), get("t_s"), where)
+        if t_ns is None:
+            rate = rate_hz if rate_hz is not None else get("rate_hz")
+            if rate is None:
+                raise RecordingError(f"{where}: no stamps (t_ns, t_s) for the {quantity} and no rate_hz. State --rate.")
+            t_ns = uniform_stamps(len(values), float(rate))
+            notes.append(f"{where}: no stamps for the {quantity}; {float(rate):g} Hz as stated.")
+        if len(t_ns) != len(values):
+            raise RecordingError(f"{where}: {len(values)} samples of the {quantity}, but {len(t_ns)} stamps.")
+        t_ns.flags.writeable = False
+        shared[len(values)] = t_ns
+        triad = Triad(quantity=quantity, values=values, unit=None if unit is None else str(unit))
+        tables.append(Table(t_ns=t_ns, triads=(triad,), notes=tuple(notes)))
+    return tables
+
+
+def _values(raw: NDArray[Any], where: str) -> Floats:
+    if raw.ndim != 2 or raw.shape[1] != 3 or raw.dtype.kind not in "fiu":
+        raise RecordingError(f"{where}: expected numbers of shape (n, 3), found {raw.dtype} of shape {raw.shape}.")
+    if len(raw) < 2:
+        raise RecordingError(f"{where}: found {len(raw)} samples; a recording has many.")
+    values: Floats = np.ascontiguousarray(raw, dtype=np.float64)
+    good: NDArray[np.bool_] = measurable(values).all(axis=1)  # pyright: ignore[reportAssignmentType]
+    if not good.all():
+        raise RecordingError(
+            f"{where}: sample {int(np.argmin(good))} is NaN or infinite ({int((~good).sum())} of {len(good)} are). "
+            "Remove these samples; gnomon treats the gap as such."
+        )
+    values.flags.writeable = False
+    return values
+
+
+def _stamps(ns: NDArray[Any] | None, seconds: NDArray[Any] | None, where: str) -> Integers | None:
+    stamps, unit = (ns, "ns") if ns is not None else (seconds, "s")
+    if stamps is None:
+        return None
+    if stamps.ndim != 1 or stamps.dtype.kind not in "fiu":
+        raise RecordingError(f"{where}: stamps must be numbers (n,), found {stamps.dtype} of shape {stamps.shape}.")
+    return to_ns(stamps, unit, where)

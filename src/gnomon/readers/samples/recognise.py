@@ -1,0 +1,211 @@
+"""What samples are, told from their values: which triad is which, and in which unit."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...recording import Floats, Integers
+from ...units import ACCELEROMETER_UNITS_M_S2, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
+
+_WINDOWS = 1000
+_WINDOW = 50  # samples; half a second at usual rates
+_LIKE_GRAVITY = (0.8, 1.2)  # an uncalibrated accelerometer reads gravity within 20 %
+_LIKE_GRAVITY_IN_MOTION = (0.5, 2.0)
+_RATES_IN_MOTION = (("rad/s", 10.0), ("deg/s", 2000.0), ("mdeg/s", np.inf))  # largest rms of a hand that waves a sensor
+_LIKE_EARTH_UT = (14.2, 142.0)  # the earth's field is 22 to 67 uT; an uncalibrated scale may be off
+_DECISIVE = 10.0  # ratio of the scatters of the two triads between rests
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unit:
+    """A unit that was recognised, and why."""
+
+    unit: str
+    reason: str
+
+
+def _windows(values: Floats) -> tuple[Floats, Floats]:
+    """Return means (k, 3) and total standard deviations (k,) of windows spread evenly over the samples."""
+    length = min(_WINDOW, max(2, len(values) // 4), len(values))
+    count = min(_WINDOWS, len(values) // length)
+    start = np.linspace(0, len(values) - length, count).astype(np.int64)
+    part = values[start[:, None] + np.arange(length)]
+    means = part.mean(axis=1)
+    return means, np.sqrt(((part - means[:, None]) ** 2).sum(axis=(1, 2)) / length)
+
+
+def rest_magnitude(values: Floats) -> float:
+    """Return the median magnitude of the samples in the quietest fifth of the recording, in their unit."""
+    means, spread = _windows(values)
+    quiet = spread <= np.quantile(spread, 0.2)
+    return float(np.median(np.linalg.norm(means[quiet], axis=1)))
+
+
+def _gravity_unit(magnitude: float, limits: tuple[float, float] = _LIKE_GRAVITY) -> str | None:
+    for unit, factor in ACCELEROMETER_UNITS_M_S2.items():
+        if factor is not None and limits[0] < magnitude * factor / STANDARD_GRAVITY_M_S2 < limits[1]:
+            return unit
+    return None
+
+
+def _whole_numbers(values: Floats) -> bool:
+    part = values[:: max(1, len(values) // 10_000)]
+    return bool((part == np.rint(part)).all())
+
+
+def accelerometer_unit(values: Floats) -> Unit:
+    """Recognise the unit of an accelerometer from its reading of gravity, (n, 3)."""
+    if _whole_numbers(values):
+        return Unit(unit="count", reason="whole numbers")
+    magnitude = rest_magnitude(values)
+    unit = _gravity_unit(magnitude)
+    if unit is not None:
+        return Unit(unit=unit, reason=f"its magnitude at rest is {magnitude:.4g}")
+    return Unit(unit="count", reason=f"its magnitude at rest, {magnitude:.4g}, is gravity in no known unit")
+
+
+def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None) -> Unit:
+    """Recognise the unit of a gyroscope.
+
+    Physics decides where it can: seen from the body, gravity turns with du/dt = -omega x u, whose slope tells the unit.
+    Otherwise the noise at rest and the largest rate are held against those of usual sensors.
+
+    Parameters
+    ----------
+    values : (n, 3)
+    t_ns : (n,) [ns]
+    accelerometer : (n, 3) at the same stamps, in a unit that has its zero at zero; None where there is no such thing
+    """
+    if _whole_numbers(values):
+        return Unit(unit="count", reason="whole numbers")
+    slope = None if accelerometer is None else _turning_of_gravity(accelerometer, values, t_ns)
+    if slope is not None:
+        unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
+        return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
+    _, spread = _windows(values)
+    noise = max(float(np.quantile(spread, 0.1)) / np.sqrt(3), 1e-6)
+    centred = np.abs(values - np.median(values[:: max(1, len(values) // 10_000)], axis=0))
+    peak = max(float(centred.max()), noise)
+    # Usual: noise 0.005 rad/s or 0.3 deg/s, largest rate of a hand 4 rad/s or 230 deg/s. A resting sensor has no peak.
+    evidence = np.log(noise / 0.04)
+    if peak > 20 * noise:
+        evidence += 2 * np.log(peak / 30.0)
+    unit = "deg/s" if evidence > 0 else "rad/s"
+    return Unit(unit=unit, reason=f"noise at rest {noise:.2g}, largest value {peak:.3g}")
+
+
+def accelerometer_unit_in_motion(values: Floats) -> Unit:
+    """Recognise the unit of an accelerometer, (n, 3), that never rests, from its median magnitude."""
+    if _whole_numbers(values):
+        return Unit(unit="count", reason="whole numbers")
+    magnitude = float(np.median(np.linalg.norm(values, axis=1)))
+    unit = _gravity_unit(magnitude, _LIKE_GRAVITY_IN_MOTION)
+    if unit is not None:
+        return Unit(unit=unit, reason=f"its median magnitude is {magnitude:.4g}")
+    return Unit(unit="count", reason=f"its median magnitude, {magnitude:.4g}, is gravity in no known unit")
+
+
+def gyroscope_unit_in_motion(values: Floats, t_ns: Integers, accelerometer: Floats | None) -> Unit:
+    """Recognise the unit of a gyroscope that never rests: by the turns of gravity, else by how fast a hand moves.
+
+    Parameters
+    ----------
+    values, t_ns, accelerometer : as for `gyroscope_unit`
+    """
+    if _whole_numbers(values) and np.ptp(values) > 0:
+        return Unit(unit="count", reason="whole numbers")
+    slope = None if accelerometer is None else _turning_of_gravity(accelerometer, values, t_ns)
+    if slope is not None:
+        unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
+        return Unit(unit=unit, reason=f"the turns of gravity are {slope:.3g} rad for each unit and second")
+    rms = float(np.sqrt(values.var(axis=0).sum()))
+    unit = next(unit for unit, largest in _RATES_IN_MOTION if rms <= largest)
+    return Unit(unit=unit, reason=f"its root mean square is {rms:.3g}")
+
+
+def magnetometer_unit(values: Floats) -> Unit:
+    """Recognise the unit of a magnetometer from the earth's field, (n, 3).
+
+    Where the sensor was turned, half the range of an axis is the field whatever the offset is; else its magnitude is
+    all there is.
+    """
+    if _whole_numbers(values):
+        return Unit(unit="count", reason="whole numbers")
+    low, high = np.quantile(values, (0.005, 0.995), axis=0)
+    half = float((high - low).max()) / 2
+    magnitude = float(np.median(np.linalg.norm(values, axis=1)))
+    field = half if half > 0.3 * magnitude else magnitude
+    for unit, factor in MAGNETOMETER_UNITS_UT.items():
+        if factor is not None and _LIKE_EARTH_UT[0] < field * factor < _LIKE_EARTH_UT[1]:
+            return Unit(unit=unit, reason=f"the field is {field:.4g}")
+    return Unit(unit="count", reason=f"the field, {field:.4g}, is that of the earth in no known unit")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recogniser:
+    """What tells the units from the values: of the accelerometer, and of the gyroscope given its stamps and force."""
+
+    accelerometer: Callable[[Floats], Unit]
+    gyroscope: Callable[[Floats, Integers, Floats | None], Unit]
+
+
+WITH_RESTS = Recogniser(accelerometer=accelerometer_unit, gyroscope=gyroscope_unit)
+IN_MOTION = Recogniser(accelerometer=accelerometer_unit_in_motion, gyroscope=gyroscope_unit_in_motion)
+
+
+def _turning_of_gravity(accelerometer: Floats, gyroscope: Floats, t_ns: Integers) -> float | None:
+    """Return the slope of du/dt against -omega x u [rad/s per unit of the gyroscope]; None if nothing turns."""
+    size = min(len(gyroscope), 400_000)
+    span = float(t_ns[size - 1] - t_ns[0]) * 1e-9
+    length = max(1, round(0.1 * size / span)) if span > 0 else 1
+    count = size // length
+    if count < 20:
+        return None
+    force = accelerometer[: count * length].reshape(count, length, 3).mean(axis=1)
+    rate = gyroscope[: count * length].reshape(count, length, 3).mean(axis=1)
+    _, spread = _windows(gyroscope)
+    means, _ = _windows(gyroscope)
+    rate = rate - np.median(means[spread <= np.quantile(spread, 0.2)], axis=0)
+    norm = np.linalg.norm(force, axis=1, keepdims=True)
+    up = force / np.where(norm > 0, norm, 1.0)
+    step = span / size * length
+    measured = (up[2:] - up[:-2]) / (2 * step)
+    predicted = -np.cross(rate[1:-1], up[1:-1])
+    energy, cross = float((predicted**2).sum()), float((measured * predicted).sum())
+    total = float((measured**2).sum())
+    if not (energy > 0 and total > 0) or cross / np.sqrt(energy * total) < 0.5:
+        return None
+    return cross / energy
+
+
+def accelerometer_is_first(first: Floats, second: Floats) -> tuple[bool | None, str]:
+    """Tell which of two triads is the accelerometer, and why; None if the values do not tell.
+
+    Between rests, a gyroscope comes back to the same reading (its bias), an accelerometer shows another attitude. Where
+    nothing turned, only one of the two can read as gravity in a known unit.
+
+    Parameters
+    ----------
+    first, second : (n, 3), (m, 3) of the same span of time
+    """
+    (means_1, spread_1), (means_2, spread_2) = _windows(first), _windows(second)
+    count = min(len(means_1), len(means_2))
+    rank = np.argsort(np.argsort(spread_1[:count])) + np.argsort(np.argsort(spread_2[:count]))
+    quiet = rank <= np.quantile(rank, 0.2)
+    scatter: list[float] = []
+    gravity: list[str | None] = []
+    for means, spread in ((means_1[:count], spread_1[:count]), (means_2[:count], spread_2[:count])):
+        between = float(np.sqrt(means[quiet].var(axis=0).sum()))
+        scatter.append(between / max(float(np.median(spread[quiet])), 1e-12))
+        gravity.append(_gravity_unit(float(np.median(np.linalg.norm(means[quiet], axis=1)))))
+    ratio = scatter[0] / max(scatter[1], 1e-12)
+    by_gravity = None if (gravity[0] is None) == (gravity[1] is None) else gravity[0] is not None
+    by_scatter = (
+        ratio > 1 if count >= 10 and max(scatter) > 3 and max(ratio, 1 / max(ratio, 1e-12)) > _DECISIVE else None
+    )
+    if by_scatter is not None and by_gravity in {None, by_scatter}:
+        return by_scatter, "at rest it changes with the attitude, the other one does not"
+    if by_scatter is None and by_gravity is not None:
+        return by_gravity, f"its magnitude at rest is gravity in {gravity[0] if by_gravity else gravity[1]}"
+    return None, ""

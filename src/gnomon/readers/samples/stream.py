@@ -1,0 +1,131 @@
+"""Recordings read block by block, with the same understanding of the files as `read`, in memory that does not grow.
+
+What a text file is (layout, columns, unit of time, which triad is which) is recognised from its beginning, all of it
+where it is short. The units of the samples are known beforehand, from the calibration that will be applied; what the
+file says, or gravity shows, takes precedence, so that a calibration for other units can be refused.
+"""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import OptionError, RecordingError
+from ...recording import Floats, ImuSamples, Integers, TriadSamples
+from ...units import Units
+from ..devices.device_log import is_device_log
+from ..files import NPZ_MAGIC, first_bytes
+from ..recordings import read
+from .folder import recording_files
+from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
+
+
+def stream_of(samples: ImuSamples, block: int = 65_536, triads: Collection[str] = TRIADS) -> SampleStream:
+    """Return samples in memory, of the triads that are wanted, as a stream of blocks of at most `block` rows."""
+
+    def blocks(triad: TriadSamples) -> Blocks:
+        for i in range(0, len(triad), block):
+            yield TriadSamples(t_ns=triad.t_ns[i : i + block], values=triad.values[i : i + block], unit=triad.unit)
+
+    wanted = {name: getattr(samples, name) for name in TRIADS if name in triads}
+    return SampleStream(**{name: blocks(triad) for name, triad in wanted.items() if triad is not None and len(triad)})
+
+
+def open_stream(
+    *paths: str | Path,
+    expected: Units,
+    units: Units | None = None,
+    columns: str | None = None,
+    rate_hz: float | None = None,
+    imu: str = "imu0",
+    triads: Collection[str] = TRIADS,
+    block_bytes: int = 1 << 20,
+) -> SampleStream:
+    """Open a recording for reading block by block; `paths`, `units`, `columns` and `rate_hz` as in `read`.
+
+    Parameters
+    ----------
+    expected : units of the triads where neither `units`, nor the file, nor gravity tells them
+    imu : which IMU of an NPZ file
+    triads : which triads are read, as far as the recording holds them
+    block_bytes : size of a block [bytes of the unpacked file]
+
+    Raises
+    ------
+    RecordingError
+        If something cannot be read or understood, at once or when the block is reached.
+    OptionError
+        If an option does not fit the recording.
+    """
+    if imu == "imu0" and is_device_log(paths):
+        recording = read(*paths, units=units, columns=columns, rate_hz=rate_hz)
+        return stream_of(recording.imus[imu], triads=triads)
+    choice = UnitChoice(stated=units or Units(), expected=expected)
+    files = recording_files(paths)
+    if first_bytes(files[0]).startswith(NPZ_MAGIC):
+        from .stream_npz import open_npz
+
+        if columns is not None or len(files) != 1:
+            raise OptionError(f"{files[0].name} is an NPZ file: give it alone, and without columns.")
+        return open_npz(files[0], choice, rate_hz, imu, triads=triads, block_bytes=block_bytes)
+    from .stream_text import open_text
+
+    return open_text(files, choice, columns, rate_hz, triads=triads, block_bytes=block_bytes)
+
+
+class Rows:
+    """The rows of an iterator of blocks, taken in pieces of any length.
+
+    Parameters
+    ----------
+    blocks, transform : the blocks, and what is made of each
+    what, onto : the sensor, and the one to whose stamps it is brought, for messages
+    """
+
+    def __init__(self, blocks: Blocks, transform: Callable[[TriadSamples], TriadSamples], what: str, onto: str) -> None:
+        self._blocks, self._transform = blocks, transform
+        self.what, self.onto = what, onto
+        self.t_ns = np.empty(0, np.int64)
+        self.values = np.empty((0, 3))
+
+    def _pull(self) -> bool:
+        block = next(self._blocks, None)
+        if block is None:
+            return False
+        block = self._transform(block)
+        self.t_ns = np.concatenate([self.t_ns, block.t_ns])
+        self.values = np.concatenate([self.values, block.values])
+        return True
+
+    def fill(self, count: int) -> None:
+        """Hold at least `count` rows, if there are so many."""
+        while len(self.t_ns) < count and self._pull():
+            pass
+
+    def reach(self, t_ns: int) -> None:
+        """Hold a row later than `t_ns`, if there is one.
+
+        Raises
+        ------
+        RecordingError
+            If the stamps go backwards, so that nothing can be interpolated.
+        """
+        checked = 0
+        while True:
+            back = np.flatnonzero(np.diff(self.t_ns[max(checked - 1, 0) :]) < 0)
+            if len(back):
+                raise RecordingError(
+                    f"the {self.what}'s stamps go backwards, so that its samples cannot be brought to the "
+                    f"{self.onto}'s stamps. `gnomon check` says where; sort or cut the recording."
+                )
+            checked = len(self.t_ns)
+            if (checked and self.t_ns[-1] > t_ns) or not self._pull():
+                return
+
+    def put_back(self, t_ns: Integers, values: Floats) -> None:
+        """Put rows in front again."""
+        self.t_ns, self.values = np.concatenate([t_ns, self.t_ns]), np.concatenate([values, self.values])
+
+    def drop(self, count: int) -> None:
+        """Forget the first `count` rows."""
+        self.t_ns, self.values = self.t_ns[count:], self.values[count:]

@@ -1,0 +1,236 @@
+"""Text tables block by block: cut at line ends, each block parsed as a small file of its own."""
+
+import gzip
+import io
+import zlib
+from collections.abc import Collection, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import Integers, Source, TriadSamples
+from ..files import TextFile, first_bytes, refuse_binary
+from ..recordings import inertial_streams, without_magnetometer
+from .column_roles import Roles, roles
+from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
+from .stamps import guess_time_unit, stamp_kind, to_ns
+from .table import Triad, preamble_rate, read_table
+from .text_table import Column, Layout, parse, sniff
+
+_HEAD_BYTES = 8 << 20
+_NO_SOURCE = Source(name="", sha256="")
+
+
+class _Bytes(Protocol):
+    """What can be read from."""
+
+    def read(self, size: int, /) -> bytes: ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """How a file is to be read.
+
+    Attributes
+    ----------
+    triads : for each of `TRIADS` its index among the triads of the table; None where it is not there or not wanted
+    units : of each of `TRIADS`
+    time_unit : of a single column of stamps
+    rate_hz : where there are no stamps
+    """
+
+    path: Path
+    layout: Layout
+    used: Roles
+    triads: list[int | None]
+    units: tuple[str, str, str]
+    time_unit: str | None
+    rate_hz: float | None
+
+
+def open_text(
+    files: list[Path],
+    choice: UnitChoice,
+    columns: str | None,
+    rate_hz: float | None,
+    *,
+    triads: Collection[str],
+    block_bytes: int,
+) -> SampleStream:
+    """Open a table, or two tables that hold different triads; `triads` are those that are wanted.
+
+    Raises
+    ------
+    RecordingError
+        If a file is no table, or nothing tells what its columns are.
+    OptionError
+        If an option does not fit.
+    """
+    heads = [_head(path) for path in files]
+    tables = [read_table(head, columns, rate_hz, choice.stated) for head in heads]
+    others, names, magnetometer = without_magnetometer(tables, files)
+    found = (*inertial_streams(others, names, [], alone=False), magnetometer)
+    there = [
+        None if stream is None or name not in triads else stream[1] for name, stream in zip(TRIADS, found, strict=True)
+    ]
+    units = _units(choice, there)
+    streams: dict[str, Blocks] = {}
+    for path, head, table in zip(files, heads, tables, strict=True):
+        index = [next((i for i, triad in enumerate(table.triads) if triad is one), None) for one in there]
+        plan = _plan(path, head, columns, rate_hz=rate_hz, time_unit=choice.stated.time, triads=index, units=units)
+        held = [which for which, place in enumerate(index) if place is not None]
+        sides = shared_blocks(_blocks(plan, block_bytes, held), len(held))
+        streams |= {TRIADS[which]: side for which, side in zip(held, sides, strict=True)}
+    return SampleStream(**streams)
+
+
+def _units(choice: UnitChoice, triads: list[Triad | None]) -> tuple[str, str, str]:
+    accelerometer, gyroscope, magnetometer = triads
+    return (
+        "" if accelerometer is None else choice.accelerometer(accelerometer.unit, accelerometer.values),
+        "" if gyroscope is None else choice.gyroscope(gyroscope.unit),
+        "" if magnetometer is None else choice.magnetometer(magnetometer.unit),
+    )
+
+
+def _head(path: Path) -> TextFile:
+    """Return the beginning of a file, cut at a line end."""
+    with _opened(path) as stream:
+        data = stream.read(_HEAD_BYTES)
+        if len(data) == _HEAD_BYTES and b"\n" in data:
+            data = data[: data.rfind(b"\n") + 1]
+    if not data.strip():
+        raise RecordingError(f"{path}: the file holds no text. Was the recording copied completely?")
+    refuse_binary(data, path)
+    return TextFile(name=path.name, data=data, source=_NO_SOURCE)
+
+
+def _plan(
+    path: Path,
+    head: TextFile,
+    columns: str | None,
+    *,
+    rate_hz: float | None,
+    time_unit: str | None,
+    triads: list[int | None],
+    units: tuple[str, str, str],
+) -> _Plan:
+    layout = sniff(head)
+    used = roles(layout, columns, head.name)
+    unit = None
+    if not used.time:
+        rate_hz = rate_hz if rate_hz is not None else preamble_rate(layout.preamble)
+    elif len(used.time) == 1:
+        column, named = used.time[0]
+        unit = time_unit or named
+        if unit is None:
+            unit, _ = guess_time_unit(_parsed(head, layout, [column], [])[column])
+    return _Plan(path=path, layout=layout, used=used, triads=triads, units=units, time_unit=unit, rate_hz=rate_hz)
+
+
+def _blocks(plan: _Plan, block_bytes: int, held: list[int]) -> Iterator[list[TriadSamples]]:
+    """Yield the triads of every block, those of `plan.triads` that are counted in `held`."""
+    stamps = [i for i, _ in plan.used.time]
+    places = [plan.used.triads[index].columns for which in held if (index := plan.triads[which]) is not None]
+    values = [i for columns in places for i in columns]
+    count = 0
+    for line, text in _lines(plan, block_bytes):
+        file = TextFile(name=plan.path.name, data=text, source=_NO_SOURCE)
+        data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
+        t_ns = _stamps(plan, data, count)
+        yield [
+            TriadSamples(t_ns=t_ns, values=np.column_stack([data[i] for i in columns]), unit=plan.units[which])
+            for which, columns in zip(held, places, strict=True)
+        ]
+        count += len(data[0])
+
+
+def _parsed(file: TextFile, layout: Layout, stamps: list[int], values: list[int]) -> list[Column]:
+    kinds = ["f8" if i in values else "" for i in range(layout.columns)]
+    for i in stamps:
+        kinds[i] = stamp_kind([row[i] for row in layout.sample])
+    try:
+        return parse(file, layout, kinds)[0]
+    except RecordingError:
+        if not any(kinds[i] == "i8" for i in stamps):
+            raise
+        # Stamps that begin as whole numbers need not stay so.
+        return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
+
+
+def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
+    """Return the stamps of a block that begins after `count` rows [ns]."""
+    name = plan.path.name
+    if not plan.used.time:
+        rows = np.arange(count, count + len(data[0]))
+        return np.rint(rows * (1e9 / (plan.rate_hz or 1.0))).astype(np.int64)
+    if len(plan.used.time) == 2:
+        seconds, rest = (to_ns(data[i], unit or "ns", name) for i, unit in plan.used.time)
+        return seconds + rest
+    return to_ns(data[plan.used.time[0][0]], plan.time_unit or "s", name)
+
+
+def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
+    """Yield (number of the first line, whole lines) from the first row of data on."""
+    line, carry = plan.layout.first_line, b""
+    with _opened(plan.path) as stream:
+        _skip(stream, plan.layout.offset)
+        block = stream.read(block_bytes)
+        while block:
+            ahead = stream.read(block_bytes)
+            if ahead and len(ahead) < block_bytes:  # a short rest goes along, so that a cut last line is not alone
+                block, ahead = block + ahead, b""
+            text = carry + block
+            end = text.rfind(b"\n") + 1 if ahead else len(text)
+            text, carry = text[:end], text[end:]
+            if text.strip():
+                yield line, text
+            line += text.count(b"\n")
+            block = ahead
+
+
+def _skip(stream: _Bytes, count: int) -> None:
+    while count > 0:
+        count -= len(stream.read(min(count, 1 << 20))) or count
+
+
+@contextmanager
+def _opened(path: Path) -> Generator[_Bytes]:
+    """Open a text file as UTF-8 bytes without byte order mark, unpacked if it is gzipped.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be read, or its gzip stream is cut off or damaged.
+    """
+    packed = first_bytes(path).startswith(b"\x1f\x8b")
+    try:
+        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+            mark = stream.read(3)
+            stream.seek(3 if mark == b"\xef\xbb\xbf" else 0)
+            if mark[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+                stream.seek(0)
+                yield _Recoded(io.TextIOWrapper(stream, "utf-16", errors="replace", newline=""))
+            else:
+                yield stream
+    except EOFError:
+        raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None
+    except (gzip.BadGzipFile, zlib.error) as error:
+        raise RecordingError(f"{path}: the gzip stream is damaged ({error}). Copy it again.") from None
+
+
+class _Recoded:
+    """UTF-16 text as UTF-8 bytes."""
+
+    def __init__(self, text: io.TextIOWrapper) -> None:
+        self._text, self._left = text, b""
+
+    def read(self, size: int, /) -> bytes:
+        while len(self._left) < size and (piece := self._text.read(size)):
+            self._left += piece.encode()
+        data, self._left = self._left[:size], self._left[size:]
+        return data

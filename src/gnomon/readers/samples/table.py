@@ -1,0 +1,157 @@
+"""Format "table": text with one row a sample. EuRoC, TUM-VI, Kalibr and imu_tk files are such tables, too."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording import Floats, Integers
+from ...units import Units
+from ..files import TextFile
+from .column_names import unit_of
+from .column_roles import HELP, Roles, roles
+from .stamps import guess_time_unit, stamp_kind, to_ns
+from .text_table import Column, Layout, parse, sniff
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_RATE_KEYS = _words("fs rate samplerate samplingrate samplefrequency samplingfrequency frequency freq odr")
+_PERIOD_KEYS = _words("dt period sampletime sampleperiod samplinginterval sampleinterval samplingperiod")
+_PREAMBLE = re.compile(
+    r"\W*(?P<key>[A-Za-z][\w .-]*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*[,;:=\t ]\s*(?P<value>[\d.]+(?:[eE][-+]?\d+)?)"
+    r"\W*(?P<tail>[A-Za-z]*)\W*"
+)
+
+RATE_HELP = (
+    "State it with --rate, for example --rate 100. If a column holds the time, name the columns: "
+    '--columns "t ax ay az gx gy gz" (_ skips one).'
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Triad:
+    """Samples of one sensor; quantity "unnamed" where only the values can tell which one it is.
+
+    Attributes
+    ----------
+    quantity : "accelerometer", "gyroscope", "magnetometer" or "unnamed"
+    values : (n, 3)
+    unit : where the header tells it
+    """
+
+    quantity: str
+    values: Floats
+    unit: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """What is in a table: stamps (n,) [ns], its triads (see `Roles.triads`), and what was assumed."""
+
+    t_ns: Integers
+    triads: tuple[Triad, ...]
+    notes: tuple[str, ...]
+
+
+def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units: Units) -> Table:
+    """Read a text table.
+
+    Raises
+    ------
+    RecordingError
+        If it is no table, or nothing tells what its columns are.
+    OptionError
+        If `columns` does not fit the table.
+    """
+    layout = sniff(file)
+    used = roles(layout, columns, file.name)
+    data, cut = _parse(file, layout, used)
+    count = len(data[0])
+    if count < 2:
+        raise RecordingError(f"{file.name}: found {count} row of data; a recording has many. Was it copied completely?")
+    if used.time:
+        t_ns, note = _stamps(file, used, data, units.time)
+        if rate_hz is not None:
+            note += f" The rate of {rate_hz:g} Hz was not needed: the file has stamps."
+    else:
+        t_ns, note = _made_stamps(file, layout, count, rate_hz)
+    triads: list[Triad] = []
+    for triad in used.triads:
+        values = np.empty((count, 3))
+        for axis, i in enumerate(triad.columns):
+            values[:, axis] = data[i]
+        values.flags.writeable = False  # so that it is kept without a copy
+        triads.append(Triad(quantity=triad.quantity, values=values, unit=triad.unit))
+    return Table(t_ns=t_ns, triads=tuple(triads), notes=(*used.notes, *(n for n in (note, cut) if n)))
+
+
+def _parse(file: TextFile, layout: Layout, used: Roles) -> tuple[list[Column], str | None]:
+    kinds = [""] * layout.columns
+    for triad in used.triads:
+        for i in triad.columns:
+            kinds[i] = "f8"
+    stamps = [i for i, _ in used.time]
+    for i in stamps:
+        kinds[i] = stamp_kind([row[i] for row in layout.sample])
+    try:
+        return parse(file, layout, kinds)
+    except RecordingError:
+        if not any(kinds[i] == "i8" for i in stamps):
+            raise
+        # Stamps that begin as whole numbers need not stay so.
+        return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])
+
+
+def _made_stamps(file: TextFile, layout: Layout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
+    """Return stamps at a stated rate [ns], and what was assumed."""
+    origin = "as stated"
+    if rate_hz is None:
+        rate_hz, origin = preamble_rate(layout.preamble), "as its preamble says"
+    if rate_hz is None:
+        raise RecordingError(f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP}")
+    return uniform_stamps(count, rate_hz), f"{file.name}: no stamps; {rate_hz:g} Hz {origin}."
+
+
+def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None) -> tuple[Integers, str]:
+    """Return the stamps in the table [ns], and what was assumed."""
+    if len(used.time) == 2:
+        both = [to_ns(data[i], unit or "ns", file.name) for i, unit in used.time]
+        return both[0] + both[1], f"{file.name}: stamps are seconds and nanoseconds, from the header."
+    ((column, named),) = used.time
+    if stated is not None:
+        unit, reason = stated, "as stated"
+    elif named is not None:
+        unit, reason = named, "from the header"
+    else:
+        try:
+            unit, reason = guess_time_unit(data[column])
+        except ValueError:
+            raise RecordingError(f"{file.name}: the stamps are not numbers. {HELP}") from None
+    return to_ns(data[column], unit, file.name), f"{file.name}: time in {unit} ({reason})."
+
+
+def uniform_stamps(count: int, rate_hz: float) -> Integers:
+    """Return stamps k / rate_hz, k = 0 .. count - 1, (count,) int64 [ns]."""
+    return np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def preamble_rate(lines: tuple[str, ...]) -> float | None:
+    """Return the sample rate [Hz] that lines such as "Fs,50.00" or "# dt: 5 ms" state, or None."""
+    for line in lines:
+        match = _PREAMBLE.fullmatch(line)
+        if match is None:
+            continue
+        key = re.sub(r"[^a-z]", "", match["key"].lower())
+        unit = match["unit"] or match["tail"] or ""
+        if key.endswith("hz"):
+            key = key.removesuffix("hz")
+        value = float(match["value"])
+        if key in _RATE_KEYS and value > 0:
+            return value * (1000.0 if unit.lower() == "khz" else 1.0)
+        if key in _PERIOD_KEYS and value > 0:
+            return {"ns": 1e9, "us": 1e6, "ms": 1e3}.get(unit_of(unit, "time") or "s", 1.0) / value
+    return None

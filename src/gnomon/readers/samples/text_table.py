@@ -1,0 +1,246 @@
+"""Tables of numbers in text: how they are written (delimiter, header, preamble), and their columns, parsed fast."""
+
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+from ...recording import measurable
+from ..files import TextFile
+
+_HEAD_BYTES = 65_536
+_HEAD_LINES = 100
+_DELIMITERS = (",", ";", "\t", None)  # None is any white space
+_COMMENT = ("#", "%", "//")
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)", re.IGNORECASE)
+_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", None: "white space"}
+
+Column = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """How a table is written.
+
+    Attributes
+    ----------
+    delimiter : between columns; None is any white space
+    decimal_comma : whether 1,5 stands for 1.5
+    columns : number of columns
+    header : their names, or empty
+    preamble : lines above the header
+    first_line : number of the first line with data, from 1
+    offset : where it starts [bytes]
+    sample : first rows, as text
+    """
+
+    delimiter: str | None
+    decimal_comma: bool
+    columns: int
+    header: tuple[str, ...]
+    preamble: tuple[str, ...]
+    first_line: int
+    offset: int
+    sample: tuple[tuple[str, ...], ...]
+
+    def __str__(self) -> str:
+        return f"{self.columns} columns separated by {_NAMES[self.delimiter]}"
+
+
+def is_number(token: str, decimal_comma: bool = False) -> bool:
+    """Tell whether a token reads as a number (NaN and infinity included)."""
+    token = token.strip().strip('"')
+    return _NUMBER.fullmatch(token.replace(",", ".", 1) if decimal_comma else token) is not None
+
+
+def split_line(line: str, delimiter: str | None) -> list[str]:
+    """Split a line into its tokens."""
+    return [token.strip() for token in line.split(delimiter)] if delimiter else line.split()
+
+
+SAMPLE_ROWS = "time, three accelerations, three angular rates"
+
+
+def sniff(file: TextFile, expected: str = SAMPLE_ROWS) -> Layout:
+    """Find out how a table is written, from its first lines.
+
+    Parameters
+    ----------
+    file : the table
+    expected : what is in its rows, for messages
+
+    Raises
+    ------
+    RecordingError
+        If there is no table of numbers in the file.
+    """
+    raw = file.data[:_HEAD_BYTES].splitlines(keepends=True)
+    if len(file.data) > _HEAD_BYTES:
+        raw.pop()  # the last line may be cut by the end of the head
+    raw = raw[:_HEAD_LINES]
+    lines = [line.decode("utf-8", errors="replace").strip("\r\n") for line in raw]
+    delimiter, comma = _best_delimiter(lines)
+    rows = [[] if line.lstrip().startswith(_COMMENT) else split_line(line, delimiter) for line in lines]
+    masks = [[is_number(token, comma) for token in row] for row in rows]
+    counts = Counter(len(row) for row, mask in zip(rows, masks, strict=True) if sum(mask) >= max(1, len(row) // 2))
+    if not counts:
+        raise RecordingError(
+            f"{file.name}: no table of numbers found in the first {len(lines)} lines (the first one begins with "
+            f'"{lines[0][:40]}"). Expected rows such as: {expected}.'
+        )
+    columns = max(counts, key=lambda n: (counts[n], n))
+    first = _first_row(rows, masks, columns)
+    header, preamble = _header(lines[:first], delimiter, columns)
+    sample = tuple(tuple(row) for row in rows[first:] if len(row) == columns)
+    return Layout(
+        delimiter=delimiter,
+        decimal_comma=comma,
+        columns=columns,
+        header=header,
+        preamble=preamble,
+        first_line=first + 1,
+        offset=sum(len(line) for line in raw[:first]),
+        sample=sample,
+    )
+
+
+def _best_delimiter(lines: list[str]) -> tuple[str | None, bool]:
+    def numbers(delimiter: str | None, comma: bool) -> int:
+        return sum(is_number(token, comma) for line in lines for token in split_line(line, delimiter))
+
+    candidates = [(delimiter, False) for delimiter in _DELIMITERS]
+    candidates += [(delimiter, True) for delimiter in _DELIMITERS if delimiter != ","]
+    return max(candidates, key=lambda candidate: numbers(*candidate))
+
+
+def _first_row(rows: list[list[str]], masks: list[list[bool]], columns: int) -> int:
+    """Return the index of the first row of data: most of what is a number elsewhere in the column is one in it."""
+    table = np.array([mask for mask in masks if len(mask) == columns and any(mask)], dtype=bool)
+    numeric = table.mean(axis=0) > 0.5
+    for i, (row, mask) in enumerate(zip(rows, masks, strict=True)):
+        if len(row) == columns and 2 * int((np.array(mask) & numeric).sum()) >= max(1, int(numeric.sum())):
+            return i
+    return 0
+
+
+def _header(lines: list[str], delimiter: str | None, columns: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of the columns, units in brackets, and the lines above them."""
+    rows = [(i, _header_tokens(line, delimiter)) for i, line in enumerate(lines) if line.strip()]
+    named = [(i, row) for i, row in rows[-2:] if len(row) == columns and not any(is_number(token) for token in row)]
+    if not named:
+        return (), tuple(lines)
+    names = named[0][1]
+    if len(named) == 2:  # a row of names above a row of units
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, named[1][1], strict=True)]
+    return tuple(names), tuple(lines[: named[0][0]])
+
+
+def _header_tokens(line: str, delimiter: str | None) -> list[str]:
+    line = re.sub(r"^\s*(#|%|//)+", "", line)
+    if delimiter is None:  # "a_x [m s^-2]" is one name
+        line = re.sub(r"\s*[\[(][^\])]*[\])]", lambda unit: re.sub(r"\s", "", unit.group()), line)
+    return [token.strip('"').strip() for token in split_line(line, delimiter)]
+
+
+def parse(
+    file: TextFile, layout: Layout, kinds: list[str], *, may_be_lost: bool = False
+) -> tuple[list[Column], str | None]:
+    """Return the columns of a table.
+
+    Parameters
+    ----------
+    kinds : NumPy dtype of each column, such as "f8", "i8", "S40"; "" for columns that are not wanted
+    may_be_lost : whether NaN and infinity are let through, as marks of values that were lost
+
+    Returns
+    -------
+    columns : one array (n,) per column; strings cut to one byte where they are not wanted
+    note : a sentence on a last line that was cut off and left out, or None
+
+    Raises
+    ------
+    RecordingError
+        If a row has too few or too many columns, or text where a number belongs, or NaN or infinity that may not be.
+    """
+    data, note = _without_cut_line(file, layout)
+    if layout.decimal_comma:
+        data = data.replace(b",", b".")
+    fields = [(f"c{i}", kind or "S1") for i, kind in enumerate(kinds)]
+    stream = io.BytesIO(data)
+    stream.seek(layout.offset)
+    comments = [mark for mark in _COMMENT if mark[:1].encode() in data and data.find(mark.encode(), layout.offset) >= 0]
+    try:
+        table = np.loadtxt(
+            io.TextIOWrapper(stream, encoding="latin-1"),
+            dtype=np.dtype(fields),
+            delimiter=layout.delimiter,
+            comments=comments[0] if len(comments) == 1 else (comments or None),
+            quotechar='"' if data.find(b'"', layout.offset) >= 0 else None,
+            ndmin=1,
+        )
+    except ValueError as error:
+        raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(f"{file.name}: {error}") from None
+    columns = [table[name] for name, _ in fields]
+    numbers = [column for column, kind in zip(columns, kinds, strict=True) if kind == "f8" and not may_be_lost]
+    if not all(measurable(column).all() for column in numbers):
+        raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(
+            f"{file.name}: NaN or infinity in the table."
+        )
+    return columns, note
+
+
+def _without_cut_line(file: TextFile, layout: Layout) -> tuple[bytes, str | None]:
+    data = file.data
+    if data.endswith((b"\n", b"\r")):
+        return data, None
+    begin = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+    row = split_line(data[begin:].decode("utf-8", errors="replace"), layout.delimiter)
+    if begin <= layout.offset or not row or (len(row) == layout.columns and is_number(row[-1], layout.decimal_comma)):
+        return data, None
+    return data[:begin], f"{file.name}: the last line is cut off and was left out."
+
+
+def numbered_rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]]:
+    """Yield (line number, tokens) of every row of data."""
+    stream = io.BytesIO(data)
+    stream.seek(layout.offset)
+    for number, line in enumerate(io.TextIOWrapper(stream, encoding="latin-1"), start=layout.first_line):
+        text = re.split("#|%|//", line, maxsplit=1)[0].rstrip("\r\n")
+        row = split_line(text, layout.delimiter)
+        if text.strip() if layout.delimiter is None else text:
+            yield number, row
+
+
+def line_number(file: TextFile, layout: Layout, row: int) -> int:
+    """Return the number of the line, from 1, that holds a row of data, from 0; slow, for messages."""
+    return next(number for i, (number, _) in enumerate(numbered_rows(layout, file.data)) if i == row)
+
+
+def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes, may_be_lost: bool) -> RecordingError | None:
+    """Say where a table is not as it should be; slow, and only called once it is known to be wrong."""
+    for number, row in numbered_rows(layout, data):
+        where = f"{file.name}, line {number}"
+        if len(row) != layout.columns:
+            return RecordingError(
+                f"{where}: found {len(row)} columns, expected {layout.columns} as in the other rows. "
+                "Mend or remove this line."
+            )
+        for i, (token, kind) in enumerate(zip(row, kinds, strict=True)):
+            name = f"column {i + 1}" + (f" ({layout.header[i]})" if layout.header else "")
+            if kind and not is_number(token):
+                found = f'"{token[:40]}"' if token else "nothing"
+                return RecordingError(f"{where}, {name}: found {found}, expected a number. Mend or remove this line.")
+            if kind and not may_be_lost and not measurable(np.array(float(token.strip('"')))):
+                return RecordingError(
+                    f"{where}, {name}: found {token}, expected a finite number that a sensor can read. "
+                    "Remove this line if the sample is lost; gnomon treats the gap as such."
+                )
+            if kind == "i8" and not re.fullmatch(r"[-+]?\d+", token.strip('"')):
+                return None
+    return None
