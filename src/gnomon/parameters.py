@@ -1,8 +1,8 @@
 """The scalars of a calibration: their names, their order in the covariance, and how a change of body frame moves them.
 
-First come the scalars of every IMU, the lever arms of its accelerometers last, where it has any; then those of every
-camera. A matrix is listed row by row. The rotation of a camera
-is named by its rotation vector; its covariance is that of a small rotation on the right (`CameraCalibration`).
+First come the scalars of every IMU, last the lever arms of its accelerometers, its pose and clock and the time shift
+of its accelerometer, where it has them; then those of every camera. A matrix is listed row by row. A rotation is named
+by its rotation vector; its covariance is that of a small rotation on the right (`CameraCalibration`, `ImuCalibration`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -38,6 +38,12 @@ def parameters(
             yield f"{name}.magnetometer.bias", imu.magnetometer.bias
         if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
             yield f"{name}.accelerometer.lever_arms_m", imu.accelerometer.lever_arms_m
+        if imu.T_imu_body is not None:
+            yield f"{name}.T_imu_body.rotation", rotvec_from_rotation(imu.T_imu_body[:3, :3])
+            yield f"{name}.T_imu_body.translation", imu.T_imu_body[:3, 3]
+            yield f"{name}.time_shift_imu", np.array(imu.time_shift_s)
+        if imu.accelerometer is not None and imu.accelerometer.time_shift_s is not None:
+            yield f"{name}.accelerometer.time_shift", np.array(imu.accelerometer.time_shift_s)
     for name, camera in cameras.items():
         if name != camera.body:
             yield f"{name}.{camera.link}.rotation", rotvec_from_rotation(camera.T_cam_body[:3, :3])

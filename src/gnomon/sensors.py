@@ -36,12 +36,15 @@ class AccelerometerCalibration:
     unit : unit of the measurements
     lever_arms_m : (3, 3) where the x, y and z accelerometers sit, one row each, from the body's origin, body frame; or
         None where they are taken to be at one point, the body's origin
+    time_shift_s : t_gyroscope = t_accelerometer + time_shift_s, of the stamps of one instant [s]; None where both have
+        the same clock and delay
     """
 
     sensitivity: Floats
     bias: Floats
     unit: str
     lever_arms_m: Floats | None = None
+    time_shift_s: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensitivity", frozen_array(self.sensitivity))
@@ -130,6 +133,21 @@ class MagnetometerCalibration:
 class ImuCalibration:
     """The triads of one IMU, in one body frame; those that were not calibrated are None.
 
+    Of several IMUs the body is the first one, imu0. Every other one has a frame of its own, to which its triads refer,
+    and tells how it lies to the body.
+
+    The covariance of a Calibration holds, for an IMU with a pose, "imu1.T_imu_body.rotation[0..2]" (small rotation
+    delta on the right, R_imu_body Exp(delta), body frame) [rad], "imu1.T_imu_body.translation[0..2]" (the last column
+    of T_imu_body) [m] and "imu1.time_shift_imu" [s]; for an accelerometer with a time shift of its own
+    "imu0.accelerometer.time_shift" [s].
+
+    Attributes
+    ----------
+    accelerometer, gyroscope, magnetometer : None where not calibrated
+    T_imu_body : (4, 4) body coordinates to those of this IMU, p_imu = T_imu_body @ p_body [m]; None of the IMU that is
+        the body
+    time_shift_s : t_body = t_imu + time_shift_s, of the stamps of both gyroscopes [s]
+
     Raises
     ------
     FormatError
@@ -139,8 +157,12 @@ class ImuCalibration:
     accelerometer: AccelerometerCalibration | None = None
     gyroscope: GyroscopeCalibration | None = None
     magnetometer: MagnetometerCalibration | None = None
+    T_imu_body: Floats | None = None
+    time_shift_s: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.T_imu_body is not None:
+            object.__setattr__(self, "T_imu_body", frozen_array(self.T_imu_body))
         if self.accelerometer is None and self.gyroscope is None and self.magnetometer is None:
             raise FormatError("a calibrated IMU needs an accelerometer, a gyroscope or a magnetometer.")
 
@@ -288,7 +310,7 @@ def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
         )
     if magnetometer is not None:
         magnetometer = replace(magnetometer, sensitivity=magnetometer.sensitivity @ rotation.T)
-    return ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
+    return replace(imu, accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
 
 
 def rotated_camera(camera: CameraCalibration, rotation: Floats) -> CameraCalibration:

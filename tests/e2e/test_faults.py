@@ -19,6 +19,7 @@ from gnomon.study.faults import (
     study_healthy,
     table,
 )
+from gnomon.study.runs import Workers
 
 IMU = [fault.name for fault in faults() if fault.kind == "imu"]
 RIG = [fault.name for fault in faults() if fault.kind == "camera-imu"]
@@ -107,7 +108,7 @@ def test_healthy_recordings_are_varied():
 
 @pytest.mark.slow
 def test_the_whole_catalogue():
-    found = study_faults([*IMU, *RIG], [1, 2, 3], jobs=os.cpu_count() or 1, progress=print)
+    found = study_faults([*IMU, *RIG], [1, 2, 3], workers=Workers(jobs=os.cpu_count() or 1), progress=print)
     print(table(found))
     for seed in (1, 2, 3):
         own = [one for one in found if one.seed == seed]
@@ -119,7 +120,7 @@ def test_the_whole_catalogue():
 
 @pytest.mark.slow
 def test_a_hundred_healthy_recordings():
-    found = study_healthy(["imu", "camera-imu"], range(50), jobs=os.cpu_count() or 1, progress=print)
+    found = study_healthy(["imu", "camera-imu"], range(50), workers=Workers(jobs=os.cpu_count() or 1), progress=print)
     warned = [one for one in found if one.verdict == "warn"]
     for one in found:
         if one.verdict != "pass":

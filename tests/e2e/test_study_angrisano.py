@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from gnomon.study.angrisano import claims, study_angrisano
+from gnomon.study.runs import Workers
 
 
 @pytest.mark.slow
 def test_the_study_of_document_c():
-    study = study_angrisano(runs=500, jobs=os.cpu_count() or 1, progress=print)
+    study = study_angrisano(runs=500, workers=Workers(jobs=os.cpu_count() or 1), progress=print)
     for sample in study.samples:
         for method in ("paper", "ours"):
             np.testing.assert_allclose(sample.ratio(method), 1.0, atol=0.15)

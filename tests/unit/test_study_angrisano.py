@@ -30,7 +30,7 @@ from gnomon.study.angrisano_trial import (
     pose_means,
     run_trial,
 )
-from gnomon.study.runs import carry_out
+from gnomon.study.runs import Workers, carry_out
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 from html_page import Page
 
@@ -87,7 +87,7 @@ def test_document_c_needs_a_good_start_and_gnomon_none(small):
 
 def test_a_run_depends_on_its_seed_alone():
     trials = [Trial(scenario=SETTINGS[1].scenario, seed=seed) for seed in (5, 6)]
-    alone, shared = ([run_trial(trial) for trial in trials], carry_out(run_trial, trials, jobs=2))
+    alone, shared = ([run_trial(trial) for trial in trials], carry_out(run_trial, trials, workers=Workers(jobs=2)))
     for a, b in zip(alone, shared, strict=True):
         np.testing.assert_array_equal(a.ours, b.ours)
         np.testing.assert_array_equal(a.paper, b.paper)

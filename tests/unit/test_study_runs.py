@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError, RecordingError, SolveError
-from gnomon.study.runs import carry_out, seeds
+from gnomon.study.runs import Workers, carry_out, seeds
 
 
 def product(seed):
@@ -39,13 +39,13 @@ def test_seeds_differ_and_begin_alike():
 def test_results_do_not_depend_on_the_number_of_processes():
     tasks = seeds(3, 9)
     alone = carry_out(product, tasks)
-    assert carry_out(product, tasks, jobs=2) == alone
+    assert carry_out(product, tasks, workers=Workers(jobs=2)) == alone
     assert alone == [product(seed) for seed in tasks]
 
 
 def test_several_processes_do_the_work():
     assert carry_out(process, range(3)) == [os.getpid()] * 3
-    assert os.getpid() not in carry_out(process, range(8), jobs=2)
+    assert os.getpid() not in carry_out(process, range(8), workers=Workers(jobs=2))
 
 
 def test_progress_is_told_but_not_of_every_run():
@@ -59,14 +59,14 @@ def test_progress_is_told_but_not_of_every_run():
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_error_of_a_run_is_that_of_the_study(jobs):
     with pytest.raises(RecordingError, match="run 3"):
-        carry_out(refused, range(8), jobs=jobs)
+        carry_out(refused, range(8), workers=Workers(jobs=jobs))
 
 
 def test_a_process_that_ends_is_an_error_in_words():
     with pytest.raises(SolveError, match="fewer jobs"):
-        carry_out(lost, range(4), jobs=2)
+        carry_out(lost, range(4), workers=Workers(jobs=2))
 
 
 def test_no_jobs_are_refused():
     with pytest.raises(OptionError, match="jobs 0"):
-        carry_out(abs, [1], jobs=0)
+        Workers(jobs=0)

@@ -19,11 +19,15 @@ def study(command: Study, terminal: Terminal) -> int:
     from ..report.page import render
     from ..report.study_angrisano import angrisano_page
     from ..study.angrisano import claims, study_angrisano, tables
+    from ..study.runs import Workers
 
     folder = command.output or Path(f"gnomon-study-{command.name}")
     with result_folder(folder, own=(PAGE, *(f"{name}.csv" for name in TABLES))) as staging:
         found = study_angrisano(
-            runs=command.runs or RUNS[command.name], jobs=command.jobs, seed=command.seed, progress=terminal.progress
+            runs=command.runs or RUNS[command.name],
+            workers=Workers(jobs=command.jobs),
+            seed=command.seed,
+            progress=terminal.progress,
         )
         for table in tables(found):
             write_whole(staging / f"{table.name}.csv", table.csv())

@@ -13,7 +13,7 @@ from ..recording import Floats
 from ..simulate.pose_scenario import PoseScenario
 from .angrisano_basin import GROUPS, Basin, Journey, journeys, scan
 from .angrisano_trial import TABLE_2, TRUTH, Trial, TrialOutcome, run_trial
-from .runs import Progress, carry_out, scatter_bounds, seeds
+from .runs import HERE, Progress, Workers, carry_out, scatter_bounds, seeds
 from .tables import Cell, Claim, StudyTable
 
 NAMES = ("angle x", "angle y", "angle z", "bias x", "bias y", "bias z", "scale x", "scale y", "scale z")
@@ -117,7 +117,7 @@ class AngrisanoStudy:
 
 
 def study_angrisano(
-    *, runs: int = 500, scans: int = 8, jobs: int = 1, seed: int = 0, progress: Progress | None = None
+    *, runs: int = 500, scans: int = 8, workers: Workers = HERE, seed: int = 0, progress: Progress | None = None
 ) -> AngrisanoStudy:
     """Carry out document C's experiment many times.
 
@@ -125,14 +125,14 @@ def study_angrisano(
     ----------
     runs : experiments of each setting
     scans : experiments, of the first ones, in which the starts of Table 2 are scanned
-    jobs : processes that share them; the result does not depend on it
+    workers : who does them; the result does not depend on it
     seed : every random number follows from it
     progress : is told what is being done
     """
     drawn = seeds(seed, runs)
     trials = [Trial(scenario=setting.scenario, seed=number) for setting in SETTINGS for number in drawn]
-    outcomes = carry_out(run_trial, trials, jobs=jobs, progress=progress, name="experiment")
-    basins = carry_out(scan, trials[: min(runs, scans)], jobs=jobs, progress=progress, name="scan of starts")
+    outcomes = carry_out(run_trial, trials, workers=workers, progress=progress, name="experiment")
+    basins = carry_out(scan, trials[: min(runs, scans)], workers=workers, progress=progress, name="scan of starts")
     samples = tuple(
         Sample(setting=setting, outcomes=tuple(outcomes[k * runs : (k + 1) * runs]))
         for k, setting in enumerate(SETTINGS)

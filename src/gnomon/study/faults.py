@@ -18,7 +18,7 @@ from ..options import CameraImuOptions
 from ..simulate.fault_recordings import faulty_recording, sound_recording
 from ..simulate.faults import Fault, FaultKind, FaultyRecording, fault_named
 from ..simulate.healthy import healthy_imu, healthy_rig
-from .runs import Progress, carry_out
+from .runs import HERE, Progress, Workers, carry_out
 
 _LOUD = ("problem", "warning")
 
@@ -122,19 +122,19 @@ def healthy(task: tuple[FaultKind, int]) -> Diagnosis:
 
 
 def study_faults(
-    names: Sequence[str], seeds: Sequence[int], *, jobs: int = 1, progress: Progress | None = None
+    names: Sequence[str], seeds: Sequence[int], *, workers: Workers = HERE, progress: Progress | None = None
 ) -> list[Diagnosis]:
     """Return a diagnosis for each fault and seed; seeds of one fault follow each other."""
     tasks = [(name, seed) for name in names for seed in seeds]
-    return carry_out(diagnosed, tasks, jobs=jobs, progress=progress, name="recording")
+    return carry_out(diagnosed, tasks, workers=workers, progress=progress, name="recording")
 
 
 def study_healthy(
-    kinds: Sequence[FaultKind], seeds: Sequence[int], *, jobs: int = 1, progress: Progress | None = None
+    kinds: Sequence[FaultKind], seeds: Sequence[int], *, workers: Workers = HERE, progress: Progress | None = None
 ) -> list[Diagnosis]:
     """Return a diagnosis for each kind and seed of recordings with nothing wrong with them."""
     tasks: list[tuple[FaultKind, int]] = [(kind, seed) for kind in kinds for seed in seeds]
-    return carry_out(healthy, tasks, jobs=jobs, progress=progress, name="recording")
+    return carry_out(healthy, tasks, workers=workers, progress=progress, name="recording")
 
 
 def table(diagnoses: Sequence[Diagnosis]) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -20,6 +21,31 @@ from ..errors import OptionError, SolveError
 Progress = Callable[[str], None]
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Workers:
+    """Who does the work.
+
+    Attributes
+    ----------
+    jobs : processes of this machine that share it; 1 does it here
+
+    Raises
+    ------
+    OptionError
+        If there is less than one job.
+    """
+
+    jobs: int = 1
+
+    def __post_init__(self) -> None:
+        if self.jobs < 1:
+            raise OptionError(f"jobs {self.jobs} must be at least 1.")
+
+
+HERE = Workers()
+"""One process, this one."""
 
 _TOLD = 20  # times that progress is told
 _SHARES, _LONGEST = 8, 16  # parts into which the work of each process is cut, and tasks in each at most
@@ -40,7 +66,7 @@ def carry_out(
     work: Callable[[Task], Outcome],
     tasks: Sequence[Task],
     *,
-    jobs: int = 1,
+    workers: Workers = HERE,
     progress: Progress | None = None,
     name: str = "run",
 ) -> list[Outcome]:
@@ -48,23 +74,19 @@ def carry_out(
 
     Parameters
     ----------
-    work : a function of a module, when there are several jobs
+    work : a function of a module
     tasks : what it is given, and what it returns, can be sent to another process
-    jobs : processes that share the work; 1 does it here
+    workers : who does it
     progress : is told how far the work is
     name : of one task, for progress
 
     Raises
     ------
-    OptionError
-        If there is less than one job.
     SolveError
         If a process ends before its work is done.
     """
-    if jobs < 1:
-        raise OptionError(f"jobs {jobs} must be at least 1.")
     outcomes: list[Outcome] = []
-    with _stream(work, tasks, min(jobs, max(len(tasks), 1))) as stream:
+    with _stream(work, tasks, min(workers.jobs, max(len(tasks), 1))) as stream:
         for outcome in stream:
             outcomes.append(outcome)
             done = len(outcomes)

@@ -20,8 +20,8 @@ _AXES = "xyz"
 def save_recording(recording: Recording, path: str | Path) -> tuple[Path, ...]:
     """Write a recording, and return the files that were written.
 
-    NPZ holds any recording; its keys are documented in `gnomon.readers.samples.npz`. CSV holds one IMU, with the units in
-    its header; triads with stamps of their own have files of their own, whose names end in -acc, -gyr and -mag.
+    NPZ holds any recording; its keys are documented in `gnomon.readers.samples.npz`. CSV holds one IMU, with the units
+    in its header; triads with stamps of their own have files of their own, whose names end in -acc, -gyr and -mag.
 
     Parameters
     ----------

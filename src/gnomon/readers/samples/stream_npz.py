@@ -1,4 +1,4 @@
-"""NPZ files block by block: the arrays in them are read like files, compressed or not; keys as `samples.npz` has them."""
+"""NPZ files block by block: the arrays in them are read like files, compressed or not; keys as in `samples.npz`."""
 
 import zipfile
 import zlib
