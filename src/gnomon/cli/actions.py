@@ -15,7 +15,7 @@ from .compare_actions import compare
 from .convert_actions import convert
 from .magnetometer_actions import magnetometer, simulate_magnetometer
 from .noise_actions import noise, show_noise, simulate_noise
-from .places import RESULT_FILES, default_folder, result_folder
+from .places import RESULT_FILES, default_folder, finish_moves, result_folder
 from .plan_actions import plan
 from .platter_actions import rate, simulate_platter_video
 from .poses_actions import simulate_poses
@@ -31,6 +31,7 @@ from .results import (
     write_result,
 )
 from .simulate_cameras_actions import simulate_cameras
+from .simulated import TRUTH, write_simulated
 from .study_actions import study
 from .target_actions import print_target
 from .terminal import WIDTH, Terminal
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..writers.tables import Table
 
-DEMO_RECORDING, TRUTH = "recording.npz", "truth.yaml"
+DEMO_RECORDING = "recording.npz"
 
 
 def _imu(command: commands.Imu, terminal: Terminal) -> int:
@@ -156,19 +157,8 @@ def _apply(command: commands.Apply, terminal: Terminal) -> int:
 
 def _simulate(command: commands.Simulate, terminal: Terminal) -> int:
     from ..simulate import simulate
-    from ..writers import save
-    from ..writers.recording_file import save_recording
 
-    folder = command.output.parent
-    with result_folder(folder, own=()) as staging:
-        recording, truth = simulate(command.scenario, command.seed)
-        names = [path.name for path in save_recording(recording, staging / command.output.name)]
-        save(truth, staging / TRUTH)
-    for name in names:
-        terminal.say(f"recording    {folder / name}")
-    terminal.say(f"truth        {folder / TRUTH}")
-    terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / TRUTH)})
-    return USABLE
+    return write_simulated(*simulate(command.scenario, command.seed), command.output, terminal)
 
 
 def _demo(command: commands.Demo, terminal: Terminal) -> int:
@@ -231,4 +221,5 @@ _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
 
 def run(command: commands.Command, terminal: Terminal) -> int:
     """Carry out a command and return its exit code."""
+    finish_moves(command)
     return _ACTIONS[type(command)](command, terminal)

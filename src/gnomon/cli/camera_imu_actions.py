@@ -1,6 +1,6 @@
 """What the commands for cameras and an IMU do."""
 
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from .results import (
     say_verdict,
     write_result,
 )
-from .simulate_cameras_actions import SCENARIO, TRUTH, refuse_other
+from .simulated import check_form, folder_document, replaces_simulated, say_folder
 from .terminal import Terminal
 from .topics import topics_of
 from .use_option import judged_result, read_use_option
@@ -169,9 +169,8 @@ def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal)
     from ..writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
 
     folder = command.output
-    refuse_other(folder, _SIMULATED)
-    if command.form != "folder" and not command.options.images:
-        raise OptionError(f"--form {command.form} is a form of images. Add --images, or leave out --form.")
+    replaced = replaces_simulated(folder, _SIMULATED)
+    check_form(command.form, images=command.options.images)
     with result_folder(folder, own=CAMERA_FILES) as staging:
         terminal.progress("simulating")
         simulation = simulate_camera_imu(command.options, command.seed)
@@ -180,18 +179,7 @@ def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal)
     terminal.close()
     cameras = {name: len(frames.t_ns) for name, frames in simulation.recording.cameras.items()}
     frames = ", ".join(f"{count} frames of {name}" for name, count in cameras.items())
-    terminal.say(f"recording    {folder}: {command.options.duration_s:g} s, {frames}; {simulation.target.describe()}")
-    terminal.say(f"truth        {folder / TRUTH}")
-    terminal.say(f"scenario     {folder / SCENARIO}")
-    terminal.document(
-        {
-            "recording": str(folder),
-            "files": [str(folder / name) for name in names],
-            "truth": str(folder / TRUTH),
-            "scenario": str(folder / SCENARIO),
-            "statistics": {
-                item.name: getattr(simulation.statistics, item.name) for item in fields(simulation.statistics)
-            },
-        }
-    )
+    contents = f"{command.options.duration_s:g} s, {frames}; {simulation.target.describe()}"
+    say_folder(folder, contents, terminal, replaced=replaced)
+    terminal.document(folder_document(folder, names) | {"statistics": asdict(simulation.statistics)})
     return USABLE

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, Self
 
 import tyro
 
@@ -25,6 +25,26 @@ Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_beh
 def output_option(metavar: str, hint: str = "") -> object:
     """Return the annotation of where a command writes."""
     return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
+
+
+class FromScenario:
+    """A command that simulates what a scenario file states."""
+
+    scenario_type: ClassVar[type]
+
+    @classmethod
+    def with_scenario(cls, path: Path) -> Self:
+        """Return the command with the options of a scenario file, from which those that are given on the line differ.
+
+        Raises
+        ------
+        FormatError
+            If the file cannot be read, or states something that is no option.
+        """
+        from ..readers.own.options_file import read_options  # NumPy is not needed for the help
+
+        command: Any = cls
+        return command(output=tyro.MISSING, scenario=path, options=read_options(path, cls.scenario_type))
 
 
 @dataclass(frozen=True, kw_only=True)

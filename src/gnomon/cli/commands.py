@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -11,7 +11,17 @@ from ..options import CameraImuOptions, ImuOptions
 from ..simulate import CameraImuScenario, Scenario
 from ..units import Units
 from .camera_command import CameraCommand
-from .command_parts import CalibrationPath, FileOption, Flat, Input, PosesInput, Switch, Topics, output_option
+from .command_parts import (
+    CalibrationPath,
+    FileOption,
+    Flat,
+    FromScenario,
+    Input,
+    PosesInput,
+    Switch,
+    Topics,
+    output_option,
+)
 from .compare_command import Compare
 from .magnetometer_command import Magnetometer, SimulateMagnetometer
 from .noise_command import Noise, SimulateNoise
@@ -218,11 +228,13 @@ class Simulate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulateCameraImu:
+class SimulateCameraImu(FromScenario):
     """Make a folder with a recording of simulated cameras and an IMU in front of a board, and its truth (truth.yaml).
 
     `gnomon camera-imu` takes the folder as it is.
     """
+
+    scenario_type: ClassVar[type] = CameraImuScenario
 
     output: Annotated[Path, output_option("DIR", "(required)")]
     """Folder for the recording."""
@@ -236,19 +248,6 @@ class SimulateCameraImu:
     json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
     options: Annotated[CameraImuScenario, Flat] = field(default_factory=CameraImuScenario)
-
-    @classmethod
-    def with_scenario(cls, path: Path) -> Self:
-        """Return the command with the options of a scenario file, from which those that are given on the line differ.
-
-        Raises
-        ------
-        FormatError
-            If the file cannot be read, or states something that is no option.
-        """
-        from ..readers.own.options_file import read_options  # NumPy is not needed for the help
-
-        return cls(output=tyro.MISSING, scenario=path, options=read_options(path, CameraImuScenario))
 
 
 @dataclass(frozen=True, kw_only=True)

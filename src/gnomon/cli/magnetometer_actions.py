@@ -1,26 +1,20 @@
 """What the commands for a magnetometer do."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from .magnetometer_command import Magnetometer, SimulateMagnetometer
 from .places import default_folder, result_folder
 from .prior_files import read_priors
 from .results import (
-    USABLE,
     exit_code,
     result_document,
     say_assumptions,
     say_result,
     write_result,
 )
+from .simulated import write_simulated
 from .terminal import Terminal
 from .use_option import judged_result, read_use_option
-
-if TYPE_CHECKING:
-    pass
-
-TRUTH = "truth.yaml"
 
 
 def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
@@ -54,16 +48,5 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
 def simulate_magnetometer(command: SimulateMagnetometer, terminal: Terminal) -> int:
     """Simulate a recording, write it and its truth, and return the exit code."""
     from ..simulate import simulate_magnetometer as simulated
-    from ..writers import save
-    from ..writers.recording_file import save_recording
 
-    folder = command.output.parent
-    with result_folder(folder, own=()) as staging:
-        recording, truth = simulated(command.scenario, command.seed)
-        names = [path.name for path in save_recording(recording, staging / command.output.name)]
-        save(truth, staging / TRUTH)
-    for name in names:
-        terminal.say(f"recording    {folder / name}")
-    terminal.say(f"truth        {folder / TRUTH}")
-    terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / TRUTH)})
-    return USABLE
+    return write_simulated(*simulated(command.scenario, command.seed), command.output, terminal)

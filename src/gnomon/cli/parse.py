@@ -10,7 +10,8 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from .._version import __version__
-from .commands import COMMANDS, Command, SimulateCameraImu, SimulateCameras
+from .command_parts import FromScenario
+from .commands import COMMANDS, Command
 
 DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
@@ -59,7 +60,7 @@ def parse(arguments: Sequence[str]) -> Command:
 def _scenario_default(name: str, arguments: Sequence[str]) -> Any:
     """Return the command that a scenario file describes, whose options are then the defaults; None without one."""
     command = COMMANDS[name]
-    if command is not SimulateCameraImu and command is not SimulateCameras:
+    if not issubclass(command, FromScenario):
         return None
     for i, word in enumerate(arguments):
         option, equals, path = word.partition("=")

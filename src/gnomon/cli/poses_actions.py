@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING
 from .places import result_folder
 from .poses_command import SimulatePoses
 from .results import USABLE
+from .simulated import TRUTH
 from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..recording import Floats, Poses, Recording
     from ..simulate.poses import PoseSimulation
-
-TRUTH = "truth.yaml"
 
 
 def simulate_poses(command: SimulatePoses, terminal: Terminal) -> int:

@@ -2,22 +2,22 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Self
-
-import tyro
+from typing import Annotated, ClassVar, Literal
 
 from ..simulate.cameras_scenario import CamerasScenario
-from .command_parts import FileOption, Flat, Switch, output_option
+from .command_parts import FileOption, Flat, FromScenario, Switch, output_option
 
 ImagesAs = Literal["folder", "euroc", "ros1", "ros2", "mcap"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulateCameras:
+class SimulateCameras(FromScenario):
     """Make a folder with a recording of simulated cameras in front of a board, and its truth (truth.yaml).
 
     `gnomon camera` takes the folder as it is, or the bag in it.
     """
+
+    scenario_type: ClassVar[type] = CamerasScenario
 
     output: Annotated[Path, output_option("DIR", "(required)")]
     """Folder for the recording."""
@@ -31,16 +31,3 @@ class SimulateCameras:
     json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
     options: Annotated[CamerasScenario, Flat] = field(default_factory=CamerasScenario)
-
-    @classmethod
-    def with_scenario(cls, path: Path) -> Self:
-        """Return the command with the options of a scenario file, from which those that are given on the line differ.
-
-        Raises
-        ------
-        FormatError
-            If the file cannot be read, or states something that is no option.
-        """
-        from ..readers.own.options_file import read_options  # NumPy is not needed for the help
-
-        return cls(output=tyro.MISSING, scenario=path, options=read_options(path, CamerasScenario))

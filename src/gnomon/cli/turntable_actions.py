@@ -16,6 +16,7 @@ from .results import (
     say_result,
     write_result,
 )
+from .simulated import TRUTH
 from .terminal import Terminal
 from .turntable_command import SimulateTurntable, Turntable
 from .use_option import judged_result, read_use_option
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..triad_diagnostics import PeriodCurve
     from ..triad_options import StatedRate
-
-TRUTH = "truth.yaml"
 
 
 def turntable(command: Turntable, terminal: Terminal) -> int:

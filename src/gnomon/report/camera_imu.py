@@ -8,13 +8,14 @@ from ..calibration import Calibration, CameraImuFit
 from ..diagnostics import CameraImuDiagnostics
 from . import camera_imu_evidence as evidence
 from . import camera_imu_sections as sections
+from .calibration_page import calibration_page
 from .camera_imu_corners import corner_view
 from .camera_imu_quality import images_section
 from .numbers import MISSING, number, with_sigma
 from .page import Code, KeyNumber, Page, Prose, Section, typeset
 from .provenance import provenance_section
 from .trust_section import trust_section
-from .wording import FRAMES, HEADLINES, gravity_text, matrix_text
+from .wording import FRAMES, gravity_text, matrix_text
 
 _MODELS = {
     "basic": "the IMU is ideal but for its biases",
@@ -25,7 +26,6 @@ _MODELS = {
 
 def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Page:
     """Return the page of a camera-IMU calibration."""
-    names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     fit = calibration.assessment.camera_imu
     views = {name: corner_view(corners) for name, corners in diagnostics.corners.items()}
     parts = (
@@ -43,16 +43,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         _use(calibration),
         provenance_section(calibration.provenance),
     )
-    return Page(
-        title="Camera-IMU calibration",
-        subject=names,
-        verdict=calibration.verdict,
-        headline=HEADLINES[calibration.verdict],
-        key_numbers=_key_numbers(calibration, diagnostics),
-        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
-        sections=tuple(part for part in parts if part is not None),
-        footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
-    )
+    return calibration_page("Camera-IMU calibration", calibration, _key_numbers(calibration, diagnostics), parts)
 
 
 def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> tuple[KeyNumber, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 from ..calibration import Calibration, CamerasFit
 from ..diagnostics import CamerasDiagnostics
 from . import cameras_sections as sections
+from .calibration_page import calibration_page
 from .camera_imu_corners import CornerView, corner_view
 from .camera_imu_quality import images_section
 from .camera_imu_sections import noise_table, parameters_section, steps_table
@@ -26,7 +27,6 @@ from .numbers import MISSING, finite, fixed, number, with_sigma
 from .page import KeyNumber, Page, Prose, Section, typeset
 from .provenance import provenance_section
 from .trust_section import trust_section
-from .wording import HEADLINES
 
 _WHOLE = 0.97
 """Share of the image that corners reached from which it is taken for all of it."""
@@ -34,7 +34,6 @@ _WHOLE = 0.97
 
 def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Page:
     """Return the page of a calibration of cameras alone."""
-    names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     fit = calibration.assessment.cameras
     views = {
         name: corner_view(diagnostics.corners[name]) for name in calibration.cameras if name in diagnostics.corners
@@ -55,16 +54,7 @@ def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> P
         use_section(calibration),
         provenance_section(calibration.provenance),
     )
-    return Page(
-        title="Camera calibration",
-        subject=names,
-        verdict=calibration.verdict,
-        headline=HEADLINES[calibration.verdict],
-        key_numbers=_key_numbers(calibration, fit, curves, spreads),
-        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
-        sections=tuple(part for part in parts if part is not None),
-        footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
-    )
+    return calibration_page("Camera calibration", calibration, _key_numbers(calibration, fit, curves, spreads), parts)
 
 
 def _lenses(

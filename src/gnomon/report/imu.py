@@ -6,13 +6,14 @@ from ..calibration import Calibration
 from ..diagnostics import ImuDiagnostics
 from ..units import STANDARD_GRAVITY_M_S2
 from . import imu_sections
+from .calibration_page import calibration_page
 from .imu_parameters import parameter_groups
 from .numbers import number, quantity
-from .page import KeyNumber, Page, Parameters, Prose, Section, typeset
+from .page import KeyNumber, Page, Parameters, Prose, Section
 from .provenance import provenance_section
 from .trust_section import trust_section
 from .usage import use_section
-from .wording import FRAMES, HEADLINES, gravity_text
+from .wording import FRAMES, gravity_text
 
 _MODELS = {
     "basic": "constant gyroscope bias",
@@ -23,7 +24,6 @@ _MODELS = {
 
 def imu_page(calibration: Calibration, diagnostics: ImuDiagnostics) -> Page:
     """Return the page of an IMU calibration."""
-    names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     sections = (
         _parameters(calibration),
         trust_section(calibration.assessment, diagnostics.trust),
@@ -38,16 +38,7 @@ def imu_page(calibration: Calibration, diagnostics: ImuDiagnostics) -> Page:
         use_section(calibration),
         provenance_section(calibration.provenance),
     )
-    return Page(
-        title="IMU calibration",
-        subject=names,
-        verdict=calibration.verdict,
-        headline=HEADLINES[calibration.verdict],
-        key_numbers=_key_numbers(calibration),
-        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
-        sections=tuple(section for section in sections if section is not None),
-        footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
-    )
+    return calibration_page("IMU calibration", calibration, _key_numbers(calibration), sections)
 
 
 def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:

@@ -5,15 +5,16 @@ import numpy as np
 from ..calibration import Calibration
 from ..triad_diagnostics import TriadDiagnostics
 from . import triad_sections
+from .calibration_page import calibration_page
 from .imu_parameters import parameter_groups
 from .imu_sections import largest_gap
 from .magnitude_units import shown
 from .numbers import fixed, number, quantity
-from .page import KeyNumber, Page, Parameters, Prose, Section, typeset
+from .page import KeyNumber, Page, Parameters, Prose, Section
 from .provenance import provenance_section
 from .trust_section import trust_section
 from .usage import use_section
-from .wording import FRAMES, HEADLINES, gravity_text
+from .wording import FRAMES, gravity_text
 
 _MODELS = {
     "basic": "constant gyroscope bias",
@@ -26,7 +27,6 @@ _MODELS = {
 
 def triad_page(calibration: Calibration, diagnostics: TriadDiagnostics) -> Page:
     """Return the page of a calibration from magnitudes."""
-    names = ", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory"
     sections = (
         _parameters(calibration),
         trust_section(calibration.assessment, diagnostics.trust),
@@ -44,16 +44,7 @@ def triad_page(calibration: Calibration, diagnostics: TriadDiagnostics) -> Page:
         use_section(calibration),
         provenance_section(calibration.provenance),
     )
-    return Page(
-        title=_title(diagnostics),
-        subject=names,
-        verdict=calibration.verdict,
-        headline=HEADLINES[calibration.verdict],
-        key_numbers=_key_numbers(calibration, diagnostics),
-        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
-        sections=tuple(section for section in sections if section is not None),
-        footer=f"Made by gnomon {calibration.provenance.gnomon_version}. This file needs no network and no other file.",
-    )
+    return calibration_page(_title(diagnostics), calibration, _key_numbers(calibration, diagnostics), sections)
 
 
 def _title(diagnostics: TriadDiagnostics) -> str:

@@ -1,14 +1,13 @@
 """The images of a simulated camera -> a folder in EuRoC's layout: data.csv, and data/<stamp>.png."""
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from pathlib import Path
 
-from ..images import Frame, ImageStream
+from ..errors import RecordingError
+from ..images import ImageStream
 from ..output import whole_folder
+from .png_files import encoded
 
-_WORKERS, _AHEAD = 2, 8
 _TENTHS = 10
 
 
@@ -32,30 +31,11 @@ def save_simulated_images(stream: ImageStream, place: Path, progress: Callable[[
         (folder / "data").mkdir()
         with (folder / "data.csv").open("w", encoding="ascii", newline="") as table:
             table.write("#timestamp [ns],filename\n")
-            for number, (t_ns, png) in enumerate(_encoded(stream.frames([]))):
+            for number, (t_ns, png) in enumerate(encoded(stream.frames([]))):
                 if number % every == 0:
                     tell(f"rendering {place.name}: image {number + 1} of {stream.count}")
+                if isinstance(png, RecordingError):
+                    raise png
                 (folder / "data" / f"{t_ns}.png").write_bytes(png)
                 table.write(f"{t_ns},{t_ns}.png\n")
     return place / "data.csv"
-
-
-def _encoded(frames: Iterator[Frame]) -> Iterator[tuple[int, bytes]]:
-    """Yield the stamp and the PNG of each frame."""
-    waiting: deque[tuple[int, Future[bytes]]] = deque()
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        for frame in frames:
-            waiting.append((frame.t_ns, pool.submit(_png, frame)))
-            if len(waiting) >= _AHEAD:
-                t_ns, result = waiting.popleft()
-                yield t_ns, result.result()
-        for t_ns, result in waiting:
-            yield t_ns, result.result()
-
-
-def _png(frame: Frame) -> bytes:
-    import cv2
-
-    # Of the strategies that lose nothing the fastest by far, and for grey images the smallest, too.
-    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
-    return cv2.imencode(".png", frame.decode(), how)[1].tobytes()

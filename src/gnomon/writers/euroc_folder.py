@@ -6,9 +6,7 @@
 T_BS of sensor.yaml maps coordinates of the sensor to those of the body, which is imu0.
 """
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -17,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, RecordingError
-from ..images import Frame, ImageRecording, ImageStream
+from ..images import ImageRecording, ImageStream
 from ..output import whole_folder
 from ..recording import Floats, ImuSamples
+from .png_files import encoded
 from .yaml_text import yaml_lines
 
 _FRAMES = "#timestamp [ns],filename\n"
@@ -27,7 +26,6 @@ _SAMPLES = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
     "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n"
 )
-_WORKERS, _AHEAD = 2, 8
 _CHUNK = 20_000
 _DISTORTIONS = {"radtan": "radial-tangential"}
 _TENTHS = 10
@@ -86,7 +84,8 @@ def _save_imu(imu: ImuSamples, place: Path) -> None:
             part = slice(first, first + _CHUNK)
             columns = [a.t_ns[part].tolist(), *g.values[part].T.tolist(), *a.values[part].T.tolist()]
             text.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
-    node: dict[str, Any] = {"sensor_type": "imu", "T_BS": _matrix(np.eye(4))}
+    node: dict[str, Any] = {"sensor_type": "imu"}
+    node |= {"T_BS": _matrix(np.eye(4))} if place.name == "imu0" else {}  # where another one sits is not known
     node |= _rate(g.rate_hz) | ({} if imu.noise is None else asdict(imu.noise))
     _save_yaml(place / "sensor.yaml", node)
 
@@ -102,7 +101,7 @@ def _save_camera(
     every = max(1, stream.count // _TENTHS) if stream.count else 100
     with (place / "data.csv").open("w", encoding="ascii", newline="") as table:
         table.write(_FRAMES)
-        for number, (t_ns, png) in enumerate(_encoded(stream.frames(said))):
+        for number, (t_ns, png) in enumerate(encoded(stream.frames(said))):
             if number % every == 0:
                 tell(f"writing {name}: image {number + 1}" + (f" of {stream.count}" if stream.count else ""))
             if isinstance(png, RecordingError):
@@ -127,31 +126,6 @@ def _save_camera(
     node = _camera_node(name, stream, written, said)
     if node:
         _save_yaml(place / "sensor.yaml", node)
-
-
-def _encoded(frames: Iterable[Frame]) -> Iterator[tuple[int, bytes | RecordingError]]:
-    """Yield the stamp and the PNG of each frame, or what is wrong with it; a few of them are made at the same time."""
-    waiting: deque[tuple[int, Future[bytes | RecordingError]]] = deque()
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        for frame in frames:
-            waiting.append((frame.t_ns, pool.submit(_png, frame)))
-            if len(waiting) >= _AHEAD:
-                t_ns, result = waiting.popleft()
-                yield t_ns, result.result()
-        for t_ns, result in waiting:
-            yield t_ns, result.result()
-
-
-def _png(frame: Frame) -> bytes | RecordingError:
-    import cv2
-
-    try:
-        image = frame.decode()
-    except RecordingError as error:
-        return error
-    # Of the strategies that lose nothing the fastest by far, and for grey images the smallest, too.
-    how = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
-    return cv2.imencode(".png", image, how)[1].tobytes()
 
 
 def _camera_node(name: str, stream: ImageStream, stamps: list[int], notes: list[str]) -> dict[str, Any]:

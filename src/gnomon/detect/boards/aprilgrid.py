@@ -19,9 +19,23 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ..corners.corner_fit import CornerKind, fit_corners
 from ..corners.fitted_corners import CornerFits, joined
-from ..corners.straight import corrected
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
-from .quads import LARGE_IMAGE_PX, Search, black_quads, search_scale
+from .marked import (
+    BORDER_PX,
+    CONTRAST,
+    COVERED,
+    MOVED,
+    MOVED_PX,
+    NEAR_BORDER,
+    WINDOW,
+    as_good_as,
+    inside,
+    middle_of,
+    once,
+    quads_searched,
+    view_of,
+)
+from .quads import Search, search_scale
 from .tag_places import (
     TAG,
     Booleans,
@@ -36,27 +50,17 @@ from .tag_places import (
 )
 from .tags import BITS, Tags, likeness_of, read_tags, square_to_quads
 
-BORDER_PX = 5.0
-"""Corners nearer to the image's border are left out."""
-
-_COVERED, _NEAR_BORDER = "blurred or covered", "near the border"
 _FEWEST_TAGS, _FEWEST_CORNERS = 2, 6  # a tag that is alone might be any
 _ENOUGH = 3  # tags; with fewer, the image is looked through in other ways, too
 _MOST_STARTS = 8
-_SEARCHES: tuple[Search, ...] = ("coarse", "usual", "motion", "small")
 _COARSE_PX = 13.0
 _DOUBTS = 0.5
 _ASKED = 9  # tags that tell whether there are squares
 _FEWEST_FOR_CHART = 4  # tags; fewer tell only in straight lines where the others are
 _GROWTHS = 12
-_MOVED_PX, _MOVED = 1.5, 0.12  # how far corners may be from where their neighbours say, in px and in tags
 _LEAST_LIKENESS, _NOT_ANOTHER = 0.5, 0.4  # of a tag that is where it should be
-_CONTRAST = 0.4  # of a corner over that of its neighbours
 _NEXT_TO = np.array([[3, 1], [0, 2], [1, 3], [2, 0]])  # the corners before and after each
-_WINDOW = 0.85  # radius of the window over the distance to what else is printed there
 _ARM = 0.45  # of a side that is looked at from the tip of a plain tag
-_SIGMAS = 5.0  # what the sigma may be, over that of the others
-_MISFIT, _MISFITS = 0.035, 3.0  # what the misfit may be, over the contrast and over that of the others
 
 
 def detect_aprilgrid(image: Grey, target: Target) -> BoardView:
@@ -83,14 +87,7 @@ def detect_aprilgrid(image: Grey, target: Target) -> BoardView:
 
 def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
     """Yield the tags that were read, as more and more ways to find them are tried."""
-    quads = np.empty((0, 4, 2))
-    for search in _SEARCHES:
-        if search == "coarse" and image.size > LARGE_IMAGE_PX:
-            continue
-        more = black_quads(image, search)
-        if not len(more):
-            continue
-        quads = np.concatenate([quads, more])
+    for search, quads in quads_searched(image):
         tags = _read(image, quads, target)
         if search == "coarse" and not _is_coarse_enough(tags, search_scale(image, search)):
             continue
@@ -99,17 +96,14 @@ def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
 
 def _is_coarse_enough(tags: Tags, scale: float) -> bool:
     """Return whether tags are so large that hardly one of them is lost where the image is looked through coarsely."""
-    return len(tags) >= _ENOUGH and _middle(shortest_side(tags.corners)) * scale > _COARSE_PX
+    return len(tags) >= _ENOUGH and middle_of(shortest_side(tags.corners)) * scale > _COARSE_PX
 
 
 def _read(image: Grey, quads: Floats, target: Target) -> Tags:
     """Return the tags of the target in some quadrilaterals; a tag that was found twice once."""
     tags = read_tags(image, quads, border_bits=target.border_bits, first=target.first_tag, count=target.tags)
-    middle = tags.corners.mean(axis=1)
-    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
-    same = (tags.number[:, None] == tags.number) & (apart < 3) & np.tri(len(tags), k=-1, dtype=bool)
-    once = ~same.any(axis=1)
-    return Tags(number=tags.number[once] - target.first_tag, corners=tags.corners[once], likeness=tags.likeness[once])
+    kept = once(tags.number, tags.corners)
+    return Tags(number=tags.number[kept] - target.first_tag, corners=tags.corners[kept], likeness=tags.likeness[kept])
 
 
 def _largest(image: Grey, target: Target, tags: Tags) -> "_Board | None":
@@ -136,7 +130,7 @@ def _kind(image: Grey, corners: Floats, target: Target) -> CornerKind:
     points = np.concatenate([squares, 0.5 + sides * (0.5 + gap / 2), 0.5 + sides * (0.5 - border)])
     places = through(square_to_quads(corners[:_ASKED]), points).astype(np.float32)
     grey = cv2.remap(image, places[:, :, 0], places[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    square, light, dark = (_middle(part.ravel()) for part in np.split(np.asarray(grey, np.float64), 3, axis=1))
+    square, light, dark = (middle_of(part.ravel()) for part in np.split(np.asarray(grey, np.float64), 3, axis=1))
     return "crossing" if square < (light + dark) / 2 else "tip"
 
 
@@ -196,7 +190,7 @@ class _Board:
         edges = edges / length[..., None]
         sine = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
         shortest = length.min(axis=1)
-        free = _WINDOW * min(_border(self._target), self._target.tag_spacing)
+        free = WINDOW * min(_border(self._target), self._target.tag_spacing)
         return fit_corners(self._image, guess, edges, free * shortest * sine, self._kind, arm=_ARM * shortest)
 
     def _grow(self) -> None:
@@ -227,11 +221,11 @@ class _Board:
         else:
             places = predictions(self._target, seen.number, seen.corners, missing[chosen], TAG)
             expected = np.einsum("kn,knij->nij", near[:, chosen] / tellers[chosen], places)
-        visible = self._inside(expected, BORDER_PX).any(axis=1)
+        visible = inside(self._image, expected, BORDER_PX).any(axis=1)
         if not visible.any():
             return None
         number, expected, near = missing[chosen[visible]], expected[visible], near[:, chosen[visible]]
-        self._expected[number[self._inside(expected, BORDER_PX).all(axis=1)]] = True
+        self._expected[number[inside(self._image, expected, BORDER_PX).all(axis=1)]] = True
         contrasts = (seen.fits.white - seen.fits.black).reshape(-1, 4).mean(axis=1)
         contrast = (contrasts[:, None] * near).sum(axis=0) / near.sum(axis=0)
         return self._confirmed(number, expected, contrast)
@@ -242,8 +236,8 @@ class _Board:
         pixels = fits.pixels.reshape(-1, 4, 2)
         good = (
             fits.good.reshape(-1, 4)
-            & (np.linalg.norm(pixels - expected, axis=2) < _MOVED_PX + _MOVED * shortest_side(expected)[:, None])
-            & ((fits.white - fits.black).reshape(-1, 4) > _CONTRAST * contrast[:, None])
+            & (np.linalg.norm(pixels - expected, axis=2) < MOVED_PX + MOVED * shortest_side(expected)[:, None])
+            & ((fits.white - fits.black).reshape(-1, 4) > CONTRAST * contrast[:, None])
         )
         corners = _completed(np.where(good[:, :, None], pixels, expected), expected, good)
         likeness = likeness_of(self._image, corners, number + self._target.first_tag, self._target.border_bits)
@@ -254,11 +248,6 @@ class _Board:
         if not there.any():
             return None
         return _Seen(number=number[there], fits=kept.only(np.repeat(there, 4)))
-
-    def _inside(self, pixels: Floats, margin_px: float) -> Booleans:
-        height, width = self._image.shape
-        x, y = pixels[..., 0], pixels[..., 1]
-        return (np.minimum(x, width - 1 - x) >= margin_px) & (np.minimum(y, height - 1 - y) >= margin_px)
 
     def view(self, tags: Tags) -> BoardView:
         """Return the corners, without those that are doubtful.
@@ -273,10 +262,14 @@ class _Board:
         away = np.linalg.norm(at[tags.number] - tags.corners, axis=2).min(axis=1)
         strange = away > shortest_side(tags.corners) / 2
         dropped[NOT_WITH_NEIGHBOURS] += 4 * int(np.count_nonzero(strange))
-        near_border = seen.fits.good & ~self._inside(seen.fits.pixels, BORDER_PX) & self._inside(seen.fits.pixels, 0)
-        dropped[_NEAR_BORDER] += int(np.count_nonzero(near_border))
+        near_border = (
+            seen.fits.good
+            & ~inside(self._image, seen.fits.pixels, BORDER_PX)
+            & inside(self._image, seen.fits.pixels, 0)
+        )
+        dropped[NEAR_BORDER] += int(np.count_nonzero(near_border))
         alike = self._alike(seen.fits, seen.fits)
-        dropped[_COVERED] += int(np.count_nonzero(seen.fits.good & ~alike))
+        dropped[COVERED] += int(np.count_nonzero(seen.fits.good & ~alike))
         kept = seen.fits.good & alike
         point, fits = self._points(seen.number)[kept], seen.fits.only(kept)
         board = self._target.points[:, :2]
@@ -293,8 +286,7 @@ class _Board:
 
     def _alike(self, fits: CornerFits, others: CornerFits) -> Booleans:
         """Return which corners look like a corner as much as the others do, and are told as well."""
-        misfit, sigma = _middle(others.misfit[others.good]), _middle(others.sigma_px[others.good])
-        return (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma)
+        return as_good_as(fits, middle_of(others.misfit[others.good]), middle_of(others.sigma_px[others.good]))
 
     def _points(self, number: Integers) -> Integers:
         return self._target.point_of_tag_corner(np.repeat(number, 4), np.tile(np.arange(4), len(number)))
@@ -309,7 +301,7 @@ class _Board:
         again = self._again(point, fits)
         found, more = np.concatenate([found, again[0]]), joined(more, again[1])
         good = more.good & self._alike(more, fits)
-        dropped[_COVERED] += int(np.count_nonzero(~good & self._inside(more.pixels, BORDER_PX)))
+        dropped[COVERED] += int(np.count_nonzero(~good & inside(self._image, more.pixels, BORDER_PX)))
         return found[good], more.only(good)
 
     def _of_parts(self) -> list[tuple[int, CornerFits]]:
@@ -334,28 +326,16 @@ class _Board:
             return point[:0], fits.only(np.empty(0, np.int64))
         corners = self._points(seen.number[tag])
         expected = charted(board[point], fits.pixels, board[corners]).reshape(-1, 4, 2)
-        missing = left_out[tag] & self._inside(expected, BORDER_PX)
+        missing = left_out[tag] & inside(self._image, expected, BORDER_PX)
         found = self._fit(expected, missing)
-        limit = _MOVED_PX + _MOVED * np.repeat(shortest_side(expected), 4)[missing.ravel()]
+        limit = MOVED_PX + MOVED * np.repeat(shortest_side(expected), 4)[missing.ravel()]
         near = np.linalg.norm(found.pixels - expected[missing], axis=1) < limit
-        bright = found.white - found.black > _CONTRAST * _middle(fits.white - fits.black)
+        bright = found.white - found.black > CONTRAST * middle_of(fits.white - fits.black)
         return corners[missing.ravel()], replace(found, good=found.good & near & bright)
 
     def _as_view(self, point: Integers, fits: CornerFits, dropped: Counter[str]) -> BoardView:
-        kept = np.flatnonzero(self._inside(fits.pixels, BORDER_PX))
-        kept = kept[np.argsort(point[kept])]
-        if not len(kept):
-            return nothing_seen(+dropped)
-        places = self._target.points[point[kept], :2]
-        return BoardView(
-            point=point[kept],
-            pixels=corrected(places, fits.only(kept), self._image.shape[::-1]),
-            sigma_px=fits.sigma_px[kept],
-            blur_px=_middle(fits.blur_px[kept]),
-            black=_middle(fits.black[kept]),
-            white=_middle(fits.white[kept]),
-            dropped=+dropped,
-        )
+        kept = inside(self._image, fits.pixels, BORDER_PX)
+        return view_of(self._image, point[kept], self._target.points[point[kept], :2], fits.only(kept), dropped)
 
 
 def _within(numbers: Integers, count: int) -> Booleans:
@@ -363,11 +343,6 @@ def _within(numbers: Integers, count: int) -> Booleans:
     there = np.zeros(count, dtype=bool)
     there[numbers] = True
     return there
-
-
-def _middle(values: Floats) -> float:
-    """Return the median, of an even number of values the upper one; nan of none."""
-    return float(np.partition(values, len(values) // 2)[len(values) // 2]) if len(values) else float("nan")
 
 
 def _completed(corners: Floats, expected: Floats, good: Booleans) -> Floats:

@@ -20,20 +20,28 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ..corners.corner_fit import fit_corners
 from ..corners.fitted_corners import CornerFits, joined
-from ..corners.straight import corrected
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .charuco_lattice import corners_by_lattice
+from .marked import (
+    BORDER_PX,
+    CONTRAST,
+    COVERED,
+    MOVED,
+    MOVED_PX,
+    NEAR_BORDER,
+    WINDOW,
+    as_good_as,
+    inside,
+    once,
+    quads_searched,
+    view_of,
+)
 from .markers import Markers, read_markers
 from .plane_map import plane_map
-from .quads import LARGE_IMAGE_PX, Search, black_quads
+from .quads import Search
 from .tag_places import Booleans, charted, consistent, shortest_side, through
 from .tags import square_to_quads
 
-BORDER_PX = 5.0
-"""Corners nearer to the image's border are left out."""
-
-_COVERED, _NEAR_BORDER = "blurred or covered", "near the border"
-_SEARCHES: tuple[Search, ...] = ("coarse", "usual", "motion", "small")
 _FEW_CORNERS = 12  # with fewer of them, they are also sought as a lattice
 _FEWEST_MARKERS, _FEWEST_CORNERS = 2, 4  # a marker that is alone might be any
 _MISSED = {"coarse": 0.1}  # corners that are missed over those that are found, above which another search follows
@@ -44,13 +52,8 @@ _LEAST_SPREAD = 0.6  # squares, of corners across the line that they are nearest
 _STEP = 0.2  # squares, for the direction of the edges
 _RIGHT, _UP = np.array([_STEP, 0.0]), np.array([0.0, _STEP])
 _GROWTHS = 20
-_MOVED_PX, _MOVED = 1.5, 0.12  # how far corners may be from where they are told, in px and in squares
-_WINDOW = 0.85  # radius of the window over the distance to the nearest marker
-_CONTRAST = 0.4  # of a corner over that of the others
 _FEWEST_FOR_MAP = 16
 _ASTRAY_PX, _ASTRAY, _ASTRAY_SIGMAS = 0.1, 3.0, 3.0  # how far from the map a corner may be: px, medians, sigmas
-_SIGMAS = 5.0  # what the sigma may be, over that of the others
-_MISFIT, _MISFITS = 0.035, 3.0  # what the misfit may be, over the contrast and over that of the others
 
 
 def detect_charuco(image: Grey, target: Target) -> BoardView:
@@ -90,30 +93,12 @@ def detect_charuco(image: Grey, target: Target) -> BoardView:
 
 def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Markers]]:
     """Yield the markers that were read, as more and more ways to find them are tried."""
-    quads = np.empty((0, 4, 2))
-    for search in _SEARCHES:
-        if search == "coarse" and image.size > LARGE_IMAGE_PX:
-            continue
-        more = black_quads(image, search)
-        if not len(more):
-            continue
-        quads = np.concatenate([quads, more])
-        markers = _once(
-            read_markers(
-                image, quads, target.dictionary, first=target.first_tag, count=len(_layout(target).marker_corners)
-            )
-        )
-        if len(markers):
-            yield search, markers
-
-
-def _once(markers: Markers) -> Markers:
-    """Return the markers, one that was found twice in one place once."""
-    middle = markers.corners.mean(axis=1)
-    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
-    same = (markers.number[:, None] == markers.number) & (apart < 3) & np.tri(len(markers), k=-1, dtype=bool)
-    once = ~same.any(axis=1)
-    return Markers(number=markers.number[once], corners=markers.corners[once], likeness=markers.likeness[once])
+    count = len(_layout(target).marker_corners)
+    for search, quads in quads_searched(image):
+        found = read_markers(image, quads, target.dictionary, first=target.first_tag, count=count)
+        kept = once(found.number, found.corners)
+        if kept.any():
+            yield search, Markers(number=found.number[kept], corners=found.corners[kept], likeness=found.likeness[kept])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,7 +233,7 @@ def _bright(number: Integers, fits: CornerFits) -> tuple[Integers, CornerFits] |
     if np.count_nonzero(fits.good) < _FEWEST_CORNERS:
         return None
     contrast = fits.white - fits.black
-    good = fits.good & (contrast > _CONTRAST * np.median(contrast[fits.good]))
+    good = fits.good & (contrast > CONTRAST * np.median(contrast[fits.good]))
     return number[good], fits.only(good)
 
 
@@ -278,8 +263,8 @@ def _fit(image: Grey, target: Target, number: Integers, places: tuple[Floats, Fl
     sign = np.where(layout.falling[number], -1.0, 1.0)[:, None]
     edges = np.stack([sign * across / length[0][:, None], along / length[1][:, None]], axis=1)
     free = layout.gap * np.minimum(*(_to_marker(first, -sign * second) for first, second in _both(across, along)))
-    fits = fit_corners(image, expected, edges, _WINDOW * free)
-    near = np.linalg.norm(fits.pixels - expected, axis=1) < _MOVED_PX + _MOVED * height
+    fits = fit_corners(image, expected, edges, WINDOW * free)
+    near = np.linalg.norm(fits.pixels - expected, axis=1) < MOVED_PX + MOVED * height
     return replace(fits, good=fits.good & near)
 
 
@@ -315,11 +300,11 @@ def _grown(image: Grey, target: Target, number: Integers, fits: CornerFits, *, s
         points = layout.points[chosen]
         three = np.concatenate([points, points + _RIGHT, points + _UP])
         places = np.stack(np.split(charted(layout.points[number], fits.pixels, three), 3))
-        visible = _inside(image, places[0], BORDER_PX)
+        visible = inside(image, places[0], BORDER_PX)
         expected_inside[chosen] = visible
         more = _fit(image, target, chosen[visible], (places[0, visible], places[1, visible], places[2, visible]))
         contrast = float(np.median(fits.white - fits.black))
-        good = more.good & (more.white - more.black > _CONTRAST * contrast)
+        good = more.good & (more.white - more.black > CONTRAST * contrast)
         number, fits = np.concatenate([number, chosen[visible][good]]), joined(fits, more.only(good))
     expected_inside[number] = False
     return _Board(
@@ -335,16 +320,9 @@ def _spread(points: Floats) -> bool:
     return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[-1] > _LEAST_SPREAD)
 
 
-def _inside(image: Grey, pixels: Floats, margin_px: float) -> Booleans:
-    height, width = image.shape
-    x, y = pixels[:, 0], pixels[:, 1]
-    return (np.minimum(x, width - 1 - x) >= margin_px) & (np.minimum(y, height - 1 - y) >= margin_px)
-
-
 def _alike(fits: CornerFits, others: CornerFits) -> Booleans:
     """Return which corners look like a corner as much as the others do, and are told as well."""
-    misfit, sigma = np.median(others.misfit), np.median(others.sigma_px)
-    return (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma)
+    return as_good_as(fits, float(np.median(others.misfit)), float(np.median(others.sigma_px)))
 
 
 def _again(
@@ -358,7 +336,7 @@ def _again(
     three = charted(board[number], fits.pixels, np.concatenate([points, points + _RIGHT, points + _UP]))
     expected, right, up = np.split(three, 3)
     more = _fit(image, target, asked, (expected, right, up))
-    good = more.good & _inside(image, more.pixels, BORDER_PX) & _alike(more, fits)
+    good = more.good & inside(image, more.pixels, BORDER_PX) & _alike(more, fits)
     return np.concatenate([number, asked[good]]), joined(fits, more.only(good))
 
 
@@ -376,25 +354,15 @@ def _view(image: Grey, target: Target, board: _Board) -> BoardView:
     """Return the corners, without those that are doubtful."""
     number, fits = board.number, board.fits
     points = _layout(target).points
-    dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 2 * board.strange, _COVERED: board.missed})
-    inside = _inside(image, fits.pixels, BORDER_PX)
-    dropped[_NEAR_BORDER] += int(np.count_nonzero(~inside))
-    number, fits = number[inside], fits.only(inside)
+    dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 2 * board.strange, COVERED: board.missed})
+    whole = inside(image, fits.pixels, BORDER_PX)
+    dropped[NEAR_BORDER] += int(np.count_nonzero(~whole))
+    number, fits = number[whole], fits.only(whole)
     alike = _alike(fits, fits)
     number, fits = _again(image, target, number[~alike], (number[alike], fits.only(alike)))
-    dropped[_COVERED] += int(np.count_nonzero(inside)) - len(number)
+    dropped[COVERED] += int(np.count_nonzero(whole)) - len(number)
     kept = _where_they_belong(points[number], fits, image.shape[::-1])
     dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
-    kept = np.flatnonzero(kept)[np.argsort(number[kept])]
-    if len(kept) < _FEWEST_CORNERS:
+    if np.count_nonzero(kept) < _FEWEST_CORNERS:
         return nothing_seen(+dropped)
-    number, chosen = number[kept], fits.only(kept)
-    return BoardView(
-        point=number,
-        pixels=corrected(points[number], chosen, image.shape[::-1]),
-        sigma_px=chosen.sigma_px,
-        blur_px=float(np.median(chosen.blur_px)),
-        black=float(np.median(chosen.black)),
-        white=float(np.median(chosen.white)),
-        dropped=+dropped,
-    )
+    return view_of(image, number[kept], points[number[kept]], fits.only(kept), dropped)

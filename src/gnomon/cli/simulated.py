@@ -1,0 +1,83 @@
+"""What the commands that simulate have in common: where recordings and truth go, and what is said of them."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import OptionError, OutputError
+from .places import result_folder
+from .results import USABLE
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..calibration import Calibration
+    from ..recording import Recording
+
+SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
+
+
+def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal) -> int:
+    """Write the recording of one sensor as `path`, its truth beside it, and return the exit code."""
+    from ..writers import save
+    from ..writers.recording_file import save_recording
+
+    folder = path.parent
+    with result_folder(folder, own=()) as staging:
+        names = [file.name for file in save_recording(recording, staging / path.name)]
+        save(truth, staging / TRUTH)
+    for name in names:
+        terminal.say(f"recording    {folder / name}")
+    terminal.say(f"truth        {folder / TRUTH}")
+    terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / TRUTH)})
+    return USABLE
+
+
+def replaces_simulated(folder: Path, recordings: tuple[str, ...]) -> bool:
+    """Return whether a folder holds a recording that was simulated before.
+
+    Parameters
+    ----------
+    folder : where a simulated recording shall go
+    recordings : files and folders that make a recording
+
+    Raises
+    ------
+    OutputError
+        If the recording in it was not simulated: it is not replaced.
+    """
+    simulated = (folder / SCENARIO).exists()
+    if not simulated and any((folder / name).exists() for name in recordings):
+        raise OutputError(
+            f"{folder}: this folder holds a recording that was not simulated. Choose another one with -o."
+        )
+    return simulated
+
+
+def check_form(form: str, *, images: bool) -> None:
+    """Check that a form of images is asked for where there are images.
+
+    Raises
+    ------
+    OptionError
+        If it is asked for without.
+    """
+    if form != "folder" and not images:
+        raise OptionError(f"--form {form} is a form of images. Add --images, or leave out --form.")
+
+
+def say_folder(folder: Path, contents: str, terminal: Terminal, *, replaced: bool) -> None:
+    """Say what was written of a recording of cameras."""
+    terminal.say(f"recording    {folder}: {contents}")
+    if replaced:
+        terminal.say("             the recording that was simulated there before is replaced")
+    terminal.say(f"truth        {folder / TRUTH}")
+    terminal.say(f"scenario     {folder / SCENARIO}")
+
+
+def folder_document(folder: Path, names: list[Path]) -> dict[str, object]:
+    """Return the same for programs."""
+    return {
+        "recording": str(folder),
+        "files": [str(folder / name) for name in names],
+        "truth": str(folder / TRUTH),
+        "scenario": str(folder / SCENARIO),
+    }
