@@ -149,11 +149,6 @@ def weak_directions(known: Known, limits: Mapping[Kind, float] = LIMITS) -> tupl
     return tuple(sorted((weak for weak in found if weak is not None), key=lambda weak: weak.determined))
 
 
-def weak_kinds(known: Known) -> set[tuple[str, Kind]]:
-    """Return sensor and kind of the parts that priors hold."""
-    return {(part.sensor, part.kind) for part in _parts(known) if _held(known, part)}
-
-
 def _parts(known: Known) -> Iterator[Part]:
     return parts(known.names, known.covariance, known.R_cam_imu)
 

@@ -9,6 +9,7 @@ from ..assess.signals import check_signal
 from ..assess.threshold import MULTIPLIERS, Motion, choose_threshold
 from ..detect.samples.noise import resting_noise
 from ..detect.samples.repair import repaired
+from ..detect.samples.rounding import rounding_variance
 from ..detect.samples.saturation import saturated
 from ..detect.samples.static import (
     resting_variances,
@@ -59,11 +60,6 @@ class PreparedPoses:
     gyroscope_variance: Floats
     left_out: tuple[tuple[str, str], ...] = ()
     findings: tuple[Finding, ...] = ()
-
-    @property
-    def noise_known(self) -> bool:
-        """Whether anything tells the noise of the accelerometer's means."""
-        return bool(self.variance.any())
 
 
 def prepare_poses(recording: Recording, options: ImuOptions) -> PreparedPoses:
@@ -182,7 +178,7 @@ def _means(
                 "Both must be recorded together and stamped by one clock."
             )
         of_gyroscope = interval_means(gyroscope.values, at_rest)
-        gyroscope_variance = _variance(gyroscope, at_rest)
+        gyroscope_variance = _variance(gyroscope, at_rest, alike=n)
     nothing = np.full(n, np.nan)
     return PreparedPoses(
         poses=Poses(
@@ -200,9 +196,11 @@ def _means(
     )
 
 
-def _variance(samples: TriadSamples, still: StaticIntervals) -> Floats:
+def _variance(samples: TriadSamples, still: StaticIntervals, alike: int = 1) -> Floats:
+    """Return the variance of means (n, 3); that of rounding is shared by `alike` of them."""
     density, _ = resting_noise(samples.values, still, samples.rate_hz)
-    return density / ((still.stop - still.start) / samples.rate_hz)[:, None]
+    rounding = alike * rounding_variance(samples.values, still)
+    return density / ((still.stop - still.start) / samples.rate_hz)[:, None] + rounding
 
 
 def _from_pieces(samples: ImuSamples, pieces: tuple[Piece, ...], options: ImuOptions) -> PreparedPoses:

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import OptionError
-from .distortions import DISTORTIONS, Bent, DistortionName
-from .projections import PROJECTIONS, ProjectionName
+from .distortions import DISTORTIONS, Bent
+from .lens_names import LINEAR, DistortionName, ProjectionName
+from .projections import PROJECTIONS
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 ParameterKind = Literal["projection", "focal", "principal", "distortion"]
 
-_LINEAR = ("fu", "fv", "pu", "pv")
 _NEAREST_M, _FARTHEST_M = 1e-100, 1e100  # beyond them the squares would leave the range of floating point numbers
 _NOMINAL_FOCAL = 0.785  # over the width: 65 degrees from left to right
 _BLOCK = 8192  # points at a time: the intermediate arrays of a block stay in the cache
@@ -90,9 +90,9 @@ class Camera:
         _check_name("projection", self.projection, get_args(ProjectionName))
         _check_name("distortion", self.distortion, get_args(DistortionName))
         projection, distortion = PROJECTIONS[self.projection], DISTORTIONS[self.distortion]
-        intrinsics = _numbers(self.projection, "intrinsics", self.intrinsics, (*projection.names, *_LINEAR))
+        intrinsics = _numbers(self.projection, "intrinsics", self.intrinsics, (*projection.names, *LINEAR))
         coeffs = _numbers(self.distortion, "distortion_coeffs", self.distortion_coeffs, distortion.names)
-        for name, focal in zip(_LINEAR, intrinsics[-4:-2], strict=False):
+        for name, focal in zip(LINEAR, intrinsics[-4:-2], strict=False):
             if not focal > 0:
                 raise OptionError(f"focal length {name} {focal:g} must be greater than zero.")
         projection.check(tuple(intrinsics[:-4]))
@@ -145,7 +145,7 @@ class Camera:
     @property
     def parameter_symbols(self) -> tuple[str, ...]:
         """How each parameter is called, such as "fu", (q,)."""
-        return (*PROJECTIONS[self.projection].names, *_LINEAR, *DISTORTIONS[self.distortion].names)
+        return (*PROJECTIONS[self.projection].names, *LINEAR, *DISTORTIONS[self.distortion].names)
 
     @property
     def parameter_kinds(self) -> tuple[ParameterKind, ...]:

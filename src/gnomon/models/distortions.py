@@ -17,16 +17,16 @@ after Brown 1966 (radtan, in Bouguet's letters), Kannala and Brandt 2006 (equidi
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import inf, pi, tan
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from .lens_names import COEFFICIENTS, DistortionName
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
-DistortionName = Literal["none", "radtan", "radtan5", "equidistant", "fov"]
 Pair = tuple[Floats, Floats]
 
 _FARTHEST = 1e25  # no point of the plane is used beyond it; powers of it stay in the range of floating point numbers
@@ -340,27 +340,31 @@ def _straighten_fov(coeffs: Floats, limit: float, dx: Floats, dy: Floats) -> tup
 
 
 DISTORTIONS: Mapping[DistortionName, Distortion] = {
-    "none": Distortion(names=(), check=_nothing, limit=_unlimited, bend=_bend_none, straighten=_straighten_none),
+    "none": Distortion(
+        names=COEFFICIENTS["none"], check=_nothing, limit=_unlimited, bend=_bend_none, straighten=_straighten_none
+    ),
     "radtan": Distortion(
-        names=("k1", "k2", "p1", "p2"),
+        names=COEFFICIENTS["radtan"],
         check=_nothing,
         limit=_limit_radtan,
         bend=_bend_radtan,
         straighten=_straighten_radtan,
     ),
     "radtan5": Distortion(
-        names=("k1", "k2", "p1", "p2", "k3"),
+        names=COEFFICIENTS["radtan5"],
         check=_nothing,
         limit=_limit_radtan,
         bend=_bend_radtan,
         straighten=_straighten_radtan,
     ),
     "equidistant": Distortion(
-        names=("k1", "k2", "k3", "k4"),
+        names=COEFFICIENTS["equidistant"],
         check=_nothing,
         limit=_limit_equidistant,
         bend=_bend_equidistant,
         straighten=_straighten_equidistant,
     ),
-    "fov": Distortion(names=("w",), check=_check_fov, limit=_unlimited, bend=_bend_fov, straighten=_straighten_fov),
+    "fov": Distortion(
+        names=COEFFICIENTS["fov"], check=_check_fov, limit=_unlimited, bend=_bend_fov, straighten=_straighten_fov
+    ),
 }

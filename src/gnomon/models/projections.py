@@ -22,16 +22,16 @@ Up to the first bound (xi <= 1, alpha <= 0.5) the image of the cone is the whole
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import sqrt
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from .lens_names import SHAPES, ProjectionName
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
-ProjectionName = Literal["pinhole", "omni", "eucm", "ds"]
 Shape = tuple[float, ...]
 """The parameters of a projection beside focal lengths and principal point."""
 
@@ -208,8 +208,8 @@ def _lift_ds(shape: Shape, square: Floats) -> tuple[Floats, Floats, Booleans]:
 
 
 PROJECTIONS: Mapping[ProjectionName, Projection] = {
-    "pinhole": Projection(names=(), check=_check_pinhole, divide=_divide_pinhole, lift=_lift_pinhole),
-    "omni": Projection(names=("xi",), check=_check_omni, divide=_divide_omni, lift=_lift_omni),
-    "eucm": Projection(names=("alpha", "beta"), check=_check_eucm, divide=_divide_eucm, lift=_lift_eucm),
-    "ds": Projection(names=("xi", "alpha"), check=_check_ds, divide=_divide_ds, lift=_lift_ds),
+    "pinhole": Projection(names=SHAPES["pinhole"], check=_check_pinhole, divide=_divide_pinhole, lift=_lift_pinhole),
+    "omni": Projection(names=SHAPES["omni"], check=_check_omni, divide=_divide_omni, lift=_lift_omni),
+    "eucm": Projection(names=SHAPES["eucm"], check=_check_eucm, divide=_divide_eucm, lift=_lift_eucm),
+    "ds": Projection(names=SHAPES["ds"], check=_check_ds, divide=_divide_ds, lift=_lift_ds),
 }

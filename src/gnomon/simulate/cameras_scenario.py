@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any, Literal, Self
 
 from ..errors import OptionError
+from ..models.lens_names import DistortionName, ProjectionName
 from .camera_imu_scenario import DISTORTION_COEFFS, INTRINSICS
 
 AttitudeName = Literal["varied", "facing", "one"]
@@ -99,13 +100,13 @@ class CamerasScenario:
     """Standard deviation of the places of the board's corners, each axis, in metres: a bad print, or a detector's bias.
     The board as a whole is neither shifted, nor turned, nor larger for it."""
 
-    projection: Literal["pinhole", "omni", "eucm", "ds"] = "pinhole"
+    projection: ProjectionName = "pinhole"
     """Projection of the lenses, as Kalibr names it."""
 
     intrinsics: tuple[float, ...] = USUAL_LENSES["pinhole-radtan"][0]
     """True intrinsics of cam0 in Kalibr's order; of a pinhole fu fv pu pv. Those of further cameras differ a little."""
 
-    distortion: Literal["none", "radtan", "radtan5", "equidistant", "fov"] = "radtan"
+    distortion: DistortionName = "radtan"
     """Distortion of the lenses, as Kalibr names it; radtan5 is radtan with k3, k1 k2 p1 p2 k3."""
 
     distortion_coeffs: tuple[float, ...] = USUAL_LENSES["pinhole-radtan"][1]

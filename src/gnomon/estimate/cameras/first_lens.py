@@ -12,8 +12,9 @@ import numpy as np
 
 from ...errors import InitialisationError, OptionError
 from ...models.camera import Camera
-from ...models.distortions import DISTORTIONS, DistortionName
-from ...models.projections import PROJECTIONS, ProjectionName
+from ...models.distortions import DISTORTIONS
+from ...models.lens_names import DistortionName, ProjectionName
+from ...models.projections import PROJECTIONS
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ...solve.levenberg_marquardt import levenberg_marquardt

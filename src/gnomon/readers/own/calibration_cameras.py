@@ -8,8 +8,7 @@ import numpy as np
 from ...calibration import CameraCalibration, CameraImuFit, CamerasFit
 from ...errors import OptionError
 from ...models.camera import Camera
-from ...models.distortions import DistortionName
-from ...models.projections import ProjectionName
+from ...models.lens_names import DistortionName, ProjectionName
 from ...recording import Floats
 from ..structured import Node
 

@@ -3,6 +3,7 @@
 import csv
 import re
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,18 @@ class _Table:
             accelerometer=self.accelerometer(name) if "accelerometer" in there else None,
             gyroscope=self.gyroscope(name) if "gyroscope" in there else None,
             magnetometer=self.magnetometer(name) if "magnetometer" in there else None,
+            **self.placed(name),
         )
+
+    def placed(self, name: str) -> dict[str, Any]:
+        """Return pose and clock of an IMU beside the body; nothing of the body."""
+        pose, shift = f"{name}.T_imu_body", f"{name}.time_shift_imu"
+        if f"{pose}.rotation[0]" not in self.rows:
+            return {}
+        T = np.eye(4)
+        T[:3, :3] = rotation_from_rotvec(self.take(f"{pose}.rotation", (3,))[0])
+        T[:3, 3] = self.take(f"{pose}.translation", (3,))[0]
+        return {"T_imu_body": T, "time_shift_s": float(self.take(shift, ())[0])}
 
     def camera(self, name: str) -> CameraCalibration:
         """Return a camera; its rotation is a rotation vector."""
@@ -141,7 +153,9 @@ class _Table:
         found = self.triad(name, "accelerometer")
         unit = self.unit(found["bias"][1], ACCELEROMETER_UNITS_M_S2)
         arms = f"{name}.accelerometer.lever_arms_m"
-        known = {"lever_arms_m": self.take(arms, (3, 3))[0]} if f"{arms}[0,0]" in self.rows else {}
+        known: dict[str, Any] = {"lever_arms_m": self.take(arms, (3, 3))[0]} if f"{arms}[0,0]" in self.rows else {}
+        shift = f"{name}.accelerometer.time_shift"
+        known |= {"time_shift_s": float(self.take(shift, ())[0])} if shift in self.rows else {}
         return AccelerometerCalibration(**{key: value for key, (value, _) in found.items()}, **known, unit=unit)
 
     def gyroscope(self, name: str) -> GyroscopeCalibration:

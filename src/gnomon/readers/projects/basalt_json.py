@@ -5,19 +5,19 @@ columns of S. T_imu_cam maps camera to IMU coordinates, with a Hamilton quaterni
 t_imu - t_cam. Densities are of continuous time, as Kalibr's are.
 """
 
-from os import PathLike
 
 import numpy as np
 
 from ...calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ...errors import OptionError
 from ...geometry.quaternion import normalised, rotation_from_quaternion
-from ...models.camera import Camera, DistortionName, ProjectionName
+from ...models.camera import Camera
 from ...models.estimator_forms import BasaltTriad
+from ...models.lens_names import DistortionName, ProjectionName
 from ...models.noise import ImuNoise
 from ...recording import Floats
 from ..rig.kalibr_yaml import passed_over, required, whole_number
-from ..structured import Node, read_json
+from ..structured import Node
 from .foreign import ForeignCalibration, ForeignImu, recognised_frame
 
 _NOISE = {
@@ -51,19 +51,8 @@ def is_basalt(root: Node) -> bool:
     return isinstance(value, dict) and "T_imu_cam" in value and "intrinsics" in value
 
 
-def read_basalt(path: str | PathLike[str]) -> ForeignCalibration:
-    """Read a calibration of Basalt's.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read, is not in Basalt's layout, or has a camera that gnomon does not know.
-    """
-    return basalt_of(read_json(path))
-
-
 def basalt_of(root: Node) -> ForeignCalibration:
-    """Return the calibration in a JSON document; see `read_basalt`.
+    """Return the calibration in a JSON document of Basalt's.
 
     Raises
     ------

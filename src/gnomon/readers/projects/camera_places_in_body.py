@@ -6,8 +6,9 @@ import numpy as np
 
 from ...calibration import CameraCalibration
 from ...errors import OptionError
-from ...models.camera import Camera, DistortionName, ProjectionName
+from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
+from ...models.lens_names import DistortionName, ProjectionName
 from ...recording import Floats
 from ..rig.kalibr_yaml import required
 from ..structured import Node

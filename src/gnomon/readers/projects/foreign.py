@@ -1,7 +1,7 @@
 """What other projects' calibration files tell: the sensors, and what else they hold."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Self
 
@@ -74,6 +74,12 @@ class ForeignImu:
         for name in ("T_imu_body", "lever_arms_m"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def placed(self, imu: ImuCalibration) -> ImuCalibration:
+        """Return the model of an IMU beside imu0 with its pose and its clock, where they are stated."""
+        if self.T_imu_body is None:
+            return imu
+        return replace(imu, T_imu_body=self.T_imu_body, time_shift_s=self.time_offset_s or 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -56,11 +56,11 @@ def imus_of(root: Node, notes: list[str]) -> ForeignCalibration:
         keys = {child.key: child for child in node.entries()}
         passed_over((child for key, child in keys.items() if key not in _known(keys)), notes)
         model = _model(node, keys, notes)
+        data[name] = _data(node, keys, notes)
         if model is not None:
-            imus[name] = model
+            imus[name] = data[name].placed(model) if imus else model
         if any(key in keys for key in OPENVINS_KEYS):
             foreign = "OpenVINS"
-        data[name] = _data(node, keys, notes)
     if imus:
         notes.append(f"{foreign}'s file holds no bias; taken: zero.")
     return ForeignCalibration(

@@ -56,7 +56,8 @@ def read_kalibr_results(path: str | PathLike[str]) -> ForeignCalibration:
     page.read()
     notes: list[str] = []
     cameras = {name: page.camera(name, notes) for name in page.T_ci}
-    imus = {name: page.imu(name) for name in page.imus}
+    data = {name: page.imu_data(name) for name in page.imus}
+    imus = {name: data[name].placed(page.imu(name)) if i else page.imu(name) for i, name in enumerate(page.imus)}
     if cameras:
         notes.append(f"{Path(path).name} does not state the resolution; taken: twice the principal point.")
     if imus:
@@ -66,7 +67,7 @@ def read_kalibr_results(path: str | PathLike[str]) -> ForeignCalibration:
         frame=recognised_frame(imus),
         notes=tuple(notes),
         cameras=cameras,
-        imu_data={name: page.imu_data(name) for name in page.imus},
+        imu_data=data,
         gravity_target=page.gravity,
         residuals={
             name: Residuals(normalised=found[True], plain=found[False])

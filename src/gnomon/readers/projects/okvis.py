@@ -10,7 +10,7 @@ import numpy as np
 
 from ...calibration import CameraCalibration, ImuCalibration
 from ...errors import OptionError
-from ...models.camera import DistortionName
+from ...models.lens_names import DistortionName
 from ...models.noise import ImuNoise
 from ..rig.kalibr_yaml import required
 from ..structured import Node

@@ -11,12 +11,13 @@ import numpy as np
 
 from ...calibration import CameraCalibration
 from ...geometry.quaternion import normalised, rotation_from_quaternion
-from ...models.camera import Camera, DistortionName
+from ...models.camera import Camera
+from ...models.lens_names import DistortionName
 from ...recording import Floats
 from ..rig.kalibr_yaml import required, whole_number
 from ..structured import Node
 from .camera_places_in_body import lens, placed, text_of
-from .foreign import ForeignCalibration
+from .foreign import ForeignCalibration, ForeignImu
 from .foreign_yaml import matrix, read_foreign_yaml, unwrapped
 
 _CAMERA = re.compile(r"cam(?:era)?_?(\d+)")
@@ -40,7 +41,7 @@ def is_camera_info(root: Node) -> bool:
 
 
 def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
-    """Return the cameras whose poses a launch file publishes; their lenses are read from the files beside it.
+    """Return the cameras and IMUs whose poses a launch file publishes; lenses are read from the files beside it.
 
     Parameters
     ----------
@@ -52,6 +53,7 @@ def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
         If no transform from an IMU to a camera is in it, or the file of a lens is missing.
     """
     cameras: dict[str, CameraCalibration] = {}
+    imus: dict[str, ForeignImu] = {}
     for item in root.child("launch").items():
         node = item.child("node") if isinstance(item.value, dict) and "node" in item.value else None
         if node is None or "static_transform_publisher" not in str(node.value):
@@ -60,6 +62,9 @@ def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
         words = required(keys, "args", node, "--x, --y, ...")
         values = _arguments(words)
         found = _CAMERA.search(values["child-frame-id"])
+        if re.fullmatch(r"imu\d+", values["child-frame-id"]) and values["frame-id"] == "imu0":
+            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=np.linalg.inv(_pose(words, values)))
+            continue
         if found is None or _IMU.search(values["frame-id"]) is None:
             notes.append(f"The transform from {values['frame-id']} to {values['child-frame-id']} was passed over.")
             continue
@@ -68,7 +73,9 @@ def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
     if not cameras:
         raise root.fail("there is no static transform from an IMU (frame-id imu0) to a camera (child-frame-id cam0).")
     notes.append("ROS 2 knows no time shift; taken: zero.")
-    return ForeignCalibration(imus={}, frame="accel-x", notes=tuple(notes), cameras=cameras, format="ROS 2")
+    return ForeignCalibration(
+        imus={}, frame="accel-x", notes=tuple(notes), cameras=cameras, imu_data=imus, format="ROS 2"
+    )
 
 
 def camera_info_of(root: Node, notes: list[str]) -> ForeignCalibration:

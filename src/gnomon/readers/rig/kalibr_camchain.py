@@ -6,20 +6,19 @@ from os import PathLike
 import numpy as np
 
 from ...errors import OptionError
-from ...models.camera import Camera, DistortionName, ProjectionName
+from ...models.camera import Camera
+from ...models.lens_names import COEFFICIENTS, LINEAR, SHAPES, DistortionName, ProjectionName
 from ...recording import Floats, frozen_array
 from ..projects.foreign_yaml import read_foreign_yaml, rigid, unwrapped
 from ..structured import Node
 from .kalibr_yaml import file_name, passed_over, required, sensors, whole_number
 
 _EXPECTED = "Kalibr's camchain.yaml, with the cameras under cam0, cam1, ..."
-_INTRINSICS: dict[ProjectionName, str] = {
-    "pinhole": "fu fv pu pv",
-    "omni": "xi fu fv pu pv",
-    "eucm": "alpha beta fu fv pu pv",
-    "ds": "xi alpha fu fv pu pv",
+_INTRINSICS: dict[ProjectionName, str] = {name: " ".join((*shape, *LINEAR)) for name, shape in SHAPES.items()}
+_NOT_OF_KALIBR = "radtan5"
+_COEFFS: dict[DistortionName, str] = {
+    name: " ".join(coeffs) for name, coeffs in COEFFICIENTS.items() if name != _NOT_OF_KALIBR
 }
-_COEFFS: dict[DistortionName, str] = {"none": "", "radtan": "k1 k2 p1 p2", "equidistant": "k1 k2 k3 k4", "fov": "w"}
 _PROJECTION_ALIASES: dict[str, ProjectionName] = {
     "perspective": "pinhole",
     "mei": "omni",
