@@ -7,13 +7,13 @@ from ..models.camera import Camera
 from ..recording import Floats
 from .page import Code, Section
 
-_PROJECTIONS = {
+PROJECTION_FORMULAS = {
     "pinhole": "m = (x, y) / z",
     "omni": "m = (x, y) / (ξ ρ + z),  ρ = |p|",
     "eucm": "m = (x, y) / (α d + (1 − α) z),  d = √(β (x² + y²) + z²)",
     "ds": "m = (x, y) / (α d₂ + (1 − α) z₂),  z₂ = ξ ρ + z,  d₂ = √(x² + y² + z₂²),  ρ = |p|",
 }
-_DISTORTIONS = {
+DISTORTION_FORMULAS = {
     "none": "d = m",
     "radtan": "s = |m|²,  d = (1 + k1 s + k2 s²) m + (2 p1 mx my + p2 (s + 2 mx²), 2 p2 mx my + p1 (s + 2 my²))",
     "radtan5": "s = |m|²,  d = (1 + k1 s + k2 s² + k3 s³) m + (2 p1 mx my + p2 (s + 2 mx²), 2 p2 mx my + "
@@ -63,7 +63,12 @@ def _formula(camera: Camera) -> str:
     names, values = camera.parameter_symbols, camera.parameters.tolist()
     numbers = [f"{name} = {value:.10g}" for name, value in zip(names, values, strict=True)]
     split = len(camera.intrinsics)
-    rows = [_PROJECTIONS[camera.projection], _DISTORTIONS[camera.distortion], "u = fu dx + pu,  v = fv dy + pv", ""]
+    rows = [
+        PROJECTION_FORMULAS[camera.projection],
+        DISTORTION_FORMULAS[camera.distortion],
+        "u = fu dx + pu,  v = fv dy + pv",
+        "",
+    ]
     rows += [", ".join(numbers[:split])] + ([", ".join(numbers[split:])] if numbers[split:] else [])
     return "\n".join(rows)
 

@@ -16,13 +16,13 @@ from ..models.camera import Camera
 from ..models.target import Target
 from ..readers.projects.foreign import Residuals
 from ..recording import Floats
-from .kalibr import KalibrModel, StatedImu, kalibr_model
+from .kalibr import KalibrModel, StatedImu, kalibr_model, pose_in_kalibr
 from .kalibr_camchain import baseline
 from .lens_fit import without_k3
 
 RESULTS_FILE = "results-imucam.txt"
 
-_LENS_NAMES = {"pinhole": (), "omni": ("Omni xi",), "eucm": ("EUCM alpha", "EUCM beta"), "ds": ("DS xi", "DS alpha")}
+LENS_NAMES = {"pinhole": (), "omni": ("Omni xi",), "eucm": ("EUCM alpha", "EUCM beta"), "ds": ("DS xi", "DS alpha")}
 _UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 
 
@@ -71,7 +71,8 @@ class KalibrResults:
         yield from ("", "", "IMU configuration", "=================", "")
         for name, imu in self.calibration.imus.items():
             yield from (f"{name.upper()}:", " ----------------------------")
-            yield from (*_imu(name, self.imus[name], kalibr_model(imu)), "")
+            yield from _noise(name, self.imus[name], kalibr_model(imu))
+            yield from (*_placed(name, pose_in_kalibr(self.calibration, name)), *_model(kalibr_model(imu)), "")
 
     def _residual_lines(self, title: str, *, normalised: bool) -> Iterator[str]:
         yield from (title, "----------------------------")
@@ -108,7 +109,7 @@ def _lens(lens: Camera) -> Iterator[str]:
     yield f"  Camera model: {camera.projection}"
     yield f"  Focal length: {values[-4:-2]}"
     yield f"  Principal point: {values[-2:]}"
-    for name, value in zip(_LENS_NAMES[camera.projection], values[:-4], strict=True):
+    for name, value in zip(LENS_NAMES[camera.projection], values[:-4], strict=True):
         yield f"  {name}: {value}"
     yield f"  Distortion model: {camera.distortion}"
     yield f"  Distortion coefficients: {camera.distortion_coeffs.tolist()}"
@@ -135,7 +136,7 @@ def board_lines(target: Target) -> Iterator[str]:
     yield from ("  Cols", f"    Count: {target.cols}", f"    Distance: {float(col)} [m]")
 
 
-def _imu(name: str, stated: StatedImu, model: KalibrModel) -> Iterator[str]:
+def _noise(name: str, stated: StatedImu, model: KalibrModel) -> Iterator[str]:
     noise, rate_hz = stated.noise, stated.update_rate_hz
     if noise is None or rate_hz is None:
         raise OptionError(f"{name}: Kalibr's results hold noise and rate of every IMU, and these are not stated.")
@@ -150,8 +151,15 @@ def _imu(name: str, stated: StatedImu, model: KalibrModel) -> Iterator[str]:
         )
         yield f"    Noise density (discrete): {density * root} "
         yield f"    Random walk: {float(getattr(noise, f'{triad}_random_walk'))}"
-    yield from (f"  T_ib (imu0 to {name})", *_matrix(np.eye(4), "    "))
-    yield "  time offset with respect to IMU0: 0.0 [s]"
+
+
+def _placed(name: str, pose: tuple[Floats, float] | None) -> Iterator[str]:
+    if pose is not None:
+        yield from (f"  T_ib (imu0 to {name})", *_matrix(pose[0], "    "))
+        yield f"  time offset with respect to IMU0: {pose[1]} [s]"
+
+
+def _model(model: KalibrModel) -> Iterator[str]:
     if model.name == "calibrated":
         return
     if model.M_gyro is not None and model.A_gyro is not None and model.C_gyro_i is not None:

@@ -36,13 +36,13 @@ _SWEEP_STEPS = 3
 _SHORT = 15  # iterations
 _MOST_RAYS = 600
 _WIDEST = np.radians(80)  # of the rays to which a lens is fitted that cannot have wider ones
-_SHAPES: Mapping[ProjectionName, tuple[tuple[float, ...], ...]] = {
+SHAPES: Mapping[ProjectionName, tuple[tuple[float, ...], ...]] = {
     "pinhole": ((),),
     "omni": ((1.0,), (0.3,), (2.0,)),
     "eucm": ((0.6, 1.0), (0.3, 1.0), (0.75, 1.0)),
     "ds": ((-0.2, 0.55), (0.2, 0.6), (-0.2, 0.3), (0.0, 0.1)),
 }
-_BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
+BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
     "none": ((),),
     "radtan": ((0.0,) * 4, (-0.2, 0.03, 0.0, 0.0)),
     "radtan5": ((0.0,) * 5, (-0.2, 0.03, 0.0, 0.0, 0.0)),
@@ -215,8 +215,8 @@ def fitted(lens: Camera, model: str, pixels: Floats) -> Camera:
     pixels = pixels[:: max(len(pixels) // _MOST_RAYS, 1)][valid]
     rays = rays[valid]
     best: tuple[float, Camera] | None = None
-    for shape in _SHAPES[projection]:
-        for bending in _BENDINGS[distortion]:
+    for shape in SHAPES[projection]:
+        for bending in BENDINGS[distortion]:
             candidate = _fit(_start(lens, projection, shape, distortion, bending), rays, pixels)
             error = _distance(candidate, rays, pixels)
             if best is None or error < best[0]:
