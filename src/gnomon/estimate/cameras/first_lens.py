@@ -42,6 +42,8 @@ SHAPES: Mapping[ProjectionName, tuple[tuple[float, ...], ...]] = {
     "eucm": ((0.6, 1.0), (0.3, 1.0), (0.75, 1.0)),
     "ds": ((-0.2, 0.55), (0.2, 0.6), (-0.2, 0.3), (0.0, 0.1)),
 }
+"""Projection -> shapes from which its estimation starts, the likeliest first."""
+
 BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
     "none": ((),),
     "radtan": ((0.0,) * 4, (-0.2, 0.03, 0.0, 0.0)),
@@ -49,6 +51,7 @@ BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
     "equidistant": ((0.0,) * 4,),
     "fov": ((0.9,), (0.3,)),
 }
+"""Distortion -> coefficients from which its estimation starts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
