@@ -19,6 +19,7 @@ from ..models.camera import Camera
 from ..parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from ..readers.projects.foreign import FOREIGN_METHOD, ForeignCalibration
 from ..recording import Floats, Source, frozen_array
+from ..simulate.truth import TRUTH_METHOD
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
 FRAME = "accel-x"
@@ -44,6 +45,7 @@ class Candidate:
     lenses : cameras whose place is not stated
     frame : body frame as stated
     covariance : of all scalars of the IMUs and the cameras; None where no standard deviations are stated
+    exact : whether it is the truth of a simulation, which has no errors
     gravity : what it took for gravity; None where that is not known
     inputs : files of the recording that it was made from, with their hashes; empty where that is not known
     verdict : of gnomon's own calibrations, else ""
@@ -57,6 +59,7 @@ class Candidate:
     lenses: Mapping[str, Camera] = field(default_factory=dict[str, Camera])
     frame: str = FRAME
     covariance: Covariance | None = None
+    exact: bool = False
     gravity: Gravity | None = None
     inputs: tuple[Source, ...] = ()
     verdict: str = ""
@@ -70,7 +73,7 @@ class Candidate:
     def of(cls, name: str, found: Calibration | ForeignCalibration) -> Self:
         """Return a calibration, gnomon's own or another project's, as a candidate."""
         if isinstance(found, Calibration):
-            own = found.provenance.method != FOREIGN_METHOD
+            own, exact = found.provenance.method != FOREIGN_METHOD, found.provenance.method == TRUTH_METHOD
             stated = bool(np.nanmax(np.diag(found.uncertainty.matrix), initial=0.0) > 0)
             return cls(
                 name=name,
@@ -78,7 +81,8 @@ class Candidate:
                 imus=found.imus,
                 cameras=found.cameras,
                 frame=found.frame,
-                covariance=found.uncertainty if own or stated else None,
+                covariance=found.uncertainty if (own and not exact) or stated else None,
+                exact=exact,
                 gravity=found.gravity if own and found.imus else None,
                 inputs=found.provenance.inputs,
                 verdict=found.verdict if own else "",
@@ -204,4 +208,4 @@ def _in_si(imu: ImuCalibration) -> tuple[ImuCalibration, Floats]:
                 sensor = replace(sensor, **{name: (size or 1.0) * getattr(sensor, name)})
         triads[triad] = replace(sensor, unit=si) if size else sensor
     factors = [np.full(value.size, factor.get(path, 1.0)) for path, value in parameters({"": imu})]
-    return ImuCalibration(**triads), frozen_array(np.concatenate(factors))
+    return replace(imu, **triads), frozen_array(np.concatenate(factors))

@@ -105,6 +105,7 @@ def _described(candidate: Candidate) -> ComparedCalibration:
         frame=candidate.frame,
         gravity="" if gravity is None else f"{gravity.value:.7g}{spread} m/s^2 ({gravity.source})",
         sigmas=candidate.covariance is not None,
+        exact=candidate.exact,
         inputs=candidate.inputs,
         verdict=candidate.verdict,
         sensors=(*candidate.imus, *candidate.cameras, *candidate.lenses),

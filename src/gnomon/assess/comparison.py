@@ -34,6 +34,7 @@ class ComparedCalibration:
     name, format, frame : as in `candidates.Candidate`
     gravity : what it took for gravity, or ""
     sigmas : whether it states standard deviations
+    exact : whether it is the truth of a simulation
     inputs : recording that it was made from
     verdict : its own, or ""
     sensors : IMUs and cameras, such as ("imu0", "cam0")
@@ -45,6 +46,7 @@ class ComparedCalibration:
     frame: str
     gravity: str
     sigmas: bool
+    exact: bool
     inputs: tuple[Source, ...]
     verdict: str
     sensors: tuple[str, ...]

@@ -56,7 +56,7 @@ def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: S
         *(Finding(severity="info", code="restated", message=note) for note in notes),
     ]
     verdict: Verdict = "pass"
-    if any(item.mutual for item in beyond):
+    if any(_certain(comparison, item) for item in beyond):
         verdict = "fail"
     elif beyond or not known or outside or any(one.severity in {"warning", "problem"} for one in findings):
         verdict = "warn"
@@ -75,6 +75,15 @@ def _beyond(comparison: Comparison) -> list[Difference]:
     """Return the judged differences beyond the limit, the largest first."""
     found = [item for item in _judged(comparison) if item.largest > comparison.z_limit]
     return sorted(found, key=lambda item: -item.largest)
+
+
+def _certain(comparison: Comparison, item: Difference) -> bool:
+    """Tell whether the errors of both are known: by their sigmas, or because one is the truth."""
+    return item.mutual or bool(_truths(comparison) & {item.first, item.second} and item.basis)
+
+
+def _truths(comparison: Comparison) -> set[str]:
+    return {one.name for one in comparison.calibrations if one.exact}
 
 
 def _far_away(comparison: Comparison) -> tuple[str, ...]:
@@ -165,7 +174,7 @@ def _headline(comparison: Comparison, beyond: Sequence[Difference], known: bool)
 def _disagreement(comparison: Comparison, beyond: Sequence[Difference]) -> Iterator[Finding]:
     for name in comparison.outside:
         yield Finding(
-            severity="problem" if any(item.mutual for item in beyond) else "warning",
+            severity="problem" if any(_certain(comparison, item) for item in beyond) else "warning",
             code="stands-out",
             message=f"{_outside_text(comparison, name)}.",
             consequence="The others agree among themselves.",
@@ -175,18 +184,30 @@ def _disagreement(comparison: Comparison, beyond: Sequence[Difference]) -> Itera
         if {first, second} & set(comparison.outside):
             continue
         items = [item for item in beyond if (item.first, item.second) == (first, second)]
-        both = any(item.mutual for item in items)
         yield Finding(
-            severity="problem" if both else "warning",
+            severity="problem" if any(_certain(comparison, item) for item in items) else "warning",
             code="calibrations-differ",
             message=f"{first} and {second} differ in {_pair_text(comparison, items)}.",
-            consequence=""
-            if both
-            else f"Sigmas are those of {listed(items[0].basis)} alone; what the errors of the other are, nobody knows.",
-            cure=_KALIBRS_SIGMAS
-            if _kalibrs(comparison, (first, second))
-            else "Record once more and compare all three: with a third calibration the odd one out is named.",
+            consequence=_what_it_means(comparison, items),
+            cure=_how_to_tell(comparison, (first, second)),
         )
+
+
+def _what_it_means(comparison: Comparison, items: Sequence[Difference]) -> str:
+    pair = items[0].first, items[0].second
+    if truths := _truths(comparison) & {*pair}:
+        return f"{listed(sorted(truths))} is the truth of a simulation: the errors are those of the other one."
+    if any(item.mutual for item in items):
+        return ""
+    return f"Sigmas are those of {listed(items[0].basis)} alone; what the errors of the other are, nobody knows."
+
+
+def _how_to_tell(comparison: Comparison, pair: tuple[str, str]) -> str:
+    if _truths(comparison) & {*pair}:
+        return "Look at its report: what it does not model of the simulated sensor is in its other parameters."
+    if _kalibrs(comparison, pair):
+        return _KALIBRS_SIGMAS
+    return "Record once more and compare all three: with a third calibration the odd one out is named."
 
 
 def _kalibrs(comparison: Comparison, names: tuple[str, str]) -> bool:
@@ -318,7 +339,7 @@ def _arms(imu: ImuCalibration) -> bool:
 
 def _knowledge(comparison: Comparison) -> Iterator[Finding]:
     """Say what the z values rest on."""
-    silent = [one.name for one in comparison.calibrations if not one.sigmas]
+    silent = [one.name for one in comparison.calibrations if not (one.sigmas or one.exact)]
     stating = [one.name for one in comparison.calibrations if one.sigmas]
     if silent:
         verb, part = ("states", "it takes") if len(silent) == 1 else ("state", "they take")

@@ -60,7 +60,7 @@ def _say(found: "Comparison", terminal: Terminal) -> None:
     terminal.say(f"{found.verdict}: {found.headline}", _STYLES[found.verdict])
     width = max(len(one.name) for one in found.calibrations)
     for one in found.calibrations:
-        sigmas = "with sigmas" if one.sigmas else "without sigmas"
+        sigmas = "truth of a simulation" if one.exact else "with sigmas" if one.sigmas else "without sigmas"
         terminal.say(f"  {one.name:<{width}}  {one.format}, {one.frame}, {sigmas}")
     if isfinite(found.z_rms):
         terminal.say(

@@ -266,7 +266,7 @@ def _calibrations(comparison: Comparison) -> Section:
             one.format,
             one.verdict or MISSING,
             one.frame,
-            "stated" if one.sigmas else "not stated",
+            "exact" if one.exact else "stated" if one.sigmas else "not stated",
             one.gravity.replace("m/s^2", "m/s²").replace("+-", "±") or MISSING,
             ", ".join(one.sensors),
             ", ".join(f"{source.name} ({source.sha256[:8]})" for source in one.inputs) or MISSING,

@@ -30,7 +30,7 @@ from ..units import STANDARD_GRAVITY_M_S2
 from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole
 from .cameras_scenario import CamerasScenario
-from .truth import changed_options
+from .truth import TRUTH_METHOD, changed_options
 
 _TILT_BETWEEN_CAMERAS = np.array([0.004, -0.012, 0.007])
 _FOCAL_BETWEEN_CAMERAS = 1.004
@@ -341,6 +341,6 @@ def _truth(
             ),
         ),
         provenance=Provenance(
-            gnomon_version=__version__, method="simulation", options=changed_options(scenario), seed=seed
+            gnomon_version=__version__, method=TRUTH_METHOD, options=changed_options(scenario), seed=seed
         ),
     )

@@ -9,6 +9,9 @@ import numpy as np
 from .._version import __version__
 from ..calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance, covariance_names
 
+TRUTH_METHOD = "simulation"
+"""By which a calibration is known to be the truth."""
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -40,7 +43,7 @@ def true_calibration(
         assessment=assessment,
         provenance=Provenance(
             gnomon_version=__version__,
-            method="simulation",
+            method=TRUTH_METHOD,
             options={**(also or {}), **changed_options(scenario)},
             seed=seed,
         ),
