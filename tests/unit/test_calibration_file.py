@@ -207,3 +207,10 @@ def test_unknown_variances_survive(random_calibration, tmp_path):
     calibration = replace(calibration, uncertainty=Covariance(names=calibration.uncertainty.names, matrix=matrix))
     gnomon.save(calibration, tmp_path / "c.yaml")
     assert np.array_equal(gnomon.load(tmp_path / "c.yaml").uncertainty.matrix, matrix, equal_nan=True)
+
+
+def test_the_folder_of_a_result_stands_for_its_calibration(random_calibration, tmp_path):
+    gnomon.save(random_calibration(1), tmp_path / "calibration.yaml")
+    assert gnomon.load(tmp_path).imus.keys() == {"imu0"}
+    with pytest.raises(FormatError, match="this is a folder"):
+        gnomon.load(tmp_path.parent)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -76,9 +77,10 @@ def _read(source: PosesInput) -> "Recording":
 def _show(command: commands.Show, terminal: Terminal) -> int:
     from ..readers import load
     from ..readers.own.noise_file import is_noise
-    from ..readers.projects.foreign_files import is_own
+    from ..readers.own.own_root import calibration_at, is_own
     from ..writers.tables import form_tables, summary_table
 
+    command = replace(command, calibration=Path(calibration_at(command.calibration)))
     own = is_own(command.calibration)
     if command.use is not None and (not own or is_noise(command.calibration)):
         raise OptionError(
