@@ -6,32 +6,41 @@ SUITABLE = import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))
 PYTHON ?= $(shell for p in $(CANDIDATES); do if $$p -c '$(SUITABLE)' >/dev/null 2>&1; then echo $$p; break; fi; done)
 
 BIN = .venv/bin
-PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+LOWEST = .venv-lowest
+INSTALL = -m pip install --quiet --disable-pip-version-check
 
 # The libraries below NumPy need no threads of their own here: the problems are small.
 export OPENBLAS_NUM_THREADS = 1
+# Many tests start the program anew: compiling its source each time would cost more than what it does.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test check study bench install dev clean
+# A process for each core; the tests of one file stay together, since they share what they prepare.
+TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
+
+.PHONY: help demo test test-lowest check study bench install dev clean
 
 help:
-	@echo "make demo   calibrate a simulated recording with known truth, from nothing"
-	@echo "make test   run the tests, from nothing"
-	@echo "make check  lint, format, types, import contract, examples in docstrings"
-	@echo "make study  run the tests that take minutes"
-	@echo "make bench  run the benchmarks"
-	@echo "make clean  remove .venv and what the tools left behind"
+	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
+	@echo "make test         run the tests, from nothing"
+	@echo "make test-lowest  the same with the lowest version of each dependency, in $(LOWEST)"
+	@echo "make check        lint, format, types, import contract, examples in docstrings"
+	@echo "make study        run the tests that take minutes"
+	@echo "make bench        time what has a limit, beside the limits and other programs"
+	@echo "make clean        remove the environments and what the tools left behind"
 
 demo: install
 	@$(BIN)/gnomon demo
 
-# A process for each core; the tests of one file stay together, since they share what they prepare.
 test: dev
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/python $(TESTS)
+
+test-lowest: $(LOWEST)/installed
+	$(LOWEST)/bin/python $(TESTS)
 
 check: dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/pyright --pythonpath $(BIN)/python --threads
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest --doctest-modules src
 
@@ -39,34 +48,40 @@ study: dev
 	$(BIN)/python -m pytest -m slow
 
 bench: dev
-	$(BIN)/python benchmarks/imu.py
-	$(BIN)/python benchmarks/camera_imu.py
-	$(BIN)/python benchmarks/images.py --quick
-	$(BIN)/python benchmarks/noise.py --quick
-	$(BIN)/python benchmarks/platter_rate.py
+	$(BIN)/python $(INSTALL) --group bench
+	$(BIN)/python benchmarks/limits.py
 
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed
 dev: .venv/installed-dev
 
-.venv/python:
+define NEW_ENVIRONMENT
 	@if [ -z "$(PYTHON)" ] || ! $(PYTHON) -c '$(SUITABLE)' >/dev/null 2>&1; then \
 		echo "gnomon needs Python 3.11 or later with the modules venv and ensurepip; found $(or $(PYTHON),none of: $(CANDIDATES))." >&2; \
 		echo "Install one (Debian and Ubuntu: apt install python3-venv), or name it: make PYTHON=/path/to/python3 ..." >&2; \
 		exit 1; \
 	fi
-	$(PYTHON) -m venv --clear .venv
-	$(PIP) --upgrade "pip>=25.1"
+	$(PYTHON) -m venv --clear $(@D)
+	$(@D)/bin/python $(INSTALL) --upgrade "pip>=25.1"
 	@touch $@
+endef
+
+.venv/python $(LOWEST)/python:
+	$(NEW_ENVIRONMENT)
 
 .venv/installed: pyproject.toml | .venv/python
-	$(PIP) --editable .
+	$(BIN)/python $(INSTALL) --editable .
 	@touch $@
 
 .venv/installed-dev: pyproject.toml | .venv/python
-	$(PIP) --editable . --group dev
+	$(BIN)/python $(INSTALL) --editable . --group dev
 	@touch .venv/installed $@
 
+$(LOWEST)/installed: pyproject.toml .ci/lowest.py | $(LOWEST)/python
+	$(LOWEST)/bin/python .ci/lowest.py >$(LOWEST)/constraints.txt
+	$(LOWEST)/bin/python $(INSTALL) --constraint $(LOWEST)/constraints.txt --editable . --group dev
+	@touch $@
+
 clean:
-	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv $(LOWEST) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests benchmarks -name __pycache__ -type d -exec rm -rf {} +

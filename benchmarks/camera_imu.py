@@ -147,7 +147,7 @@ def in_memory(found: list[Recorded]) -> Table:
             one.name, f"{sum(len(fit.frame_t_s) for fit in fits)}", f"{sum(len(fit.frame) for fit in fits)}",
             f"{diagnostics.knots_per_s:.0f}", f"{len(diagnostics.steps)}", f"{reading.median_s:.2f}",
             f"**{calibration.median_s:.2f}**", f"{calibration.fastest_s:.2f}", f"{calibration.relative:.1f}",
-            KALIBR.get(one.name, ""), f"{child(['-c', _ALONE, *alone(one)])[1]:.0f}",
+            KALIBR.get(one.name, ""), f"{child(['-c', ALONE, *alone(one)])[1]:.0f}",
         )  # fmt: skip
     bare = child(["-c", "import numpy, scipy.linalg, gnomon; gnomon.calibrate_camera_imu"])[1]
     table.note = (
@@ -233,7 +233,7 @@ def trust(found: list[Recorded]) -> Table:
     return table
 
 
-_ALONE = """
+ALONE = """
 import sys, time
 import gnomon
 from gnomon.calibrate import calibrate_camera_imu
@@ -320,7 +320,7 @@ def long_recordings(minutes: list[float]) -> Table:
                 raise SystemExit(message)
             before = reference()
             one = Recorded(name="", folder=folder, stated=folder, model="full")
-            _, memory, code = child(["-c", _ALONE, *alone(one, str(output))])
+            _, memory, code = child(["-c", ALONE, *alone(one, str(output))])
             if code:
                 table.add(f"{length:g}", *[""] * 6, f"{memory:.0f}", "", f"exit code {code}")
                 continue

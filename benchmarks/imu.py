@@ -2,7 +2,7 @@
 
     python benchmarks/imu.py                   on the recording of document A (in $GNOMON_DATA)
     python benchmarks/imu.py --long 1 3 10     simulated recordings of so many hours at 200 Hz, too
-    python benchmarks/imu.py --write           keep the tables in benchmarks/results.md
+    python benchmarks/imu.py --write           keep the tables in benchmarks/results-imu.md
 
 All numbers are CPU time (user and system) of one process, medians over several runs; ratios are to the method of
 document A as its authors' program does it (preset imu_tk) in the same run, so that another machine's tables compare.
@@ -91,7 +91,8 @@ print(usage.ru_utime + usage.ru_stime, usage.ru_maxrss, done.returncode)
 def child(arguments: list[str]) -> tuple[float, float, int]:
     """Run Python with arguments and return its CPU time [s], its peak memory [MiB] and its exit code."""
     command = [sys.executable, "-S", "-c", _WATCH, sys.executable, *arguments]
-    words = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    compiled = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    words = subprocess.run(command, capture_output=True, text=True, check=True, env=compiled).stdout.split()
     per_mib = 1024 if sys.platform != "darwin" else 1024**2
     return float(words[0]), float(words[1]) / per_mib, int(words[2])
 
@@ -184,7 +185,11 @@ def machine() -> str:
     processor = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        names = [line.split(":")[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        names = [
+            line.split(":")[1].strip()
+            for line in info.read_text(encoding="utf-8").splitlines()
+            if line.startswith("model name")
+        ]
         processor = names[0] if names else processor
     return f"{processor}, Python {platform.python_version()}, NumPy {np.__version__}, gnomon {gnomon.__version__}"
 
@@ -195,7 +200,7 @@ def main() -> None:
     parser.add_argument(
         "--long", type=float, nargs="*", default=[], metavar="HOURS", help="simulate so long recordings"
     )
-    parser.add_argument("--write", action="store_true", help="keep the tables in benchmarks/results.md")
+    parser.add_argument("--write", action="store_true", help="keep the tables in benchmarks/results-imu.md")
     options = parser.parse_args()
     folder = options.data / "xsens_mti"
     tables: list[Table] = []
@@ -212,8 +217,10 @@ def main() -> None:
     if options.long:
         show(long_recordings(options.long))
     if options.write and tables:
-        head = f"# Speed\n\nWritten by `python benchmarks/imu.py --write`. {machine()}.\n"
-        (HERE / "results.md").write_text("\n".join([head, *map(str, tables)]), encoding="utf-8")
+        head = (
+            f"# Speed of multi-position calibrations\n\nWritten by `python benchmarks/imu.py --write`. {machine()}.\n"
+        )
+        (HERE / "results-imu.md").write_text("\n".join([head, *map(str, tables)]), encoding="utf-8")
 
 
 if __name__ == "__main__":

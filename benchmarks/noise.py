@@ -5,7 +5,6 @@ python benchmarks/noise.py --quick     without the day
 """
 
 import argparse
-import resource
 import subprocess
 import sys
 import tempfile
@@ -13,12 +12,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from imu import child
 from threadpoolctl import threadpool_limits
 
 from gnomon.estimate.allan.deviation import overlapping_allan
 
 SAMPLES, RATE_HZ, REPEATS = 1_000_000, 100.0, 5
-DAY = ("--duration-s", "86400", "--rate-hz", "400")
+DAY_H, RECORDED_HZ = 24.0, 400.0
 
 
 def best(work):
@@ -32,44 +32,49 @@ def best(work):
 
 
 def deviation():
+    """Return how long ours takes and allantools' [s] (None where it is not installed), and how much they differ."""
     rng = np.random.default_rng(0)
     sensors = [rng.standard_normal((SAMPLES, 3)) for _ in range(2)]
-    own, curves = best(lambda: [overlapping_allan(values, RATE_HZ) for values in sensors])
+    with threadpool_limits(1, user_api="blas"):
+        own, curves = best(lambda: [overlapping_allan(values, RATE_HZ) for values in sensors])
     tau_s = curves[0].tau_s
-    print(f"6 axes of {SAMPLES} samples, {len(tau_s)} averaging times: gnomon {own:.3f} s", end="")
     try:
         import allantools
     except ImportError:
-        print("; allantools is not installed")
-        return
+        return own, None, None
     columns = [np.ascontiguousarray(values[:, i]) for values in sensors for i in range(3)]
     theirs, found = best(lambda: [allantools.oadev(y, rate=RATE_HZ, data_type="freq", taus=tau_s)[1] for y in columns])
     ours = np.sqrt(np.concatenate([curve.variance.T for curve in curves]))
-    worst = max(np.abs(a / b - 1).max() for a, b in zip(ours, found, strict=True))
-    print(f", allantools {theirs:.3f} s, {theirs / own:.1f} times as long; largest difference {worst:.1g}")
+    return own, theirs, max(np.abs(a / b - 1).max() for a, b in zip(ours, found, strict=True))
 
 
-def day():
+def recorded(hours):
+    """Return how long `gnomon noise` takes with a recording of so many hours [s, wall], and its peak memory [MiB]."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "day.npz"
+        path = str(Path(folder) / "recording.npz")
+        length = ["--duration-s", f"{3600 * hours:g}", "--rate-hz", f"{RECORDED_HZ:g}"]
         gnomon = [sys.executable, "-m", "gnomon"]
-        subprocess.run([*gnomon, "simulate-noise", "-o", path, *DAY], check=True, stdout=subprocess.DEVNULL)
-        size = path.stat().st_size / 1e6
+        subprocess.run([*gnomon, "simulate-noise", "-o", path, *length], check=True, stdout=subprocess.DEVNULL)
         start = time.perf_counter()
-        subprocess.run([*gnomon, "noise", path], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        spent = time.perf_counter() - start
-        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-        print(f"24 h at 400 Hz ({size:.0f} MB): {spent:.1f} s, at most {peak:.0f} MB of memory")
+        _, peak, code = child(["-m", "gnomon", "noise", path])
+        if code:
+            raise SystemExit(f"gnomon noise ended with exit code {code}")
+        return time.perf_counter() - start, peak
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="without the day")
     options = parser.parse_args()
-    with threadpool_limits(1, user_api="blas"):
-        deviation()
+    own, theirs, worst = deviation()
+    print(f"6 axes of {SAMPLES} samples: gnomon {own:.3f} s", end="")
+    if theirs is None:
+        print("; allantools is not installed")
+    else:
+        print(f", allantools {theirs:.3f} s, {theirs / own:.1f} times as long; largest difference {worst:.1g}")
     if not options.quick:
-        day()
+        spent, peak = recorded(DAY_H)
+        print(f"{DAY_H:g} h at {RECORDED_HZ:g} Hz: {spent:.1f} s, at most {peak:.0f} MiB of memory")
 
 
 if __name__ == "__main__":

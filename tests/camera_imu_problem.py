@@ -7,18 +7,13 @@ import numpy as np
 
 from camera_imu_reference import Problem
 from gnomon.estimate.camera_imu.batch import Measurements, Noise, State
+from gnomon.estimate.camera_imu.blocks import blocks
 from gnomon.estimate.camera_imu.board import Board
 from gnomon.estimate.camera_imu.corner_sums import Exposures
 from gnomon.estimate.camera_imu.first_guess import per_corner
-from gnomon.estimate.camera_imu.inertial_terms import InertialData, InertialNoise, TriadData
-from gnomon.estimate.camera_imu.parameters import (
-    CameraParameters,
-    ImuParameters,
-    Parameters,
-    blocks,
-    gravity_axes,
-    layout,
-)
+from gnomon.estimate.camera_imu.inertial_data import InertialData, InertialNoise, TriadData
+from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
 from gnomon.estimate.camera_imu.trajectory import Bases, Grid, Segment, Trajectory
 from gnomon.estimate.camera_imu.visual_terms import VisualData, board_in_camera, instants
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
@@ -76,7 +71,7 @@ def problem(
         gravity_axes=gravity_axes(rng.normal(size=3)),
         gravity_m_s2=9.7,
         target_scale=1.1,
-        imus=tuple(errors_of_an_imu(rng, (seed + i) % 3) for i in range(imus)),
+        imus=tuple(errors_of_an_imu(rng, (seed + i) % 3, i) for i in range(imus)),
         cameras=tuple(
             CameraParameters(
                 name=f"cam{i}",
@@ -110,8 +105,17 @@ def problem(
     return Problem(measurements=measurements, state=state, layout=columns(parameters, fixed, rng), noise=noise)
 
 
-def errors_of_an_imu(rng, origin=0):
+def errors_of_an_imu(rng, origin=0, number=0):
+    placed = {"accelerometer_shift_s": 0.004 - 0.011 * number}
+    if number:
+        placed |= {
+            "R_imu_body": rotation_from_rotvec(rng.normal(size=3)),
+            "p_imu_body": 0.1 * rng.normal(size=3),
+            "time_shift_s": 0.013,
+            "epoch_s": -250.0,
+        }
     return ImuParameters(
+        **placed,
         S_a=1 + 0.1 * rng.normal(size=3), M_a=0.1 * rng.normal(size=3), S_g=1 + 0.1 * rng.normal(size=3),
         M_g=0.1 * rng.normal(size=3), C_bg=rotation_from_rotvec(0.3 * rng.normal(size=3)),
         B_g=0.05 * rng.normal(size=(3, 3)), lever_arms=0.05 * rng.normal(size=6), origin=origin,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnomon.estimate.camera_imu.batch import Measurements, Noise, State
-from gnomon.estimate.camera_imu.parameters import Layout
+from gnomon.estimate.camera_imu.layout import Layout
 from gnomon.geometry.bspline import basis_matrix
 
 STEP = 1e-30
@@ -188,6 +188,14 @@ class Variants:
             axis=1,
         )
 
+    def pose_and_clock(self, i):
+        """Return R_imu_body, p_imu_body, and the shifts of the IMU and of its accelerometer, (v, ...)."""
+        imu, name = self.parameters.imus[i], f"imu{i}"
+        R = imu.R_imu_body @ turned(self.step(f"{name}.T_imu_body.rotation", 3))[0]
+        p = imu.p_imu_body + self.step(f"{name}.T_imu_body.translation", 3)
+        shift = imu.time_shift_s + self.step(f"{name}.time_shift", 1)
+        return R, p, shift, imu.accelerometer_shift_s + self.step(f"{name}.accelerometer_shift", 1)
+
     def camera(self, i):
         entry = self.parameters.cameras[i]
         name, lens = entry.name, entry.camera
@@ -283,24 +291,34 @@ def residuals(problem, controls_step, border_step):
 
 
 def inertial(data, splines, varied, noise):
-    t_s = np.broadcast_to(data.t_s, (len(varied.border), len(data.t_s)))
-    R, omega, _, acceleration, inside = splines.motion(t_s)
-    force = times(np.swapaxes(R, -1, -2), acceleration - varied.gravity()[:, None])
+    R_imu_body, p_imu_body, *shifts = varied.pose_and_clock(data.imu)
     K_a, K_g, B_g = (matrix[:, None] for matrix in varied.imu(data.imu))
-    alpha, felt = splines.alpha(t_s), []
-    for k, place in enumerate(np.moveaxis(varied.places(data.imu), 1, 0)):  # sensor k feels the force at its place
-        inward = np.cross(omega, np.cross(omega, place[:, None]))
-        felt.append((force + np.cross(alpha, place[:, None]) + inward)[..., k])
-    felt = np.stack(felt, axis=-1)
     start = 6 + 6 * data.imu
     found = {}
-    for name, triad, prediction, sigma, at in (
-        ("gyroscope", data.gyroscope, times(K_g, omega) + times(B_g, force), noise.gyroscope, start),
-        ("accelerometer", data.accelerometer, times(K_a, felt), noise.accelerometer, start + 3),
+    for name, triad, sigma, at, shift in (
+        ("gyroscope", data.gyroscope, noise.gyroscope, start, shifts[0]),
+        ("accelerometer", data.accelerometer, noise.accelerometer, start + 3, shifts[0] + shifts[1]),
     ):
-        if triad is not None:
-            error = (prediction + splines.bias(t_s, at) - triad.values) / sigma
-            found[name] = error[:, triad.used & inside].reshape(len(error), -1)
+        if triad is None:
+            continue
+        t_s = data.t_s + shift
+        R, omega, _, acceleration, inside = splines.motion(t_s)
+        force = times(np.swapaxes(R, -1, -2), acceleration - varied.gravity()[:, None])
+        alpha = splines.alpha(t_s)
+
+        def felt(place, omega=omega, alpha=alpha, force=force):
+            """Return the force at a place of the IMU's frame, in its axes: there, in those of the body, and back."""
+            of_body = times(np.swapaxes(R_imu_body, -1, -2), place - p_imu_body)[:, None]
+            there = force + np.cross(alpha, of_body) + np.cross(omega, np.cross(omega, of_body))
+            return times(R_imu_body[:, None], there)
+
+        if name == "gyroscope":
+            prediction = times(K_g, times(R_imu_body[:, None], omega)) + times(B_g, felt(np.zeros(3)))
+        else:  # sensor k feels the force at its place
+            places = np.moveaxis(varied.places(data.imu), 1, 0)
+            prediction = times(K_a, np.stack([felt(place)[..., k] for k, place in enumerate(places)], axis=-1))
+        error = (prediction + splines.bias(t_s, at) - triad.values) / sigma
+        found[name] = error[:, triad.used & inside].reshape(len(error), -1)
     return found
 
 

@@ -7,12 +7,14 @@ import numpy as np
 
 import gnomon
 from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu
-from gnomon.estimate.camera_imu.batch import Measurements, Noise, State, gauss_newton_step, linearised
+from gnomon.estimate.camera_imu.batch import Measurements, Noise, State, linearised
 from gnomon.estimate.camera_imu.choices import choices
 from gnomon.estimate.camera_imu.first_guess import imu_stream, looks
-from gnomon.estimate.camera_imu.inertial_terms import InertialNoise
+from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
+from gnomon.estimate.camera_imu.inertial_data import InertialNoise
 from gnomon.estimate.camera_imu.initial_trajectory import ImuPath, initial_trajectory
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, layout
+from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
 from gnomon.estimate.camera_imu.trajectory import POSE
 from gnomon.estimate.camera_imu.visual_terms import VisualData
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -203,7 +205,7 @@ def true_trajectory(simulation, t_s, found, parameters, options):
         )
     )
     fitted = initial_trajectory(
-        path, seen_s, options.knots_per_s or 50.0, order=options.spline_order, gyroscope_bias=np.zeros(3)
+        path, seen_s, options.knots_per_s or 50.0, order=options.spline_order, gyroscope_biases=[np.zeros(3)]
     )
     controls, grid = fitted.controls.copy(), fitted.grid
     for segment in grid.segments:

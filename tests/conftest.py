@@ -1,5 +1,6 @@
 """Fixtures that several test files share."""
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +39,12 @@ from trust_example import example_trust
 # The same examples on every run: what fails here fails for everyone.
 hypothesis.settings.register_profile("steady", derandomize=True)
 hypothesis.settings.load_profile("steady")
+
+
+def pytest_collection_finish() -> None:
+    """Leave what has been imported out of every later search for garbage: thousands of tests make many."""
+    gc.collect()
+    gc.freeze()
 
 
 def _calibration(findings, names, verdict, counts, *, gyroscope, unit) -> Calibration:

@@ -1,7 +1,13 @@
 """The program `gnomon`, also `python -m gnomon`."""
 
 import os
+import signal
 import sys
+from contextlib import suppress
+from types import FrameType
+
+_ENDING = ("SIGTERM", "SIGHUP")
+"""Signals that end a program unless it does something about them; an interrupt is Python's own business."""
 
 
 def main() -> None:
@@ -13,15 +19,34 @@ def main() -> None:
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
             reconfigure(errors="replace")  # a terminal without some character still shows the rest
-    from .cli import main as run
-
     try:
+        from .cli import main as run
+
+        _tidy_up_when_ended()
         code = run(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has gone, as with `gnomon show FILE | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
+    except KeyboardInterrupt:  # before there was anything to tidy up
+        sys.stderr.write("gnomon: interrupted.\n")
+        code = 130
     sys.exit(code)
+
+
+def _tidy_up_when_ended() -> None:
+    """Let signals that end the program be told to it as an interrupt is, so that nothing is left behind."""
+    from .cli import EndedError
+
+    def ended(number: int, _frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_IGN)  # tidying up is not disturbed
+        raise EndedError(number)
+
+    for name in _ENDING:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP, and its SIGTERM asks nobody
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores one
+            with suppress(ValueError):  # not the main thread
+                signal.signal(number, ended)
 
 
 if __name__ == "__main__":

@@ -87,7 +87,9 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
 
     With f_new = Q f_old a camera sees T_new = T_old (Q', 0). Q itself depends on the accelerometer: where its scalars
     are off, the frame is turned by a further delta (`models.frames.frame_turn`). A camera's small rotation d, on the
-    right, is therefore d_new = Q d_old + delta.
+    right, is therefore d_new = Q d_old + delta. An IMU beside the first has T_new = (Q_i, 0) T_old (Q', 0) with a Q_i
+    and a delta_i of its own: d_new = Q d_old + delta - R_new' delta_i, and its translation t moves by
+    dt_new = Q_i dt_old + t_new x delta_i.
 
     Raises
     ------
@@ -101,15 +103,26 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
     moved: dict[str, ImuCalibration] = {}
     jacobian = np.eye(len(covariance_names(imus, cameras)))
     turn, by_sensitivity = np.eye(3), np.zeros((3, 9))
-    start = 0
+    start, at = 0, _starts(imus, cameras)
     for name, imu in imus.items():
         sensitivity = imu.required_accelerometer.sensitivity
         rotation = frame_rotation(sensitivity, frame)
         moved[name] = _with_exact_zeros(rotated(imu, rotation), frame)
         block = rotation_jacobian(_matrices(imu), rotation, frame)
+        own_turn = frame_turn(sensitivity, rotation, frame)
         if start == 0:
-            turn, by_sensitivity = rotation, frame_turn(sensitivity, rotation, frame)
+            turn, by_sensitivity = rotation, own_turn
         jacobian[start : start + len(block), start : start + len(block)] = block
+        if imu.T_imu_body is not None:
+            T = imu.T_imu_body.copy()
+            T[:3, :3], T[:3, 3] = rotation @ T[:3, :3] @ turn.T, rotation @ T[:3, 3]
+            moved[name] = replace(moved[name], T_imu_body=T)
+            angle, place = at[f"{name}.T_imu_body.rotation"], at[f"{name}.T_imu_body.translation"]
+            jacobian[angle : angle + 3, angle : angle + 3] = turn
+            jacobian[angle : angle + 3, :9] += by_sensitivity
+            jacobian[angle : angle + 3, start : start + 9] -= T[:3, :3].T @ own_turn
+            jacobian[place : place + 3, place : place + 3] = rotation
+            jacobian[place : place + 3, start : start + 9] += skew(T[:3, 3]) @ own_turn
         start += len(block)
     for camera in cameras.values():
         jacobian[start : start + 3, start : start + 3] = turn
@@ -123,40 +136,72 @@ def moved_to_origin(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, Ca
     """Return the sensors with the body's origin at the x (0), y (1) or z (2) accelerometer of each IMU.
 
     With r the place of that accelerometer a camera sees p_new = p_old + R_cam_imu r, and r is taken off all lever arms.
-    An IMU without lever arms stays as it is, and the cameras move with the first one.
+    An IMU without lever arms stays as it is, and the cameras move with the first one. An IMU beside the first, whose
+    own origin moves by r_i, has t_new = t_old + R_imu_body r - r_i.
     """
-    starts: dict[str, int] = {}
-    count = 0
     if not imus:
         return Moved(imus={}, cameras=dict(cameras), jacobian=np.eye(len(covariance_names(imus, cameras))))
+    starts = _starts(imus, cameras)
+    jacobian = np.eye(len(covariance_names(imus, cameras)))
+    moved: dict[str, ImuCalibration] = {}
+    shift, arms_at = np.zeros(3), None  # of the body's origin
+    for name, imu in imus.items():
+        arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+        own, own_at = np.zeros(3), None
+        moved[name] = imu
+        if imu.accelerometer is not None and arms is not None:
+            at = starts[f"{name}.accelerometer.lever_arms_m"]
+            own, own_at = arms[axis], slice(at + 3 * axis, at + 3 * axis + 3)
+            for row in range(at, at + 9, 3):
+                jacobian[row : row + 3, own_at] -= np.eye(3)
+            moved[name] = replace(imu, accelerometer=replace(imu.accelerometer, lever_arms_m=arms - own))
+        if len(moved) == 1:
+            shift, arms_at = own, own_at
+        if imu.T_imu_body is not None:
+            T = _with_moved_body(imu.T_imu_body, f"{name}.T_imu_body", (shift, arms_at), starts, jacobian)
+            T[:3, 3] -= own
+            if own_at is not None:
+                row = starts[f"{name}.T_imu_body.translation"]
+                jacobian[row : row + 3, own_at] -= np.eye(3)
+            moved[name] = replace(moved[name], T_imu_body=T)
+    placed = {
+        name: replace(
+            camera,
+            T_cam_body=_with_moved_body(camera.T_cam_imu, f"{name}.T_cam_imu", (shift, arms_at), starts, jacobian),
+        )
+        for name, camera in cameras.items()
+    }
+    return Moved(imus=moved, cameras=placed, jacobian=jacobian)
+
+
+def _with_moved_body(
+    T: Floats, path: str, by: tuple[Floats, slice | None], starts: Mapping[str, int], jacobian: Floats
+) -> Floats:
+    """Return the pose of a sensor to the body (4, 4) after its origin moved, and fill in how its scalars follow.
+
+    Parameters
+    ----------
+    path : of the pose
+    by : (3,) from the old origin to the new one [m], and where its scalars stand
+    starts, jacobian : of all scalars
+    """
+    moved, (shift, shift_at) = T.copy(), by
+    moved[:3, 3] += T[:3, :3] @ shift
+    rotation, row = starts[f"{path}.rotation"], starts[f"{path}.translation"]
+    if shift_at is not None:
+        jacobian[row : row + 3, rotation : rotation + 3] = -T[:3, :3] @ skew(shift)
+        jacobian[row : row + 3, shift_at] = T[:3, :3]
+    return moved
+
+
+def _starts(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration]) -> dict[str, int]:
+    """Return where the scalars of each parameter start in the covariance."""
+    starts: dict[str, int] = {}
+    count = 0
     for path, value in parameters(imus, cameras):
         starts[path] = count
         count += value.size
-    jacobian = np.eye(count)
-    moved: dict[str, ImuCalibration] = {}
-    shift, arms_at = np.zeros(3), None
-    for name, imu in imus.items():
-        arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
-        moved[name] = imu
-        if imu.accelerometer is None or arms is None:
-            continue
-        at = starts[f"{name}.accelerometer.lever_arms_m"]
-        place = slice(at + 3 * axis, at + 3 * axis + 3)
-        if len(moved) == 1:
-            shift, arms_at = arms[axis], place
-        for row in range(3):
-            jacobian[at + 3 * row : at + 3 * row + 3, place] -= np.eye(3)
-        moved[name] = replace(imu, accelerometer=replace(imu.accelerometer, lever_arms_m=arms - arms[axis]))
-    placed: dict[str, CameraCalibration] = {}
-    for name, camera in cameras.items():
-        T = camera.T_cam_imu.copy()
-        T[:3, 3] += T[:3, :3] @ shift
-        placed[name] = replace(camera, T_cam_body=T)
-        rotation, row = starts[f"{name}.T_cam_imu.rotation"], starts[f"{name}.T_cam_imu.translation"]
-        if arms_at is not None:
-            jacobian[row : row + 3, rotation : rotation + 3] = -T[:3, :3] @ skew(shift)
-            jacobian[row : row + 3, arms_at] = T[:3, :3]
-    return Moved(imus=moved, cameras=placed, jacobian=jacobian)
+    return starts
 
 
 def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:

@@ -109,6 +109,8 @@ class ImuSamples:
     magnetometer : None where the recording has none
     noise : what its data sheet or its Allan deviation says, where that was stated
     topic : ROS topic that Kalibr's files name, or ""
+    T_imu_body : (4, 4) how it lies to the first IMU, p_imu = T_imu_body @ p_body, where stated; it is not needed
+    time_shift_s : t_body = t_imu + time_shift_s, between stamps [s], where stated; it is not needed
     """
 
     accelerometer: TriadSamples
@@ -116,6 +118,12 @@ class ImuSamples:
     noise: ImuNoise | None = None
     topic: str = ""
     magnetometer: TriadSamples | None = None
+    T_imu_body: Floats | None = None
+    time_shift_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.T_imu_body is not None:
+            object.__setattr__(self, "T_imu_body", frozen_array(self.T_imu_body))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

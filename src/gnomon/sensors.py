@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .errors import FormatError, OptionError
 from .models.camera import Camera
-from .recording import Floats, ImuSamples, TriadSamples, frozen_array
+from .recording import Floats, ImuSamples, Integers, TriadSamples, frozen_array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,6 +51,10 @@ class AccelerometerCalibration:
         object.__setattr__(self, "bias", frozen_array(self.bias))
         if self.lever_arms_m is not None:
             object.__setattr__(self, "lever_arms_m", frozen_array(self.lever_arms_m))
+
+    def with_gyroscope(self, t_ns: Integers) -> Integers:
+        """Return the stamps (n,) that the gyroscope's readings of the same instants have [ns]."""
+        return t_ns + round(1e9 * self.time_shift_s) if self.time_shift_s else t_ns
 
     def specific_force(self, values: Floats) -> Floats:
         """Return the specific force in the body frame, (n, 3) [m/s^2], of measurements (n, 3) [unit].
@@ -183,9 +187,11 @@ class ImuCalibration:
         return self.accelerometer
 
     def apply(self, samples: ImuSamples) -> ImuSamples:
-        """Turn measurements into specific force [m/s^2], angular rate [rad/s] and magnetic field in the body frame.
+        """Turn measurements into specific force [m/s^2], angular rate [rad/s] and magnetic field in the IMU's frame.
 
-        A triad that was not calibrated keeps its measurements. Each component of the specific force stays that at its
+        Of the first IMU, and of the only one, that is the body frame. Stamps stay those of its own clock, but for an
+        accelerometer with a time shift: its stamps become those of the gyroscope's readings of the same instants. A
+        triad that was not calibrated keeps its measurements. Each component of the specific force stays that at its
         own accelerometer: lever arms are not applied. The g-sensitivity of the gyroscope needs the specific force at
         the stamps of the gyroscope; where the two triads have stamps of their own it is interpolated linearly.
 
@@ -199,7 +205,8 @@ class ImuCalibration:
         accelerometer, gyroscope, magnetometer = samples.accelerometer, samples.gyroscope, samples.magnetometer
         if self.accelerometer is not None:
             force = self.accelerometer.specific_force(accelerometer.values)
-            accelerometer = TriadSamples(t_ns=accelerometer.t_ns, values=force, unit="m/s^2")
+            t_ns = self.accelerometer.with_gyroscope(accelerometer.t_ns)
+            accelerometer = TriadSamples(t_ns=t_ns, values=force, unit="m/s^2")
         if self.gyroscope is not None:
             force = interpolate_triad(accelerometer, gyroscope) if self.gyroscope.g_sensitivity.any() else None
             rate = self.gyroscope.angular_rate(

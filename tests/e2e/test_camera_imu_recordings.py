@@ -15,6 +15,7 @@ import gnomon
 from camera_imu_rig import KALIBRS_WEIGHTS, Rig, rms
 from camera_imu_truth import errors
 from gnomon import CameraImuOptions, calibrate_camera_imu
+from gnomon.calibrate.comparison import compare
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
 from gnomon.models.pattern import LOWER
 
@@ -179,3 +180,31 @@ def test_errors_beside_their_sigmas(rendered, name, model):
     assert len(z) == (10 if model == "full" else 4)
     assert {block: value for block, value in z.items() if not value < WORST_Z} == {}
     assert np.median(list(z.values())) < 1.6
+
+
+@RECORDINGS
+def test_genuine_kalibr_files_inside_the_stated_sigmas(rendered, name):
+    """Kalibr states no sigmas; with its weights gnomon states those of its result, and comes to the same numbers."""
+    (folder, _, ours), (*_, weighted) = rendered(name), rendered(name, **KALIBRS_WEIGHTS)
+    kalibrs = folder / "kalibr" / KALIBR[name]
+    same = compare(weighted, kalibrs, names=["weighted", "kalibr"])
+    assert same.verdict == "pass"
+    assert same.z_rms < 0.1
+    both = compare(ours, weighted, names=["ours", "weighted"])
+    assert both.verdict == "pass"
+    assert both.z_rms < both.limit
+    found = compare(ours, weighted, kalibrs, names=["ours", "weighted", "kalibr"])
+    assert found.verdict in {"pass", "warn"}  # by the sigmas of ours alone Kalibr's default weights may lie outside
+    assert found.z_rms < found.limit
+
+
+def test_kalibr_with_our_corner_sigma(rendered):
+    """Kalibr ran with 0.1 px on this recording only."""
+    folder, _, ours = rendered(A)
+    kalibrs, finer = (folder / "kalibr" / run for run in (KALIBR[A], "sm_sigma0.1"))
+    found = compare(ours, finer, names=["ours", "kalibr"])
+    assert found.verdict == "pass"
+    assert found.z_rms < 0.6
+    wrong = compare(ours, kalibrs, folder / "kalibr" / "calibrated", finer, names="abcd")
+    assert "c" in wrong.outside
+    assert any(one.code == "held-elsewhere-found" and one.message.startswith("c holds") for one in wrong.findings)

@@ -1,4 +1,7 @@
-"""Comparisons with genuine files of other projects, and of repeated recordings."""
+"""Comparisons with genuine files of other projects, and of repeated recordings.
+
+Our calibrations beside Kalibr's of the same recordings: test_camera_imu_recordings.py, which has them.
+"""
 
 from dataclasses import replace
 
@@ -6,59 +9,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from camera_imu_rig import KALIBRS_WEIGHTS
-from gnomon import CameraImuOptions
 from gnomon.calibrate.comparison import compare
 from gnomon.cli import main
-
-RENDERED = {
-    "a-aprilgrid-full": ("full", "scale-misalignment"),
-    "b-aprilgrid-ideal-imu": ("basic", "calibrated"),
-    "d-checkerboard-ideal-imu": ("basic", "cal"),
-}
-"""Recording -> our model, the folder of Kalibr's."""
-
-
-@pytest.fixture(scope="module", params=RENDERED)
-def kalibr_case(request, real_data):
-    """Our calibration, ours with the weights of Kalibr, and Kalibr's folder, of one recording."""
-    folder = real_data(f"rendered-camimu/{request.param}")
-    model, kalibrs = RENDERED[request.param]
-    recording, target = gnomon.read_camera_imu(
-        folder, cam=folder / "camchain.yaml", imu=folder / "imu.yaml", target=folder / "target.yaml"
-    )
-    ours, weighted = (
-        gnomon.calibrate_camera_imu(recording, target, CameraImuOptions(model=model, gravity=9.80665, **weights))
-        for weights in ({}, KALIBRS_WEIGHTS)
-    )
-    return ours, weighted, folder / "kalibr" / kalibrs
-
-
-def test_genuine_kalibr_files_inside_the_stated_sigmas(kalibr_case):
-    """Kalibr states no sigmas; with its weights gnomon states those of its result, and comes to the same numbers."""
-    ours, weighted, kalibr = kalibr_case
-    same = compare(weighted, kalibr, names=["weighted", "kalibr"])
-    assert same.verdict == "pass"
-    assert same.z_rms < 0.1
-    both = compare(ours, weighted, names=["ours", "weighted"])
-    assert both.verdict == "pass"
-    assert both.z_rms < both.limit
-    found = compare(ours, weighted, kalibr, names=["ours", "weighted", "kalibr"])
-    assert found.verdict in {"pass", "warn"}  # by the sigmas of ours alone Kalibr's default weights may lie outside
-    assert found.z_rms < found.limit
-
-
-def test_kalibr_with_our_corner_sigma(kalibr_case, real_data):
-    ours, _, kalibr = kalibr_case
-    if kalibr.parent.parent.name != "a-aprilgrid-full":
-        pytest.skip("Kalibr ran with 0.1 px on this recording only")
-    found = compare(ours, kalibr.parent / "sm_sigma0.1", names=["ours", "kalibr"])
-    assert found.verdict == "pass"
-    assert found.z_rms < 0.6
-    wrong = compare(ours, kalibr, kalibr.parent / "calibrated", kalibr.parent / "sm_sigma0.1", names="abcd")
-    assert "c" in wrong.outside
-    assert any(one.code == "held-elsewhere-found" and one.message.startswith("c holds") for one in wrong.findings)
-
 
 SAMPLES = (
     "basalt/euroc_ds_calib.json",

@@ -4,15 +4,10 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuOptions, OptionError
+from gnomon.estimate.camera_imu.blocks import blocks
 from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.parameters import (
-    CameraParameters,
-    ImuParameters,
-    Parameters,
-    blocks,
-    gravity_axes,
-    layout,
-)
+from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 

@@ -16,8 +16,12 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_problem import LENSES, problem
 from camera_imu_reference import differentiated
-from gnomon.estimate.camera_imu.batch import State, estimated_noise, gauss_newton_step, linearised, mean_weights, moved
-from gnomon.estimate.camera_imu.parameters import ImuParameters, blocks, gravity_axes, layout
+from gnomon.estimate.camera_imu.batch import State, linearised, mean_weights
+from gnomon.estimate.camera_imu.blocks import blocks
+from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step, moved
+from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.noise_found import estimated_noise
+from gnomon.estimate.camera_imu.parameters import ImuParameters, gravity_axes
 from gnomon.estimate.camera_imu.solution import Solution
 from gnomon.estimate.camera_imu.uncertainty import uncertainty
 from gnomon.estimate.camera_imu.walk_noise import PROBES

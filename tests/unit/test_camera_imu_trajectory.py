@@ -142,7 +142,7 @@ def assert_follows(trajectory, path, atol):
 def test_first_trajectory_passes_through_the_path(order, motion):
     path, seen_s, _ = simulated(motion=motion)
     bias = np.array([0.1, -0.2, 0.3])
-    trajectory = initial_trajectory(path, seen_s, 50.0, order=order, gyroscope_bias=bias)
+    trajectory = initial_trajectory(path, seen_s, 50.0, order=order, gyroscope_biases=[bias])
     inside = assert_follows(trajectory, path, atol=2e-3)
     starts = [segment.start_s for segment in trajectory.grid.segments]
     assert starts == sorted(starts)
@@ -168,7 +168,7 @@ def test_turning_over_once_and_back_needs_no_cut():
     angle = 4.2 * np.sin(2 * np.pi * t_s / 10)
     R = rotation_from_rotvec(angle[:, None] * np.array([0.0, 0.0, 1.0]))
     path = ImuPath(t_s=t_s, R=R, position=np.zeros((len(t_s), 3)))
-    trajectory = initial_trajectory(path, np.arange(0, 10, 0.05), 50.0, order=6, gyroscope_bias=np.zeros(3))
+    trajectory = initial_trajectory(path, np.arange(0, 10, 0.05), 50.0, order=6, gyroscope_biases=[np.zeros(3)])
     assert len(trajectory.grid.segments) == 1
     assert_follows(trajectory, path, atol=1e-4)
 
@@ -177,7 +177,7 @@ def test_gaps_of_the_imu_cut_it_and_short_ones_do_not():
     path, seen_s, _ = simulated()
     gap = ((path.t_s > 4.0) & (path.t_s < 4.5)) | ((path.t_s > 8.0) & (path.t_s < 8.03))
     kept = ImuPath(t_s=path.t_s[~gap], R=path.R[~gap], position=path.position[~gap])
-    trajectory = initial_trajectory(kept, seen_s, 50.0, order=6, gyroscope_bias=np.zeros(3))
+    trajectory = initial_trajectory(kept, seen_s, 50.0, order=6, gyroscope_biases=[np.zeros(3)])
     first, second = trajectory.grid.segments
     assert first.start_s + first.spans * 0.02 == pytest.approx(4.0, abs=0.021)
     assert second.start_s == pytest.approx(4.5, abs=0.006)
@@ -189,12 +189,13 @@ def test_pieces_without_frames_are_left_out():
     path, seen_s, _ = simulated()
     gap = (path.t_s > 4.0) & (path.t_s < 4.5)
     kept = ImuPath(t_s=path.t_s[~gap], R=path.R[~gap], position=path.position[~gap])
-    (only,) = initial_trajectory(kept, seen_s[seen_s > 6.0], 50.0, order=6, gyroscope_bias=np.zeros(3)).grid.segments
+    late = initial_trajectory(kept, seen_s[seen_s > 6.0], 50.0, order=6, gyroscope_biases=[np.zeros(3)])
+    (only,) = late.grid.segments
     assert only.start_s == pytest.approx(seen_s[seen_s > 6.0][0] - 0.1, abs=0.01)
     with pytest.raises(InitialisationError, match="nowhere are there 5 frames with the board and the IMU's samples"):
-        initial_trajectory(kept, seen_s + 100.0, 50.0, order=6, gyroscope_bias=np.zeros(3))
+        initial_trajectory(kept, seen_s + 100.0, 50.0, order=6, gyroscope_biases=[np.zeros(3)])
     with pytest.raises(InitialisationError, match="one recording"):
-        initial_trajectory(kept, seen_s[:4], 50.0, order=6, gyroscope_bias=np.zeros(3))
+        initial_trajectory(kept, seen_s[:4], 50.0, order=6, gyroscope_biases=[np.zeros(3)])
 
 
 def test_the_gyroscope_joins_the_attitudes_of_frames():

@@ -238,7 +238,7 @@ def test_unknown_format_and_unwritable_folder(random_calibration, tmp_path):
     with pytest.raises(OptionError, match="Choose one of: imu_tk"):
         gnomon.convert(random_calibration(), "matlab", tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="cannot be made"):
+    with pytest.raises(OutputError, match="cannot be written"):
         gnomon.convert(random_calibration(), "csv", tmp_path / "file" / "x")
 
 

@@ -20,7 +20,8 @@ from gnomon.calibrate import corner_cache
 from gnomon.calibration import parameters
 from gnomon.cli.commands import COMMANDS, RecordingForm
 from gnomon.cli.parse import parse
-from gnomon.cli.study_actions import PAGE, TABLES
+from gnomon.cli.studies import STUDIES
+from gnomon.cli.study_actions import PAGE
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.own.calibration_cameras import SIGMAS
@@ -309,7 +310,8 @@ def test_every_unit_and_file_of_a_study_is_documented():
     section = text("files.md").split("**Units.**")[1].split("\n\n")[0]
     assert {unit for unit in units if f"`{unit}`" not in section} == set()
     section = text("files.md").split("## Studies")[1].split("\n## ")[0]
-    assert {name for name in TABLES if f"`{name}.csv`" not in section} == set()
+    tables = {table for study in STUDIES.values() for table in study.tables}
+    assert {name for name in tables if f"`{name}.csv`" not in section} == set()
     assert f"`{PAGE}`" in section
 
 

@@ -220,7 +220,7 @@ def test_fifth_coefficient_of_plumb_bob(camera) -> None:
         ({"resolution": [640.5, 480]}, r"cam0\.resolution\[0\]: found 640\.5, expected a whole number"),
         ({"line_delay": 0.02}, r"cam0\.line_delay: found 0\.02 s from one row to the next, which is 9\.6 s"),
         ({"timeshift_cam_imu": "soon"}, r'cam0\.timeshift_cam_imu: found the text "soon", expected a number'),
-        ({"timeshift_cam_imu": 1e300}, r"cam0\.timeshift_cam_imu: found 1e\+300 s, expected t_imu - t_cam"),
+        ({"timeshift_cam_imu": 1e30}, r"cam0\.timeshift_cam_imu: found 1e\+30 s, expected t_imu - t_cam"),
         ({"camera_model": "ds", "intrinsics": [-0.2, 3, 460, 458, 322, 237]}, r"cam0: .*alpha"),
     ],
 )
@@ -309,7 +309,7 @@ def test_rounded_rotation_is_made_exact(camera) -> None:
         (lambda T: T * 1.1, r"the last row of the matrix is \[0\.0, 0\.0, 0\.0, 1\.1\], expected \[0, 0, 0, 1\]"),
         (lambda T: T @ np.diag([1.1, 1.1, 1.1, 1]), r"no rotation matrix: .* miss that by 0\.21"),
         (lambda T: np.zeros((4, 4)), r"the last row"),
-        (lambda T: T + 1e300 * (np.eye(4) - np.diag([0, 0, 0, 1])), r"no rotation matrix"),
+        (lambda T: T + 1e30 * (np.eye(4) - np.diag([0, 0, 0, 1])), r"no rotation matrix"),
         (lambda T: T + 1e3 * np.eye(4)[:, :1] * np.eye(4)[3], r"found the translation .* metre"),
         (lambda T: T[:3], r"found 3 rows, expected 4"),
         (lambda T: T[:, :3], r"\[0\]: found 3 numbers, expected 4"),

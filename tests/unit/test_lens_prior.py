@@ -9,7 +9,8 @@ import gnomon
 from gnomon.estimate.camera_imu.board_poses import board_poses
 from gnomon.estimate.camera_imu.choices import choices
 from gnomon.estimate.camera_imu.corner_sums import CornerNoise, Exposures, corner_sums
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes, layout
+from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
 from gnomon.options import CameraImuOptions
 from gnomon.recording import Recording
 

@@ -8,7 +8,7 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError, RecordingError
-from gnomon.readers.devices import phone_files
+from gnomon.readers import files
 from gnomon.readers.devices.device_log import is_device_log
 from gnomon.readers.images.image_recording import holds_images, open_images
 from gnomon.readers.samples.stream import open_stream
@@ -312,8 +312,9 @@ def test_a_zip_of_several_recordings(android, tmp_path):
 
 
 def test_a_zip_that_swells_is_refused(android, tmp_path, monkeypatch):
-    monkeypatch.setattr(phone_files, "LARGEST_BYTES", 10_000)
-    refused(zipped(android, tmp_path / "a.zip"), "when unpacked")
+    monkeypatch.setattr(files, "MUCH_BYTES", 10_000)
+    monkeypatch.setattr(files, "MOST_TIMES", 1)
+    refused(zipped(android, tmp_path / "a.zip"), "would be unpacked to more than")
 
 
 def test_a_zip_with_paths_that_lead_out_of_it(android, tmp_path):

@@ -8,7 +8,8 @@ import pytest
 import gnomon
 from cameras_example import cameras_calibration
 from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes, layout
+from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
 from gnomon.estimate.camera_imu.prior_terms import border_priors
 from gnomon.estimate.camera_imu.rig_prior import from_known, pose_residual
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation

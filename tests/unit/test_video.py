@@ -6,7 +6,7 @@ import pytest
 
 from gnomon.errors import RecordingError
 from gnomon.readers.images.image_recording import holds_images, open_images
-from gnomon.readers.images.video import is_video
+from gnomon.readers.images.video_kind import is_video
 from image_folders import START, frames_of, picture, stamps, write_samples, write_video
 
 
@@ -104,7 +104,9 @@ def test_damage_spreads_to_the_next_whole_frame(tmp_path):
     write_video(path, count=40, codec="mpeg4", pixels="yuv420p")
     _, good, _ = frames_of(opened(path))
     data = bytearray(path.read_bytes())
-    middle = len(data) // 2
+    with av.open(str(path)) as container:
+        packets = [bytes(packet) for packet in container.demux(video=0) if packet.size]
+    middle = data.index(packets[19]) + len(packets[19]) // 2  # inside one frame: what is around frames stays whole
     data[middle : middle + 40] = np.random.default_rng(0).integers(0, 256, 40, dtype=np.uint8).tobytes()
     path.write_bytes(data)
     _, images, notes = frames_of(opened(path))

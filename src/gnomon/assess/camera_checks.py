@@ -4,7 +4,7 @@ What only an estimate shows (a wrong size of the board, intrinsics of another ca
 after it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -57,9 +57,15 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
         )
     for name, frames in recording.cameras.items():
         findings += _check_camera(name, frames, target)
-        for imu_name, imu in recording.imus.items():
-            findings += check_common_time(name, frames.t_ns, imu_name, imu, frames.time_shift_cam_imu_s or 0.0)
+        for imu in beside(name, recording.cameras, recording.imus):
+            shift_s = frames.time_shift_cam_imu_s or 0.0
+            findings += check_common_time(name, frames.t_ns, imu, recording.imus[imu], shift_s)
     return tuple(findings)
+
+
+def beside(camera: str, cameras: Iterable[str], imus: Iterable[str]) -> list[str]:
+    """Return the IMUs beside which a camera is looked at: the first one, and all of them for the first camera."""
+    return list(imus)[: None if camera == next(iter(cameras)) else 1]
 
 
 def all_stamps(recording: Recording) -> dict[str, Integers]:

@@ -17,18 +17,21 @@ from ..diagnostics import (
     TrajectoryTrack,
 )
 from ..estimate.camera_imu.assembly import TRIAD
+from ..estimate.camera_imu.batch import State
+from ..estimate.camera_imu.blocks import blocks
 from ..estimate.camera_imu.board import OFFSETS
 from ..estimate.camera_imu.choices import choices
+from ..estimate.camera_imu.felt import predicted_readings, specific_force
 from ..estimate.camera_imu.first_guess import Look
-from ..estimate.camera_imu.inertial_terms import InertialData, predicted, specific_force
-from ..estimate.camera_imu.parameters import Parameters, blocks, coordinates
+from ..estimate.camera_imu.inertial_data import ImuBeforehand, InertialData, shifted
+from ..estimate.camera_imu.layout import coordinates
+from ..estimate.camera_imu.parameters import Parameters
 from ..estimate.camera_imu.publish import Published
 from ..estimate.camera_imu.solution import Solution, frame_mean_square
 from ..estimate.camera_imu.trajectory import BIAS, POSE, Bases, Grid, Places
 from ..estimate.camera_imu.uncertainty import Uncertainty, with_uncertain
 from ..estimate.camera_imu.visual_terms import instants
 from ..geometry.quaternion import quaternion_from_rotation
-from ..models.noise import ImuNoise
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import CameraFrames, Floats, Recording
@@ -44,9 +47,7 @@ class CameraImuEvidence:
     Attributes
     ----------
     recording, target, options : as given
-    prepared_rates_hz : sample rates of gyroscope and accelerometer
-    origin_ns : stamp at which the seconds start [ns]
-    nominal, noise_stated : noise of the IMU beforehand, and whether it was stated
+    imus : what was known of each IMU beforehand
     looks : what every camera saw
     start : start values of the parameters
     solution, uncertainty : the estimate
@@ -57,18 +58,20 @@ class CameraImuEvidence:
 
     recording: Recording
     target: Target
-    prepared_rates_hz: tuple[float, float]
-    origin_ns: int
-    nominal: ImuNoise
-    noise_stated: bool
+    imus: tuple[ImuBeforehand, ...]
     options: CameraImuOptions
     looks: tuple[Look, ...]
     start: Parameters
     solution: Solution
     uncertainty: Uncertainty
-    basic: Solution | None
+    basic: State | None
     gravity: Gravity
     published: Published
+
+    @property
+    def origin_ns(self) -> int:
+        """Stamp at which the seconds of the first IMU, and of the cameras, start [ns]."""
+        return self.imus[0].origin_ns
 
 
 def describe(evidence: CameraImuEvidence) -> CameraImuDiagnostics:
@@ -139,15 +142,16 @@ def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
 def _signals(evidence: CameraImuEvidence) -> dict[str, SignalFit]:
     found: dict[str, SignalFit] = {}
     for data in evidence.solution.measurements.inertial:
-        full = _predictions(evidence.solution, data)
+        full = _predictions(evidence.solution.state, data)
         basic = None if evidence.basic is None else _predictions(evidence.basic, data)
         noise = evidence.solution.noise.imus[data.imu]
+        imu = evidence.solution.state.parameters.imus[data.imu]
         for k, name in enumerate(_TRIADS):
             triad = getattr(data, name)
             if triad is None:
                 continue
             found[f"imu{data.imu}.{name}"] = SignalFit(
-                t_s=data.t_s,
+                t_s=shifted(data, imu) + (imu.accelerometer_shift_s if k and data.gyroscope is not None else 0.0),
                 measured=triad.values,
                 predicted=full[k],
                 basic=None if basic is None else basic[k],
@@ -158,18 +162,9 @@ def _signals(evidence: CameraImuEvidence) -> dict[str, SignalFit]:
     return found
 
 
-def _predictions(solution: Solution, data: InertialData) -> tuple[Floats, Floats]:
+def _predictions(state: State, data: InertialData) -> tuple[Floats, Floats]:
     """Return what gyroscope and accelerometer should read, (n, 3) each; nan outside of the trajectory."""
-    trajectory, parameters = solution.state.trajectory, solution.state.parameters
-    places = trajectory.grid.places(data.t_s)
-    inside = places.inside
-    places = places.some(inside)
-    motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
-    force = specific_force(motion, parameters.gravity)
-    both = predicted(parameters.imus[data.imu], motion, force, trajectory.bias(places, data.imu))
-    whole = np.full((2, len(data.t_s), 3), np.nan)
-    whole[0, inside], whole[1, inside] = both
-    return whole[0], whole[1]
+    return predicted_readings(state.trajectory, state.parameters, data)
 
 
 def _marginals(evidence: CameraImuEvidence) -> tuple[Floats, Floats] | None:
@@ -310,16 +305,17 @@ def _pose_sigma(
 
 
 def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:
-    solution, nominal = evidence.solution, evidence.nominal
+    solution = evidence.solution
     levels: list[NoiseLevel] = []
     for i, (used, found) in enumerate(zip(solution.noise.imus, solution.noise_found.imus, strict=True)):
+        known = evidence.imus[i]
         for k, name in enumerate(_TRIADS):
-            root = float(np.sqrt(evidence.prepared_rates_hz[k]))
+            root = float(np.sqrt(known.rates_hz[k]))
             levels.append(
                 NoiseLevel(
                     name=f"imu{i}.{name}",
                     unit=f"{_UNITS[name]}/sqrt(Hz)",
-                    nominal=getattr(nominal, f"{name}_noise_density") if evidence.noise_stated else float("nan"),
+                    nominal=getattr(known.nominal, f"{name}_noise_density") if known.stated else float("nan"),
                     estimated=getattr(found, name) / root,
                     used=getattr(used, name) / root,
                 )
@@ -329,7 +325,7 @@ def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:
                 NoiseLevel(
                     name=f"imu{i}.{name}.walk",
                     unit=f"{_UNITS[name]}/sqrt(s)",
-                    nominal=getattr(nominal, f"{name}_random_walk") if evidence.noise_stated else float("nan"),
+                    nominal=getattr(known.nominal, f"{name}_random_walk") if known.stated else float("nan"),
                     estimated=solution.noise_found.walks[i][k],
                     used=solution.noise.walks[i][k],
                 )

@@ -9,13 +9,11 @@ from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import CameraImuEvidence
 from .clock_drift import check_drift
+from .rig_precision import precision_findings
 from .rig_residuals import residual_findings
 from .verdict import gravity_findings, verdict_of, worst_first
-from .weak_findings import weak_findings
+from .weak_findings import PLACES_AND_CLOCKS, weak_findings
 
-_ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = np.radians(0.1), np.radians(1.0)
-_TRANSLATION_WARN_M, _TRANSLATION_FAIL_M = 5e-3, 5e-2
-_SHIFT_WARN_S, _SHIFT_FAIL_S = 5e-4, 5e-3
 _PIXELS_WARN, _PIXELS_FAIL = 1.0, 3.0
 _LEFT_OUT_WARN, _LEFT_OUT_FAIL = 0.25, 0.6
 _HELD = 0.3
@@ -48,7 +46,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *_convergence(evidence),
         *_rotation(evidence),
         *_observability(held, diagnostics),
-        *_precision(evidence, diagnostics),
+        *precision_findings(diagnostics, tuple(evidence.published.imus)[1:], tuple(evidence.published.cameras)),
         *_residuals(evidence, diagnostics),
         *_frames(fit, diagnostics),
         *_board_size(evidence),
@@ -116,8 +114,8 @@ def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
 def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
     findings: list[Finding] = []
     # What the poses' noise hid before the estimation is no disagreement where the gyroscope fits after it.
-    level = evidence.solution.noise_found.imus[0].gyroscope / np.sqrt(evidence.prepared_rates_hz[0])
-    fits = evidence.solution.converged and level < _FITS * evidence.nominal.gyroscope_noise_density
+    level = evidence.solution.noise_found.imus[0].gyroscope / np.sqrt(evidence.imus[0].rates_hz[0])
+    fits = evidence.solution.converged and level < _FITS * evidence.imus[0].nominal.gyroscope_noise_density
     for look in evidence.looks:
         axes, score = look.alignment.axes, look.alignment.score
         if axes[1] < _ONE_AXIS * axes[0]:
@@ -159,7 +157,7 @@ def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> 
     findings = weak_findings(weak, with_camera=True)
     if not held or any(one.held for one in weak):
         return findings
-    vital = [name for name in held if ".T_cam_imu" in name or name.endswith("time_shift_cam_imu")]
+    vital = [name for name in held if any(part in name for part in PLACES_AND_CLOCKS)]
     return [
         *findings,
         Finding(
@@ -175,37 +173,6 @@ def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> 
 def _listed(names: list[str], most: int = 6) -> str:
     shown = ", ".join(names[:most])
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
-
-
-def _precision(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
-    """Judge the standard deviations of the extrinsics."""
-    sigma = {p.name: p.sigma for p in diagnostics.parameters}
-    findings: list[Finding] = []
-    for look in evidence.looks:
-        triples = (
-            ("T_cam_imu.rotation", _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD, 180 / np.pi, "deg", "rotation"),
-            ("T_cam_imu.translation", _TRANSLATION_WARN_M, _TRANSLATION_FAIL_M, 1e3, "mm", "translation"),
-        )
-        for block, warn, fail, factor, unit, word in triples:
-            largest = max(sigma[f"{look.name}.{block}[{k}]"] for k in range(3))
-            severity = _graded(largest, warn, fail)
-            if severity is not None:
-                findings.append(_imprecise(severity, look.name, word, f"{factor * largest:.2g} {unit}"))
-        shift = sigma[f"{look.name}.time_shift_cam_imu"]
-        severity = _graded(shift, _SHIFT_WARN_S, _SHIFT_FAIL_S)
-        if severity is not None:
-            findings.append(_imprecise(severity, look.name, "time shift", f"{1e3 * shift:.2g} ms"))
-    return findings
-
-
-def _imprecise(severity: str, camera: str, word: str, sigma: str) -> Finding:
-    return Finding(
-        severity="problem" if severity == "problem" else "warning",
-        code="imprecise",
-        message=f"The {word} between {camera} and the IMU is known to {sigma} only (one sigma).",
-        consequence="A filter that trusts it will drift.",
-        cure="Record longer, with brisker rotation and acceleration, nearer to the board.",
-    )
 
 
 def _residuals(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:

@@ -19,7 +19,10 @@ Kind = Literal["rotation", "translation", "time_shift", "gyroscope", "g_sensitiv
 
 _CAMERA_AXES = ("x axis (right)", "y axis (down)", "optical axis")
 _IMU_AXES = ("x axis", "y axis", "z axis")
-_CAMERA_VECTORS: dict[Kind, str] = {"rotation": "T_cam_imu.rotation", "translation": "T_cam_imu.translation"}
+_VECTORS: tuple[Kind, Kind] = ("rotation", "translation")
+_SHIFTS = {"T_cam_imu": "time_shift_cam_imu", "T_imu_body": "time_shift_imu"}
+"""Name of a pose -> that of the time shift of the same sensor."""
+
 _IMU_MATRICES: dict[Kind, str] = {
     "gyroscope": "gyroscope.sensitivity",
     "g_sensitivity": "gyroscope.g_sensitivity",
@@ -47,7 +50,8 @@ class Part:
     ----------
     kind, sensor : such as "gyroscope" of "imu0"
     index : (k,) places of its scalars among the names; of matrices row by row
-    axes : (3, 3) principal directions as columns: of a camera in its own axes, of an IMU in the body's
+    axes : (3, 3) principal directions as columns: of a camera in its own axes; of an IMU in its own, of its pose in the
+        body's
     sigma : (3,) standard deviation along each; of a matrix that of its answer to a unit vector, over all rows
     places : (3, k) each direction in the part's scalars, unit vectors
     bias_correlation : of an accelerometer's scale along the worst direction with its bias; 0 of others
@@ -60,6 +64,11 @@ class Part:
     sigma: Floats
     places: Floats
     bias_correlation: float = 0.0
+
+    @property
+    def of_camera(self) -> bool:
+        """Whether it is a camera's."""
+        return not self.sensor.startswith("imu")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,23 +107,28 @@ def relative(
     return Relative(names=names, covariance=covariance * np.outer(factor, factor))
 
 
-def parts(names: tuple[str, ...], covariance: Floats, R_cam_imu: Mapping[str, Floats]) -> Iterator[Part]:
+def parts(names: tuple[str, ...], covariance: Floats, R_sensor_body: Mapping[str, Floats]) -> Iterator[Part]:
     """Yield the parts of which anything was estimated.
 
     Parameters
     ----------
     names : (n,) scalars as in `Covariance.names`
     covariance : (n, n), of matrices relative to the size of their rows
-    R_cam_imu : "cam0" -> (3, 3)
+    R_sensor_body : of cameras, and of IMUs beside the body, "cam0" -> (3, 3)
     """
     column = {name: i for i, name in enumerate(names)}
-    for sensor, R in R_cam_imu.items():
-        for kind, path in _CAMERA_VECTORS.items():
-            index = _index(column, [f"{sensor}.{path}[{k}]" for k in range(3)])
+    for sensor, R in R_sensor_body.items():
+        of_imu = sensor.startswith("imu")
+        link = "T_imu_body" if of_imu else "T_cam_imu"
+        for kind in _VECTORS:
+            index = _index(column, [f"{sensor}.{link}.{kind}[{k}]" for k in range(3)])
             if index is not None and covariance[index, index].any():
-                turn = R if kind == "rotation" else np.eye(3)  # the rotation's perturbation is in the body's axes
+                # the rotation's perturbation is in the body's axes, the translation in those of the sensor
+                turn = np.eye(3)
+                if of_imu != (kind == "rotation"):
+                    turn = R.T if of_imu else R
                 yield _vector_part(kind, sensor, index, covariance, turn)
-        shift = column.get(f"{sensor}.time_shift_cam_imu")
+        shift = column.get(f"{sensor}.{_SHIFTS[link]}")
         if shift is not None and covariance[shift, shift] > 0:
             yield Part(
                 kind="time_shift",
@@ -260,9 +274,11 @@ def _motion(part: Part, R_cam_imu: Floats | None) -> str:
     if part.kind == "time_shift":
         return "Turn the rig to and fro"
     if part.kind in ("rotation", "translation"):
-        across = across_words(part.axes[:, 0], of_camera=True)
+        across = across_words(part.axes[:, 0], of_camera=part.of_camera)
         return (
             f"Turn {part.sensor} about its {across}"
+            if missing and part.of_camera
+            else f"Turn the rig about imu0's {across}"
             if missing
             else "Turn the rig about all three axes, and move it to and fro"
         )

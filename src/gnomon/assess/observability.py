@@ -5,7 +5,7 @@ a direction, and that of what any use needs, beyond which a direction is worth a
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -50,6 +50,10 @@ _CAMERA_IMU_PRIORS = {
     "T_cam_imu.rotation": 1.0,
     "T_cam_imu.translation": 1.0,
     "time_shift_cam_imu": 0.1,
+    "T_imu_body.rotation": 1.0,
+    "T_imu_body.translation": 1.0,
+    "time_shift_imu": 0.1,
+    "accelerometer.time_shift": 0.1,
     "line_delay": 1e-4,
     "intrinsics": 20.0,
 }
@@ -68,6 +72,8 @@ _MOST_SHARES = 6
 _THROUGH = 0.8
 """Share of its variance from which on a coordinate is said to be known only through the lens."""
 
+_OF_A_POSE: tuple[Kind, ...] = ("rotation", "translation", "time_shift")
+
 _FOCAL, _PRINCIPAL = "focal length", "principal point"
 
 
@@ -83,6 +89,7 @@ class Known:
     weak : (n,) bool, whether the prior is only there to keep what is not determined from running away
     R_cam_imu : "cam0" -> (3, 3)
     duration_s : of the recording; nan where its length says nothing
+    R_imu_body : of the IMUs beside the body, "imu1" -> (3, 3)
     """
 
     names: tuple[str, ...]
@@ -91,11 +98,13 @@ class Known:
     weak: np.ndarray
     R_cam_imu: Mapping[str, Floats]
     duration_s: float = float("nan")
+    R_imu_body: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
-    @property
-    def main_camera(self) -> Floats | None:
-        """R_cam_imu of the first camera, (3, 3), or None."""
-        return next(iter(self.R_cam_imu.values()), None)
+    def main_camera(self, part: Part) -> Floats | None:
+        """Return the axes of the first camera against those of a part, (3, 3), or None without a camera."""
+        first = next(iter(self.R_cam_imu.values()), None)
+        own = self.R_imu_body.get(part.sensor)
+        return first if first is None or own is None or part.kind in _OF_A_POSE else first @ own.T
 
 
 def known_of(
@@ -131,6 +140,7 @@ def known_of(
         weak=weak,
         R_cam_imu={name: camera.T_cam_imu[:3, :3] for name, camera in cameras.items()},
         duration_s=duration_s,
+        R_imu_body={name: imu.T_imu_body[:3, :3] for name, imu in imus.items() if imu.T_imu_body is not None},
     )
 
 
@@ -150,7 +160,7 @@ def weak_directions(known: Known, limits: Mapping[Kind, float] = LIMITS) -> tupl
 
 
 def _parts(known: Known) -> Iterator[Part]:
-    return parts(known.names, known.covariance, known.R_cam_imu)
+    return parts(known.names, known.covariance, {**known.R_cam_imu, **known.R_imu_body})
 
 
 def _held(known: Known, part: Part) -> bool:
@@ -163,7 +173,7 @@ def _weak(known: Known, part: Part, limit: float) -> WeakDirection | None:
         return None
     limit = min(limit, LIMITS[part.kind])
     prior = _prior_along(known, part)
-    subject, plural = _subject(part)
+    subject, plural = _subject(part, several=bool(known.R_imu_body))
     if held:
         known_how = f"{'are' if plural else 'is'} not known"
     else:
@@ -172,7 +182,7 @@ def _weak(known: Known, part: Part, limit: float) -> WeakDirection | None:
         shares=_shares(known, part),
         determined=float(np.clip(1 - (part.sigma[0] / prior) ** 2, 0.0, 1.0)),
         words=f"{subject} {known_how}: {_reason(known, part, limit)}.",
-        cure=cure(part, limit, known.duration_s, known.main_camera),
+        cure=cure(part, limit, known.duration_s, known.main_camera(part)),
         held=held,
     )
 
@@ -181,8 +191,9 @@ def _prior_along(known: Known, part: Part) -> float:
     """Return the prior's standard deviation of the worst direction, over all rows of a matrix."""
     sigma = np.where(known.weak[part.index], known.prior_sigma[part.index], np.inf)
     if len(part.index) == 9:
-        by_row = np.sqrt(np.square(sigma.reshape(3, 3)) @ np.square(part.axes[:, 0]))
-        return float(np.sqrt(np.sum(by_row[np.isfinite(by_row)] ** 2))) or float("inf")
+        rows = sigma.reshape(3, 3)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        return float(np.sqrt(np.sum(np.square(rows) @ np.square(part.axes[:, 0])))) or float("inf")
     return float(np.sqrt(np.sum((sigma * part.places[0]) ** 2))) if np.isfinite(sigma).all() else float("inf")
 
 
@@ -198,23 +209,36 @@ def _shares(known: Known, part: Part) -> tuple[tuple[str, float], ...]:
     return tuple((known.names[i], float(moved[i] / size)) for i in order if moved[i])
 
 
-def _subject(part: Part) -> tuple[str, bool]:
-    """Return what is hardly determined, and whether it is a plural."""
-    worst, count = part.axes[:, 0], badly_known(part)
-    if part.kind == "translation":
-        axes = across_words(part.axes[:, 2], of_camera=True) if count == 2 else axis_words(worst, of_camera=True)
-        along = "" if count == 3 else f" along its {axes}"
-        return f"The translation of {part.sensor} against the IMU{along}", False
-    if part.kind == "rotation":
-        about = "" if count == 3 else f" about the camera's {axis_words(worst, of_camera=True)}"
-        return f"The rotation of {part.sensor} against the IMU{about}", False
+def _subject(part: Part, *, several: bool) -> tuple[str, bool]:
+    """Return what is hardly determined, and whether it is a plural; of `several` IMUs which one's it is."""
+    whose = f" of {part.sensor}" if several else ""
+    if part.kind in ("rotation", "translation"):
+        return _pose_subject(part), False
     if part.kind == "time_shift":
         return f"The time shift of {part.sensor}", False
     if part.kind == "g_sensitivity":
-        return "The g-sensitivity of the gyroscope", False
+        return f"The g-sensitivity of the gyroscope{whose}", False
     if trades_with_bias(part):
-        return f"The {axis_words(worst, of_camera=False).replace(' axis', '')} scale of the accelerometer", False
-    return f"The scales and axes of the {part.kind}", True
+        axis = axis_words(part.axes[:, 0], of_camera=False).replace(" axis", "")
+        return f"The {axis} scale of the accelerometer{whose}", False
+    return f"The scales and axes of the {part.kind}{whose}", True
+
+
+def _pose_subject(part: Part) -> str:
+    """Return which part of a pose is hardly determined."""
+    worst, count, of_camera = part.axes[:, 0], badly_known(part), part.of_camera
+    subject = f"The {part.kind} of {part.sensor} against {'the IMU' if of_camera else 'imu0'}"
+    if count == 3:
+        return subject
+    if part.kind == "rotation":
+        return f"{subject} about {'the camera' if of_camera else 'imu0'}'s {axis_words(worst, of_camera=of_camera)}"
+    two = across_words(part.axes[:, 2], of_camera=of_camera)
+    return f"{subject} along {_its(part)} {two if count == 2 else axis_words(worst, of_camera=of_camera)}"
+
+
+def _its(part: Part) -> str:
+    """Return whose axes the directions of a pose are named by."""
+    return "its" if part.of_camera else "imu0's"
 
 
 def _size(part: Part) -> str:
@@ -232,20 +256,20 @@ def _reason(known: Known, part: Part, limit: float) -> str:
     seconds, as_before = seconds_more(part, limit, known.duration_s)
     if as_before and amount(seconds):
         return "the recording is short"
-    if part.kind in ("rotation", "translation", "time_shift"):
-        return _camera_reason(part)
-    return _imu_reason(part, known.main_camera)
+    if part.kind in _OF_A_POSE:
+        return _pose_reason(part)
+    return _imu_reason(part, known.main_camera(part))
 
 
-def _camera_reason(part: Part) -> str:
+def _pose_reason(part: Part) -> str:
     if part.kind == "time_shift":
         return "the rig turned and moved too little, or too slowly"
     if not one_direction(part):
         return f"the rig hardly {'turned' if part.kind == 'translation' else 'moved'}"
-    across = across_words(part.axes[:, 0], of_camera=True)
+    across = f"{_its(part)} {across_words(part.axes[:, 0], of_camera=part.of_camera)}"
     if part.kind == "translation":
-        return f"rotation about its {across} is missing"
-    return f"rotation about its {across}, and acceleration along them, are missing"
+        return f"rotation about {across} is missing"
+    return f"rotation about {across}, and acceleration along them, are missing"
 
 
 def _imu_reason(part: Part, R_cam_imu: Floats | None) -> str:

@@ -118,7 +118,8 @@ def statement_of(candidate: Candidate, references: frozenset[str] = frozenset())
     for quantity, _ in parts:
         rows = slice(row, row + len(quantity.elements))
         row = rows.stop
-        estimated = _was_estimated(quantity, None if covariance is None else np.diag(covariance)[rows], own, alone)
+        variance = None if covariance is None else np.diag(covariance)[rows]
+        estimated = candidate.exact or _was_estimated(quantity, variance, own, alone)
         if estimated is not None:
             values = frozen_array(quantity.values)
             quantities[quantity.path] = replace(quantity, values=values, estimated=estimated, rows=rows)
@@ -242,8 +243,17 @@ def _imu_parts(name: str, imu: ImuCalibration) -> Iterator[_Part]:
                 Quantity(path=f"{path}.lever_arms", kind="lever arms", elements=_NINE, unit="m", values=arms),
                 lever_arms_m=np.eye(9),
             )
+        if triad == "accelerometer" and sensor.time_shift_s is not None:
+            yield placed(_time_shift(path, sensor.time_shift_s), time_shift=np.eye(1))
         bias = Quantity(path=f"{path}.bias", kind="bias", elements=_AXES, unit=sensor.unit, values=sensor.bias)
         yield placed(bias, bias=np.eye(3))
+    if imu.T_imu_body is not None:
+        blocks = (*_pose(f"{name}.imu0", imu.T_imu_body), _time_shift(name, imu.time_shift_s))
+        scalars = ("T_imu_body.rotation", "T_imu_body.translation", "time_shift_imu")
+        for block, path in zip(blocks, scalars, strict=True):
+            whole = np.zeros((len(block.elements), count))
+            whole[:, starts[path] : starts[path] + len(whole)] = np.eye(len(whole))
+            yield _Part(quantity=block, jacobian=whole)
 
 
 def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
@@ -253,9 +263,9 @@ def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
     if name != camera.body:
         blocks += _pose(name if camera.body == "imu0" else f"{name}.{camera.body}", camera.T_cam_body)
     if camera.body == "imu0":
-        shift, delay = np.array([camera.time_shift_cam_imu]), np.array([lens.line_delay_s])
+        delay = np.array([lens.line_delay_s])
         blocks += [
-            Quantity(path=f"{name}.time_shift", kind="time shift", elements=("",), unit="s", values=shift),
+            _time_shift(name, camera.time_shift_cam_imu),
             Quantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
         ]
     symbols, values = lens.parameter_symbols, lens.parameters
@@ -266,6 +276,11 @@ def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
         rows = np.eye(count)[start : start + len(block.elements)]
         start += len(block.elements)
         yield _Part(quantity=block, jacobian=rows)
+
+
+def _time_shift(path: str, shift_s: float) -> Quantity:
+    values = np.array([shift_s])
+    return Quantity(path=f"{path}.time_shift", kind="time shift", elements=("",), unit="s", values=values)
 
 
 def _pose(path: str, T: Floats) -> tuple[Quantity, Quantity]:

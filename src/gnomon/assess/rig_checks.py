@@ -1,5 +1,8 @@
 """What camera and IMU say of each other before anything is estimated: axes, clocks, stamps, board and lens."""
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
 from ..detect.samples.saturation import saturated
@@ -11,7 +14,7 @@ from ..findings import Finding
 from ..intervals import Booleans
 from ..models.camera import Camera
 from ..models.target import Target
-from ..recording import Floats, ImuSamples, Recording
+from ..recording import CameraFrames, Floats, ImuSamples, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .causes import causes_first
 from .clock_drift import look_at_drift
@@ -34,18 +37,39 @@ _SLOW_RAD_S = 0.15
 
 
 def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, ...]:
-    """Look at all cameras beside the first IMU, whose samples follow each other in time.
+    """Look at all cameras beside the first IMU, and at the first one beside the others; samples are in order of time.
 
     Codes: those of `check_look`, clock or clock-drift, and not-aligned.
     """
-    imu, samples = next(iter(recording.imus.items()))
+    (first, samples), *others = recording.imus.items()
+    findings = _beside(first, samples, recording.cameras, target)
+    guide = dict(list(recording.cameras.items())[:1])
+    for name, samples in others:
+        found = _beside(name, samples, guide, target)
+        findings += [about(name, finding) for finding in found if finding.code in _OF_AN_IMU]
+    return causes_first(findings)
+
+
+_OF_AN_IMU = frozenset(
+    {"not-aligned", "axes-differ", "axes-mirrored", "triads-apart", "clock-jump", "clock", "clock-drift", "time-shift"}
+)
+"""Findings on a camera beside an IMU that tell something of the IMU."""
+
+
+def about(imu: str, finding: Finding) -> Finding:
+    """Return a finding that names the IMU which it is about."""
+    return finding if imu in finding.message else replace(finding, message=f"{imu}: {finding.message}")
+
+
+def _beside(imu: str, samples: ImuSamples, cameras: Mapping[str, CameraFrames], target: Target) -> list[Finding]:
+    """Return what cameras and an IMU say of each other."""
     stream, clipped = _stream(samples)
     if stream is None:
-        return ()
+        return []
     integral = gyroscope_integral(stream.t_s, stream.rate)
     origin = int(samples.gyroscope.t_ns[0])
     findings: list[Finding] = []
-    for name, frames in recording.cameras.items():
+    for name, frames in cameras.items():
         poses = board_poses(frames, target, np.asarray((frames.t_ns - origin) * 1e-9, dtype=np.float64))
         try:
             alignment = align(poses, integral, name)
@@ -54,7 +78,7 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
             continue
         findings += check_look(name, poses, alignment, frames.camera, target, stream=stream, imu=imu, unusable=clipped)
         findings += look_at_drift(name, poses, stream, alignment.time_shift_s, imu)
-    return causes_first(findings)
+    return findings
 
 
 def _stream(samples: ImuSamples) -> tuple[ImuStream | None, Booleans | None]:
@@ -269,7 +293,8 @@ def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding
             f"{earlier}.",
             consequence="One time shift cannot hold for both; what the accelerometer tells (translation, its own "
             "errors) is bent.",
-            cure="Give both the same filter, or correct the stamps of one of them by this delay.",
+            cure="Give both the same filter, correct the stamps of one of them by this delay, or let it be estimated: "
+            f"--free {imu}.accelerometer_shift.",
         )
     ]
 

@@ -16,7 +16,7 @@ from ..images import Frame, Grey, ImageRecording, ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import FrameQuality, ImuSamples, Integers, Recording
-from .camera_checks import all_stamps, check_cameras, check_common_time, check_rhythm, imu_stamps
+from .camera_checks import all_stamps, beside, check_cameras, check_common_time, check_rhythm, imu_stamps
 from .cameras_checks import check_views
 from .clock_checks import check_clocks, check_epochs
 from .image_checks import Sight, boxes, check_quality, check_sight
@@ -167,8 +167,8 @@ def check_stamps_together(
         findings += _order(name, t_ns)
         if imus and len(ordered) >= 3:  # alone, cameras may take their views when they like
             findings += check_rhythm(name, ordered)
-        for imu_name, imu in imus.items():
-            findings += check_common_time(name, ordered, imu_name, imu, shifts.get(name, 0.0))
+        for imu in beside(name, stamps, imus):
+            findings += check_common_time(name, ordered, imu, imus[imu], shifts.get(name, 0.0))
     return findings
 
 

@@ -8,8 +8,8 @@ differs once, and for good.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solveh_banded
-from scipy.ndimage import median_filter
 
 from ..estimate.camera_imu.board_poses import BoardPoses
 from ..estimate.camera_imu.first_guess import ImuStream
@@ -92,10 +92,11 @@ def frame_times(
     sigma = _noise(differs[close], 0.5 * (rate[1:] + rate[:-1])[close])
     late, sigma_s = _lateness(differs, rate, close, sigma)
     moved = _moved(differs, R, close)
+    ends = np.pad(late, _NEIGHBOURS // 2, mode="edge")
     return FrameTimes(
         t_s=t_s - t_s[0],
         late_s=late - np.median(late),
-        alone_s=late - median_filter(late, _NEIGHBOURS, mode="nearest"),
+        alone_s=late - np.median(sliding_window_view(ends, _NEIGHBOURS), axis=1),
         sigma_s=sigma_s,
         moved_rad=moved,
         moved_usual_rad=float(np.median(moved[moved > 0])) if moved.any() else 0.0,

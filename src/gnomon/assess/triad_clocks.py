@@ -10,6 +10,7 @@ _LONGEST_S = 10.0
 _APART_S, _FAR_S = 0.1, 0.3
 _ALIKE, _GAINED = 0.5, 0.1
 _LONG_S = 20.0
+_FEWEST_IN_WIDTH = 2  # samples, about: fewer show nothing stirred, and stamps far too slow would need an endless grid
 
 
 def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
@@ -23,7 +24,8 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     first = max(int(accelerometer.t_ns[0]), int(gyroscope.t_ns[0]))
     last = min(int(accelerometer.t_ns[-1]), int(gyroscope.t_ns[-1]))
-    if (last - first) * 1e-9 < _LONG_S:
+    slower_hz = min(accelerometer.rate_hz, gyroscope.rate_hz)
+    if (last - first) * 1e-9 < _LONG_S or not slower_hz * _WIDTH_S >= _FEWEST_IN_WIDTH:
         return []
     grid = np.arange(0, (last - first) * 1e-9, _GRID_S)
     pushed, turned = (_stirred(samples, first, grid) for samples in (accelerometer, gyroscope))

@@ -26,9 +26,14 @@ _PUBLISHED = {
     "M_g": "gyroscope.sensitivity",
     "q_bg": "gyroscope.sensitivity",
     "B_g": "gyroscope.g_sensitivity",
+    "time_shift": "time_shift_imu",
+    "accelerometer_shift": "accelerometer.time_shift",
 }
 """Block of the estimation -> what of it is published."""
 
+
+PLACES_AND_CLOCKS = (".T_cam_imu.", ".time_shift_cam_imu", ".T_imu_body.", ".time_shift")
+"""Parts of the names of scalars, as published and as estimated, that tell where and when a sensor is."""
 
 _USUAL_FOCAL_ERROR = 3e-3
 """Focal lengths of usual camera calibrations are off by so much: 0.5 to 0.8 % were found in those of EuRoC."""
@@ -117,8 +122,8 @@ def imu_weak(estimate: ImuEstimate) -> tuple[WeakDirection, ...]:
 def weak_findings(weak: Sequence[WeakDirection], *, with_camera: bool) -> list[Finding]:
     """Return a finding for each weak direction, the weakest first.
 
-    Without the place and the clock of its camera a camera-IMU calibration is of no use, nor is that of an IMU alone
-    without any of its sensors.
+    Without the place and the clock of its sensors a camera-IMU calibration is of no use, nor is that of an IMU alone
+    without any of its triads.
     """
     findings: list[Finding] = []
     for one in weak:
@@ -126,8 +131,7 @@ def weak_findings(weak: Sequence[WeakDirection], *, with_camera: bool) -> list[F
             findings.append(Finding(severity="info", code="hardly-observable", message=one.words, cure=one.cure))
             continue
         vital = any(
-            abs(share) > _MAINLY and (".T_cam_imu." in name or name.endswith("time_shift_cam_imu"))
-            for name, share in one.shares
+            abs(share) > _MAINLY and any(part in name for part in PLACES_AND_CLOCKS) for name, share in one.shares
         )
         findings.append(
             Finding(

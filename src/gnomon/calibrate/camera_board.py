@@ -6,9 +6,9 @@ residuals that stay with a corner from view to view (B16, as in a camera-IMU cal
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import ndtri
 
 from ..camera_options import CameraOptions
 from ..estimate.camera_imu.residual_patterns import along_board, common_pattern
@@ -112,7 +112,7 @@ def _corner_step(solution: RigSolution) -> ModelStep:
     pattern = common_pattern(residual, point, time_clusters(solution)[view])
     gain, least = (len(point) * share / max(1 - share, 0.1) for share in (pattern.share, _CORNERS_SHARE))
     spread = abs(gain / pattern.z) if pattern.z else 0.0
-    needed = max(spread * float(ndtri(1 - _CORNERS_CHANCE)), least)
+    needed = max(spread * NormalDist().inv_cdf(1 - _CORNERS_CHANCE), least)
     return ModelStep(
         name="corners",
         parameters=3 * len(solution.views.target),

@@ -8,15 +8,17 @@ taken out again.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import ndtri
 
-from ..estimate.camera_imu.batch import State, gauss_newton_step, linearised
+from ..estimate.camera_imu.batch import State, linearised
 from ..estimate.camera_imu.choices import choices, imu_blocks, lens_prior
 from ..estimate.camera_imu.cluster_sums import cluster_sums
+from ..estimate.camera_imu.gauss_newton import gauss_newton_step
+from ..estimate.camera_imu.layout import layout
 from ..estimate.camera_imu.model_ladder import EXTRAS, LADDER, ladder, step_columns
-from ..estimate.camera_imu.parameters import Parameters, layout
+from ..estimate.camera_imu.parameters import Parameters
 from ..estimate.camera_imu.residual_patterns import board_evidence
 from ..estimate.camera_imu.solution import Solution, solved
 from ..estimate.trust.clusters import ClusterSums
@@ -152,7 +154,7 @@ def _board_step(solution: Solution) -> ModelStep:
     )
     gain, least = (corners * share / max(1 - share, 0.1) for share in (pattern.share, _BOARD_SHARE))
     spread = abs(gain / pattern.z) if pattern.z else 0.0
-    needed = max(spread * float(ndtri(1 - _BOARD_CHANCE)), least)
+    needed = max(spread * NormalDist().inv_cdf(1 - _BOARD_CHANCE), least)
     return ModelStep(
         name=_BOARD,
         parameters=0 if board is None else board.offsets.size,
@@ -168,7 +170,8 @@ def _seen_with_k3(solution: Solution, options: CameraImuOptions) -> Solution:
     state, origin = _with_k3(solution)
     chosen = choices(origin, options)
     columns = layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin))
-    lin = linearised(solution.measurements, state, columns, solution.noise, probing=True)
+    spare = solution.spare_workspace()
+    lin = linearised(solution.measurements, state, columns, solution.noise, probing=True, workspace=spare)
     return replace(solution, state=state, layout=columns, lin=lin, step=gauss_newton_step(lin))
 
 
@@ -197,4 +200,5 @@ def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraIm
         gate=options.robust,
         max_iterations=options.max_iterations,
         tell=tell,
+        workspace=solution.spare_workspace(),
     )

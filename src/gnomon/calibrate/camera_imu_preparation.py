@@ -1,5 +1,6 @@
 """Before anything is estimated from cameras and IMU: checked, in SI units, on one time base."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,12 +13,13 @@ from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, RecordingError
 from ..estimate.camera_imu.batch import Noise
 from ..estimate.camera_imu.first_guess import ImuStream, Look
-from ..estimate.camera_imu.inertial_terms import InertialData, InertialNoise, TriadData
+from ..estimate.camera_imu.inertial_data import ImuBeforehand, InertialData, TriadData
+from ..estimate.camera_imu.other_imus import Beside
 from ..findings import Finding
-from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..models.noise import CONSUMER_MEMS
 from ..models.target import Target
 from ..options import CameraImuOptions
-from ..recording import ImuSamples, Recording, TriadSamples
+from ..recording import Recording, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _CONTRADICTIONS = {"axes-differ", "axes-mirrored"}
@@ -30,39 +32,37 @@ class PreparedCameraImu:
 
     Attributes
     ----------
-    inertial : of imu0
-    origin_ns : stamp at which the seconds start [ns]
-    rates_hz : sample rates of gyroscope and accelerometer
-    nominal : noise as it was stated, or as consumer sensors have it
-    stated : whether it was stated
+    inertial : of all IMUs, each in seconds of its own clock
+    imus : what is known of each
     findings : what the data doctor noticed
     """
 
     inertial: tuple[InertialData, ...]
-    origin_ns: int
-    rates_hz: tuple[float, float]
-    nominal: ImuNoise
-    stated: bool
+    imus: tuple[ImuBeforehand, ...]
     findings: tuple[Finding, ...]
+
+    @property
+    def origin_ns(self) -> int:
+        """Stamp at which the seconds of the first IMU, and of the cameras, start [ns]."""
+        return self.imus[0].origin_ns
+
+    @property
+    def epochs_s(self) -> tuple[float, ...]:
+        """For each IMU, start of the body's seconds less the start of its own, as stamps of their clocks [s]."""
+        return tuple((self.origin_ns - imu.origin_ns) * 1e-9 for imu in self.imus)
 
     def first_noise(self, pixel_sigma: tuple[float, ...], huber: float) -> Noise:
         """Return the noise levels to start with."""
-        gyroscope, accelerometer = np.sqrt(self.rates_hz)
         return Noise(
-            imus=(
-                InertialNoise(
-                    gyroscope=self.nominal.gyroscope_noise_density * gyroscope,
-                    accelerometer=self.nominal.accelerometer_noise_density * accelerometer,
-                ),
-            ),
-            walks=((self.nominal.gyroscope_random_walk, self.nominal.accelerometer_random_walk),),
+            imus=tuple(imu.noise for imu in self.imus),
+            walks=tuple(imu.walks for imu in self.imus),
             pixel_sigma=pixel_sigma,
             huber=huber,
         )
 
 
 def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuOptions) -> PreparedCameraImu:
-    """Check a recording and put its first IMU into SI units and on its time base.
+    """Check a recording and put its IMUs into SI units, each on its own time base.
 
     Raises
     ------
@@ -73,58 +73,79 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     """
     if not recording.imus:
         raise RecordingError("the recording holds no IMU. Give a folder with imu0.csv beside the corners.")
-    assumptions = recording.assumptions
-    if len(recording.imus) > 1:
-        first = next(iter(recording.imus))
-        assumptions += (f"the recording holds {len(recording.imus)} IMUs; {first} is the one that is calibrated.",)
     found = (*recording.findings, *check_cameras(recording, target))
     for finding in found:
         if finding.severity == "problem":
             raise (DetectionError if finding.code in _FEW_CODES else RecordingError)(str(finding))
-    findings = (*found, *(Finding(severity="info", code="assumed", message=text) for text in assumptions))
-    samples = next(iter(recording.imus.values()))
-    accelerometer = _in_si(repaired(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2")
-    gyroscope = _in_si(repaired(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
-    origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
-    return PreparedCameraImu(
-        inertial=_inertial(accelerometer, gyroscope, origin, options),
-        origin_ns=origin,
-        rates_hz=(gyroscope.rate_hz, accelerometer.rate_hz),
-        nominal=samples.noise or CONSUMER_MEMS,
-        stated=samples.noise is not None,
-        findings=(*findings, *_noise_findings(samples)),
-    )
+    findings = [*found, *(Finding(severity="info", code="assumed", message=text) for text in recording.assumptions)]
+    inertial: list[InertialData] = []
+    imus: list[ImuBeforehand] = []
+    for number, (name, samples) in enumerate(recording.imus.items()):
+        accelerometer = _in_si(repaired(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2")
+        gyroscope = _in_si(repaired(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
+        origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
+        inertial += _inertial(number, accelerometer, gyroscope, origin, options)
+        imus.append(
+            ImuBeforehand(
+                name=name,
+                origin_ns=origin,
+                rates_hz=(gyroscope.rate_hz, accelerometer.rate_hz),
+                nominal=samples.noise or CONSUMER_MEMS,
+                stated=samples.noise is not None,
+            )
+        )
+    findings += _noise_findings(imus)
+    return PreparedCameraImu(inertial=tuple(inertial), imus=tuple(imus), findings=tuple(findings))
 
 
 def with_looks(
-    prepared: PreparedCameraImu, found: tuple[Look, ...], target: Target, stream: ImuStream, *, imu: str
+    prepared: PreparedCameraImu,
+    found: Sequence[Look],
+    target: Target,
+    streams: Sequence[ImuStream],
+    beside: Sequence[Beside],
 ) -> PreparedCameraImu:
-    """Return the same with what cameras and IMU say of each other among its findings.
+    """Return the same with what cameras and IMUs say of each other among its findings.
 
     Raises
     ------
     RecordingError
         If their axes contradict each other, so that nothing could be estimated.
     """
-    gyroscope = next(data.gyroscope for data in prepared.inertial if data.gyroscope is not None)
     findings: list[Finding] = []
     for look in found:
-        if look.alignment.score == 0:
-            continue  # taken as stated, since nothing tells it
-        findings += check_look(
-            look.name,
-            look.poses,
-            look.alignment,
-            look.frames.camera,
-            target,
-            stream=stream,
-            imu=imu,
-            unusable=~gyroscope.used,
-        )
+        findings += _looked(prepared, look, target, streams[0], 0)
+    known = {finding.code for finding in findings}
+    for number, one in enumerate(beside, 1):
+        look = replace(one.look, alignment=one.alignment)
+        own = _looked(prepared, look, target, streams[number], number)
+        findings += [_about(one.name, finding) for finding in own if finding.code not in known]
     for finding in findings:
         if finding.code in _CONTRADICTIONS:
             raise RecordingError(str(finding))
     return replace(prepared, findings=(*prepared.findings, *findings))
+
+
+def _looked(prepared: PreparedCameraImu, look: Look, target: Target, stream: ImuStream, number: int) -> list[Finding]:
+    """Return what a camera and an IMU say of each other."""
+    if look.alignment.score == 0:
+        return []  # taken as stated, since nothing tells it
+    gyroscope = next(data.gyroscope for data in prepared.inertial if data.imu == number and data.gyroscope is not None)
+    return check_look(
+        look.name,
+        look.poses,
+        look.alignment,
+        look.frames.camera,
+        target,
+        stream=stream,
+        imu=prepared.imus[number].name,
+        unusable=~gyroscope.used,
+    )
+
+
+def _about(imu: str, finding: Finding) -> Finding:
+    """Return a finding that names the IMU which it is about."""
+    return finding if imu in finding.message else replace(finding, message=f"{imu}: {finding.message}")
 
 
 def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si: str) -> TriadSamples:
@@ -140,7 +161,7 @@ def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si
 
 
 def _inertial(
-    accelerometer: TriadSamples, gyroscope: TriadSamples, origin: int, options: CameraImuOptions
+    number: int, accelerometer: TriadSamples, gyroscope: TriadSamples, origin: int, options: CameraImuOptions
 ) -> tuple[InertialData, ...]:
     clipped = saturated(gyroscope, options.gyroscope_range), saturated(accelerometer, options.accelerometer_range)
     triads = [
@@ -149,22 +170,24 @@ def _inertial(
     ]
     t_gyro = time_base(gyroscope, origin).t_s
     if np.array_equal(gyroscope.t_ns, accelerometer.t_ns):
-        return (InertialData(imu=0, t_s=t_gyro, gyroscope=triads[0], accelerometer=triads[1]),)
+        return (InertialData(imu=number, t_s=t_gyro, gyroscope=triads[0], accelerometer=triads[1]),)
     t_accel = time_base(accelerometer, origin).t_s
     return (
-        InertialData(imu=0, t_s=t_gyro, gyroscope=triads[0], accelerometer=None),
-        InertialData(imu=0, t_s=t_accel, gyroscope=None, accelerometer=triads[1]),
+        InertialData(imu=number, t_s=t_gyro, gyroscope=triads[0], accelerometer=None),
+        InertialData(imu=number, t_s=t_accel, gyroscope=None, accelerometer=triads[1]),
     )
 
 
-def _noise_findings(samples: ImuSamples) -> list[Finding]:
-    if samples.noise is not None:
+def _noise_findings(imus: Sequence[ImuBeforehand]) -> list[Finding]:
+    unknown = [imu.name for imu in imus if not imu.stated]
+    if not unknown:
         return []
+    of = "the IMU" if len(imus) == 1 else ", ".join(unknown)
     return [
         Finding(
             severity="info",
             code="noise-assumed",
-            message="No noise of the IMU was stated; the random walks of its biases are taken as consumer sensors "
+            message=f"No noise of {of} was stated; the random walks of its biases are taken as consumer sensors "
             "have them, the white noise from the residuals.",
             consequence="The uncertainty of the biases, and of what correlates with them, rests on that.",
             cure="Give imu.yaml with the noise by the Allan deviation.",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..assess.prior_findings import cameras_disagree
-from ..calibration import Gravity
+from ..calibration import Calibration, Covariance, Gravity
 from ..estimate.camera_imu.parameters import ImuParameters
 from ..estimate.camera_imu.rig_prior import from_known
 from ..estimate.camera_imu.solution import Solution
@@ -27,15 +27,36 @@ _B_G = np.arange(_GYROSCOPE.stop - 9, _GYROSCOPE.stop)
 _Q_BG = slice(12, 15)  # among the 24 letters
 
 
-def evidence_of_imu(prior: Priors, gravity: Gravity) -> Evidence:
-    """Return what other calibrations know of the IMU, in SI units.
+def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) -> Evidence:
+    """Return what other calibrations know of an IMU, in SI units; where it sits is not asked.
+
+    Parameters
+    ----------
+    name : of the IMU
+    first : whether it is the first IMU; a calibration of one IMU alone is then of this one, whatever its name
 
     Raises
     ------
     OptionError
         If a calibration is for measurements in counts.
     """
-    return known_beforehand(prior, CameraImuOptions(), _SI, gravity=gravity)
+    given = () if prior is None else (prior,) if isinstance(prior, Calibration) else tuple(prior)
+    own = [one if first else _alone(one, name) for one in given if first or name in one.imus]
+    return known_beforehand(own, CameraImuOptions(), _SI, gravity=gravity)
+
+
+def _alone(calibration: Calibration, name: str) -> Calibration:
+    """Return a calibration of one IMU of several."""
+    at = [i for i, scalar in enumerate(calibration.uncertainty.names) if scalar.startswith(f"{name}.")]
+    return replace(
+        calibration,
+        imus={name: calibration.imus[name]},
+        cameras={},
+        uncertainty=Covariance(
+            names=tuple(calibration.uncertainty.names[i] for i in at),
+            matrix=calibration.uncertainty.matrix[np.ix_(at, at)],
+        ),
+    )
 
 
 def known_imu(found: Evidence) -> ImuParameters | None:

@@ -20,10 +20,11 @@ from ..readers.files import file_source
 from ..readers.images.image_recording import open_images
 from ..readers.rig.camera_folder import holds_corners, recording_folder
 from ..readers.rig.camera_imu import read_corner_recording
+from ..readers.rig.imu_stream import with_stated
 from ..readers.rig.kalibr_camchain import CameraInput
 from ..readers.rig.kalibr_imu_input import ImuInput
 from ..readers.rig.kalibr_target import read_target
-from ..readers.rig.sensor_inputs import read_cameras, read_imus, read_rig
+from ..readers.rig.sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imus, read_rig
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..units import Units
 from .board_reading import Progress, corners_of_camera, stated_cameras
@@ -37,7 +38,7 @@ def read_camera_imu(
     *,
     target: str | PathLike[str],
     cam: str | PathLike[str] | None = None,
-    imu: str | PathLike[str] | None = None,
+    imu: ImuFiles | None = None,
     units: str | Units | None = None,
     topics: Mapping[str, str] = _NO_TOPICS,
     imu_table: str | PathLike[str] | None = None,
@@ -55,7 +56,7 @@ def read_camera_imu(
     target : Kalibr's target.yaml
     cam : Kalibr's camchain.yaml, a calibration.yaml of gnomon, or another project's file of the cameras; not needed
         where the recording states the lenses itself, as EuRoC's does
-    imu : Kalibr's imu.yaml, or None where the noise of the IMU is not known
+    imu : Kalibr's imu.yaml, keyed imu0, imu1, ... or a file of each; None where the noise of the IMUs is not known
     units : of the IMU's samples, as for `gnomon.read`; bags are in SI units
     topics : "cam0", "imu0", ... -> topic of a bag; guessed where it is clear
     imu_table : table of the IMU's samples, where it is not in the recording
@@ -90,7 +91,7 @@ def read_camera_imu(
     notes: list[str] = []
     board = read_target(target, notes)
     stated = {} if cam is None else read_cameras(cam, notes)
-    noise = {} if imu is None else read_imus(imu, notes)
+    noise = read_imus(imu, notes)
     suggested = {name: entry.camera.topic for name, entry in stated.items() if entry.camera.topic}
     suggested |= {name: entry.topic for name, entry in noise.items() if entry.topic}
     images = open_images(path, topics=topics, suggested=suggested, units=units, imu_table=imu_table)
@@ -101,7 +102,7 @@ def read_camera_imu(
         found = corners_of_camera(images, name, entry, board, workers=workers, cache=cache, progress=tell)
         cameras[name] = found.frames
         notes.extend(found.notes)
-    files = [Path(file) for file in (cam, imu, target) if file is not None]
+    files = [Path(file) for file in (cam, *imu_paths(imu), target) if file is not None]
     recording = Recording(
         imus={name: _with_noise(name, samples, noise.get(name), notes) for name, samples in images.imus.items()},
         cameras=cameras,
@@ -169,4 +170,4 @@ def _with_noise(name: str, samples: ImuSamples, stated: ImuInput | None, notes: 
             f"{name}: its samples come at {rate:.4g} Hz, not at the stated update_rate of {stated.update_rate_hz:g} "
             "Hz; the noise densities do not depend on it."
         )
-    return replace(samples, noise=stated.noise, topic=samples.topic or stated.topic)
+    return with_stated(samples, stated)

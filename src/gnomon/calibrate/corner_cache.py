@@ -7,7 +7,6 @@ changes the corners changes the name.
 import hashlib
 import json
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 from .._version import __version__
 from ..errors import GnomonError
 from ..models.target import Target
-from ..output import atomic_file
+from ..output import atomic_file, remove_parts
 from ..readers.rig.kalibr_camchain import CameraInput
+from ..readers.zips import ZIP_DAMAGE, refuse_false_arrays
 from ..recording import CameraFrames, FrameQuality, Source
 from .board_corners import BoardCorners
 
@@ -48,13 +48,15 @@ def cache_file(
 def kept_corners(file: Path, known: CameraInput) -> BoardCorners | None:
     """Return the corners that are kept in a file; None where there is none, or none that can be read."""
     try:
+        with file.open("rb") as stream, zipfile.ZipFile(stream) as packed:
+            refuse_false_arrays(packed, file.name)
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as kept:
             arrays = {name: kept[name] for name in _ARRAYS}
             told = json.loads(str(kept["told"]))
         if tuple(told["resolution"]) != known.camera.resolution:
             return None
         return _corners(arrays, told, known)
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, GnomonError):
+    except (*ZIP_DAMAGE, GnomonError):
         return None
 
 
@@ -107,3 +109,4 @@ def keep_corners(file: Path, corners: BoardCorners) -> None:
     for older in file.parent.glob(f"{camera}-{'[0-9a-f]' * _HASH}{SUFFIX}"):
         if older.name != file.name:
             older.unlink(missing_ok=True)
+    remove_parts(file.parent, f"{camera}-")

@@ -19,6 +19,7 @@ from ..assess.verdict import verdict_of, worst_first
 from ..calibration import Provenance
 from ..detect.samples.noise import averaging_time
 from ..detect.samples.rest import RestTable, RestWatch
+from ..detect.samples.rounding import smallest_steps
 from ..errors import RecordingError
 from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
@@ -32,7 +33,7 @@ from ..readers.samples.folder import recording_files
 from ..readers.samples.recognise import gyroscope_unit
 from ..readers.samples.sample_stream import SampleStream
 from ..readers.samples.stream import open_stream, stream_of
-from ..recording import Floats, Recording, Source, TriadSamples
+from ..recording import Recording, Source, TriadSamples
 from ..sensor_noise import SENSOR_UNITS, AllanTable, AxisNoise, Coefficient, NoiseResult, SensorNoise, TriadNoise
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 
@@ -149,7 +150,7 @@ class _Triad:
         if self._origin is None:
             self._origin = int(block.t_ns[0])
             self._factor = self._unit(block)
-            self.step = _smallest_steps(block.values) * self._factor
+            self.step = smallest_steps(block.values) * self._factor
         t_s = (block.t_ns - self._origin) * 1e-9
         stop_s = np.inf if self._options.stop_s is None else self._options.stop_s
         kept = slice(*np.searchsorted(t_s, [self._options.start_s, stop_s]).tolist())
@@ -202,12 +203,6 @@ def _summed(stream: SampleStream, options: NoiseOptions) -> dict[str, _Triad]:
             else "there are no samples in this recording. Was it copied completely?"
         )
     return {name: triad for name, triad in triads.items() if triad.watch.samples}
-
-
-def _smallest_steps(values: Floats) -> Floats:
-    """Return the smallest change of each axis from sample to sample, (3,); nan where it never changes."""
-    steps = np.abs(np.diff(values[:65_536], axis=0))
-    return np.array([axis[axis > 0].min(initial=np.inf) if axis.any() else np.nan for axis in steps.T])
 
 
 def _fitted(curves: dict[str, AllanVariance]) -> dict[str, tuple[AxisFit, ...]]:

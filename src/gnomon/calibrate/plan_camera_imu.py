@@ -9,14 +9,16 @@ from threadpoolctl import threadpool_limits
 from .._version import __version__
 from ..calibration import Assessment, Calibration, CameraImuFit, Covariance, Gravity, Provenance, covariance_names
 from ..errors import OptionError
-from ..estimate.camera_imu.batch import Measurements, Noise, State, gauss_newton_step, linearised
+from ..estimate.camera_imu.batch import Measurements, Noise, State, linearised
 from ..estimate.camera_imu.board_poses import gathered
 from ..estimate.camera_imu.choices import choices
 from ..estimate.camera_imu.first_guess import per_corner
-from ..estimate.camera_imu.inertial_terms import InertialData, InertialNoise, TriadData
+from ..estimate.camera_imu.gauss_newton import gauss_newton_step
+from ..estimate.camera_imu.inertial_data import InertialData, InertialNoise, TriadData
 from ..estimate.camera_imu.initial_trajectory import ImuPath, initial_trajectory
 from ..estimate.camera_imu.knots import DEFAULT_PER_S, KNOTS_PER_PERIOD, LARGEST_SHARE
-from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes, layout
+from ..estimate.camera_imu.layout import layout
+from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
 from ..estimate.camera_imu.publish import published
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.trajectory import Trajectory
@@ -171,4 +173,4 @@ def _trajectory(recording: PlannedRecording, measurements: Measurements, imu_rat
     seen = np.sort(np.concatenate([data.t_s for data in measurements.visual]))
     wanted = max(KNOTS_PER_PERIOD * recording.fastest_hz, min(DEFAULT_PER_S, imu_rate_hz / 3))
     knots = float(np.clip(5 * np.ceil(wanted / 5 - 1e-9), 5.0, LARGEST_SHARE * imu_rate_hz))
-    return initial_trajectory(path, seen, knots, order=6, gyroscope_bias=np.zeros(3))
+    return initial_trajectory(path, seen, knots, order=6, gyroscope_biases=[np.zeros(3)])

@@ -48,7 +48,8 @@ def rate_from_video(
 
 def _stream(place: Path) -> ImageStream:
     """Return the images; of a video without what lies beside it, but for a table of its stamps."""
-    from ..readers.images.video import is_video, video_stream  # PyAV takes its time
+    from ..readers.images.video import video_stream  # PyAV takes its time
+    from ..readers.images.video_kind import is_video
 
     if not place.exists():
         raise RecordingError(f"{place}: there is no such file or folder. Check the path.")

@@ -10,6 +10,7 @@ from ..calibration import UNSTATED_GRAVITY, AccelerometerCalibration, Gravity, G
 from ..camera_options import CameraOptions
 from ..detect.samples.noise import resting_noise
 from ..detect.samples.repair import repaired
+from ..detect.samples.rounding import rounding_variance, smallest_steps
 from ..detect.samples.saturation import saturated
 from ..detect.samples.static import turning
 from ..detect.samples.time_base import TimeBase, time_base
@@ -169,12 +170,14 @@ def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibrat
 def stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
     """Return samples with their noise at rest, as estimation needs them."""
     of_means, of_increments = resting_noise(samples.values, still, samples.rate_hz)
+    rounded = np.nan_to_num(smallest_steps(samples.values)) ** 2 / 12 / samples.rate_hz  # in motion it is white
     return TriadStream(
         t_s=t_s,
         values=samples.values,
         saturated=clipped,
         rate_hz=samples.rate_hz,
         density=of_means,
-        density_in_motion=of_increments,
+        density_in_motion=np.maximum(of_increments, rounded),
+        rounding=rounding_variance(samples.values, still),
         intervals=still,
     )

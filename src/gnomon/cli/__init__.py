@@ -9,10 +9,26 @@ from collections.abc import Sequence
 from ..errors import GnomonError, OptionError
 from .commands import Command
 from .parse import parse
-from .terminal import Terminal
+from .terminal import Terminal, printable
 
 USAGE, BAD_INPUT, BUG, INTERRUPTED = 2, 3, 1, 130
 """Exit codes of work that was not finished; those of finished work are in `actions`."""
+
+
+_INTERRUPTED = "interrupted; no file is half-written."
+
+
+class EndedError(KeyboardInterrupt):
+    """A signal asked the program to end.
+
+    Parameters
+    ----------
+    number : of the signal
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.exit_code = 128 + number
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -48,7 +64,8 @@ def _explained(error: BaseException) -> tuple[str, int]:
         case MemoryError():
             return "this does not fit into memory. Close other programs, or split the recording.", BAD_INPUT
         case KeyboardInterrupt():
-            return "interrupted; nothing was written.", INTERRUPTED
+            ended = error if isinstance(error, EndedError) else error.__cause__
+            return str(error) or _INTERRUPTED, ended.exit_code if isinstance(ended, EndedError) else INTERRUPTED
         case _:
             what = f"{type(error).__name__}: {error}"
             return f"this is a bug in gnomon ({what}). Please report it, with what GNOMON_DEBUG=1 shows.", BUG
@@ -71,6 +88,6 @@ def _parsed(arguments: Sequence[str], terminal: Terminal) -> Command | int:
 def _failed(terminal: Terminal, kind: str, message: str, code: int) -> int:
     """Say what went wrong, once, and return the exit code."""
     terminal.close()
-    sys.stderr.write(f"gnomon: {message}\n")
+    sys.stderr.write(f"gnomon: {printable(message)}\n")
     terminal.document({"error": {"kind": kind, "message": message, "exit_code": code}})
     return code

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError
 from . import commands
+from .apply_actions import apply
 from .camera_actions import camera
 from .camera_imu_actions import camera_imu, simulate_camera_imu
 from .check_actions import check
@@ -128,35 +129,6 @@ def _say_tables(tables: "Sequence[Table]", terminal: Terminal) -> None:
         terminal.say("")
 
 
-def _apply(command: commands.Apply, terminal: Terminal) -> int:
-    from ..readers import load
-    from ..units import Units
-    from ..writers.apply import apply_files
-
-    source = command.recording
-    imus = load(command.calibration).imus
-    if not imus:
-        raise OptionError(
-            f"{command.calibration}: this calibration is of cameras alone; only samples of an IMU are corrected. Give "
-            "the calibration of the IMU."
-        )
-    name, imu = next(iter(imus.items()))
-    rows = apply_files(
-        imu,
-        *source.paths,
-        output=command.output,
-        columns=source.columns,
-        rate_hz=source.rate,
-        units=None if source.units is None else Units.parse(source.units),
-        imu=name,
-    )
-    terminal.say(f"{rows} rows in {command.output}")
-    if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
-        terminal.say("Lever arms were not applied: each component of the specific force is that at its accelerometer.")
-    terminal.document({"rows": rows, "file": str(command.output)})
-    return USABLE
-
-
 def _simulate(command: commands.Simulate, terminal: Terminal) -> int:
     from ..simulate import simulate
 
@@ -205,7 +177,7 @@ _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
     commands.PlanImu: plan,
     commands.PrintTarget: print_target,
     commands.Show: _show,
-    commands.Apply: _apply,
+    commands.Apply: apply,
     commands.Convert: convert,
     commands.Compare: compare,
     commands.Simulate: _simulate,

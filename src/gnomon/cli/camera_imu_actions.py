@@ -1,6 +1,6 @@
 """What the commands for cameras and an IMU do."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +39,7 @@ NO_TARGET = (
     "of an AprilGrid it holds five lines, such as target_type: aprilgrid, tagCols: 6, tagRows: 6, "
     "tagSize: 0.088 (metres), tagSpacing: 0.3 (gap over tagSize)."
 )
-_SIMULATED = ("imu0.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
+_SIMULATED = ("imu0.csv.gz", "imu0-acc.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
 
 
 def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
@@ -94,7 +94,7 @@ def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[st
     if not command.recording.exists():
         raise RecordingError(f"{command.recording}: there is no such file or folder. Check the path.")
     folder = command.recording if command.recording.is_dir() else command.recording.parent
-    files: dict[str, Any] = {option: getattr(command, option) for option in _INPUTS}
+    files: dict[str, Any] = {option: getattr(command, option) or None for option in _INPUTS}
     found = [option for option, file in files.items() if file is None and (folder / _INPUTS[option][0]).is_file()]
     files |= {option: folder / _INPUTS[option][0] for option in found}
     names = [_INPUTS[option][0] for option in found]
@@ -131,21 +131,23 @@ def refuse_overwriting(
             "Choose another folder with -o."
         )
     for option, file in inputs.items():
-        if file is not None and file.resolve() in {place / name for name in files}:
-            raise OptionError(
-                f"{file}: the result would replace this file of --{option}. Choose another folder with -o."
-            )
+        for path in file if isinstance(file, tuple) else (file,) if file else ():
+            if path.resolve() in {place / name for name in files}:
+                raise OptionError(
+                    f"{path}: the result would replace this file of --{option}. Choose another folder with -o."
+                )
 
 
 def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
-    from .camera_imu_summary import camera_lines, facts
+    from .camera_imu_summary import camera_lines, facts, imu_lines
     from .summary import held_facts, parameter_lines, trust_facts
 
     say_verdict(result.calibration, terminal)
     trusted = (*trust_facts(result.calibration.assessment.trust), *held_facts(result.calibration))
     terminal.say("\n".join([*facts(result), *trusted]))
     say_advice(result.calibration, terminal)
-    terminal.say("\nestimate +- standard deviation\n" + "\n".join(camera_lines(result.calibration)))
+    poses = (*camera_lines(result.calibration), *imu_lines(result.calibration))
+    terminal.say("\nestimate +- standard deviation\n" + "\n".join(poses))
     terminal.say("\nIMU; rows: sensor axes, columns: body axes")
     terminal.say("\n".join(parameter_lines(result.calibration)))
     say_files(folder, terminal, CAMERA_IMU_FILES)
@@ -179,7 +181,9 @@ def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal)
     terminal.close()
     cameras = {name: len(frames.t_ns) for name, frames in simulation.recording.cameras.items()}
     frames = ", ".join(f"{count} frames of {name}" for name, count in cameras.items())
-    contents = f"{command.options.duration_s:g} s, {frames}; {simulation.target.describe()}"
+    samples = ", ".join(f"{len(imu.gyroscope)} samples of {name}" for name, imu in simulation.recording.imus.items())
+    contents = f"{command.options.duration_s:g} s, {frames}, {samples}; {simulation.target.describe()}"
     say_folder(folder, contents, terminal, replaced=replaced)
-    terminal.document(folder_document(folder, names) | {"statistics": asdict(simulation.statistics)})
+    statistics = {item.name: getattr(simulation.statistics, item.name) for item in fields(simulation.statistics)}
+    terminal.document(folder_document(folder, names) | {"statistics": statistics})
     return USABLE

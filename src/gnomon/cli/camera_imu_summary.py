@@ -45,15 +45,37 @@ def camera_lines(calibration: Calibration) -> Iterator[str]:
     """Yield the pose of every camera with its standard deviations, its time shift, and whatever else was estimated."""
     for name, camera in calibration.cameras.items():
         yield f"  {name} T_cam_imu (p_cam = T_cam_imu p_imu)"
-        for row in camera.T_cam_imu[:3]:
-            yield "    " + "".join(f"{value:11.6f}" for value in row[:3]) + f"{row[3]:13.6f}"
-        rotation = np.degrees(calibration.sigma(f"{name}.T_cam_imu.rotation"))
-        translation = calibration.sigma(f"{name}.T_cam_imu.translation") * 1e3
-        yield f"    rotation         +- {' '.join(f'{value:.2g}' for value in rotation)} deg about the body's x, y, z"
-        yield f"    translation      {_numbers(camera.T_cam_imu[:3, 3] * 1e3, translation)} mm"
+        yield from _pose(calibration, f"{name}.T_cam_imu", camera.T_cam_imu)
         yield from _scalars(calibration, name)
     for first, second in pairwise(calibration.cameras):
         yield from _distance(calibration, first, second)
+
+
+def imu_lines(calibration: Calibration) -> Iterator[str]:
+    """Yield pose and clock of every IMU beside imu0, and the clocks of accelerometers, with standard deviations."""
+    for name, imu in calibration.imus.items():
+        if imu.T_imu_body is not None:
+            yield f"  {name} T_imu_body (p_{name} = T_imu_body p_imu0)"
+            yield from _pose(calibration, f"{name}.T_imu_body", imu.T_imu_body)
+            yield f"    time shift       {_shift(calibration, f'{name}.time_shift_imu')} ms (t_imu0 = t_{name} + shift)"
+        if imu.accelerometer is not None and imu.accelerometer.time_shift_s is not None:
+            shift = _shift(calibration, f"{name}.accelerometer.time_shift")
+            yield f"  {name} accelerometer"
+            yield f"    time shift       {shift} ms (t_gyr = t_acc + shift)"
+
+
+def _pose(calibration: Calibration, path: str, T: Floats) -> Iterator[str]:
+    for row in T[:3]:
+        yield "    " + "".join(f"{value:11.6f}" for value in row[:3]) + f"{row[3]:13.6f}"
+    rotation = np.degrees(calibration.sigma(f"{path}.rotation"))
+    translation = calibration.sigma(f"{path}.translation") * 1e3
+    yield f"    rotation         +- {' '.join(f'{value:.2g}' for value in rotation)} deg about the body's x, y, z"
+    yield f"    translation      {_numbers(T[:3, 3] * 1e3, translation)} mm"
+
+
+def _shift(calibration: Calibration, path: str) -> str:
+    """Return a time shift in ms; also that of unrelated clocks, days apart."""
+    return _numbers(1e3 * np.atleast_1d(calibration.parameter(path)), 1e3 * np.atleast_1d(calibration.sigma(path)))
 
 
 def _scalars(calibration: Calibration, name: str) -> Iterator[str]:
@@ -61,8 +83,7 @@ def _scalars(calibration: Calibration, name: str) -> Iterator[str]:
     for entry, sigma in camera_entries(calibration, name):
         value = value_text(entry.value, sigma).replace("±", "+-")
         if entry.name == "time_shift_cam_imu":
-            plain = _numbers(np.array([entry.value]), np.array([sigma]))  # also of unrelated clocks, days apart
-            yield f"    time shift       {plain} ms (t_imu = t_cam + shift)"
+            yield f"    time shift       {_shift(calibration, f'{name}.{entry.name}')} ms (t_imu = t_cam + shift)"
         elif entry.name.startswith(("R_", "t_", "p_")):
             continue
         elif sigma or (entry.name == "line_delay" and entry.value):

@@ -148,7 +148,7 @@ def _image_entries(recording: "ImageRecording", look: "RigLook") -> dict[str, di
 class _Known:
     """Kalibr's files beside a recording, or as they were named; read when they are asked for."""
 
-    def __init__(self, files: Mapping[str, Path | None], taken: tuple[str, ...]) -> None:
+    def __init__(self, files: Mapping[str, Any], taken: tuple[str, ...]) -> None:
         self.files = files
         self.taken = taken
         self.notes: list[str] = []
@@ -158,10 +158,10 @@ class _Known:
     def of(cls, command: commands.Check) -> "_Known":
         path = command.recording.path
         folder = path if path.is_dir() else path.parent
-        files: dict[str, Path | None] = {}
+        files: dict[str, Any] = {}
         found: list[str] = []
         for option, name in _FILES.items():
-            stated: Path | None = getattr(command, option)
+            stated: Path | tuple[Path, ...] | None = getattr(command, option) or None
             lies_there = stated is None and (folder / name).is_file()
             files[option] = folder / name if lies_there else stated
             found += [name] if lies_there else []
@@ -183,8 +183,7 @@ class _Known:
         """Return what imu.yaml says, or nothing."""
         from ..readers.rig.sensor_inputs import read_imus
 
-        imu = self.files["imu"]
-        return {} if imu is None else read_imus(imu, self.notes)
+        return read_imus(self.files["imu"], self.notes)
 
     def target(self) -> "Target | None":
         """Return the board, where one is described."""

@@ -18,6 +18,9 @@ CalibrationPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="C
 
 FileOption = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
 
+ImuFiles = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, FileOption]
+"""Kalibr's imu.yaml, keyed by the IMUs, or given once for each of them."""
+
 Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
 """Options of a bag; `topics.topics_of` reads them."""
 

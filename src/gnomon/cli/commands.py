@@ -16,6 +16,7 @@ from .command_parts import (
     FileOption,
     Flat,
     FromScenario,
+    ImuFiles,
     Input,
     PosesInput,
     Switch,
@@ -80,8 +81,9 @@ class CameraImu:
     cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
     """Kalibr's file of the cameras and their intrinsics, or gnomon's calibration.yaml (default: camchain.yaml in the
     recording's folder; else what the recording itself says, as EuRoC's does)."""
-    imu: Annotated[Path | None, FileOption] = None
-    """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
+    imu: ImuFiles = ()
+    """Kalibr's file of the IMU's noise; of several IMUs keyed imu0, imu1, ..., or this option once for each of them
+    (default: imu.yaml in the recording's folder, where there is one)."""
     target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
     topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC ...", help_behavior_hint="")] = ()
@@ -125,8 +127,9 @@ class Check:
     recording: Annotated[Input, Flat]
     cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
     """Kalibr's file of the cameras (default: camchain.yaml in the recording's folder, where there is one)."""
-    imu: Annotated[Path | None, FileOption] = None
-    """Kalibr's file of the IMU's noise (default: imu.yaml in the recording's folder, where there is one)."""
+    imu: ImuFiles = ()
+    """Kalibr's file of the IMU's noise; of several IMUs keyed imu0, imu1, ..., or this option once for each of them
+    (default: imu.yaml in the recording's folder, where there is one)."""
     target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board, which is then sought in some of the images (default: target.yaml in the recording's
     folder, where there is one)."""
@@ -166,6 +169,9 @@ class Apply:
     recording: Annotated[Input, Flat]
     output: Annotated[Path, output_option("FILE", "(required)")]
     """CSV file to write."""
+    imu: str | None = None
+    """Which IMU of a calibration of several recorded the samples, such as imu1; told by the name of the file, as of
+    imu1.csv or imu1/data.csv, where not given."""
     json: Annotated[bool, Switch] = False
     """Print one JSON document instead of text."""
 

@@ -1,14 +1,14 @@
 """Where results go: the folder of a result, replaced as a whole."""
 
 import os
-import shutil
-import tempfile
-from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, suppress
+from dataclasses import fields, is_dataclass
 from itertools import takewhile
 from pathlib import Path
 
 from ..errors import OutputError
+from ..output import files_together, put_in_place
 
 RESULT_FILES = ("calibration.yaml", "report.html", "diagnostics.npz")
 """gnomon's own files in the folder of a result."""
@@ -51,61 +51,26 @@ def _common_start(names: list[str]) -> str:
     return "".join(shared)
 
 
-@contextmanager
-def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> Generator[Path]:
-    """Give an empty folder to write into, and at the end move what is in it to `folder`.
-
-    `folder` is made at once, so that a place that cannot be written is known before any work is done. What an earlier
-    result left, files and folders that are named in `own`, is replaced, or removed where the new result has none; other
-    files stay as they are. If anything goes wrong nothing changes.
-
-    Raises
-    ------
-    OutputError
-        If the folder cannot be made or written.
-    """
-    made = _missing(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        staging = Path(tempfile.mkdtemp(prefix=".gnomon-", dir=folder))
-    except OSError as error:
-        _remove_empty(made)
-        raise OutputError(
-            f"{folder}: results cannot be written there ({error.strerror or error}). Choose another folder with -o."
-        ) from error
-    try:
-        yield staging
-        complete = sorted(staging.iterdir())
-        for path in complete:
-            if path.is_dir():
-                _remove(folder / path.name)  # a folder cannot be replaced while there is something in it
-            path.replace(folder / path.name)
-        for name in set(own) - {path.name for path in complete}:
-            _remove(folder / name)
-    except BaseException as error:
-        shutil.rmtree(staging, ignore_errors=True)
-        _remove_empty(made)
-        if isinstance(error, OSError):
-            raise OutputError(
-                f"{folder}: results cannot be written there ({error.strerror or error}). Nothing was changed."
-            ) from error
-        raise
-    staging.rmdir()
+def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> AbstractContextManager[Path]:
+    """Give an empty folder to write a result into, which is moved to `folder` at the end; see `files_together`."""
+    return files_together(folder, own)
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def finish_moves(command: object) -> None:
+    """Put files in their places that a killed process left on the way, in the folders that a command names."""
+    for path in set(_paths(command)):
+        for folder in (path, path.parent):
+            with suppress(OSError, OutputError):  # who writes there is told; who reads has no need to
+                put_in_place(folder)
 
 
-def _missing(folder: Path) -> list[Path]:
-    """Return the folders that have to be made, innermost first."""
-    return [path for path in (folder, *folder.parents) if not path.exists()]
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for path in folders:
-        with suppress(OSError):
-            path.rmdir()
+def _paths(node: object) -> Iterator[Path]:
+    """Yield the paths in a command's fields."""
+    if isinstance(node, Path):
+        yield node
+    elif isinstance(node, tuple):
+        for item in node:  # pyright: ignore[reportUnknownVariableType]
+            yield from _paths(item)  # pyright: ignore[reportUnknownArgumentType]
+    elif is_dataclass(node):
+        for entry in fields(node):
+            yield from _paths(getattr(node, entry.name))

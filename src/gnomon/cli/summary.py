@@ -88,6 +88,8 @@ def parameter_lines(calibration: Calibration) -> Iterator[str]:
     """Yield every parameter with its standard deviation, a row for each sensor axis."""
     for path, value in parameters(calibration.imus):
         sigma = calibration.sigma(path)
+        if value.ndim == 0 or ".T_imu_body." in path:
+            continue  # poses and clocks stand with those of the cameras
         if path.endswith("g_sensitivity") and calibration.assessment.model not in {"g-sensitivity", "full"}:
             continue
         if calibration.cameras and path.endswith("sensitivity") and not sigma.any():

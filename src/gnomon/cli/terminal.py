@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+import re
 import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -10,9 +11,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.status import Status
+    from rich.text import Text
 
 WIDTH = 80
 """Columns of text that is not printed to a terminal."""
+
+
+_STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Control characters but tab and new line, and those that turn the direction of writing."""
 
 
 class Terminal:
@@ -32,6 +38,7 @@ class Terminal:
         """Print a result for a person, in colour on a terminal; nothing when the output is JSON."""
         if self.as_json:
             return
+        text = printable(text)
         if style and sys.stdout.isatty():
             from rich.console import Console
 
@@ -45,23 +52,26 @@ class Terminal:
             from rich.console import Console
 
             terminal = sys.stdout.isatty()
-            Console(file=sys.stdout, width=None if terminal else WIDTH, highlight=False).print(thing)
+            # Names of files, sensors and topics are text, whatever brackets they hold; rich drops control characters.
+            Console(file=sys.stdout, width=None if terminal else WIDTH, highlight=False, markup=False).print(thing)
 
     def document(self, content: Mapping[str, Any]) -> None:
         """Print the JSON document, where it was asked for."""
         if self.as_json:
-            sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+            utf8 = (sys.stdout.encoding or "utf-8").lower() == "utf-8"  # elsewhere, as on Windows, letters are escaped
+            sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=not utf8, allow_nan=False) + "\n")
 
     def progress(self, step: str) -> None:
         """Say which step the work is at: in one changing line on a terminal, else in a line a step."""
+        step = printable(step)
         if not sys.stderr.isatty():
             sys.stderr.write(f"{step}\n")
         elif self._status is not None:
-            self._status.update(step)
+            self._status.update(_unmarked(step))
         else:
             from rich.console import Console
 
-            self._status = Console(stderr=True).status(step)
+            self._status = Console(stderr=True).status(_unmarked(step))
             self._status.start()
 
     def close(self) -> None:
@@ -69,6 +79,18 @@ class Terminal:
         if self._status is not None:
             self._status.stop()
             self._status = None
+
+
+def printable(text: str) -> str:
+    """Return a text in which characters that steer a terminal are shown as escapes; files bring them in names."""
+    return re.sub(_STEERING, lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def _unmarked(text: str) -> "Text":
+    """Return a text in which rich sees no markup."""
+    from rich.text import Text
+
+    return Text(text)
 
 
 def plain(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 import gzip
 import hashlib
+import io
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,10 @@ from ..errors import RecordingError
 from ..recording import Source
 
 _GZIP = b"\x1f\x8b"
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 NPZ_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
+MUCH_BYTES, MOST_TIMES = 256 << 20, 100
+"""What is packed may be unpacked to so many bytes, or to so many times its size."""
 _STILL = (b"heic", b"heix", b"mif1", b"avif")
 
 # Files that people try and that hold no table; the name goes into the message.
@@ -71,11 +75,16 @@ def read_text(path: Path) -> TextFile:
     RecordingError
         If the file cannot be read, its gzip stream is broken, or it holds no text.
     """
-    first_bytes(path)
+    head = first_bytes(path)
+    if not head.startswith((_GZIP, *_UTF_16)):
+        refuse_binary(head, path)  # before all of it is read
     try:
         packed = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error}).") from None
+    except MemoryError:
+        size = path.stat().st_size >> 20
+        raise RecordingError(f"{path}: its {size} MiB do not fit into memory. Cut the recording into parts.") from None
     source = Source(name=path.name, sha256=hashlib.sha256(packed).hexdigest())
     return TextFile(name=path.name, data=plain_text(packed, path), source=source)
 
@@ -89,7 +98,7 @@ def plain_text(packed: bytes, path: Path) -> bytes:
         If its gzip stream is broken, or it holds no text; `path` is what it is called then.
     """
     data = _unpacked(packed, path) if packed.startswith(_GZIP) else packed
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if data.startswith(_UTF_16):
         data = data.decode("utf-16", errors="replace").encode()
     data = data.removeprefix(b"\xef\xbb\xbf")
     if data.isspace() or not data:
@@ -98,9 +107,30 @@ def plain_text(packed: bytes, path: Path) -> bytes:
     return data
 
 
+def largest_unpacked(size: int) -> int:
+    """Return to how many bytes something of `size` bytes may be unpacked.
+
+    The noise of sensors does not shrink to a hundredth; what was made to fill the memory does.
+    """
+    return max(MUCH_BYTES, MOST_TIMES * size)
+
+
+def bomb(where: str, size: int) -> RecordingError:
+    """Return what to say of a file of `size` bytes that would be unpacked to more than `largest_unpacked`."""
+    return RecordingError(
+        f"{where}: its {size} bytes would be unpacked to more than {largest_unpacked(size) >> 20} MiB, as no recording "
+        "of sensors is. If it is one, unpack it yourself and give what comes out."
+    )
+
+
 def _unpacked(packed: bytes, path: Path) -> bytes:
+    most = largest_unpacked(len(packed))
     try:
-        return gzip.decompress(packed)
+        with gzip.GzipFile(fileobj=io.BytesIO(packed)) as stream:
+            data = stream.read(most + 1)
+        if len(data) > most:
+            raise bomb(str(path), len(packed))
+        return data  # noqa: TRY300
     except EOFError:
         raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None
     except (OSError, zlib.error) as error:

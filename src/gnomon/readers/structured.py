@@ -11,6 +11,12 @@ import numpy as np
 
 from ..errors import FormatError
 from ..recording import Floats
+from .yaml_limits import refuse_bombs, refuse_deep, refuse_large
+
+_LARGEST = 1e60
+"""The largest number that is read; squares and products of such ones are still finite."""
+_LONGEST = 240
+"""Characters of a value or a path that a message repeats."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,8 +38,8 @@ class Node:
 
     def fail(self, problem: str) -> FormatError:
         """Return an error that says where this value is."""
-        place = f"{self.file}: {self.path}" if self.path else self.file
-        return FormatError(f"{place}: {problem}")
+        place = f"{self.file}: {shortened(self.path)}" if self.path else self.file
+        return FormatError(f"{place}: {shortened(problem, 4 * _LONGEST)}")
 
     def child(self, key: str) -> "Node":
         """Return the value under a key that is known to be there."""
@@ -69,7 +75,7 @@ class Node:
             raise self.fail(f"found {_kind(self.value)}, expected keys and values.")
         for key in self.value:
             if not isinstance(key, str):
-                raise self.fail(f"the key {key!r} is {_kind(key)}, expected text; put it between quotes.")
+                raise self.fail(f"the key {_shown(key)} is {_kind(key)}, expected text; put it between quotes.")
             yield self.child(key)
 
     def items(self) -> Iterator["Node"]:
@@ -96,7 +102,7 @@ class Node:
         if not isinstance(self.value, str):
             raise self.fail(f"found {_kind(self.value)}, expected text.")
         if choices and self.value not in choices:
-            raise self.fail(f'found "{self.value}". {_nearest(self.value, choices)}')
+            raise self.fail(f'found "{shortened(self.value)}". {_nearest(self.value, choices)}')
         return self.value
 
     def integer(self) -> int:
@@ -124,7 +130,7 @@ class Node:
             try:
                 value = float(value)
             except ValueError:
-                raise self.fail(f'found the text "{value}", expected a number.') from None
+                raise self.fail(f'found the text "{shortened(value)}", expected a number.') from None
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self.fail(f"found {_kind(value)}, expected a number.")
         try:
@@ -133,6 +139,8 @@ class Node:
             number = float("inf")
         if finite and not np.isfinite(number):
             raise self.fail(f"found {number}, expected a finite number.")
+        if _LARGEST < abs(number) < np.inf:
+            raise self.fail(f"found {number:g}; no quantity of a calibration is so large.")
         return number
 
     def floats(self, length: int, *others: int, finite: bool = True) -> Floats:
@@ -174,22 +182,30 @@ def parse_yaml(text: str, path: str | PathLike[str], *, any_tag: bool = False) -
     Raises
     ------
     FormatError
-        If it is no YAML, or holds a key twice.
+        If it is no YAML, holds a key twice, is nested too deeply, or its aliases stand for too much.
     """
     import yaml
 
+    refuse_large(len(text), path)
+    refuse_deep(text, path)
     safe = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    loader = (_without_tags(safe) if any_tag else safe)(text)
+    try:
+        loader = (_without_tags(safe) if any_tag else safe)(text)
+    except (yaml.YAMLError, ValueError) as error:  # a character that YAML does not know
+        raise FormatError(f"{path}: this is not YAML ({shortened(str(error))}).") from error
     try:
         root = loader.get_single_node()
+        refuse_bombs(root, path)
         _refuse_duplicates(path, root)
         return None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         line = f", line {mark.line + 1}" if mark is not None else ""
-        raise FormatError(f"{path}{line}: this is not YAML ({error.problem}).") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: this is not YAML ({error}).") from error
+        raise FormatError(f"{path}{line}: this is not YAML ({shortened(str(error.problem))}).") from error
+    except FormatError:
+        raise
+    except Exception as error:  # what a tag promises and its value does not keep ends in errors of many kinds
+        raise FormatError(f"{path}: this is not YAML ({shortened(str(error))}).") from error
     finally:
         loader.dispose()
 
@@ -219,10 +235,15 @@ def read_json(path: str | PathLike[str]) -> Node:
     FormatError
         If the file cannot be read, or is no JSON.
     """
+    text = read_text(path)
+    refuse_large(len(text), path)
+    refuse_deep(text, path, block=False)
     try:
-        value = json.loads(read_text(path))
+        value = json.loads(text)
     except json.JSONDecodeError as error:
         raise FormatError(f"{path}, line {error.lineno}: this is not JSON ({error.msg}).") from error
+    except ValueError as error:  # a number of thousands of digits
+        raise FormatError(f"{path}: this is not JSON that can be read ({shortened(str(error))}).") from error
     return Node(file=str(path), path="", value=value)
 
 
@@ -235,6 +256,7 @@ def read_text(path: str | PathLike[str]) -> str:
         If the file cannot be read, or is no text.
     """
     try:
+        refuse_large(Path(path).stat().st_size, path)
         return Path(path).read_bytes().decode("utf-8-sig")
     except FileNotFoundError as error:
         raise FormatError(f"{path}: there is no such file. Check the path.") from error
@@ -272,10 +294,22 @@ def _refuse_duplicates(path: str | PathLike[str], root: Any) -> None:
                 todo.append(value)
 
 
+def shortened(text: str, most: int = _LONGEST) -> str:
+    """Return a text for a message: its beginning, where it is too long to be read."""
+    return text if len(text) <= most else f"{text[:most]}... ({len(text)} characters)"
+
+
+def _shown(value: object) -> str:
+    """Return a value for a message."""
+    if isinstance(value, int) and value.bit_length() > 1000:
+        return f"a whole number of {value.bit_length()} bits"
+    return shortened(repr(value))
+
+
 def _nearest(word: str, known: Sequence[str]) -> str:
     from difflib import get_close_matches
 
-    close = get_close_matches(word, known, n=1, cutoff=0.6)
+    close = get_close_matches(word[:_LONGEST], known, n=1, cutoff=0.6)
     if close:
         return f"Did you mean {close[0]}?"
     return f"Expected: {', '.join(known)}." if known else "Nothing is expected here."
@@ -289,4 +323,4 @@ def _kind(value: object) -> str:
         (bool, "true or false"),
         (type(None), "nothing"),
     )
-    return next((name for kind, name in names if isinstance(value, kind)), f"{value!r}")
+    return next((name for kind, name in names if isinstance(value, kind)), _shown(value))

@@ -49,12 +49,17 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
 def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> tuple[KeyNumber, ...]:
     fit = calibration.assessment.camera_imu
     numbers = [*_fit_numbers(fit)] if fit is not None else []
-    shifts = {name: _shift(calibration, name) for name in calibration.cameras}
+    shifts = {name: _in_ms(calibration, f"{name}.time_shift_cam_imu") for name in calibration.cameras}
     if shifts:
         first, *others = shifts
         note = "t_imu = t_cam + time shift" + "".join(f"; {name} {shifts[name]}" for name in others)
         numbers.append(KeyNumber(label=f"Time shift of {first}", value=shifts[first], note=note))
         numbers.append(_placed(calibration))
+    for name, imu in calibration.imus.items():
+        if imu.T_imu_body is not None:
+            value = _in_ms(calibration, f"{name}.time_shift_imu")
+            note = f"t_imu0 = t_{name} + time shift"
+            numbers.append(KeyNumber(label=f"Time shift of {name}", value=value, note=note))
     model, added = calibration.assessment.model, calibration.assessment.trust.added
     note = _MODELS.get(model, "") + (f"; by evidence {', '.join(added)}" if added else "")
     numbers.append(KeyNumber(label="Model", value=model, note=note))
@@ -91,9 +96,8 @@ def _fit_numbers(fit: CameraImuFit) -> tuple[KeyNumber, KeyNumber]:
     )
 
 
-def _shift(calibration: Calibration, name: str) -> str:
-    value = 1e3 * calibration.cameras[name].time_shift_cam_imu
-    text, sigma = with_sigma(value, 1e3 * float(calibration.sigma(f"{name}.time_shift_cam_imu")))
+def _in_ms(calibration: Calibration, path: str) -> str:
+    text, sigma = with_sigma(1e3 * float(calibration.parameter(path)), 1e3 * float(calibration.sigma(path)))
     return f"{text}{f' ± {sigma}' if sigma else ''}\u00a0ms"
 
 
@@ -162,10 +166,22 @@ def _camera_points(calibration: Calibration, name: str, line_delay_s: float) -> 
 _FILES = """\
 calibration.yaml      everything, with covariance, findings and origin
 camchain-imucam.yaml  cameras: T_cam_imu, timeshift_cam_imu, as Kalibr writes them
-imu.yaml              IMU: M, A, C_gyro_i, as Kalibr writes them
+imu.yaml              IMU: M, A, C_gyro_i, T_i_b, time_offset, as Kalibr writes them
 results-imucam.txt    summary, as Kalibr writes it
 trajectory.txt        path of the IMU in the target's frame (TUM: t x y z qx qy qz qw)
 diagnostics.npz       the numbers behind the figures of this report"""
+
+
+def _of_others(calibration: Calibration) -> str:
+    """Return what to do with the pose and the clock of an IMU beside imu0."""
+    other = next((name for name, imu in calibration.imus.items() if imu.T_imu_body is not None), None)
+    if other is None:
+        return ""
+    return (
+        f'\n{other} = calibration.imus["{other}"]\n'
+        f"p_{other} = {other}.T_imu_body @ p_imu0                     # homogeneous, in metres\n"
+        f"t_imu0 = t_{other} + {other}.time_shift_s                   # in seconds"
+    )
 
 
 def _use(calibration: Calibration) -> Section:
@@ -181,7 +197,8 @@ def _use(calibration: Calibration) -> Section:
             f"t_imu = t_cam + {camera}.time_shift_cam_imu           # in seconds\n"
             f'sigma = calibration.sigma("{camera}.T_cam_imu.translation")\n'
             'samples = gnomon.read("imu0.csv").imus["imu0"]\n'
-            'calibrated = calibration.imus["imu0"].apply(samples)  # m/s² and rad/s in the body frame',
+            'calibrated = calibration.imus["imu0"].apply(samples)  # m/s² and rad/s in the body frame'
+            + _of_others(calibration),
         ),
     ]
     for name, imu in calibration.imus.items():

@@ -130,13 +130,20 @@ class _Body:
     image: bool = False
 
 
+def _body(name: str, T: Floats, *, image: bool = False) -> _Body:
+    """Return what has the pose T (4, 4) in the first camera's frame."""
+    return _Body(name=name, origin=T[:3, 3], axes=T[:3, :3], image=image)
+
+
 def rig(calibration: Calibration) -> str:
-    """Draw the IMU, if any, and the cameras to scale, as triads, from behind the first camera, a little from above."""
+    """Draw the IMUs, if any, and the cameras to scale, as triads, from behind the first camera, a little from above."""
     first = next(iter(calibration.cameras.values())).T_cam_body
     bodies = [_Body(name="imu0", origin=first[:3, 3], axes=first[:3, :3])] if calibration.imus else []
+    for name, imu in calibration.imus.items():
+        if imu.T_imu_body is not None:
+            bodies.append(_body(name, first @ np.linalg.inv(imu.T_imu_body)))
     for name, camera in calibration.cameras.items():
-        T = first @ np.linalg.inv(camera.T_cam_body)
-        bodies.append(_Body(name=name, origin=T[:3, 3], axes=T[:3, :3], image=True))
+        bodies.append(_body(name, first @ np.linalg.inv(camera.T_cam_body), image=True))
     origins = [body.origin for body in bodies]
     apart = max(float(np.linalg.norm(a - b)) for a in origins for b in origins)
     length = 0.4 * apart if np.isfinite(apart) and apart > 1e-6 else 0.02

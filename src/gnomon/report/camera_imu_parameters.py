@@ -48,19 +48,55 @@ def mounting(R_cam_imu: Floats) -> Floats:
     return max(candidates, key=lambda m: float(np.sum(m * np.nan_to_num(R_cam_imu))))
 
 
-def mounting_text(R_cam_imu: Floats) -> str:
-    """Return where the axes of a camera point, such as "camera x, y, z along −y, −z, +x of the IMU"."""
+def mounting_text(R_cam_imu: Floats, whose: str = "camera", body: str = "the IMU") -> str:
+    """Return where the axes of a sensor point, such as "camera x, y, z along −y, −z, +x of the IMU"."""
     rows = mounting(R_cam_imu)
     along = [f"{'−' if row.sum() < 0 else '+'}{AXES[int(np.argmax(np.abs(row)))]}" for row in rows]
-    return f"camera x, y, z along {', '.join(along)} of the IMU"
+    return f"{whose} x, y, z along {', '.join(along)} of {body}"
 
 
 def camera_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
     """Return how one camera sits against imu0 in space and time, and its lens where that was estimated."""
-    camera = calibration.cameras[name]
-    R, t = camera.T_cam_imu[:3, :3], camera.T_cam_imu[:3, 3]
+    groups = _pose_groups(
+        calibration, f"{name}.T_cam_imu", calibration.cameras[name].T_cam_imu, ("camera", "the camera", "the IMU")
+    )
+    groups.append(_times(calibration, name))
+    if float(np.max(calibration.sigma(f"{name}.intrinsics"), initial=0.0)) > 0:
+        groups.append(lens_group(calibration, name))
+    return tuple(groups)
+
+
+def placed_imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
+    """Return how an IMU sits against imu0 in space and time; the clock alone of the accelerometer of imu0."""
+    imu = calibration.imus[name]
+    groups: list[ParameterGroup] = []
+    shifts: list[tuple[str, str, str]] = []
+    if imu.T_imu_body is not None:
+        groups = _pose_groups(calibration, f"{name}.T_imu_body", imu.T_imu_body, (name, name, "imu0"))
+        shifts.append(("time shift", "time_shift_imu", f"t_imu0 = t_{name} + time shift"))
+    if imu.accelerometer is not None and imu.accelerometer.time_shift_s is not None:
+        words = "t_gyroscope = t_accelerometer + time shift"
+        shifts.append(("of the accelerometer", "accelerometer.time_shift", words))
+    rows: list[Parameter] = []
+    for label, path, words in shifts:
+        values = (1e3 * float(of(f"{name}.{path}")) for of in (calibration.parameter, calibration.sigma))
+        text, sigma = with_sigma(*values)
+        rows.append(Parameter(name=label, value=text, sigma=sigma, unit="ms", reads_as=words))
+    return (*groups, ParameterGroup(title="Time", note="", rows=tuple(rows))) if rows else tuple(groups)
+
+
+def _pose_groups(calibration: Calibration, path: str, T: Floats, words: tuple[str, str, str]) -> list[ParameterGroup]:
+    """Return attitude, translation and position of p_sensor = T p_body.
+
+    Parameters
+    ----------
+    path : of the parameter, such as "cam0.T_cam_imu"
+    words : what the sensor is called before its axes and elsewhere, and what the body is called
+    """
+    whose, sensor, body = words
+    R, t = T[:3, :3], T[:3, 3]
     nominal = mounting(R)
-    covariance = calibration.covariance(f"{name}.T_cam_imu.rotation", f"{name}.T_cam_imu.translation")
+    covariance = calibration.covariance(f"{path}.rotation", f"{path}.translation")
 
     def pose(x: Floats) -> Floats:
         turned = R @ rotation_from_rotvec(x[:3])
@@ -70,18 +106,14 @@ def camera_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, 
     start = np.concatenate([np.zeros(3), t])
     values, spreads = pose(start), sigmas_of(pose, start, covariance)
     titles = (
-        ("Attitude", f"turned against {mounting_text(R)}", "°"),
-        ("Translation", "origin of the IMU in the frame of the camera", "mm"),
-        ("Position", "origin of the camera in the frame of the IMU", "mm"),
+        ("Attitude", f"turned against {mounting_text(R, whose, body)}", "°"),
+        ("Translation", f"origin of {body} in the frame of {sensor}", "mm"),
+        ("Position", f"origin of {sensor} in the frame of {body}", "mm"),
     )
-    groups = [
+    return [
         triple(title, note, unit, values[3 * i : 3 * i + 3], spreads[3 * i : 3 * i + 3])
         for i, (title, note, unit) in enumerate(titles)
     ]
-    groups.append(_times(calibration, name))
-    if float(np.max(calibration.sigma(f"{name}.intrinsics"), initial=0.0)) > 0:
-        groups.append(lens_group(calibration, name))
-    return tuple(groups)
 
 
 def triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:

@@ -1,5 +1,6 @@
 """The sections of a camera-IMU report that show the estimate: cameras, IMU, every scalar, noise and solution."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import reduce
 from math import degrees, isfinite
@@ -20,6 +21,7 @@ from .camera_imu_parameters import (
     imu_groups,
     mounting_text,
     other_reading,
+    placed_imu_groups,
     plus_minus,
 )
 from .imu_parameters import readable_unit
@@ -60,8 +62,9 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         title="The rig",
         svg=camera_imu_motion.rig(calibration),
         legend=_AXES,
-        caption=f"The frames of the IMU and of the cameras, to scale, seen from behind {first}, a little from above. "
-        "A camera's z looks out of the lens, x to the right of its image, y down.",
+        caption=f"The frames of the {'IMUs' if len(calibration.imus) > 1 else 'IMU'} and of the cameras, to scale, "
+        f"seen from behind {first}, a little from above. A camera's z looks out of the lens, x to the right of its "
+        "image, y down.",
     )
     blocks: list[Figure | Parameters | Code] = [rig]
     for name, camera in calibration.cameras.items():
@@ -79,13 +82,26 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
     groups = baseline_groups(calibration, diagnostics.baselines)
     if groups:
         blocks.append(Parameters(title="Between the cameras", groups=groups))
+    placed = [block for name in calibration.imus for block in _placed_imu(calibration, name)]
+    several = any(imu.T_imu_body is not None for imu in calibration.imus.values())
     return Section(
         anchor="cameras",
-        title="Cameras and IMU",
-        lead="Where each camera sits on the IMU, and by how much its clock differs, each with its standard deviation "
-        "σ. Bars show the estimate, whiskers ±2σ.",
-        blocks=tuple(blocks),
+        title="Cameras and IMUs" if several else "Cameras and IMU",
+        lead=f"Where each camera {'and each further IMU sits on imu0' if several else 'sits on the IMU'}, and by how "
+        "much its clock differs, each with its standard deviation σ. Bars show the estimate, whiskers ±2σ.",
+        blocks=(*blocks, *placed),
     )
+
+
+def _placed_imu(calibration: Calibration, name: str) -> Iterator[Parameters | Code]:
+    """Yield pose and clock of an IMU beside imu0, and the clock of an accelerometer that has its own."""
+    groups = _marked(placed_imu_groups(calibration, name), calibration, name)
+    if groups:
+        yield Parameters(title=name, groups=groups)
+    pose = calibration.imus[name].T_imu_body
+    if pose is not None:
+        title = f"T_imu_body of {name}: p_{name} = T_imu_body p_imu0, in metres"
+        yield Code(title=title, text=matrix_text("T_imu_body", pose))
 
 
 def _marked(groups: tuple[ParameterGroup, ...], calibration: Calibration, sensor: str) -> tuple[ParameterGroup, ...]:
@@ -172,6 +188,7 @@ def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -
 _SHORTER = (
     ("T_cam_imu.", ""),
     ("T_cam_cam0.", ""),
+    ("T_imu_body.", ""),
     ("time_shift_cam_imu", "time_shift"),
     ("distortion_coeffs", "distortion"),
 )

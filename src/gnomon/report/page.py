@@ -6,11 +6,15 @@ A kind of calibration (imu.py) fills in the values below; the template page.html
 import base64
 import hashlib
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ..calibration import Verdict
 from ..findings import Finding
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 _HERE = Path(__file__).parent
 
@@ -164,19 +168,11 @@ def typeset(finding: Finding) -> Finding:
 
 def render(page: Page) -> bytes:
     """Return the page as one UTF-8 HTML document that refers to nothing outside itself."""
-    import jinja2
     from markupsafe import Markup
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_HERE),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     script = (_HERE / "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    html = environment.get_template("page.html.jinja").render(
+    html = _template().render(
         page=page,
         style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
         script=Markup(script),
@@ -185,3 +181,18 @@ def render(page: Page) -> bytes:
     )
     # A file name may hold bytes that are no text; they are shown as escapes.
     return html.encode("utf-8", "backslashreplace")
+
+
+@cache
+def _template() -> "Template":
+    """Return the template, compiled once: that takes longer than to fill it in."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html.jinja")

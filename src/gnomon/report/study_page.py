@@ -20,7 +20,7 @@ def study_page(
     table = Table(
         title="Expected and found",
         head=("Holds", "Claim", "Expected", "Found"),
-        rows=tuple(("yes" if c.holds else "no", _fine(c.claim), c.expected, c.found) for c in claims),
+        rows=tuple(("yes" if c.holds else "no", *map(_fine, (c.claim, c.expected, c.found))) for c in claims),
         prose=True,
     )
     return Page(

@@ -18,68 +18,25 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..geometry.rigid_body import acceleration_by_place, along_axes
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.target import Target
-from ..recording import CameraFrames, Floats, ImuSamples, Integers, Recording, TriadSamples
-from .camera_imu_frames import START_NS, CameraTruth, FrameStreams, View, outside, simulated_frames
+from ..recording import CameraFrames, Floats, Recording
+from .camera_imu_frames import CameraTruth, FrameStreams, View, simulated_frames
 from .camera_imu_motion import drawn_path
-from .camera_imu_path import CameraPath, RigidMotion
+from .camera_imu_path import CameraPath
 from .camera_imu_rig import (
-    ImuTruth,
     board,
     corner_offsets,
     drawn_cameras,
     drawn_imu_truth,
-    earth_rate_target,
     gravity_target,
     nominal_extrinsics,
+    placed,
     stated_lens,
 )
+from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
 from .camera_imu_scenario import CameraImuScenario
-from .trajectory import exponential
 from .truth import changed_options
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TrueTrajectory:
-    """Motion of the IMU.
-
-    Attributes
-    ----------
-    t_s : (n,) instants at which the recorded samples were taken [s on the IMU's clock from the start]
-    p_target_imu : (n, 3) origin of the IMU in the target's frame [m]
-    R_target_imu : (n, 3, 3)
-    velocity, acceleration : (n, 3) of the origin, in the target's frame [m/s], [m/s^2]
-    omega_imu : (n, 3) angular rate that a gyroscope feels, the Earth's included, body frame [rad/s]
-    alpha_imu : (n, 3) its derivative by time [rad/s^2]
-    f_imu : (n, 3) specific force at the origin, body frame [m/s^2]
-    path : of cam0, in closed form
-    T_cam0_imu : (4, 4)
-    start_ns : stamp of t = 0 [ns]
-    """
-
-    t_s: Floats
-    p_target_imu: Floats
-    R_target_imu: Floats
-    velocity: Floats
-    acceleration: Floats
-    omega_imu: Floats
-    alpha_imu: Floats
-    f_imu: Floats
-    path: CameraPath
-    T_cam0_imu: Floats
-    start_ns: int = START_NS
-
-    @property
-    def q_target_imu_wxyz(self) -> Floats:
-        """Attitude, (n, 4), v_target = q v_imu q*."""
-        phi = rotvec_from_rotation(self.R_target_imu)
-        return exponential(phi, np.ones((len(phi), 1)))
-
-    def at(self, t_s: Floats) -> RigidMotion:
-        """Return the exact motion of the IMU against the target at any instants (k,) [s from the start]."""
-        return self.path.at(t_s).of(self.T_cam0_imu)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,10 +62,11 @@ class CameraImuSimulation:
     truth : what is to be estimated, in body frame "accel-x", with zero covariance; biases are means over the recording
     truth_parameters : by the names of the batch estimation, such as "imu0.M_g" (3,) or "cam0.time_shift_cam_imu" ();
         "imu0.q_bg" is the rotation vector of C_bg, "imu0.B_g" is (3, 3), "imu0.lever_arms" (6,),
-        "cam0.T_cam_imu.rotation" is the rotation vector of R_cam_imu, "target.offsets" are those of the corners (k, 3)
+        "cam0.T_cam_imu.rotation" is the rotation vector of R_cam_imu, "imu1.T_imu_body.rotation" that of R_imu_body,
+        "imu1.time_shift" and "imu0.accelerometer_shift" are those of clocks, "target.offsets" are those of the corners
+        (k, 3)
     gravity_target : (3,) gravity in the target's frame [m/s^2]
-    trajectory : motion of the IMU
-    b_a, b_g : (n, 3) true biases at the recorded samples [m/s^2], [rad/s]
+    imus : "imu0", ... -> what is true of its samples
     frames : "cam0", ... -> what is true of each frame and corner
     statistics : what the motion came to
     """
@@ -120,11 +78,24 @@ class CameraImuSimulation:
     truth: Calibration
     truth_parameters: Mapping[str, Floats]
     gravity_target: Floats
-    trajectory: TrueTrajectory
-    b_a: Floats
-    b_g: Floats
+    imus: Mapping[str, SimulatedImu]
     frames: Mapping[str, CameraTruth]
     statistics: MotionStatistics
+
+    @property
+    def trajectory(self) -> TrueTrajectory:
+        """Motion of the body, imu0."""
+        return self.imus["imu0"].trajectory
+
+    @property
+    def b_a(self) -> Floats:
+        """True biases at the recorded samples of the accelerometer of imu0, (k, 3) [m/s^2]."""
+        return self.imus["imu0"].b_a
+
+    @property
+    def b_g(self) -> Floats:
+        """True biases at the recorded samples of the gyroscope of imu0, (n, 3) [rad/s]."""
+        return self.imus["imu0"].b_g
 
 
 _STREAMS = (
@@ -140,6 +111,9 @@ _STREAMS = (
     "cam0",
     "cam1",
     "board",
+    "accelerometer_instants",
+    "phase",
+    "cam1_exposures",
 )
 
 
@@ -151,10 +125,9 @@ def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSim
     points = scenario.target_scale * (target.points + offsets)
     middle = scenario.target_scale * (target.points.min(axis=0) + target.points.max(axis=0)) / 2
     path = drawn_path(scenario, middle, nominal_extrinsics(), streams["path"])
-    exposure_s = _exposures(scenario, streams["path"])
-    imu = drawn_imu_truth(scenario, streams["imu"])
+    exposures = _exposures(scenario, streams)
     rig = drawn_cameras(scenario, streams["rig"])
-    samples, trajectory, b_a, b_g = _simulated_imu(scenario, path, rig["cam0"], imu, streams)
+    imus = _simulated_imus(scenario, seed, path, rig["cam0"].T_cam_imu, streams)
     recorded: dict[str, CameraFrames] = {}
     cameras: dict[str, CameraCalibration] = {}
     frames: dict[str, CameraTruth] = {}
@@ -166,23 +139,23 @@ def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSim
             camera,
             view,
             stated=stated_lens(scenario, f"/{name}/image_raw"),
-            exposure_s=exposure_s,
+            exposure_s=exposures[name],
+            clock_offset_s=scenario.clock_offset_s + (name == "cam1") * scenario.clock_offset_difference_s,
             streams=_frame_streams(streams[name]),
         )
-    imus = {"imu0": imu.calibration(b_a.mean(axis=0), b_g.mean(axis=0))}
+    calibrations = {name: imu.calibration for name, imu in imus.items()}
+    parameters = {**_truth_parameters(scenario, imus, cameras), "target.offsets": offsets}
     return CameraImuSimulation(
         scenario=scenario,
         seed=seed,
-        recording=Recording(imus={"imu0": samples}, cameras=recorded),
+        recording=Recording(imus={name: imu.samples for name, imu in imus.items()}, cameras=recorded),
         target=target,
-        truth=_truth(scenario, seed, imus, cameras, frames),
-        truth_parameters=MappingProxyType({**_truth_parameters(scenario, imu, cameras), "target.offsets": offsets}),
+        truth=_truth(scenario, seed, calibrations, cameras, frames),
+        truth_parameters=MappingProxyType(parameters),
         gravity_target=gravity,
-        trajectory=trajectory,
-        b_a=b_a,
-        b_g=b_g,
+        imus=MappingProxyType(imus),
         frames=MappingProxyType(frames),
-        statistics=_statistics(trajectory, frames),
+        statistics=_statistics(imus["imu0"].trajectory, frames),
     )
 
 
@@ -194,11 +167,33 @@ def _streams(scenario: CameraImuScenario, seed: int) -> dict[str, np.random.Gene
 
     streams = spawned(seed)
     if scenario.trajectory_seed is not None:
-        streams["path"] = spawned(scenario.trajectory_seed)["path"]
+        own = spawned(scenario.trajectory_seed)
+        streams |= {name: own[name] for name in ("path", "cam1_exposures")}
     if scenario.sensor_seed is not None:
         own = spawned(scenario.sensor_seed)
         streams |= {name: own[name] for name in ("imu", "rig", "board")}
     return streams
+
+
+def _simulated_imus(
+    scenario: CameraImuScenario,
+    seed: int,
+    path: CameraPath,
+    T_cam0_body: Floats,
+    streams: Mapping[str, np.random.Generator],
+) -> dict[str, SimulatedImu]:
+    """Return what each IMU records; the streams of the further ones are their own."""
+    own = ImuStreams(**{purpose.name: streams[purpose.name] for purpose in fields(ImuStreams)})
+    imus = {"imu0": simulated_imu(scenario, path, T_cam0_body, drawn_imu_truth(scenario, streams["imu"]), own)}
+    sensor_seed = seed if scenario.sensor_seed is None else scenario.sensor_seed
+    for number in range(1, scenario.imus):
+        errors, pose = np.random.default_rng((sensor_seed, number, 1)).spawn(2)
+        sensor = placed(scenario, drawn_imu_truth(scenario, errors, further=True), number, pose)
+        assert sensor.T_imu_body is not None
+        T_cam0_imu = T_cam0_body @ np.linalg.inv(sensor.T_imu_body)
+        own = ImuStreams.spawned(seed, number)
+        imus[f"imu{number}"] = simulated_imu(scenario, path, T_cam0_imu, sensor, own, topic=f"/imu{number}")
+    return imus
 
 
 def _frame_streams(rng: np.random.Generator) -> FrameStreams:
@@ -206,86 +201,13 @@ def _frame_streams(rng: np.random.Generator) -> FrameStreams:
     return FrameStreams(**dict(zip(purposes, rng.spawn(len(purposes)), strict=True)))
 
 
-def _exposures(scenario: CameraImuScenario, rng: np.random.Generator) -> Floats:
+def _exposures(scenario: CameraImuScenario, streams: Mapping[str, np.random.Generator]) -> dict[str, Floats]:
+    """Return when each camera exposes [s on the clock of imu0]."""
     step_s = 1 / scenario.camera_rate_hz
-    return np.arange(step_s * rng.random(), scenario.duration_s, step_s)
-
-
-def _simulated_imu(
-    scenario: CameraImuScenario,
-    path: CameraPath,
-    cam0: CameraCalibration,
-    imu: ImuTruth,
-    streams: dict[str, np.random.Generator],
-) -> tuple[ImuSamples, TrueTrajectory, Floats, Floats]:
-    """Return samples, the motion at them, and both biases."""
-    rate_hz = scenario.imu_rate_hz
-    t_s = np.arange(int(scenario.duration_s * rate_hz + 1e-6) + 1) / rate_hz
-    trajectory = _trajectory(scenario, path, cam0.T_cam_imu, t_s)
-    sensor = imu.calibration(np.zeros(3), np.zeros(3))
-    assert sensor.gyroscope is not None
-    accelerometer = sensor.required_accelerometer
-    f, omega = trajectory.f_imu, trajectory.omega_imu
-    felt = f
-    if imu.places_m.any():
-        felt = f + along_axes(acceleration_by_place(omega, trajectory.alpha_imu), imu.places_m)
-    b_a = imu.b_a + _walk(imu.noise["accelerometer_random_walk"], t_s, streams["accelerometer_walk"])
-    b_g = imu.b_g + _walk(imu.noise["gyroscope_random_walk"], t_s, streams["gyroscope_walk"])
-    force = felt @ accelerometer.sensitivity.T + b_a
-    rate = omega @ sensor.gyroscope.sensitivity.T + f @ sensor.gyroscope.g_sensitivity.T + b_g
-    for name, values, limit in (
-        ("accelerometer", force, scenario.accelerometer_range),
-        ("gyroscope", rate, scenario.gyroscope_range),
-    ):
-        sigma = imu.noise[f"{name}_noise_density"] * np.sqrt(rate_hz)
-        np.add(values, sigma * streams[f"{name}_noise"].standard_normal(values.shape), out=values)
-        if limit is not None:
-            np.clip(values, -limit, limit, out=values)
-    kept = streams["dropped_samples"].random(len(t_s)) >= scenario.dropped_samples
-    kept &= outside(t_s, scenario.imu_gaps_s)
-    stamp_ns = _stamps(scenario, t_s, streams["imu_jitter"])[kept]
-    samples = ImuSamples(
-        accelerometer=TriadSamples(t_ns=stamp_ns, values=force[kept], unit="m/s^2"),
-        gyroscope=TriadSamples(t_ns=stamp_ns, values=rate[kept], unit="rad/s"),
-        noise=imu.nominal,
-        topic="/imu0",
+    together, apart = (
+        np.arange(step_s * streams[name].random(), scenario.duration_s, step_s) for name in ("path", "cam1_exposures")
     )
-    if not kept.all():
-        trajectory = _trajectory(scenario, path, cam0.T_cam_imu, t_s[kept])
-    return samples, trajectory, b_a[kept], b_g[kept]
-
-
-def _trajectory(scenario: CameraImuScenario, path: CameraPath, T_cam0_imu: Floats, t_s: Floats) -> TrueTrajectory:
-    motion = path.at(t_s).of(T_cam0_imu)
-    R, earth = motion.R_target_body, earth_rate_target(scenario)
-    # The board turns with the Earth: Coriolis' acceleration; the centrifugal one is part of gravity.
-    acceleration = motion.acceleration + 2 * np.cross(earth, motion.velocity) - gravity_target(scenario)
-    earth_body = earth @ R
-    return TrueTrajectory(
-        t_s=t_s,
-        p_target_imu=motion.p_target_body,
-        R_target_imu=R,
-        velocity=motion.velocity,
-        acceleration=motion.acceleration,
-        omega_imu=motion.omega + earth_body,
-        alpha_imu=motion.alpha - np.cross(motion.omega, earth_body),
-        f_imu=np.einsum("nji,nj->ni", R, acceleration),
-        path=path,
-        T_cam0_imu=T_cam0_imu,
-    )
-
-
-def _walk(density: float, t_s: Floats, rng: np.random.Generator) -> Floats:
-    """Return random walks (n, 3) that start from zero."""
-    steps = rng.standard_normal((len(t_s), 3))
-    steps[0] = 0.0
-    steps[1:] *= density * np.sqrt(np.diff(t_s))[:, None]
-    return np.cumsum(steps, axis=0)
-
-
-def _stamps(scenario: CameraImuScenario, t_s: Floats, rng: np.random.Generator) -> Integers:
-    error_s = scenario.imu_jitter_s * rng.standard_normal(len(t_s))
-    return START_NS + np.rint((t_s + error_s) * 1e9).astype(np.int64)
+    return {"cam0": together, "cam1": together if scenario.synchronous_cameras else apart}
 
 
 def _statistics(trajectory: TrueTrajectory, frames: Mapping[str, CameraTruth]) -> MotionStatistics:
@@ -301,11 +223,20 @@ def _statistics(trajectory: TrueTrajectory, frames: Mapping[str, CameraTruth]) -
 
 
 def _truth_parameters(
-    scenario: CameraImuScenario, imu: ImuTruth, cameras: Mapping[str, CameraCalibration]
-) -> Mapping[str, Floats]:
+    scenario: CameraImuScenario, imus: Mapping[str, SimulatedImu], cameras: Mapping[str, CameraCalibration]
+) -> dict[str, Floats]:
     found = {"gravity.magnitude": np.array(scenario.gravity), "target.scale": np.array(scenario.target_scale)}
-    found |= {f"imu0.{name}": getattr(imu, name) for name in ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g")}
-    found["imu0.lever_arms"] = imu.places_m[1:].ravel()
+    for name, imu in imus.items():
+        sensor, pose = imu.sensor, imu.calibration.T_imu_body
+        found |= {f"{name}.{key}": getattr(sensor, key) for key in ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g")}
+        found[f"{name}.lever_arms"] = sensor.places_m[1:].ravel()
+        found[f"{name}.accelerometer_shift"] = np.array(sensor.accelerometer_shift_s)
+        if pose is not None:
+            found |= {
+                f"{name}.T_imu_body.rotation": rotvec_from_rotation(pose[:3, :3]),
+                f"{name}.T_imu_body.translation": pose[:3, 3],
+                f"{name}.time_shift": np.array(imu.calibration.time_shift_s),
+            }
     for name, camera in cameras.items():
         found |= {
             f"{name}.T_cam_imu.rotation": rotvec_from_rotation(camera.T_cam_imu[:3, :3]),
@@ -315,7 +246,7 @@ def _truth_parameters(
             f"{name}.intrinsics": camera.camera.intrinsics,
             f"{name}.distortion_coeffs": camera.camera.distortion_coeffs,
         }
-    return MappingProxyType(found)
+    return found
 
 
 def _truth(

@@ -127,6 +127,7 @@ def simulated_frames(
     *,
     stated: Camera,
     exposure_s: Floats,
+    clock_offset_s: float,
     streams: FrameStreams,
 ) -> tuple[CameraFrames, CameraTruth, CameraCalibration]:
     """Return the frames of a camera, what is true of them, and the true camera with the clocks' offset in its shift.
@@ -138,9 +139,11 @@ def simulated_frames(
     view : what it sees
     stated : the camera that goes with the recording
     exposure_s : (n,) instants at which it exposes, on the IMU's clock [s]
+    clock_offset_s : added to its stamps
     streams : random numbers
     """
-    stamp_ns, time_shift_s, late = _stamps(scenario, truth, exposure_s, streams)
+    offset_ns = round(clock_offset_s * 1e9)
+    stamp_ns, late = _stamps(scenario, truth.time_shift_cam_imu, exposure_s, offset_ns, streams)
     kept = streams.dropped.random(len(exposure_s)) >= scenario.dropped_frames
     kept &= outside(exposure_s, scenario.camera_gaps_s)
     order = np.argsort(stamp_ns, kind="stable")
@@ -162,21 +165,19 @@ def simulated_frames(
             outlier=outlier[order][chosen],
             visible=float(chosen.mean()) if chosen.size else 0.0,
         ),
-        replace(truth, time_shift_cam_imu=time_shift_s),
+        replace(truth, time_shift_cam_imu=truth.time_shift_cam_imu - offset_ns * 1e-9),
     )
 
 
 def _stamps(
-    scenario: CameraImuScenario, truth: CameraCalibration, exposure_s: Floats, streams: FrameStreams
-) -> tuple[Integers, float, Booleans]:
-    """Return the stamps [ns], the true time shift [s], and which stamps are late."""
-    offset_ns = round(scenario.clock_offset_s * 1e9)
+    scenario: CameraImuScenario, time_shift_s: float, exposure_s: Floats, offset_ns: int, streams: FrameStreams
+) -> tuple[Integers, Booleans]:
+    """Return the stamps [ns], and which of them are late."""
     late = streams.late.random(len(exposure_s)) < scenario.late_frames
     error_s = np.where(late, streams.late.uniform(*LATE_S, len(exposure_s)), 0.0)
     error_s += scenario.camera_jitter_s * streams.jitter.standard_normal(len(exposure_s))
-    own_s = exposure_s - truth.time_shift_cam_imu + error_s
-    stamp_ns = START_NS + offset_ns + np.rint(own_s * 1e9).astype(np.int64)
-    return stamp_ns, truth.time_shift_cam_imu - offset_ns * 1e-9, late
+    own_s = exposure_s - time_shift_s + error_s
+    return START_NS + offset_ns + np.rint(own_s * 1e9).astype(np.int64), late
 
 
 def _detected(

@@ -60,6 +60,11 @@ class ImuTruth:
     B_g : (3, 3) [rad/s per m/s^2]
     places_m : (3, 3) where the x, y and z accelerometers sit, one row each, body frame
     b_a, b_g : (3,) initial biases [m/s^2], [rad/s]
+    accelerometer_shift_s : t_gyroscope = t_accelerometer + accelerometer_shift_s [s]
+    T_imu_body : (4, 4) of an IMU beside imu0, else None
+    time_shift_s : t_body = t_imu + time_shift_s but for the offset of the clocks [s]
+    clock_offset_ns : which is added to the stamps
+    separate_stamps : whether the accelerometer has stamps of its own
     noise : densities and walks; each may be zero
     nominal : the same for who weighs measurements: where the true noise is zero, that of the preset
     """
@@ -75,6 +80,11 @@ class ImuTruth:
     b_g: Floats
     noise: Mapping[str, float]
     nominal: ImuNoise
+    accelerometer_shift_s: float = 0.0
+    T_imu_body: Floats | None = None
+    time_shift_s: float = 0.0
+    clock_offset_ns: int = 0
+    separate_stamps: bool = False
 
     @property
     def C_bg(self) -> Floats:
@@ -83,12 +93,14 @@ class ImuTruth:
 
     def calibration(self, b_a: Floats, b_g: Floats) -> ImuCalibration:
         """Return the same in gnomon's form, with biases (3,) [m/s^2], [rad/s]."""
+        apart = self.separate_stamps or bool(self.accelerometer_shift_s)
         return ImuCalibration(
             accelerometer=AccelerometerCalibration(
                 sensitivity=DIAGONAL.matrix(self.S_a) @ LOWER.matrix(self.M_a),
                 bias=b_a,
                 unit="m/s^2",
                 lever_arms_m=self.places_m if self.places_m.any() else None,
+                time_shift_s=self.accelerometer_shift_s if apart else None,
             ),
             gyroscope=GyroscopeCalibration(
                 sensitivity=DIAGONAL.matrix(self.S_g) @ LOWER.matrix(self.M_g) @ self.C_bg.T,
@@ -96,17 +108,21 @@ class ImuTruth:
                 g_sensitivity=self.B_g,
                 unit="rad/s",
             ),
+            T_imu_body=self.T_imu_body,
+            time_shift_s=self.time_shift_s - self.clock_offset_ns * 1e-9,
         )
 
 
-def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator) -> ImuTruth:
-    """Return the preset's IMU, with what the scenario wants drawn."""
+def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator, further: bool = False) -> ImuTruth:
+    """Return the preset's IMU, with what the scenario wants drawn; all errors of one of the further IMUs."""
     # Everything is drawn, used or not: an option for one leaves the others as they are.
     draws = {name: rng.uniform(-1.0, 1.0, size) for name, size in _DRAWN.items()}
     ideal = scenario.imu == "ideal"
 
     def value(name: str, spread: float | None) -> Floats:
         centre = 1.0 if name.startswith("S_") else 0.0
+        if spread is None and further and not ideal:
+            spread = float(np.abs(_TABLE_A1[name] - centre).max())
         if spread is not None:
             return centre + spread * draws[name]
         return np.full(_DRAWN[name], centre) if ideal else _TABLE_A1[name]
@@ -118,6 +134,7 @@ def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator) -> Im
         stated = getattr(scenario, name)
         noise[name] = scenario.noise_factor * (getattr(preset, name) if stated is None else stated)
         nominal[name] = noise[name] or getattr(preset, name)
+    delay_s = scenario.further_accelerometer_delay_s if further else None
     return ImuTruth(
         S_a=value("S_a", scenario.scale_range),
         M_a=value("M_a", scenario.misalignment_range),
@@ -130,6 +147,36 @@ def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator) -> Im
         b_g=value("b_g", scenario.gyroscope_bias_range),
         noise=noise,
         nominal=ImuNoise(**nominal),
+        accelerometer_shift_s=0.0 - (scenario.accelerometer_delay_s if delay_s is None else delay_s),
+        separate_stamps=scenario.accelerometer_rate_hz is not None,
+    )
+
+
+def placed(scenario: CameraImuScenario, imu: ImuTruth, number: int, rng: np.random.Generator) -> ImuTruth:
+    """Return imu1, imu2, ... with its pose and its clock.
+
+    Parameters
+    ----------
+    scenario : what to simulate
+    imu : its errors
+    number : 1, 2, ...
+    rng : for what the scenario wants drawn
+    """
+    direction, length, turn, shift = rng.standard_normal(3), rng.random(), rng.standard_normal(4), rng.uniform(-1, 1)
+    place = scenario.imu_place_range_m * np.cbrt(length) * direction / np.linalg.norm(direction)
+    R_imu_body = rotation_from_quaternion(turn / np.linalg.norm(turn))
+    if number <= len(scenario.imu_places_m):
+        place = np.array(scenario.imu_places_m[number - 1])
+    if number <= len(scenario.imu_rotations_deg):
+        R_imu_body = rotation_from_rotvec(np.radians(scenario.imu_rotations_deg[number - 1]))
+    time_shift_s = number * scenario.imu_time_shift_s
+    if scenario.imu_time_shift_range_s is not None:
+        time_shift_s = scenario.imu_time_shift_range_s * shift
+    return replace(
+        imu,
+        T_imu_body=_transform(R_imu_body, -R_imu_body @ place),
+        time_shift_s=time_shift_s,
+        clock_offset_ns=round(number * scenario.imu_clock_offset_s * 1e9),
     )
 
 

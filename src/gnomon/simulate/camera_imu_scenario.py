@@ -5,14 +5,17 @@ from math import isfinite
 from typing import Literal
 
 from ..errors import OptionError
+from ..models.lens_names import COEFFICIENTS, LINEAR, SHAPES, DistortionName, ProjectionName
 
 MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "slow"]
 ImuPreset = Literal["thesis", "consumer", "ideal"]
 TargetName = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
 
-INTRINSICS = {"pinhole": 4, "omni": 5, "eucm": 6, "ds": 6}
-DISTORTION_COEFFS = {"none": 0, "radtan": 4, "radtan5": 5, "equidistant": 4, "fov": 1}
+INTRINSICS = {name: len((*shape, *LINEAR)) for name, shape in SHAPES.items()}
+DISTORTION_COEFFS = {name: len(coefficients) for name, coefficients in COEFFICIENTS.items()}
 """How many numbers each lens model has."""
+
+MOST_IMUS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,13 +81,13 @@ class CameraImuScenario:
     distance_m: float = 0.9
     """Mean distance from the camera to the middle of the board in metres."""
 
-    projection: Literal["pinhole", "omni", "eucm", "ds"] = "pinhole"
+    projection: ProjectionName = "pinhole"
     """Projection of the lens, as Kalibr names it."""
 
     intrinsics: tuple[float, ...] = (460.0, 458.5, 322.4, 237.1)
     """True intrinsics in Kalibr's order; of a pinhole fu fv pu pv."""
 
-    distortion: Literal["none", "radtan", "radtan5", "equidistant", "fov"] = "radtan"
+    distortion: DistortionName = "radtan"
     """Distortion of the lens, as Kalibr names it; radtan5 is radtan with k3, k1 k2 p1 p2 k3."""
 
     distortion_coeffs: tuple[float, ...] = (-0.28, 0.075, 0.0002, -0.00015)
@@ -147,7 +150,10 @@ class CameraImuScenario:
     """Whether the camera that goes with the recording states the line delay, or none."""
 
     cameras: Literal[1, 2] = 1
-    """Number of cameras; they expose at the same instants."""
+    """Number of cameras."""
+
+    synchronous_cameras: bool = True
+    """Whether the cameras expose at the same instants, or each begins when it likes."""
 
     baseline_m: float = 0.11
     """Distance of the second camera from the first in metres, to its right."""
@@ -174,6 +180,43 @@ class CameraImuScenario:
     clock_offset_s: float = 0.0
     """Added to the cameras' stamps: clocks of unrelated origin."""
 
+    clock_offset_difference_s: float = 0.0
+    """How much more is added to the stamps of the second camera."""
+
+    imus: int = 1
+    """Number of IMUs; the first one, imu0, is the body."""
+
+    further_imu_rate_hz: float | None = None
+    """Sample rate of the IMUs after the first, in place of imu_rate_hz."""
+
+    imu_places_m: tuple[tuple[float, float, float], ...] = ()
+    """Where imu1, imu2, ... sit, x y z in the frame of imu0 in metres; those that are not stated are drawn."""
+
+    imu_place_range_m: float = 0.15
+    """Longest distance from imu0 that is drawn, in metres."""
+
+    imu_rotations_deg: tuple[tuple[float, float, float], ...] = ()
+    """How imu1, imu2, ... are turned: rotation vectors of R_imu_body in degrees; those that are not stated are drawn,
+    any rotation."""
+
+    imu_time_shift_s: float = 0.004
+    """t_imu0 - t_imu1 in seconds; of imu2 twice as much, and so on."""
+
+    imu_time_shift_range_s: float | None = None
+    """Draw the time shift of each of the further IMUs between minus and plus this instead, in seconds."""
+
+    imu_clock_offset_s: float = 0.0
+    """Added to the stamps of imu1, twice to those of imu2, and so on: clocks of unrelated origin."""
+
+    accelerometer_rate_hz: float | None = None
+    """Sample rate of the accelerometers where they have stamps of their own; without it they share the gyroscopes'."""
+
+    accelerometer_delay_s: float = 0.0
+    """How much older than its stamp a reading of the accelerometer is, against one of the gyroscope, in seconds."""
+
+    further_accelerometer_delay_s: float | None = None
+    """The same of the IMUs after the first, in place of accelerometer_delay_s."""
+
     gravity: float = 9.80665
     """Local gravity in m/s^2."""
 
@@ -183,7 +226,8 @@ class CameraImuScenario:
 
     imu: ImuPreset = "consumer"
     """True errors and noise of the IMU. thesis: Table A.1 of document B. consumer: the same errors, noise of a good
-    consumer sensor. ideal: no errors, the same noise."""
+    consumer sensor. ideal: no errors, the same noise. Further IMUs have the same noise, and errors of that size that
+    are drawn."""
 
     accelerometer_noise_density: float | None = None
     """White noise in m/s^2/sqrt(Hz), in place of the preset's."""
@@ -282,7 +326,9 @@ class CameraImuScenario:
             )
         for arm in self.accelerometer_arms_m:
             _check("accelerometer_arms_m", arm)
-        if self.duration_s * min(self.imu_rate_hz, self.camera_rate_hz) < 2:
+        self._check_imus()
+        rates = (self.imu_rate_hz, self.camera_rate_hz, self.further_imu_rate_hz, self.accelerometer_rate_hz)
+        if self.duration_s * min(rate for rate in rates if rate is not None) < 2:
             raise OptionError(f"duration_s {self.duration_s:g} is too short for two samples.")
 
     def _check_numbers(self) -> None:
@@ -301,6 +347,17 @@ class CameraImuScenario:
             raise OptionError(f"scale_range {self.scale_range:g}: a scale of zero or less measures nothing.")
         if self.focal_error <= -1:
             raise OptionError(f"focal_error {self.focal_error:g} must be above -1.")
+
+    def _check_imus(self) -> None:
+        if not 1 <= self.imus <= MOST_IMUS:
+            raise OptionError(f"imus {self.imus}: give a number from 1 to {MOST_IMUS}.")
+        for name in ("imu_places_m", "imu_rotations_deg"):
+            stated = getattr(self, name)
+            if len(stated) > self.imus - 1:
+                raise OptionError(f"{name}: found {len(stated)} of them for {self.imus - 1} IMUs beside imu0.")
+            for triple in stated:
+                for value in triple:
+                    _check(name, value)
 
     def _check_lens(self) -> None:
         for name, model, numbers in (
@@ -323,6 +380,7 @@ class CameraImuScenario:
 _POSITIVE = (
     *("duration_s", "imu_rate_hz", "camera_rate_hz", "target_size_m", "target_scale", "distance_m", "gravity"),
     *("accelerometer_range", "gyroscope_range", "focus_m", "marker_share"),
+    *("further_imu_rate_hz", "accelerometer_rate_hz"),
 )
 _NOT_NEGATIVE = (
     *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s", "corner_offset_m"),
@@ -330,10 +388,12 @@ _NOT_NEGATIVE = (
     *("accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density", "gyroscope_random_walk"),
     *("noise_factor", "scale_range", "misalignment_range", "gyroscope_rotation_range", "g_sensitivity_range"),
     *("accelerometer_bias_range", "gyroscope_bias_range", "outlier_px", "shift_px", "imu_jitter_s", "camera_jitter_s"),
+    *("imu_place_range_m", "imu_time_shift_range_s"),
 )
 _FINITE = (
     *("board_lean_deg", "board_turn_deg", "focal_error", "principal_point_error_px", "baseline_m", "time_shift_s"),
-    *("time_shift_difference_s", "clock_offset_s", "board_bow_m"),
+    *("time_shift_difference_s", "clock_offset_s", "board_bow_m", "clock_offset_difference_s"),
+    *("imu_time_shift_s", "imu_clock_offset_s", "accelerometer_delay_s", "further_accelerometer_delay_s"),
 )
 
 

@@ -10,10 +10,11 @@ from ..calibration import (
     Calibration,
     ImuCalibration,
 )
+from ..intervals import Booleans
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from .scenario import Scenario
 from .sensor import Converter, converters, drawn_imu
-from .thesis import ThesisMotions, thesis_motions
+from .thesis import TOLERANCE_S, ThesisMotions, thesis_motions
 from .trajectory import Motions, hand_motions
 from .truth import true_calibration
 
@@ -52,8 +53,7 @@ def simulate_imu(scenario: Scenario, seed: int) -> tuple[Recording, Calibration]
     if scenario.sensor_seed is not None:
         for_sensor = np.random.default_rng(scenario.sensor_seed)
     truth = _truth(scenario, seed, drawn_imu(scenario, for_sensor))
-    motions, end_s = (hand_motions if scenario.style == "hand" else thesis_motions)(scenario, for_motion)
-    world = _World(motions=motions, gravity=scenario.gravity, earth_rate=_earth_rate(scenario))
+    world, end_s = _drawn_world(scenario, for_motion)
     rate_hz = scenario.gyroscope_rate_hz or scenario.rate_hz
     clock = _clock(scenario, end_s, scenario.rate_hz, for_clock)
     # Triads of one rate come in one packet: the same stamps, the same losses.
@@ -70,6 +70,45 @@ def simulate_imu(scenario: Scenario, seed: int) -> tuple[Recording, Calibration]
         accelerometer=_recorded(force, clock, to_force), gyroscope=_recorded(rate, gyroscope_clock, to_rate)
     )
     return Recording(imus={"imu0": samples}), truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrueSignals:
+    """What acts on the sensor at the instants at which its accelerometer is sampled, in body frame "accel-x".
+
+    Attributes
+    ----------
+    t_s : (n,) [s]
+    force, rate : (n, 3) [m/s^2] [rad/s]
+    moving : (n,) whether a motion is under way, its ends included
+    """
+
+    t_s: Floats
+    force: Floats
+    rate: Floats
+    moving: Booleans
+
+
+def true_signals(scenario: Scenario, seed: int) -> TrueSignals:
+    """Return the ideal, noise-free signals of the recording that the same scenario and seed make."""
+    for_motion = np.random.default_rng(seed).spawn(2)[1]
+    world, end_s = _drawn_world(scenario, for_motion)
+    t_s = _instants(end_s, scenario.rate_hz)
+    force, rate = world.at(t_s)
+    motions = world.motions
+    latest = np.searchsorted(motions.start_s, t_s + TOLERANCE_S, side="right") - 1
+    ends_s = (motions.start_s + motions.duration_s)[latest] + TOLERANCE_S
+    return TrueSignals(t_s=t_s, force=force, rate=rate, moving=(latest >= 0) & (t_s <= ends_s))
+
+
+def _drawn_world(scenario: Scenario, rng: np.random.Generator) -> tuple[_World, float]:
+    """Return what acts on the sensor, and the recording's end [s]."""
+    motions, end_s = (hand_motions if scenario.style == "hand" else thesis_motions)(scenario, rng)
+    return _World(motions=motions, gravity=scenario.gravity, earth_rate=_earth_rate(scenario)), end_s
+
+
+def _instants(end_s: float, rate_hz: float) -> Floats:
+    return np.arange(int(end_s * rate_hz + 1e-6) + 1) / rate_hz
 
 
 def _models(imu: ImuCalibration) -> tuple[Callable[[Floats, Floats], Floats], Callable[[Floats, Floats], Floats]]:
@@ -109,7 +148,7 @@ def _walk(step: float, count: int, rng: np.random.Generator) -> Floats:
 
 
 def _clock(scenario: Scenario, end_s: float, rate_hz: float, rng: np.random.Generator) -> _Clock:
-    t_s = np.arange(int(end_s * rate_hz + 1e-6) + 1) / rate_hz
+    t_s = _instants(end_s, rate_hz)
     stamps_ns = t_s * 1e9
     if scenario.stamp_jitter_s:
         stamps_ns += rng.normal(0.0, scenario.stamp_jitter_s * 1e9, len(t_s))

@@ -33,6 +33,10 @@ from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttribut
 Floats = NDArray[np.float64]
 
 
+_LOWER, _CHAIN = "lower", "chain"
+_OF_A_FACTOR = {_LOWER, _CHAIN}
+
+
 class Workspace:
     """Memory that is used again from one iteration to the next.
 
@@ -52,6 +56,12 @@ class Workspace:
         else:
             flat[:size] = 0.0
         return flat[:size].reshape(shape)
+
+    def beside_a_factor(self) -> "Workspace":
+        """Return a workspace for other equations in the memory of these, of which the factor alone is needed on."""
+        other = Workspace()
+        other._arrays = {name: flat for name, flat in self._arrays.items() if name not in _OF_A_FACTOR}
+        return other
 
 
 class WideBorder(Protocol):
@@ -370,10 +380,10 @@ def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
     order, q = system.order, system.rhs.shape[2]
     per_block = max(order - 1, 1)
     blocks, s = -(-n // per_block), per_block * d
-    lower = system.workspace.zeros("lower", (blocks, s, s))
-    chain = system.workspace.zeros("chain", (blocks, s + p + q, s))
-    following = system.workspace.zeros("following", (blocks, s, s))  # E
-    diagonal, ahead = (each.reshape(blocks, per_block, d, per_block, d) for each in (lower, following))
+    lower = system.workspace.zeros(_LOWER, (blocks, s, s))
+    chain = system.workspace.zeros(_CHAIN, (blocks, s + p + q, s))
+    diagonal = lower.reshape(blocks, per_block, d, per_block, d)
+    ahead = chain[:, :s].reshape(blocks, per_block, d, per_block, d)  # E, transposed; a view
     starts = system.starts()
     pairs = [
         (g, slice(starts[g], starts[g + 1]), h, slice(starts[h], starts[h + 1]))
@@ -385,12 +395,11 @@ def _gathered(system: BorderedBand) -> tuple[Floats, Floats]:
         for g, rows, h, columns in pairs:
             part = system.band[g][h][row::per_block]
             diagonal[:count, row, rows, row : row + within, columns] = part[:, :, :within]
-            ahead[:count, row, rows, : order - within, columns] = part[:, :, within:]
+            ahead[:count, : order - within, columns, row, rows] = part[:, :, within:].transpose(0, 2, 3, 1)
         for g, rows, h, columns in pairs:
             if g != h:  # the control point with itself: its other triangle
                 diagonal[:count, row, columns, row, rows] += np.swapaxes(system.band[g][h][row::per_block, :, 0], 1, 2)
     whole = n // per_block
-    chain[:, :s] = following.transpose(0, 2, 1)
     chain[:whole, s:] = system.tail[: whole * per_block].reshape(whole, s, p + q).transpose(0, 2, 1)
     chain[whole:, s:, : (n - whole * per_block) * d] = system.tail[whole * per_block :].reshape(-1, p + q).T
     # LAPACK reads one triangle only: the lower one of the Fortran view, the upper one of these rows.

@@ -2,7 +2,8 @@
 
 The result is a CSV table of what was calibrated and recorded. It has one row for each gyroscope sample, else for each
 accelerometer sample, else for each magnetometer sample. Other triads stand beside it: their own samples where they have
-the same stamps, else interpolated linearly to those of the row. The specific force beside a rate is the one that the
+the same stamps, else interpolated linearly to those of the row; of an accelerometer with a time shift, after that was
+added to its stamps. The specific force beside a rate is the one that the
 gyroscope's correction used.
 """
 
@@ -163,9 +164,11 @@ def _check_force(calibration: ImuCalibration) -> None:
 
 def _calibrator(calibration: ImuCalibration, name: str) -> Callable[[TriadSamples], TriadSamples]:
     """Return what makes specific force or magnetic field of a block of samples."""
+    stamps: Callable[[Integers], Integers] = np.asarray
     if name == "accelerometer":
         accelerometer = calibration.required_accelerometer
         unit, si_unit, physical = accelerometer.unit, "m/s^2", accelerometer.specific_force
+        stamps = accelerometer.with_gyroscope
     else:
         magnetometer = calibration.magnetometer
         assert magnetometer is not None
@@ -173,7 +176,7 @@ def _calibrator(calibration: ImuCalibration, name: str) -> Callable[[TriadSample
 
     def calibrated(block: TriadSamples) -> TriadSamples:
         _check_unit(unit, block)
-        return TriadSamples(t_ns=block.t_ns, values=physical(block.values), unit=si_unit)
+        return TriadSamples(t_ns=stamps(block.t_ns), values=physical(block.values), unit=si_unit)
 
     return calibrated
 

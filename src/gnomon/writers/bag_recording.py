@@ -10,7 +10,6 @@ has it, -1 as the first number of a covariance says which triad is not there.
 """
 
 import heapq
-import os
 import shutil
 import sqlite3
 from collections.abc import Callable, Generator, Iterator
@@ -24,6 +23,7 @@ import numpy as np
 
 from ..errors import OutputError, RecordingError
 from ..images import Arrivals, Frame, Grey, ImageRecording, ImageStream
+from ..output import files_together
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
@@ -68,11 +68,14 @@ def save_bag(
     single = form == "ros1" or (form == "mcap" and target.suffix == ".mcap")
     _check_target(target, form, single=single)
     try:
-        with _beside(target) as place:
-            made = place / (target.stem if single else target.name)  # the writers name their files by this
+        with files_together(target.absolute().parent) as staging:
+            making = staging / ".making"
+            making.mkdir()
+            made = making / (target.stem if single else target.name)  # the writers name their files by this
             with _opened(made, form) as bag:
                 _write(recording, bag, form, tell, notes)
-            _replace(made / f"{made.name}.mcap" if single and form == "mcap" else made, target, place)
+            (made / f"{made.name}.mcap" if single and form == "mcap" else made).replace(staging / target.name)
+            shutil.rmtree(making)
     except (OSError, sqlite3.Error) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(
@@ -89,31 +92,6 @@ def _check_target(target: Path, form: Form, *, single: bool) -> None:
         raise OutputError(f"{target}: there are other files in this folder. Choose a new name for the bag.")
     if form == "ros2" and target.suffix in {".db3", ".mcap"}:
         raise OutputError(f"{target}: a ROS 2 bag is a folder. Give a name without {target.suffix}.")
-
-
-@contextmanager
-def _beside(target: Path) -> Generator[Path]:
-    """Make a folder beside `target` that vanishes with all that is still in it."""
-    target.absolute().parent.mkdir(parents=True, exist_ok=True)
-    place = target.absolute().with_name(f".{target.name}.{os.urandom(4).hex()}.part")
-    place.mkdir()
-    try:
-        yield place
-    finally:
-        shutil.rmtree(place, ignore_errors=True)
-
-
-def _replace(made: Path, target: Path, place: Path) -> None:
-    """Put what was made at its place; a folder cannot be replaced in one step, so the old one steps aside."""
-    if target.is_dir():
-        target.rename(place / "old")
-        try:
-            made.rename(target)
-        except OSError:
-            (place / "old").rename(target)
-            raise
-    else:
-        made.replace(target)
 
 
 class _Bag(NamedTuple):

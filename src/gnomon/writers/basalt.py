@@ -29,7 +29,7 @@ from .export import (
     uncertainty_loss,
 )
 from .sensor_losses import (
-    lever_arm_losses,
+    accelerometer_losses,
     missing_gyroscope_loss,
     noise_losses,
     other_imu_losses,
@@ -72,7 +72,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         *other_imu_losses(moved, "Basalt"),
         *shift_losses(moved, "Basalt"),
         *noise_losses(context.of(name), "Basalt", _INSTEAD),
-        *lever_arm_losses(moved, "Basalt"),
+        *accelerometer_losses(moved, "Basalt"),
         *_losses(moved),
         *magnetometer_losses(moved, "Basalt"),
     )

@@ -13,8 +13,8 @@ from ..models.forms import inverse
 from ..recording import Floats
 from .calibration_file import FRAMES
 from .context import Context
-from .export import Export, Loss, camera_losses, uncertainty_loss
-from .sensor_losses import lever_arm_losses
+from .export import Export, Loss, rig_losses, uncertainty_loss
+from .sensor_losses import accelerometer_losses
 
 _HEAD = """\
 /* Calibration of an inertial sensor as C code, made by gnomon.
@@ -89,7 +89,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     rounding = Loss(
         what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
     )
-    losses = (*camera_losses(calibration, "the C header"), *lever_arm_losses(calibration, "the C header"), rounding)
+    losses = (*rig_losses(calibration, "the C header"), *accelerometer_losses(calibration, "the C header"), rounding)
     return Export(files={"gnomon_imu.h": text}, losses=(*losses, uncertainty_loss("the C header")))
 
 

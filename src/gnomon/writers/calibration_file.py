@@ -25,7 +25,7 @@ from ..errors import OutputError
 from ..findings import Finding
 from ..output import write_whole
 from ..readers.own.calibration_cameras import BOARD_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS
-from ..readers.own.calibration_file import SCHEMA_MAJOR
+from ..readers.own.calibration_file import SCHEMA_MAJOR, imu_keys
 from ..trust import Need, TrustNote
 from .yaml_text import yaml_lines
 
@@ -94,6 +94,22 @@ _LEVER_ARMS = """\
 #
 """
 
+_SEVERAL_IMUS = """\
+#
+# Several IMUs: the body is imu0. Every other IMU has a frame of its own, by the same rule, to which its sensitivities
+# refer: p_imu = T_imu_body p_body, in m. A sample stamped t_imu was taken at t_body = t_imu + time_shift_imu, in s.
+# T_imu_body_rotation_sigma is that of a small rotation about the body's axes in rad, T_imu_body_translation_sigma that
+# of the last column of T_imu_body in m.
+#
+"""
+
+_ACCELEROMETER_SHIFT = """\
+#
+# Accelerometers with a delay of their own: t_gyroscope = t_accelerometer + time_shift, in s, of the stamps of one
+# instant. The time shifts of IMUs and cameras are between gyroscopes, and to that of imu0.
+#
+"""
+
 _SIGMAS = """\
 # Every *_sigma is one standard deviation, and the square root of the covariance's diagonal at the end of this file.
 """
@@ -128,6 +144,10 @@ def calibration_text(calibration: Calibration) -> str:
         header += _MAGNETOMETER
     if _with_lever_arms(calibration):
         header += _LEVER_ARMS
+    if any(imu.T_imu_body is not None for imu in calibration.imus.values()):
+        header += _SEVERAL_IMUS
+    if _with_shifted_accelerometer(calibration):
+        header += _ACCELEROMETER_SHIFT
     header += (_CAMERAS if calibration.cameras else "") + _SIGMAS
     return header + "\n" + "\n".join(yaml_lines(_document(calibration))) + "\n"
 
@@ -156,6 +176,8 @@ def _minor(calibration: Calibration) -> int:
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
     if not calibration.imus:
         return 4
+    if any(imu.T_imu_body is not None for imu in imus) or _with_shifted_accelerometer(calibration):
+        return 5
     if _with_lever_arms(calibration) or _tells(calibration.assessment.trust):
         return 3
     if (
@@ -173,6 +195,11 @@ def _with_lever_arms(calibration: Calibration) -> bool:
     return any(sensor is not None and sensor.lever_arms_m is not None for sensor in sensors)
 
 
+def _with_shifted_accelerometer(calibration: Calibration) -> bool:
+    sensors = [imu.accelerometer for imu in calibration.imus.values()]
+    return any(sensor is not None and sensor.time_shift_s is not None for sensor in sensors)
+
+
 def _tells(trust: TrustNote) -> bool:
     """Tell whether a note says more than that the covariance is the one for independent errors."""
     return trust.covariance != "ordinary" or bool(
@@ -187,10 +214,17 @@ def _imus(calibration: Calibration) -> dict[str, Any]:
         result[name] = {triad: {"unit": sensor.unit} for triad, sensor in triads.items() if sensor is not None}
         if imu.magnetometer is not None:
             result[name]["magnetometer"] = {"unit": imu.magnetometer.unit, "field_unit": imu.magnetometer.field_unit}
+        if imu.T_imu_body is not None:
+            result[name]["T_imu_body"] = imu.T_imu_body
     for path, value in parameters(calibration.imus):
-        imu, triad, parameter = path.split(".")
-        result[imu][triad][parameter] = value
-        result[imu][triad][f"{parameter}_sigma"] = calibration.sigma(path)
+        imu, key, sigma_key = imu_keys(path)
+        entry = result[imu]
+        for triad in key[:-1]:
+            entry = entry[triad]
+        sigma = calibration.sigma(path)
+        if key[-1] != "T_imu_body":
+            entry[key[-1]] = value if value.ndim else float(value)
+        entry[sigma_key] = sigma if sigma.ndim else float(sigma)
     return result
 
 
@@ -298,7 +332,7 @@ def _basis(assessment: Assessment, minor: int) -> dict[str, Any]:
         return {"cameras": _cameras(assessment.cameras)}
     if assessment.camera_imu is not None:
         return {"camera_imu": _camera_imu(assessment.camera_imu)}
-    return {} if minor >= 4 else _multi_position(assessment, minor)
+    return {} if minor == 4 else _multi_position(assessment, minor)  # 4: cameras alone
 
 
 def _cameras(fit: CamerasFit) -> dict[str, Any]:

@@ -28,6 +28,9 @@ _DEFINITIONS = {
     "T_cam_imu": "p_cam = T_cam_imu p_imu [m], 4x4 row by row: from the body frame of imu0 to the camera's (x right, "
     "y down, z forward).",
     "time_shift_cam_imu": "t_imu = t_cam + time_shift_cam_imu [s]; row v of an image is line_delay * v later [s].",
+    "T_imu_body": "p_imu = T_imu_body p_body [m], 4x4 row by row: from the body frame, imu0's, to that of another IMU.",
+    "time_shift_imu": "t_imu0 = t_imu + time_shift_imu [s], of the stamps of the gyroscopes; of an accelerometer "
+    "t_gyroscope = t_accelerometer + time_shift [s].",
     "sigma": "every *_sigma is one standard deviation; T_cam_imu_rotation_sigma is that of a small rotation about the "
     "body's axes [rad].",
     "covariance": "lower_triangle[i][j] is the covariance of names[i] and names[j]; 0 where a scalar was held fixed.",

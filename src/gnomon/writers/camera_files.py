@@ -11,7 +11,7 @@ from ..calibration import Calibration
 from ..diagnostics import CamerasDiagnostics, Result
 from ..geometry.quaternion import quaternion_from_rotation
 from ..models.target import Target
-from ..output import write_whole
+from ..output import write_together
 from ..recording import Floats
 from .baselines import baseline_of
 from .context import Context, remarks
@@ -36,8 +36,7 @@ def save_camera_files(result: Result, target: Target, directory: str | PathLike[
         If a file cannot be written.
     """
     texts = camera_texts(result, target)
-    for name, text in texts.items():
-        write_whole(Path(directory) / name, text)
+    write_together(directory, texts)
     return tuple(Path(directory) / name for name in texts)
 
 

@@ -11,7 +11,7 @@ from ..calibration import Calibration
 from ..diagnostics import CameraImuDiagnostics, NoiseLevel, Result
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
-from ..output import write_whole
+from ..output import write_together
 from ..parameters import parameters
 from ..readers.projects.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
@@ -44,8 +44,7 @@ def save_camera_imu_files(
     """
     folder = Path(directory)
     texts = camera_imu_texts(result, recording, target)
-    for name, text in texts.items():
-        write_whole(folder / name, text)
+    write_together(folder, texts)
     return tuple(folder / name for name in texts)
 
 
@@ -136,7 +135,7 @@ def _notes(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Itera
     paths = [f"{name}.{key}" for name in calibration.cameras for key in _CAMERA_PATHS]
     paths += [f"{imu}.{path}" for imu in calibration.imus for path in _IMU_PATHS]
     known = dict(parameters(calibration.imus))
-    paths += [path for path in (f"{imu}.accelerometer.lever_arms_m" for imu in calibration.imus) if path in known]
+    paths += [path for imu in calibration.imus for path in (f"{imu}.{rest}" for rest in _RIG_PATHS) if path in known]
     for path in paths:
         sigma = calibration.sigma(path)
         if sigma.size:
@@ -152,6 +151,15 @@ _CAMERA_PATHS = (
     "intrinsics",
     "distortion_coeffs",
 )
+_RIG_PATHS = (
+    "accelerometer.lever_arms_m",
+    "T_imu_body.rotation",
+    "T_imu_body.translation",
+    "time_shift_imu",
+    "accelerometer.time_shift",
+)
+"""Those that not every IMU has."""
+
 _IMU_PATHS = ("accelerometer.sensitivity", "gyroscope.sensitivity", "gyroscope.g_sensitivity")
 
 

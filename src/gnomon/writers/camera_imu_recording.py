@@ -3,9 +3,10 @@
 cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, numbered in Kalibr's order
 cam0_frames.csv       ts_ns, corners: every frame, also those without corners
 cam0/data.csv, cam0/data/<stamp>.png    in their place, where the scenario wants images
-imu0.csv.gz           the samples
+imu0.csv.gz, ...      the samples of each IMU; imu0-acc.csv.gz and imu0-gyr.csv.gz where its triads have stamps of their
+                      own
 mav0, recording.bag, recording, recording.mcap    images and samples in one of these, where another form is wanted
-camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise, board
+camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise (of several IMUs keyed imu0, imu1), board
 truth.yaml            what is true, as a calibration file
 groundtruth.txt       the true path in the TUM format
 scenario.yaml         what was simulated
@@ -29,6 +30,7 @@ from ..output import atomic_file, write_whole
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.camera_imu_images import simulated_images
+from ..simulate.camera_imu_scenario import MOST_IMUS
 from .calibration_file import calibration_text
 from .kalibr_text import kalibr_yaml
 from .options_file import options_text
@@ -40,7 +42,7 @@ from .trajectory import trajectory_text
 CAMERA_FILES = (
     *(f"{name}{ending}" for name in ("cam0", "cam1") for ending in ("", "_corners.csv.gz", "_frames.csv")),
     *PLACES.values(),
-    "imu0.csv.gz",
+    *(f"imu{number}{ending}.csv.gz" for number in range(MOST_IMUS) for ending in ("", "-acc", "-gyr")),
 )
 """Files and folders of cameras and samples in the folder of a simulated recording; it has some of them."""
 
@@ -51,7 +53,7 @@ _SCENARIO = """\
 # and {visible} of the board's points seen.
 """
 _CHAIN = "# Lens of each camera as its owner knows it; what is true stands in truth.yaml.\n"
-_NOISE = "# Nominal noise of the IMU.\n"
+_NOISE = "# Nominal noise of {}.\n"
 
 
 def save_camera_imu_recording(
@@ -87,7 +89,8 @@ def save_camera_imu_recording(
     _clear(place)
     written: list[Path] = []
     if not simulation.scenario.images or form == "folder":
-        written += save_recording(Recording(imus=recording.imus), place / "imu0.csv.gz")
+        for name, samples in recording.imus.items():
+            written += save_recording(Recording(imus={name: samples}), place / f"{name}.csv.gz")
     if simulation.scenario.images:
         written += save_images(simulated_images(simulation), place, form, progress)
     else:
@@ -133,7 +136,7 @@ def _texts(simulation: CameraImuSimulation) -> Iterator[tuple[str, str]]:
     recording, found = simulation.recording, simulation.statistics
     chain = {name: camera_node(frames.camera) for name, frames in recording.cameras.items()}
     yield "camchain.yaml", _CHAIN + kalibr_yaml(chain)
-    yield "imu.yaml", _NOISE + kalibr_yaml(_imu_node(recording.imus["imu0"], simulation.scenario.imu_rate_hz))
+    yield "imu.yaml", _noise_text(simulation)
     yield "target.yaml", target_text(simulation.target)
     yield "truth.yaml", calibration_text(simulation.truth)
     yield "groundtruth.txt", trajectory_text(_track(simulation))
@@ -158,6 +161,19 @@ def camera_node(camera: Camera) -> dict[str, Any]:
         "rostopic": camera.topic,
     }
     return node | ({"line_delay": camera.line_delay_s} if camera.line_delay_s else {})
+
+
+def _noise_text(simulation: CameraImuSimulation) -> str:
+    """Return the text of imu.yaml, of several IMUs keyed by their names."""
+    scenario, imus = simulation.scenario, simulation.recording.imus
+    further_hz = scenario.further_imu_rate_hz or scenario.imu_rate_hz
+    nodes = {
+        name: _imu_node(samples, scenario.imu_rate_hz if name == "imu0" else further_hz)
+        for name, samples in imus.items()
+    }
+    return _NOISE.format("the IMU" if len(imus) == 1 else "the IMUs") + kalibr_yaml(
+        nodes["imu0"] if len(imus) == 1 else nodes
+    )
 
 
 def _imu_node(samples: ImuSamples, rate_hz: float) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from os import PathLike
 from pathlib import Path
 
 from ..calibration import Calibration
-from ..errors import OptionError, OutputError
-from ..output import write_whole
+from ..errors import OptionError
+from ..output import write_together
 from ..readers.projects.foreign import ForeignCalibration
 from ..readers.projects.foreign_calibration import as_calibration
 from ..readers.rig.imu_noise import read_imu_noise
@@ -52,7 +52,7 @@ def convert(
     calibration : gnomon's own, or what `load_foreign` read of another project's
     to : "imu_tk", "kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis", "px4", "ardupilot", "ros2",
         "imucal", "c-header", "json" or "csv"
-    directory : made if it is not there; only the files of the format are written, each of them whole or not at all
+    directory : made if it is not there; only the files of the format are written, all of them or none
     imu : file with the noise and rate of the IMUs, such as Kalibr's imu.yaml or gnomon's noise.yaml, or what is known
         of each; another project's calibration may state them itself
 
@@ -66,15 +66,7 @@ def convert(
         If a file cannot be written.
     """
     export = exported(calibration, to, imu=imu)
-    folder = Path(directory)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"{directory}: this folder cannot be made ({error.strerror or error}). Choose another one with -o."
-        ) from error
-    for name, text in export.files.items():
-        write_whole(folder / name, text)
+    write_together(directory, export.files)
     return export.losses
 
 

@@ -99,14 +99,22 @@ def magnetometer_losses(calibration: Calibration, format_name: str) -> Iterator[
             )
 
 
-def camera_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
-    """Say that a format of inertial sensors has no place for cameras."""
+def rig_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
+    """Say that a format of inertial sensors has no place for cameras, nor for where several IMUs are."""
     if calibration.cameras:
         yield Loss(
             what=", ".join(calibration.cameras),
             why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
             "Use kalibr, openvins or basalt to write them too, or keep calibration.yaml.",
         )
+    for name, imu in calibration.imus.items():
+        if imu.T_imu_body is not None:
+            yield Loss(
+                what=f"pose and clock of {name}",
+                why=f"{format_name} does not say how IMUs lie to each other: T_imu_body and time shift are left out. "
+                "Use kalibr, json or csv to write them too.",
+                size=f"{1e3 * float(np.linalg.norm(imu.T_imu_body[:3, 3])):.3g} mm, {1e3 * imu.time_shift_s:+.6g} ms",
+            )
 
 
 def g_sensitivity_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:

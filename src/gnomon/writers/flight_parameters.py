@@ -14,8 +14,8 @@ from ..errors import OptionError
 from ..models.diagonal_forms import DiagonalTriad
 from ..recording import Floats
 from .context import Context
-from .export import Loss, camera_losses, g_sensitivity_losses, magnetometer_losses, uncertainty_loss
-from .sensor_losses import lever_arm_losses, rest_size, si_sensitivity
+from .export import Loss, g_sensitivity_losses, magnetometer_losses, rig_losses, uncertainty_loss
+from .sensor_losses import accelerometer_losses, rest_size, si_sensitivity
 from .si_units import conversions, count_losses
 
 _NOTHING = 1e-12
@@ -86,7 +86,7 @@ def flight_head(head: str, calibration: Calibration, context: Context) -> str:
 
 def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[Loss]:
     """Yield what these parameters cannot hold."""
-    yield from camera_losses(calibration, whose)
+    yield from rig_losses(calibration, whose)
     for name in list(calibration.imus)[most:]:
         yield Loss(what=name, why=f"{whose} knows {most} IMUs.")
     for name, imu in list(calibration.imus.items())[:most]:
@@ -107,7 +107,7 @@ def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[L
                     size=rest_size(rest, conversion.triad),
                 )
     yield from g_sensitivity_losses(calibration, whose)
-    yield from lever_arm_losses(calibration, whose)
+    yield from accelerometer_losses(calibration, whose)
     yield from magnetometer_losses(calibration, whose)
     yield Loss(what="precision", why=f"{whose} keeps floats.", size="6e-8 relative")
     yield uncertainty_loss(whose)

@@ -95,6 +95,11 @@ def lever_arms(places: Floats) -> Iterator[Entry]:
     yield from _ACCELEROMETER.matrix("r", places, "m")
 
 
+def time_shift(shift_s: float) -> Iterator[Entry]:
+    """Name what is added to the stamps of the accelerometer."""
+    yield _ACCELEROMETER.one("time_shift", 1e3 * shift_s, "ms")
+
+
 def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
     """Name sensitivity, bias and g-sensitivity."""
     yield from _GYROSCOPE.matrix("sensitivity", S, per(unit, _RATE))

@@ -15,14 +15,14 @@ from .context import Context
 from .export import (
     Export,
     Loss,
-    camera_losses,
     g_sensitivity_losses,
     into_frame,
     magnetometer_losses,
     numbers_text,
+    rig_losses,
     uncertainty_loss,
 )
-from .sensor_losses import lever_arm_losses
+from .sensor_losses import accelerometer_losses
 
 
 def export(calibration: Calibration, context: Context) -> Export:
@@ -59,9 +59,9 @@ def export(calibration: Calibration, context: Context) -> Export:
     return Export(
         files=files,
         losses=(
-            *camera_losses(moved, "imu_tk"),
+            *rig_losses(moved, "imu_tk"),
             *g_sensitivity_losses(moved, "imu_tk"),
-            *lever_arm_losses(moved, "imu_tk"),
+            *accelerometer_losses(moved, "imu_tk"),
             *magnetometer_losses(moved, "imu_tk"),
             *losses,
             unit,

@@ -14,8 +14,8 @@ from ..calibration import Calibration, ImuCalibration
 from ..models.project_forms import ImucalAccelerometer, ImucalGyroscope
 from .calibration_file import FRAMES
 from .context import Context
-from .export import Export, camera_losses, magnetometer_losses, require_triads, uncertainty_loss
-from .sensor_losses import lever_arm_losses
+from .export import Export, magnetometer_losses, require_triads, rig_losses, uncertainty_loss
+from .sensor_losses import accelerometer_losses
 
 _COMMENT = "Made by gnomon. acc = K_a R_a f + b_a; gyr = K_g R_g w + K_ga f + b_g, f in m/s^2, w in deg/s."
 
@@ -34,8 +34,8 @@ def export(calibration: Calibration, context: Context) -> Export:
         for name, imu in calibration.imus.items()
     }
     losses = (
-        *camera_losses(calibration, "imucal"),
-        *lever_arm_losses(calibration, "imucal"),
+        *rig_losses(calibration, "imucal"),
+        *accelerometer_losses(calibration, "imucal"),
         *magnetometer_losses(calibration, "imucal"),
     )
     return Export(files=files, losses=(*losses, uncertainty_loss("imucal")))

@@ -18,7 +18,7 @@ from .export import Export, Loss, into_frame, magnetometer_losses, require_triad
 from .kalibr_camchain import CAMCHAIN_FILE, LENS_FILE, camchain_text, lens_chain_text
 from .kalibr_text import kalibr_yaml
 from .lens_fit import k3_losses
-from .sensor_losses import bias_losses, noise_losses
+from .sensor_losses import bias_losses, noise_losses, triad_shift_losses
 from .si_units import conversions, count_losses
 
 IMU_FILE = "imu.yaml"
@@ -37,6 +37,9 @@ _SIZE_EFFECT = """\
 _IDEAL_EQUATIONS = """\
 :
 #   accelerometer [m/s^2] = f + bias                  gyroscope [rad/s] = w + bias"""
+
+
+_SEVERAL = "Several IMUs: p_imu = T_i_b p_imu0 [m], t_imu0 = t_imu + time_offset [s]."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,7 +80,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     moved = moved.with_origin("x")
     found = list(losses)
     for name, imu in moved.imus.items():
-        found.extend(_losses(name, imu))
+        found.extend(_losses(moved, name, imu))
+    found.extend(triad_shift_losses(moved, "Kalibr"))
     found.extend(magnetometer_losses(moved, "kalibr"))
     found.extend(k3_losses(moved, "Kalibr"))
     for name in moved.imus:
@@ -98,13 +102,16 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
     """
     stated = stated or {}
     names: set[str] = set()
-    comments: list[str] = []
+    comments: list[str] = [_SEVERAL] if len(calibration.imus) > 1 else []
     document: dict[str, Any] = {}
     for name, imu in calibration.imus.items():
         model = kalibr_model(imu)
         names.add(model.name)
         comments += [f"{name}: {line}" for conversion in conversions(imu) for line in conversion.lines()]
-        document[name] = _entry(model, is_body=name == "imu0")
+        document[name] = _entry(model, pose_in_kalibr(calibration, name))
+        shift = imu.required_accelerometer.time_shift_s
+        if shift:
+            comments.append(f"{name}: t_gyroscope = t_accelerometer + {shift!r} s, for which Kalibr has no key.")
         if name in stated:
             document[name] |= stated_entry(stated[name])
             comments += [f"{name}: {line}" for line in stated[name].comments]
@@ -149,10 +156,18 @@ def _is_identity(matrix: Floats) -> bool:
     return bool(np.abs(matrix - np.eye(3)).max() < 1e-12)
 
 
-def _entry(model: KalibrModel, *, is_body: bool) -> dict[str, Any]:
+def pose_in_kalibr(calibration: Calibration, name: str) -> tuple[Floats, float] | None:
+    """Return Kalibr's T_i_b (4, 4) [m] and time_offset [s] of an IMU; None where they were not measured."""
+    imu = calibration.imus[name]
+    if imu.T_imu_body is not None:
+        return imu.T_imu_body, float(imu.time_shift_s)
+    return (np.eye(4), 0.0) if name == next(iter(calibration.imus)) else None
+
+
+def _entry(model: KalibrModel, pose: tuple[Floats, float] | None) -> dict[str, Any]:
     entry: dict[str, Any] = {"model": model.name}
-    if is_body:
-        entry |= {"T_i_b": np.eye(4), "time_offset": 0.0}
+    if pose is not None:
+        entry |= dict(zip(("T_i_b", "time_offset"), pose, strict=True))
     if model.name == "calibrated":
         return entry
     entry["accelerometers"] = {"M": model.M_accel}
@@ -173,8 +188,8 @@ def stated_entry(stated: StatedImu) -> dict[str, Any]:
     return entry | ({"rostopic": stated.topic} if stated.topic else {})
 
 
-def _losses(name: str, imu: ImuCalibration) -> Iterator[Loss]:
+def _losses(calibration: Calibration, name: str, imu: ImuCalibration) -> Iterator[Loss]:
     yield from count_losses(name, imu, "Kalibr")
     yield from bias_losses(name, imu, "Kalibr")
-    if name != "imu0":
+    if pose_in_kalibr(calibration, name) is None:
         yield Loss(what=f"pose of {name}", why="how the IMUs lie to each other was not measured: T_i_b is left out.")

@@ -5,7 +5,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..output import write_whole
+from ..output import write_together, write_whole
 from ..readers.own.noise_file import AXES, NOISE_SCHEMA
 from ..sensor_noise import SENSOR_UNITS, UNITS, Coefficient, NoiseResult, SensorNoise, TriadNoise
 from .calibration_file import finding_document, provenance_document
@@ -53,8 +53,7 @@ def save_noise_files(result: NoiseResult, folder: str | PathLike[str]) -> tuple[
     texts = {NOISE_FILE: noise_text(result.noise), ALLAN_FILE: allan_text(result)}
     if len(result.noise.triads) == len(SENSOR_UNITS):
         texts[IMU_FILE] = imu_text(result.noise, result.topic)
-    for name, text in texts.items():
-        write_whole(Path(folder) / name, text)
+    write_together(folder, texts)
     return tuple(Path(folder) / name for name in texts)
 
 

@@ -18,8 +18,8 @@ from .context import Context, StatedImu
 from .export import Export, Loss, g_sensitivity_losses, magnetometer_losses, uncertainty_loss
 from .opencv_yaml import opencv_lines
 from .sensor_losses import (
+    accelerometer_losses,
     ideal_losses,
-    lever_arm_losses,
     noise_losses,
     other_imu_losses,
     require_cameras,
@@ -66,7 +66,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         *count_losses(name, imu, _WHOSE),
         *ideal_losses(name, imu, _WHOSE),
         *g_sensitivity_losses(calibration, _WHOSE),
-        *lever_arm_losses(calibration, _WHOSE),
+        *accelerometer_losses(calibration, _WHOSE),
         *noise_losses(stated, _WHOSE, "does not start without sigma_g_c and the others: add them by hand"),
         *other_imu_losses(calibration, _WHOSE),
         *shift_losses(calibration, _WHOSE),

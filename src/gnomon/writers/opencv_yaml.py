@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..recording import Floats
-from .yaml_text import scalar
+from .yaml_text import in_quotes, scalar
 
 FIRST_LINE = "%YAML:1.0\n---\n"
 
@@ -27,7 +27,7 @@ def opencv_lines(document: Mapping[str, Any], indent: str = "") -> Iterator[str]
         elif isinstance(value, np.ndarray):
             yield f"{head} {flow(value)}"
         elif isinstance(value, str):
-            yield f'{head} "{value}"'
+            yield f"{head} {in_quotes(value)}"
         else:
             yield f"{head} {scalar(value)}"
 

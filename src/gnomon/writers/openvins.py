@@ -23,8 +23,8 @@ from .kalibr_camchain import camera_chain
 from .kalibr_text import kalibr_yaml
 from .lens_fit import k3_losses, without_k3
 from .sensor_losses import (
+    accelerometer_losses,
     bias_losses,
-    lever_arm_losses,
     missing_gyroscope_loss,
     noise_losses,
     other_imu_losses,
@@ -67,7 +67,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         *losses,
         *_imu_losses(name, imu),
         *noise_losses(context.of(name), "OpenVINS", "does not start without: add them by hand"),
-        *lever_arm_losses(moved, "OpenVINS"),
+        *accelerometer_losses(moved, "OpenVINS"),
         *other_imu_losses(moved, "OpenVINS"),
         *k3_losses(moved, "OpenVINS"),
         *_camera_losses(moved),

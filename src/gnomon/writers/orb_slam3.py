@@ -19,10 +19,10 @@ from .export import Export, Loss, g_sensitivity_losses, magnetometer_losses, unc
 from .kalibr_camchain import baseline
 from .opencv_yaml import opencv_lines, opencv_matrix
 from .sensor_losses import (
+    accelerometer_losses,
     bias_losses,
     first_cameras,
     ideal_losses,
-    lever_arm_losses,
     no_shift_losses,
     noise_losses,
     other_imu_losses,
@@ -76,7 +76,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         *ideal_losses(name, imu, _WHOSE),
         *g_sensitivity_losses(calibration, _WHOSE),
         *bias_losses(name, imu, _WHOSE),
-        *lever_arm_losses(calibration, _WHOSE),
+        *accelerometer_losses(calibration, _WHOSE),
         *noise_losses(stated, _WHOSE, "does not start without: add IMU.NoiseGyro and the others by hand"),
         *other_imu_losses(calibration, _WHOSE),
         *first_cameras(calibration, _CAMERAS, _WHOSE),

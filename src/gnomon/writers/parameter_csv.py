@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from ..calibration import Calibration, element_names, parameters
 from ..models.camera import Camera
 from .calibration_file import FRAMES
-from .camera_entries import camera_equation
+from .camera_entries import IMU_EQUATION, camera_equation
 from .context import Context
 from .export import Export, Loss
 from .units_text import element_units
@@ -23,6 +23,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     equation = _EQUATION.format(frame=frame, words=FRAMES.get(frame, FRAMES["user"]))
     rows += [f"comment,{_text(equation)},,"] if calibration.imus else []
     rows += [f"comment,{_text(camera_equation(calibration))},,"] if calibration.cameras else []
+    placed = any(imu.T_imu_body is not None for imu in calibration.imus.values())
+    rows += [f"comment,{_text(IMU_EQUATION)},,"] if placed else []
     rows += [f"comment,{_text(remark)},," for remark in context.remarks]
     rows.append(f"body_frame,{frame},,")
     if calibration.imus:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import FormatError, OptionError, OutputError
 from ..models.target import Target
-from ..output import write_whole
+from ..output import write_together
 from ..readers.rig.kalibr_target import read_target
 from .board_sheet import board_drawing, tiled
 from .drawing import pdf_bytes, svg_text
@@ -68,8 +68,7 @@ def save_target(target: Target, path: str | PathLike[str], *, paper: str = "", t
     if not _describes(description, target):
         contents[".yaml"] = target_text(target)
     files = {suffix: place if suffix == ending else place.with_suffix(suffix) for suffix in contents}
-    for suffix, content in contents.items():
-        write_whole(files[suffix], content)
+    write_together(place.parent, {files[suffix].name: content for suffix, content in contents.items()})
     drawn = tuple(file for suffix, file in files.items() if suffix != ".yaml")
     sheet = pages[0].size if pages else drawing.size
     return PrintedTarget(files=(*drawn, description), sheet_mm=sheet, pages=len(pages) or 1)

@@ -1,4 +1,4 @@
-"""ROS 2: a launch file that publishes where the cameras are, and the calibration of each for its CameraInfo.
+"""ROS 2: a launch file that publishes where the sensors are, and the calibration of each for its CameraInfo.
 
 A static transform of frame_id imu0 and child_frame_id cam0 is the pose of the camera in the IMU's frame, p_imu0 = T
 p_cam0, its quaternion Hamilton's, qx qy qz qw. Read back by `readers.projects.ros2_files`.
@@ -9,24 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration
+from ..calibration import Calibration
 from ..errors import OptionError
 from ..geometry.quaternion import quaternion_from_rotation
+from ..geometry.so3 import inverse
 from ..models.camera import Camera
 from ..recording import Floats
 from .camera_poses import pose_in_body
 from .context import Context
 from .export import Export, Loss, uncertainty_loss
 from .opencv_yaml import flow
-from .sensor_losses import no_shift_losses, require_cameras
+from .sensor_losses import no_shift_losses, require_cameras, triad_shift_losses
 
 FILE, INFO = "static_transforms.launch.yaml", "{}_camera_info.yaml"
 
 _WHOSE = "ROS 2"
 _HEAD = """\
-# Static transforms of the cameras for ROS 2, made by gnomon: ros2 launch ./{file}
-# Each is the pose of a camera in the frame of {imu}: p_{imu} = T p_cam [m], quaternion qx qy qz qw of Hamilton. The
-# frames of the cameras are optical ones (REP 103): x right, y down, z forward. Body frame {frame}.
+# Static transforms of the sensors for ROS 2, made by gnomon: ros2 launch ./{file}
+# Each is the pose of a camera, or of another IMU, in the frame of {imu}: p_{imu} = T p_cam [m], quaternion qx qy qz qw
+# of Hamilton. The frames of the cameras are optical ones (REP 103): x right, y down, z forward. Body frame {frame}.
 """
 _SHIFT = "# There is no place for the time shift: t_imu = t_cam + {shift!r} s for {name}.\n"
 _INFO_HEAD = """\
@@ -68,6 +69,8 @@ def export(calibration: Calibration, context: Context) -> Export:
             "apply, or put the c-header into the driver.",
         ),
         *no_shift_losses(calibration, _WHOSE),
+        *_clock_losses(calibration),
+        *triad_shift_losses(calibration, _WHOSE),
         *_lens_losses(calibration),
         uncertainty_loss(_WHOSE),
     )
@@ -79,12 +82,13 @@ def _launch_text(imu: str, calibration: Calibration, context: Context) -> str:
     for name, camera in calibration.cameras.items():
         if camera.time_shift_cam_imu:
             text += _SHIFT.format(shift=float(camera.time_shift_cam_imu), name=name)
-    nodes = (_node(imu, name, camera) for name, camera in calibration.cameras.items() if name != camera.body)
-    return text + "launch:\n" + "".join(nodes)
+    poses = {name: known.T_imu_body for name, known in calibration.imus.items() if known.T_imu_body is not None}
+    placed = {name: inverse(pose) for name, pose in poses.items()}
+    placed |= {name: pose_in_body(camera) for name, camera in calibration.cameras.items() if name != camera.body}
+    return text + "launch:\n" + "".join(_node(imu, name, pose) for name, pose in placed.items())
 
 
-def _node(imu: str, name: str, camera: CameraCalibration) -> str:
-    pose = pose_in_body(camera)
+def _node(imu: str, name: str, pose: Floats) -> str:
     w, x, y, z = quaternion_from_rotation(pose[:3, :3]).tolist()
     px, py, pz = pose[:3, 3].tolist()
     numbers = {"x": px, "y": py, "z": pz, "qx": x, "qy": y, "qz": z, "qw": w}
@@ -117,6 +121,17 @@ def _info_text(name: str, camera: Camera, context: Context, where: str) -> str:
     lines += _matrix("rectification_matrix", np.eye(3))
     lines += _matrix("projection_matrix", np.hstack([K, np.zeros((3, 1))]))
     return _INFO_HEAD.format(name=name, where=where) + context.comment() + "".join(f"{line}\n" for line in lines)
+
+
+def _clock_losses(calibration: Calibration) -> Iterator[Loss]:
+    for name, imu in calibration.imus.items():
+        if imu.time_shift_s:
+            yield Loss(
+                what=f"time shift of {name}",
+                why=f"{_WHOSE} takes the stamps of all sensors to be of one clock: add it to those of {name} "
+                "(t_imu0 = t_imu + shift).",
+                size=f"{imu.time_shift_s * 1e3:+.6g} ms",
+            )
 
 
 def _matrix(key: str, matrix: Floats) -> list[str]:

@@ -47,7 +47,11 @@ def missing_gyroscope_loss(name: str, imu: ImuCalibration) -> Iterator[Loss]:
 def other_imu_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
     """Say that only the first IMU is in the file."""
     for name in list(calibration.imus)[1:]:
-        yield Loss(what=name, why=f"{whose} knows one IMU; only {next(iter(calibration.imus))} is in the file.")
+        yield Loss(
+            what=name,
+            why=f"{whose} knows one IMU; only {next(iter(calibration.imus))} is in the file. Use kalibr, json or csv "
+            "to write them all.",
+        )
 
 
 def shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
@@ -101,8 +105,8 @@ def bias_losses(name: str, imu: ImuCalibration, whose: str) -> Iterator[Loss]:
             )
 
 
-def lever_arm_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
-    """Say that a program takes the three accelerometers to be at one point."""
+def accelerometer_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
+    """Say that a program takes the three accelerometers to be at one point, on the clock of the gyroscope."""
     for name, imu in calibration.imus.items():
         arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
         if arms is not None and arms.any():
@@ -112,6 +116,21 @@ def lever_arm_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
                 why=f"{whose} takes the three to be at one point, the body's origin. Use kalibr, csv or json to keep "
                 "them.",
                 size=f"{1e3 * longest:.2g} mm: up to {25 * longest:.2g} m/s^2 at 5 rad/s",
+            )
+    yield from triad_shift_losses(calibration, whose)
+
+
+def triad_shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
+    """Say that a program takes accelerometer and gyroscope to be on one clock."""
+    for name, imu in calibration.imus.items():
+        shift = None if imu.accelerometer is None else imu.accelerometer.time_shift_s
+        if shift:
+            yield Loss(
+                what=f"time shift of the accelerometer of {name}",
+                why=f"{whose} takes accelerometer and gyroscope to be stamped alike: add it to the stamps of the "
+                "accelerometer (t_gyroscope = t_accelerometer + shift), or run gnomon apply first. Use json or csv to "
+                "keep it.",
+                size=f"{shift * 1e3:+.6g} ms",
             )
 
 

@@ -10,7 +10,7 @@ from ..calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration,
 from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from . import form_entries
-from .camera_entries import camera_entries, camera_equation
+from .camera_entries import IMU_EQUATION, camera_entries, camera_equation, imu_entries
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
 from .form_entries import Entry
 
@@ -101,7 +101,7 @@ class Table:
 
 
 def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Table, ...]:
-    """Return one table for each triad and one for each camera, every value with its sigma.
+    """Return one table for each triad, for each pose of an IMU and for each camera, every value with its sigma.
 
     Sigmas follow from the covariance by the Jacobian of the whole way from gnomon's parameters to the form's, change of
     frame included.
@@ -132,13 +132,20 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
             )
             if rows:
                 tables.append(Table(title=f"{name} {triad}, body frame {frame}", note=note, rows=rows))
-    return (*tables, *_camera_tables(calibration, frame))
+    return (*tables, *_rig_tables(calibration, frame))
 
 
-def _camera_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
-    """Yield a table for each camera; its pose is that against the body frame of the form."""
-    if calibration.cameras and frame != calibration.frame:
+def _rig_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
+    """Yield a table for each IMU with a pose, and for each camera; poses are those against the form's body frame."""
+    placed = [name for name, imu in calibration.imus.items() if imu.T_imu_body is not None]
+    if (calibration.cameras or placed) and frame != calibration.frame:
         calibration = calibration.in_frame(frame)
+    for name in placed:
+        rows = tuple(
+            Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
+            for entry, sigma in imu_entries(calibration, name)
+        )
+        yield Table(title=f"{name}, pose and clock, body frame {frame}", note=IMU_EQUATION, rows=rows)
     for name, camera in calibration.cameras.items():
         rows = tuple(
             Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
@@ -195,6 +202,8 @@ def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[Entry]:
         yield from accelerometer(matrix, turned["accelerometer.bias"], imu.accelerometer.unit)
         if imu.accelerometer.lever_arms_m is not None:
             yield from form_entries.lever_arms(turned["accelerometer.lever_arms_m"])
+        if imu.accelerometer.time_shift_s is not None:
+            yield from form_entries.time_shift(float(turned["accelerometer.time_shift"]))
     if imu.gyroscope is not None:
         names = ("gyroscope.sensitivity", "gyroscope.bias", "gyroscope.g_sensitivity")
         yield from gyroscope(*(turned[name] for name in names), imu.gyroscope.unit)

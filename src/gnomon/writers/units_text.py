@@ -3,8 +3,12 @@
 from ..calibration import Calibration
 
 _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
-
-
+_IMU = {
+    "T_imu_body.rotation": "rad",
+    "T_imu_body.translation": "m",
+    "time_shift_imu": "s",
+    "accelerometer.time_shift": "s",
+}
 _CAMERA = {
     "T_cam_imu.rotation": "rad",
     "T_cam_imu.translation": "m",
@@ -25,6 +29,8 @@ def parameter_unit(calibration: Calibration, path: str) -> str:
     name, _, rest = path.partition(".")
     if name in calibration.cameras:
         return _CAMERA[rest]
+    if rest in _IMU:
+        return _IMU[rest]
     triad, parameter = rest.split(".")
     imu = calibration.imus[name]
     if triad == "magnetometer":

@@ -21,10 +21,10 @@ from .export import Export, Loss, g_sensitivity_losses, magnetometer_losses, unc
 from .lens_fit import cameras_without_k3, k3_losses
 from .opencv_yaml import FIRST_LINE, opencv_lines, opencv_matrix
 from .sensor_losses import (
+    accelerometer_losses,
     bias_losses,
     first_cameras,
     ideal_losses,
-    lever_arm_losses,
     noise_losses,
     other_imu_losses,
     require_cameras,
@@ -67,7 +67,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         *ideal_losses(name, imu, _WHOSE),
         *g_sensitivity_losses(calibration, _WHOSE),
         *bias_losses(name, imu, _WHOSE),
-        *lever_arm_losses(calibration, _WHOSE),
+        *accelerometer_losses(calibration, _WHOSE),
         *noise_losses(stated, _WHOSE, "does not start without acc_n, gyr_n, acc_w and gyr_w: add them by hand"),
         *other_imu_losses(calibration, _WHOSE),
         *first_cameras(calibration, _CAMERAS, _WHOSE),

@@ -65,6 +65,11 @@ def quoted(text: str) -> str:
     """Return a text for YAML: as it is where that is plain, else between double quotes with escapes."""
     if _PLAIN.fullmatch(text) and text.lower() not in _WORDS_OF_YAML:
         return text
+    return in_quotes(text)
+
+
+def in_quotes(text: str) -> str:
+    """Return a text between double quotes, with escapes for what would end it or the line."""
     return '"' + "".join(_escaped(c) for c in text) + '"'
 
 

@@ -113,6 +113,7 @@ def averaging_time(tau_s: Floats, deviation: Floats) -> float:
     tau_s : (k,) rising by factors
     deviation : (k, 3)
     """
-    slope = np.gradient(np.log(deviation), np.log(tau_s), axis=0) if len(tau_s) > 2 else np.full(deviation.shape, -1.0)
+    seen = np.maximum(deviation, np.finfo(float).tiny)  # none where the converter is coarser than the noise
+    slope = np.gradient(np.log(seen), np.log(tau_s), axis=0) if len(tau_s) > 2 else np.full(deviation.shape, -1.0)
     flat = np.all(slope > np.log(0.85) / np.log(2), axis=1)
     return float(tau_s[np.argmax(flat)]) if flat.any() else float("nan")

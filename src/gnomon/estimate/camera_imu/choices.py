@@ -8,7 +8,9 @@ import numpy as np
 
 from ...errors import OptionError
 from ...options import CameraImuOptions, stated_prior
-from .parameters import Block, Parameters, Status, blocks, known_beforehand
+from .blocks import Block, blocks, known_beforehand
+from .layout import Status
+from .parameters import Parameters
 
 _MODEL_BLOCKS = {
     "basic": (),
@@ -17,8 +19,16 @@ _MODEL_BLOCKS = {
 }
 """Of an IMU, what each model estimates (Table 4.1)."""
 
-_BESIDES = ("direction", "T_cam_imu.rotation", "T_cam_imu.translation", "time_shift_cam_imu")
-"""Always estimated unless fixed by name."""
+_BESIDES = (
+    "direction",
+    "T_cam_imu.rotation",
+    "T_cam_imu.translation",
+    "time_shift_cam_imu",
+    "T_imu_body.rotation",
+    "T_imu_body.translation",
+    "time_shift",
+)
+"""Always estimated unless fixed by name; beside them the shift of an accelerometer that has stamps of its own."""
 
 
 K3 = "distortion_coeffs[4]"
@@ -59,6 +69,9 @@ def choices(
     for block in all_blocks:
         kind: Status = "estimated" if block.name.partition(".")[2] in estimated else "fixed"
         status |= dict.fromkeys(block.scalars(), kind)
+    for i, imu in enumerate(start.imus):
+        if imu.apart:
+            status[f"imu{i}.accelerometer_shift"] = "estimated"
     stated: dict[str, str] = {}
     sigma: dict[str, float] = {}
     for names, size, _ in known_beforehand(start):  # estimated along, of an IMU what the model has

@@ -3,7 +3,7 @@
 board poses -> time shift, rotation between camera and IMU, gyroscope bias -> knots -> trajectory -> gravity
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,14 +19,16 @@ from .board import Board
 from .board_poses import BoardPoses, board_poses
 from .choices import choices, wants_k3
 from .corner_sums import Exposures
-from .inertial_terms import InertialData
+from .inertial_data import InertialData
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory
-from .parameters import CameraParameters, ImuParameters, Parameters, Status, gravity_axes
+from .layout import Status
+from .parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
 
 _BAD_FRAME = 5.0
 """Frames whose pose fits worse than the median by this factor do not guide the first trajectory."""
 
-_STEP_S = 0.1
+_FEWEST_ACCELERATIONS = 10
+STEP_S = 0.1
 """Step of the second differences that tell the camera's acceleration."""
 
 _ONE_AXIS = 0.1
@@ -54,7 +56,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuStream:
-    """Gyroscope and accelerometer of imu0 on one time base, for the first guess only.
+    """Gyroscope and accelerometer of an IMU on one time base, for the first guess only.
 
     Attributes
     ----------
@@ -68,10 +70,10 @@ class ImuStream:
     force: Floats
 
 
-def imu_stream(inertial: tuple[InertialData, ...]) -> ImuStream:
-    """Return the readings of imu0 at the stamps of its gyroscope."""
-    gyroscope = next(data for data in inertial if data.imu == 0 and data.gyroscope is not None)
-    accelerometer = next(data for data in inertial if data.imu == 0 and data.accelerometer is not None)
+def imu_stream(inertial: tuple[InertialData, ...], imu: int = 0) -> ImuStream:
+    """Return the readings of an IMU at the stamps of its gyroscope."""
+    gyroscope = next(data for data in inertial if data.imu == imu and data.gyroscope is not None)
+    accelerometer = next(data for data in inertial if data.imu == imu and data.accelerometer is not None)
     assert gyroscope.gyroscope is not None
     assert accelerometer.accelerometer is not None
     force = accelerometer.accelerometer.values
@@ -106,7 +108,8 @@ def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, s
                 raise
             alignment = _as_stated(frames, poses)
         else:
-            alignment = _upright(alignment, frames, poses, stream)
+            stated = None if frames.T_cam_imu is None else frames.T_cam_imu[:3, :3]
+            alignment = upright(alignment, poses, stream, stated)
         found.append(Look(name=name, frames=frames, poses=poses, alignment=alignment, target=target))
     return tuple(found)
 
@@ -124,8 +127,8 @@ def _as_stated(frames: CameraFrames, poses: BoardPoses) -> Alignment:
     )
 
 
-def _upright(alignment: Alignment, frames: CameraFrames, poses: BoardPoses, stream: ImuStream) -> Alignment:
-    """Where the rotation was about one axis, find the angle about it from the specific force.
+def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated: Floats | None = None) -> Alignment:
+    """Where the rotation was about one axis, find the angle about it from the specific force, unless it is stated.
 
     The camera's own acceleration is the second difference of its positions, which is the acceleration averaged with a
     triangular window; the accelerometer is averaged with the same one. Both are compared in the camera's axes, less
@@ -133,14 +136,20 @@ def _upright(alignment: Alignment, frames: CameraFrames, poses: BoardPoses, stre
     """
     if alignment.axes[1] > _ONE_AXIS * alignment.axes[0]:
         return alignment
-    if frames.T_cam_imu is not None:
-        return replace(alignment, R_cam_imu=frames.T_cam_imu[:3, :3])
+    if R_stated is not None:
+        return replace(alignment, R_cam_imu=R_stated)
     t_s = poses.t_s + alignment.time_shift_s
     position = -np.einsum("nji,nj->ni", poses.R_cam_target, poses.p_cam_target)
-    centre, acceleration = _second_differences(t_s, position)
+    centre, acceleration = second_differences(t_s, position)
+    if len(centre) < _FEWEST_ACCELERATIONS:
+        raise InitialisationError(
+            f"the rig turned about one axis only, and {len(centre)} frames have neighbours {STEP_S:g} s before and "
+            "after them, too few to tell the camera's angle about that axis. Turn about all three axes, or state "
+            "T_cam_imu in camchain.yaml."
+        )
     R_cam_target = poses.R_cam_target[centre]
-    offsets = np.linspace(-1, 1, 21)[1:-1] * _STEP_S
-    weights = (1 - np.abs(offsets) / _STEP_S) / (1 - np.abs(offsets) / _STEP_S).sum()
+    offsets = np.linspace(-1, 1, 21)[1:-1] * STEP_S
+    weights = (1 - np.abs(offsets) / STEP_S) / (1 - np.abs(offsets) / STEP_S).sum()
     at = t_s[centre][:, None] + offsets
     force = np.stack([np.interp(at, stream.t_s, stream.force[:, i]) @ weights for i in range(3)], axis=1)
     turns = rotvec_from_rotation(poses.R_cam_target[:-1] @ np.swapaxes(poses.R_cam_target[1:], 1, 2))
@@ -157,12 +166,12 @@ def _upright(alignment: Alignment, frames: CameraFrames, poses: BoardPoses, stre
     return replace(alignment, R_cam_imu=best)
 
 
-def _second_differences(t_s: Floats, position: Floats) -> tuple[np.ndarray, Floats]:
+def second_differences(t_s: Floats, position: Floats) -> tuple[np.ndarray, Floats]:
     """Return frames (m,) that have neighbours at about +- 0.1 s, and the accelerations there (m, 3) [m/s^2]."""
-    before = np.clip(np.searchsorted(t_s, t_s - _STEP_S), 0, len(t_s) - 1)
-    after = np.clip(np.searchsorted(t_s, t_s + _STEP_S), 0, len(t_s) - 1)
+    before = np.clip(np.searchsorted(t_s, t_s - STEP_S), 0, len(t_s) - 1)
+    after = np.clip(np.searchsorted(t_s, t_s + STEP_S), 0, len(t_s) - 1)
     back, ahead = t_s - t_s[before], t_s[after] - t_s
-    usable = (np.abs(back - _STEP_S) < 0.5 * _STEP_S) & (np.abs(ahead - _STEP_S) < 0.5 * _STEP_S)
+    usable = (np.abs(back - STEP_S) < 0.5 * STEP_S) & (np.abs(ahead - STEP_S) < 0.5 * STEP_S)
     centre = np.flatnonzero(usable)
     before, after, back, ahead = before[centre], after[centre], back[centre][:, None], ahead[centre][:, None]
     slope_after = (position[after] - position[centre]) / ahead
@@ -185,11 +194,14 @@ def per_corner(exposures: Exposures) -> Exposures:
 
 
 def first_parameters(
-    found: tuple[Look, ...], gravity_m_s2: float, options: CameraImuOptions, imus: int = 1
+    found: tuple[Look, ...],
+    gravity_m_s2: float,
+    options: CameraImuOptions,
+    imus: Sequence[ImuParameters] = (ImuParameters.ideal(),),
 ) -> Parameters:
     """Return the constant parameters to start from; gravity's direction follows with the trajectory.
 
-    What was stated beforehand is taken where it shall be kept, or has a stated prior about it.
+    What was stated of the cameras is taken where it shall be kept, or has a stated prior about it.
 
     Raises
     ------
@@ -201,7 +213,7 @@ def first_parameters(
         gravity_m_s2=gravity_m_s2,
         target_scale=1.0,
         board=Board.nominal(found[0].target) if found else None,
-        imus=(replace(ImuParameters.ideal(), origin="xyz".index(options.origin)),) * imus,
+        imus=tuple(replace(imu, origin="xyz".index(options.origin)) for imu in imus),
         cameras=tuple(
             CameraParameters(
                 name=look.name,
@@ -250,9 +262,16 @@ def first_state(
     parameters: Parameters,
     stream: ImuStream,
     knots_per_s: float,
+    *,
     order: int,
+    others: Sequence[Floats] = (),
 ) -> State:
     """Return trajectory and gravity for given extrinsics and time shifts.
+
+    Parameters
+    ----------
+    stream : of the first IMU
+    others : biases (3,) of the gyroscopes of the other IMUs [rad/s]
 
     Raises
     ------
@@ -279,9 +298,7 @@ def first_state(
             [one.poses.t_s + camera.time_shift_s for one, camera in zip(found, parameters.cameras, strict=True)]
         )
     )
-    trajectory = initial_trajectory(
-        path, seen, knots_per_s, order=order, gyroscope_bias=bias, imus=len(parameters.imus)
-    )
+    trajectory = initial_trajectory(path, seen, knots_per_s, order=order, gyroscope_biases=(bias, *others))
     gravity = _gravity(path, stream, t_s[good])
     return State(trajectory=trajectory, parameters=replace(parameters, gravity_axes=gravity_axes(gravity)))
 

@@ -9,10 +9,12 @@ Where the three accelerometers do not sit at one point, e_a has the f that each 
 
     f_k + e_k' A r_k,   A = [alpha]x + [omega]x^2,   alpha = omega',
 
-while the gyroscope's g-sensitivity acts on f at the body's origin.
+while the gyroscope's g-sensitivity acts on f at the IMU's origin. An IMU beside the first has omega, alpha and f in its
+own axes, and its places are counted from the body's origin (`felt`). Its clock, t_body = t_imu + d, moves the readings
+along the trajectory: de/dd is the derivative of e by time, that by the control points times theirs.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,86 +24,14 @@ from ...geometry.so3 import skew
 from ...models.pattern import DIAGONAL, FULL, LOWER
 from ...recording import Floats, Integers
 from .assembly import TRIAD, Columns
-from .parameters import ImuParameters, Layout, Parameters
-from .trajectory import POSE, Bases, Grid, Motion, Places, Trajectory
+from .felt import By, accelerometer_places, at_origin, at_places, by_turn, motion_of_imu, origin_places, specific_force
+from .inertial_data import InertialData, InertialNoise, TriadData, on_grid, some_readings
+from .layout import Layout
+from .parameters import Parameters
+from .trajectory import POSE, Bases, Motion, Places, Trajectory
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TriadData:
-    """Readings of one triad.
-
-    Attributes
-    ----------
-    values : (n, 3) [m/s^2 or rad/s]
-    used : (n,) bool, False where masked
-    """
-
-    values: Floats
-    used: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class InertialData:
-    """Readings of one IMU that share their stamps.
-
-    Attributes
-    ----------
-    imu : index of the IMU
-    t_s : (n,) [s], ascending
-    gyroscope, accelerometer : readings; None where the triad has other stamps
-    """
-
-    imu: int
-    t_s: Floats
-    gyroscope: TriadData | None
-    accelerometer: TriadData | None
-
-
-def triads(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats, Floats]]:
-    """Yield stamps (n,) [s] and readings (n, 3) of every triad."""
-    for data in inertial:
-        for triad in (data.gyroscope, data.accelerometer):
-            if triad is not None:
-                yield data.t_s, triad.values
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class InertialNoise:
-    """Standard deviation of a single reading of gyroscope [rad/s] and accelerometer [m/s^2]."""
-
-    gyroscope: float
-    accelerometer: float
-
-
-def on_grid(grid: Grid, data: InertialData) -> tuple[InertialData, Places]:
-    """Return those readings that lie on a grid, and where."""
-    places = grid.places(data.t_s)
-    keep = places.inside
-    return _some(data, keep), places.some(keep)
-
-
-def _some(data: InertialData, which: np.ndarray | slice) -> InertialData:
-    def of(triad: TriadData | None) -> TriadData | None:
-        return None if triad is None else TriadData(values=triad.values[which], used=triad.used[which])
-
-    return InertialData(
-        imu=data.imu, t_s=data.t_s[which], gyroscope=of(data.gyroscope), accelerometer=of(data.accelerometer)
-    )
-
-
-def specific_force(motion: Motion, gravity: Floats) -> Floats:
-    """Return the specific force in the IMU's frame, (n, 3) [m/s^2]."""
-    return np.matmul((motion.acceleration - gravity)[:, None, :], motion.R)[:, 0, :]
-
-
-def predicted(
-    imu: ImuParameters, motion: Motion, force: Floats, biases: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Return what gyroscope [rad/s] and accelerometer [m/s^2] read, (n, 3) each, by the model of chapter 4."""
-    gyroscope = motion.omega @ imu.gyroscope_sensitivity.T + force @ imu.B_g.T + biases[0]
-    if imu.lever_arms.any():
-        force = force + along_axes(acceleration_by_place(motion.omega, motion.alpha), imu.places)
-    return gyroscope, force @ imu.accelerometer_sensitivity.T + biases[1]
+_Columns = dict[str, Callable[[], Floats]]
+"""Block of an IMU -> its columns (n, 3, k)."""
 
 
 class InertialTerms:
@@ -130,7 +60,7 @@ class InertialTerms:
         probe : right-hand side of the gyroscope's probe, the accelerometer's is the next; None for no probes
         seed : of the probes' random signs
         """
-        self.data, self._places = on_grid(trajectory.grid, data)
+        self.data, self._places = on_grid(trajectory.grid, data, parameters.imus[data.imu])
         self._trajectory, self._parameters, self._layout = trajectory, parameters, layout
         self._columns, self._noise, self._probe = columns, noise, probe
         self._imu = parameters.imus[data.imu]
@@ -144,12 +74,17 @@ class InertialTerms:
 
     def rows(self, part: slice) -> Floats:
         """Return the rows of both triads, or of the one that has these stamps, (n, 6 or 3, w), of some readings."""
-        trajectory, index = self._trajectory, self.data.imu
-        places, data = self._places.some(part), _some(self.data, part)
+        trajectory, index, imu = self._trajectory, self.data.imu, self._imu
+        places, data = self._places.some(part), some_readings(self.data, part)
         bases = Bases.at(places, trajectory.grid)
-        motion = trajectory.motion(places, bases)
-        force = specific_force(motion, self._parameters.gravity)
-        at = _Readings(u=places.u, bases=bases, motion=motion, force=force)
+        motion = motion_of_imu(trajectory, places, bases, imu) if index else trajectory.motion(places, bases)
+        at = _Readings(
+            places=places,
+            bases=bases,
+            motion=motion,
+            force=specific_force(motion, self._parameters.gravity),
+            A=acceleration_by_place(motion.omega, motion.alpha) if self._has_places else None,
+        )
         biases = trajectory.bias(places, index)
         triads = (data.gyroscope, data.accelerometer)
         rows = np.zeros((len(places.u), TRIAD * sum(triad is not None for triad in triads), self._columns.width))
@@ -162,61 +97,87 @@ class InertialTerms:
             begin += TRIAD
         return rows
 
+    @property
+    def _has_places(self) -> bool:
+        """Whether it matters, or shall be seen, where the sensors are."""
+        imu = self._imu
+        return bool(imu.lever_arms.any() or imu.p_imu_body.any()) or self._has("lever_arms", "T_imu_body.translation")
+
+    def _has(self, *blocks: str) -> bool:
+        """Tell whether any of the blocks of this IMU has columns."""
+        return any(self._layout.get(f"imu{self.data.imu}.{block}") is not None for block in blocks)
+
     def chi2(self) -> tuple[float, float]:
         """Return the sum of squared whitened residuals of gyroscope and accelerometer that `rows` has met so far."""
         return self._chi2[0], self._chi2[1]
 
     def _fill_gyroscope(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
-        imu, motion = self._imu, at.motion
+        imu, motion, places = self._imu, at.motion, origin_places(self._imu)
         K, B = imu.gyroscope_sensitivity, imu.B_g
         weight = triad.used / self._noise.gyroscope
-        by_phi, by_rate = K @ motion.omega_by_phi, K @ motion.phi_jacobian
-        by_acceleration: Floats | None = None
-        if self._layout.get(f"imu{self.data.imu}.B_g") is not None or B.any():  # the specific force acts on it
-            by_phi = by_phi + B @ (skew(at.force) @ motion.phi_jacobian)
-            by_acceleration = B @ np.swapaxes(motion.R, 1, 2)
-        residual = motion.omega @ K.T + at.force @ B.T + bias - triad.values
+        force, by = at.force, By(phi=K @ motion.omega_by_phi, rate=K @ motion.phi_jacobian)
+        if self._has("B_g") or B.any():  # the specific force acts on it
+            force, by_force = at.felt(places)
+            by = by.plus(by_force.scaled(B))
+        residual = motion.omega @ K.T + force @ B.T + bias - triad.values
         turned = motion.omega @ imu.C_bg
         S, M = DIAGONAL.matrix(imu.S_g), LOWER.matrix(imu.M_g)
-        own = {
+        own: _Columns = {
             "S_g": lambda: DIAGONAL.product_jacobian(turned @ M.T),
             "M_g": lambda: S @ LOWER.product_jacobian(turned),
             "q_bg": lambda: (S @ M) @ skew(turned),
-            "B_g": lambda: FULL.product_jacobian(at.force),
+            "B_g": lambda: FULL.product_jacobian(force),
+            "T_imu_body.rotation": lambda: (
+                (B @ by_turn(motion, at.force, places) - K @ skew(motion.omega)) @ imu.R_imu_body
+            ),
+            "T_imu_body.translation": lambda: -B @ at.required_A,
+            "time_shift": lambda: self._by_time(at, by, kind=0),
         }
-        by = _By(phi=by_phi, rate=by_rate, acceleration=by_acceleration)
         self._fill_local(rows, at, by, residual, weight, kind=0)
-        self._fill_border(rows, own, by_acceleration, weight)
+        self._fill_border(rows, own, by.acceleration, weight)
 
     def _fill_accelerometer(self, rows: Floats, at: "_Readings", bias: Floats, triad: TriadData) -> None:
-        imu, motion = self._imu, at.motion
+        imu, motion, places = self._imu, at.motion, accelerometer_places(self._imu)
         K = imu.accelerometer_sensitivity
         weight = triad.used / self._noise.accelerometer
-        by_phi = K @ (skew(at.force) @ motion.phi_jacobian)
-        by_acceleration = K @ np.swapaxes(motion.R, 1, 2)
-        by = _By(phi=by_phi, acceleration=by_acceleration)
-        S, M = DIAGONAL.matrix(imu.S_a), LOWER.matrix(imu.M_a)
-        own: dict[str, Callable[[], Floats]] = {}
-        felt = at.force
-        if imu.lever_arms.any() or self._layout.get(f"imu{self.data.imu}.lever_arms") is not None:
-            A = acceleration_by_place(motion.omega, motion.alpha)
-            own["lever_arms"] = lambda: np.concatenate(
-                [K[:, k, None] * A[:, None, k, :] for k in imu.other_axes], axis=2
-            )
-            if imu.lever_arms.any():
-                felt = at.force + along_axes(A, imu.places)
-                by = _with_lever_arms(by, imu, motion)
+        felt, by_felt = at.felt(places)
+        by = by_felt.scaled(K)
         residual = felt @ K.T + bias - triad.values
-        own["S_a"] = lambda: DIAGONAL.product_jacobian(felt @ M.T)
-        own["M_a"] = lambda: S @ LOWER.product_jacobian(felt)
+        S, M = DIAGONAL.matrix(imu.S_a), LOWER.matrix(imu.M_a)
+        own: _Columns = {
+            "S_a": lambda: DIAGONAL.product_jacobian(felt @ M.T),
+            "M_a": lambda: S @ LOWER.product_jacobian(felt),
+            "lever_arms": lambda: np.concatenate(
+                [K[:, k, None] * at.required_A[:, None, k, :] for k in imu.other_axes], axis=2
+            ),
+            "T_imu_body.rotation": lambda: K @ by_turn(motion, at.force, places) @ imu.R_imu_body,
+            "T_imu_body.translation": lambda: -K @ at.required_A,
+            "time_shift": lambda: self._by_time(at, by, kind=1),
+            "accelerometer_shift": lambda: self._by_time(at, by, kind=1),
+        }
         self._fill_local(rows, at, by, residual, weight, kind=1)
-        self._fill_border(rows, own, by_acceleration, weight)
+        self._fill_border(rows, own, by.acceleration, weight)
+
+    def _by_time(self, at: "_Readings", by: By, *, kind: int) -> Floats:
+        """Return the derivative of the residual by time, (n, 3, 1)."""
+        motion, jerk = at.motion, self._trajectory.jerk(at.places)
+        found = np.zeros((len(jerk), TRIAD, 1))
+        for matrix, rate in (
+            (by.phi, motion.phi_rate),
+            (by.rate, motion.phi_acceleration),
+            (by.phi_acceleration, jerk[:, :3]),
+            (by.acceleration, jerk[:, 3:]),
+        ):
+            if matrix is not None:
+                found += matrix @ rate[:, :, None]
+        found[:, :, 0] += self._trajectory.bias_rate(at.places, self.data.imu)[kind]
+        return found
 
     def _fill_local(
         self,
         rows: Floats,
         at: "_Readings",
-        by: "_By",
+        by: By,
         residual: Floats,
         weight: Floats,
         *,
@@ -235,7 +196,7 @@ class InertialTerms:
             np.multiply(basis, by.acceleration[:, :, None, :], out=pose[..., 3:])
             if by.phi_acceleration is not None:
                 pose[..., :3] += basis * by.phi_acceleration[:, :, None, :]
-        for knot, share in enumerate((1 - at.u, at.u)):
+        for knot, share in enumerate((1 - at.places.u, at.places.u)):
             start = columns.bias(self.data.imu, knot).start + TRIAD * kind
             for i in range(TRIAD):
                 rows[:, i, start + i] = share * weight
@@ -246,9 +207,7 @@ class InertialTerms:
             signs = self._rng.integers(0, 2, (n, TRIAD)) * 2.0 - 1.0
             rows[:, :, columns.side + self._probe + kind] = signs * (weighted > 0)
 
-    def _fill_border(
-        self, rows: Floats, own: dict[str, Callable[[], Floats]], by_acceleration: Floats | None, weight: Floats
-    ) -> None:
+    def _fill_border(self, rows: Floats, own: _Columns, by_acceleration: Floats | None, weight: Floats) -> None:
         """Fill in the border columns: those of the triad's own parameters, and gravity's."""
         parameters = self._parameters
         blocks = {f"imu{self.data.imu}.{name}": derivative for name, derivative in own.items()}
@@ -265,36 +224,30 @@ class InertialTerms:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Readings:
-    """What is the same for both triads at some stamps: place in the span, basis functions, motion, specific force."""
+    """What is the same for both triads at some stamps, in the IMU's axes.
 
-    u: Floats
+    Attributes
+    ----------
+    places, bases : on the trajectory
+    motion, force : of the body, and the specific force at its origin
+    A : (n, 3, 3) [alpha]x + [omega]x^2; None where all sensors are at the body's origin
+    """
+
+    places: Places
     bases: Bases
     motion: Motion
     force: Floats
+    A: Floats | None
 
+    @property
+    def required_A(self) -> Floats:
+        """[alpha]x + [omega]x^2, (n, 3, 3), where something is away from the body's origin."""
+        assert self.A is not None
+        return self.A
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _By:
-    """Derivatives (n, 3, 3) by the rotation vector, its rate and acceleration, and the acceleration of the body."""
-
-    phi: Floats
-    rate: Floats | None = None
-    phi_acceleration: Floats | None = None
-    acceleration: Floats | None = None
-
-
-def _with_lever_arms(by: _By, imu: ImuParameters, motion: Motion) -> _By:
-    """Return the derivatives of the accelerometer with those of e_k' A r_k, which depends on omega and alpha."""
-    K, places, omega = imu.accelerometer_sensitivity, imu.places, motion.omega
-    by_alpha = K @ np.cross(places, np.eye(3))
-    along = omega @ places.T
-    by_omega = along[:, :, None] * np.eye(3) + omega[:, :, None] * places
-    by_omega -= 2 * np.diag(places)[:, None] * omega[:, None, :]
-    by_omega = K @ by_omega
-    alpha_by = motion.alpha_jacobians()
-    return _By(
-        phi=by.phi + by_omega @ motion.omega_by_phi + by_alpha @ alpha_by[0],
-        rate=by_omega @ motion.phi_jacobian + by_alpha @ alpha_by[1],
-        phi_acceleration=by_alpha @ alpha_by[2],
-        acceleration=by.acceleration,
-    )
+    def felt(self, places: Floats) -> tuple[Floats, By]:
+        """Return component k of the specific force at places (3, 3), a row each, (n, 3), and its derivatives."""
+        if not places.any():
+            return self.force, at_origin(self.motion, self.force)
+        felt = self.force + along_axes(self.required_A, places)
+        return felt, at_places(self.motion, self.force, places)

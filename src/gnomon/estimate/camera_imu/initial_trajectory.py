@@ -4,6 +4,7 @@ The stream is cut where the IMU has a gap that the splines cannot bridge, trimme
 again where a rotation vector would come near a full turn from the segment's reference attitude.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +69,7 @@ def imu_path(t_s: Floats, omega: Floats, frame_t_s: Floats, frame_R: Floats, fra
 
 
 def initial_trajectory(
-    path: ImuPath, frame_t_s: Floats, knots_per_s: float, *, order: int, gyroscope_bias: Floats, imus: int = 1
+    path: ImuPath, frame_t_s: Floats, knots_per_s: float, *, order: int, gyroscope_biases: Sequence[Floats]
 ) -> Trajectory:
     """Return splines through a path.
 
@@ -77,8 +78,7 @@ def initial_trajectory(
     path : attitude and position at the IMU's stamps
     frame_t_s : (m,) when the board was seen, on the IMU's clock [s], ascending
     knots_per_s, order : of the splines
-    gyroscope_bias : (3,) [rad/s], of imu0
-    imus : number of IMUs with biases
+    gyroscope_biases : of each IMU, (3,) [rad/s]
 
     Raises
     ------
@@ -105,8 +105,9 @@ def initial_trajectory(
         position = np.clip((path.t_s[inside] - start) / spacing, 0.0, count - 1e-9)
         segments.append(Segment(start_s=start, spans=count, first=first, R_reference=piece.R_reference))
         pose = _fitted(position, values, count, order)
-        biases = np.zeros((len(pose), BIAS * imus))
-        biases[:, :3] = gyroscope_bias
+        biases = np.zeros((len(pose), BIAS * len(gyroscope_biases)))
+        for imu, bias in enumerate(gyroscope_biases):
+            biases[:, BIAS * imu : BIAS * imu + 3] = bias
         controls.append(np.concatenate([pose, biases], axis=1))
         first += count + order - 1
     grid = Grid(segments=tuple(segments), spacing_s=spacing, order=order)

@@ -21,16 +21,17 @@ _EXCESS = 0.03
 """Share of the noise that motion above the limit may add."""
 
 
-def knots_per_s(*signals: tuple[Floats, Floats]) -> float:
+def knots_per_s(*signals: tuple[Floats, Floats], rate_hz: float | None = None) -> float:
     """Return the knots per second for the motion in an IMU's signals.
 
     Parameters
     ----------
     signals : stamps (n,) [s] and readings (n, 3) of each triad
+    rate_hz : sample rate that supports the knots; that of the slowest signal where it is not given
     """
     rates = [1 / float(np.median(np.diff(t_s))) for t_s, _ in signals]
     highest = max(motion_limit_hz(t_s, values, rate) for (t_s, values), rate in zip(signals, rates, strict=True))
-    rate = min(rates)  # the slower triad must not be followed into its noise
+    rate = rate_hz or min(rates)  # the slower triad must not be followed into its noise
     wanted = max(KNOTS_PER_PERIOD * highest, min(DEFAULT_PER_S, _PREFERRED_SHARE * rate))
     return float(np.clip(5 * np.ceil(wanted / 5 - 1e-9), 5.0, LARGEST_SHARE * rate))
 

@@ -10,7 +10,8 @@ from ...trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
 from ..trust.model_choice import Candidate, Step, model_steps
 from .choices import K3
-from .parameters import Layout, Parameters
+from .layout import Layout
+from .parameters import Parameters
 
 LADDER = {
     "scale": ("S_a", "S_g"),

@@ -7,7 +7,8 @@ import numpy as np
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand
 from .assembly import TRIAD
-from .parameters import Layout, Parameters
+from .layout import Layout
+from .parameters import Parameters
 from .rig_prior import rig_prior
 from .trajectory import BIAS, POSE, Grid, Trajectory
 

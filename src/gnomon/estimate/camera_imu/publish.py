@@ -1,5 +1,6 @@
 """From the estimated scalars to what a calibration publishes, with the covariance of all of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from .uncertainty import Uncertainty, with_uncertain
 
 _IMU_SCALARS = 33
 _BIASES = 6
+_POSE_AND_CLOCK = (*(f"T_imu_body.{part}[{k}]" for part in ("rotation", "translation") for k in range(3)), "time_shift")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,7 +36,7 @@ class Published:
 
 
 def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) -> Published:
-    """Return what the estimate says, in body frame "accel-x".
+    """Return what the estimate says, each IMU in its own frame "accel-x".
 
     Parameters
     ----------
@@ -49,20 +51,26 @@ def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) 
     imus: dict[str, ImuCalibration] = {}
     for i, imu in enumerate(parameters.imus):
         bias = found.bias_mean[i]
+        has_arms, has_shift = (_has(imu, i, column, block) for block in ("lever_arms", "accelerometer_shift"))
         imus[f"imu{i}"] = ImuCalibration(
             accelerometer=AccelerometerCalibration(
                 sensitivity=imu.accelerometer_sensitivity,
                 bias=bias[3:],
                 unit="m/s^2",
-                lever_arms_m=imu.places if _has_lever_arms(imu, i, column) else None,
+                lever_arms_m=imu.places if has_arms else None,
+                time_shift_s=imu.accelerometer_shift_s if has_shift else None,
             ),
             gyroscope=GyroscopeCalibration(
                 sensitivity=imu.gyroscope_sensitivity, bias=bias[:3], g_sensitivity=imu.B_g, unit="rad/s"
             ),
+            T_imu_body=imu.T_imu_body if i else None,
+            time_shift_s=imu.time_shift_s + imu.epoch_s if i else 0.0,
         )
         rows.append(_imu_rows(imu, i, column, width, len(found.names) + _BIASES * i))
-        if _has_lever_arms(imu, i, column):
+        if has_arms:
             rows.append(_lever_arm_rows(imu, i, column, width))
+        names = [*(_POSE_AND_CLOCK if i else ()), *(["accelerometer_shift"] if has_shift else [])]
+        rows.append(_same(f"imu{i}", names, column, width))
     calibrated: dict[str, CameraCalibration] = {}
     for entry in parameters.cameras:
         T = np.eye(4)
@@ -106,9 +114,11 @@ def _imu_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int
     return rows
 
 
-def _has_lever_arms(imu: ImuParameters, index: int, column: dict[str, int]) -> bool:
-    """Tell whether the accelerometers of an IMU are taken to sit at different points."""
-    return bool(imu.lever_arms.any()) or any(f"imu{index}.lever_arms[{k}]" in column for k in range(6))
+def _has(imu: ImuParameters, index: int, column: dict[str, int], block: str) -> bool:
+    """Tell whether the accelerometers of an IMU are taken to sit at different points, or to have their own delay."""
+    if any(name.partition("[")[0] == f"imu{index}.{block}" for name in column):
+        return True
+    return bool(imu.lever_arms.any()) if block == "lever_arms" else imu.apart or imu.accelerometer_shift_s != 0
 
 
 def _lever_arm_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int) -> Floats:
@@ -135,9 +145,14 @@ def _camera_rows(entry: CameraParameters, column: dict[str, int], width: int) ->
     names += [f"intrinsics[{k}]" for k in range(len(lens.intrinsics))]
     coeffs = len(lens.distortion_coeffs)
     names += ["distortion_coeffs"] if coeffs == 1 else [f"distortion_coeffs[{k}]" for k in range(coeffs)]
+    return _same(entry.name, names, column, width)
+
+
+def _same(sensor: str, names: Sequence[str], column: dict[str, int], width: int) -> Floats:
+    """Return the derivative of scalars that are published as they are estimated, (n, width)."""
     rows = np.zeros((len(names), width))
     for row, name in enumerate(names):
-        at = column.get(f"{entry.name}.{name}")
+        at = column.get(f"{sensor}.{name}")
         if at is not None:
             rows[row, at] = 1.0
     return rows

@@ -15,7 +15,9 @@ import numpy as np
 from ...geometry.rotation_vector import right_jacobian, rotvec_from_rotation
 from ...geometry.so3 import inverse, skew
 from ...recording import Floats, KnownRig
-from .parameters import Layout, Parameters, lenses_of
+from .blocks import lenses_of
+from .layout import Layout
+from .parameters import Parameters
 
 _POSE = 6
 

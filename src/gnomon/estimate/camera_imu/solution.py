@@ -9,23 +9,12 @@ import numpy as np
 from ...errors import SolveError
 from ...recording import Floats
 from ...solve.bordered_band import Factor, Workspace
-from .batch import (
-    Iteration,
-    Linearisation,
-    Measurements,
-    Noise,
-    State,
-    Step,
-    descended,
-    estimated_noise,
-    gauss_newton_step,
-    linearised,
-    moved,
-    step_by,
-)
+from .batch import Linearisation, Measurements, Noise, State, linearised
 from .corner_sums import CornerSums, Exposures, frame_scatter
-from .inertial_terms import InertialNoise
-from .parameters import Layout
+from .gauss_newton import Iteration, Step, descended, gauss_newton_step, moved, step_by
+from .inertial_data import InertialNoise
+from .layout import Layout
+from .noise_found import estimated_noise
 from .walk_noise import next_walk
 
 GATE = 4.0
@@ -74,6 +63,10 @@ class Solution:
     iterations: tuple[Iteration, ...]
     converged: bool
 
+    def spare_workspace(self) -> Workspace:
+        """Return memory for another solution: that of the equations, of which the factor alone is needed on."""
+        return self.lin.system.workspace.beside_a_factor()
+
 
 def solved(
     measurements: Measurements,
@@ -87,6 +80,7 @@ def solved(
     gate: bool,
     max_iterations: int,
     tell: Callable[[str], None] = lambda _: None,
+    workspace: Workspace | None = None,
 ) -> Solution:
     """Minimise the cost from a start.
 
@@ -105,7 +99,7 @@ def solved(
         If the minimum cannot be found.
     """
     state, iterations, converged = start, list[Iteration](), False
-    first, judgements, workspace = noise, 0, Workspace()
+    first, judgements, workspace = noise, 0, workspace or Workspace()
     lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
     step, found, previous = _step(lin), noise, np.inf
     while len(iterations) < max_iterations:

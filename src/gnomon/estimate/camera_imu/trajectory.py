@@ -151,6 +151,7 @@ class Motion:
     omega_by_phi : (n, 3, 3)
     phi, phi_rate, phi_acceleration : (n, 3) rotation vector and its derivatives by time
     position, velocity, acceleration : (n, 3) of the IMU, target frame [m, m/s, m/s^2]
+    turn : (3, 3) from the body's axes to those in which the motion is told; None for the body's own
     """
 
     R: Floats
@@ -163,6 +164,18 @@ class Motion:
     position: Floats
     velocity: Floats
     acceleration: Floats
+    turn: Floats | None = None
+
+    def turned(self, turn: Floats) -> "Motion":
+        """Return the motion of the same body in other axes, v_new = turn @ v, (3, 3)."""
+        return replace(
+            self,
+            R=self.R @ turn.T,
+            phi_jacobian=turn @ self.phi_jacobian,
+            omega=self.omega @ turn.T,
+            omega_by_phi=turn @ self.omega_by_phi,
+            turn=turn,
+        )
 
     @property
     def alpha(self) -> Floats:
@@ -174,6 +187,8 @@ class Motion:
     def alpha_jacobians(self) -> tuple[Floats, Floats, Floats]:
         """Return the derivatives (n, 3, 3) of `alpha` by the rotation vector, its rate and its acceleration."""
         by_phi = angular_acceleration_by_phi(self.phi, self.phi_rate, self.phi_acceleration)
+        if self.turn is not None:
+            by_phi = self.turn @ by_phi
         return by_phi, 2 * self.omega_by_phi - skew(self.omega) @ self.phi_jacobian, self.phi_jacobian
 
 
@@ -216,6 +231,19 @@ class Trajectory:
             velocity=rate[:, 3:],
             acceleration=acceleration[:, 3:],
         )
+
+    def jerk(self, places: Places) -> Floats:
+        """Return the third derivatives by time of rotation vector [rad/s^3] and position [m/s^3], (n, 6)."""
+        rows = places.first[:, None] + np.arange(self.grid.order)
+        weights = basis(self.grid.order, places.u, 3) / self.grid.spacing_s**3
+        return _combined(weights, self.controls[:, :POSE][rows])
+
+    def bias_rate(self, places: Places, imu: int) -> tuple[Floats, Floats]:
+        """Return the derivatives of `bias` by time, (n, 3) each [rad/s^2], [m/s^3]."""
+        values = self.controls[:, POSE + BIAS * imu : POSE + BIAS * (imu + 1)]
+        first = places.first + self.grid.bias_offset
+        rate = (values[first + 1] - values[first]) / self.grid.spacing_s
+        return rate[:, :3], rate[:, 3:]
 
     def bias(self, places: Places, imu: int = 0) -> tuple[Floats, Floats]:
         """Return gyroscope bias (n, 3) [rad/s] and accelerometer bias (n, 3) [m/s^2] at places on the grid."""

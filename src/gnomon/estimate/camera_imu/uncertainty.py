@@ -18,9 +18,10 @@ from ...trust import Clusters
 from ..trust.clusters import ClusterSums, left_out, whole_estimate
 from ..trust.robust import Robust, clustered, memory
 from .assembly import TRIAD
-from .batch import Step, mean_weights
+from .batch import mean_weights
 from .cluster_sums import bias_sides, board_follows
-from .parameters import Layout
+from .gauss_newton import Step
+from .layout import Layout
 from .solution import Solution
 from .trajectory import BIAS, POSE
 

@@ -22,7 +22,8 @@ from .assembly import Columns
 from .board import OFFSETS
 from .board_terms import CornerProducts, Coupling, corners_of, multiplied, spread_out
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
-from .parameters import CameraParameters, Layout, Parameters
+from .layout import Layout
+from .parameters import CameraParameters, Parameters
 from .trajectory import POSE, Bases, Motion, Trajectory
 
 

@@ -21,6 +21,7 @@ _CHANCE = 0.005  # that an accelerometer which stays is said to drift
 _FEWEST_FOR_DRIFT = 18
 _STEADY = 2.5  # sigmas of a straight line in time that is no chance
 _FARTHEST = 60  # intervals between two that are compared
+_LEAST_VARIANCE = 1e-14
 _ZERO_MEAN_WEIGHT = 1e6  # of the walk's own precision: the mean over time belongs to the bias
 
 
@@ -161,4 +162,5 @@ def walk_precision(data: MultiPositionData, density: Floats) -> Floats:
     mean = np.full(count, 1 / (count - 1))
     mean[[0, -1]] *= 0.5
     walk = difference.T @ difference + _ZERO_MEAN_WEIGHT * np.outer(mean, mean)
-    return np.asarray(np.kron(walk, np.diag(1 / (density * spacing))), dtype=np.float64)
+    changes = np.maximum(density * spacing, _LEAST_VARIANCE)  # an axis that never changes keeps a finite weight
+    return np.asarray(np.kron(walk, np.diag(1 / changes)), dtype=np.float64)

@@ -26,6 +26,7 @@ class TriadStream:
     rate_hz : sample rate [Hz]
     density : (3,) noise density of means at rest [unit^2 s]
     density_in_motion : (3,) noise density of integrals in motion [unit^2 s]
+    rounding : (3,) variance of a mean at rest that the converter's steps make, however long it rests [unit^2]
     intervals : its samples at rest
     """
 
@@ -35,6 +36,7 @@ class TriadStream:
     rate_hz: float
     density: Floats
     density_in_motion: Floats
+    rounding: Floats
     intervals: StaticIntervals
 
 
@@ -93,14 +95,19 @@ def build_problem(
         accelerometer=scale_a.scaled(means_a),
         gyroscope=scale_g.scaled(means_g),
         accelerometer_variance=_variance_of_means(accelerometer, scale_a),
-        gyroscope_variance=_variance_of_means(gyroscope, scale_g),
+        # At rest a gyroscope shows its bias: what is rounded is the same in every rest, and more of them do not help.
+        gyroscope_variance=_variance_of_means(gyroscope, scale_g, alike=len(means_g)),
         segments=MotionSegments(
             gyroscope=scale_g.scaled(segments.gyroscope),
             accelerometer=scale_a.scaled(segments.accelerometer),
             dt_s=segments.dt_s,
             lengths=segments.lengths,
         ),
-        rotation_variance=segments.duration_s[:, None] * gyroscope.density_in_motion / scale_g.spread**2,
+        rotation_variance=(
+            segments.duration_s[:, None] * gyroscope.density_in_motion
+            + len(means_g) * gyroscope.rounding * _quiet_s(segments) ** 2
+        )
+        / scale_g.spread**2,
         linked=np.array([not reason for reason in unlinked], dtype=bool),
         interval_s=0.5 * (accelerometer.t_s[still.start] + accelerometer.t_s[still.stop - 1]),
         rotation_s=0.5 * (start_s + stop_s),
@@ -119,10 +126,19 @@ def build_problem(
     )
 
 
-def _variance_of_means(stream: TriadStream, scaling: Scaling) -> Floats:
+def _variance_of_means(stream: TriadStream, scaling: Scaling, alike: int = 1) -> Floats:
     duration = (stream.intervals.stop - stream.intervals.start) / stream.rate_hz
-    variance = stream.density / duration[:, None] / scaling.spread**2
+    variance = (stream.density / duration[:, None] + alike * stream.rounding) / scaling.spread**2
     return np.maximum(variance, 1e-14)  # noiseless recordings keep a finite weight
+
+
+def _quiet_s(segments: MotionSegments) -> Floats:
+    """Return how long each axis read one and the same number during each rotation, (m, 3) [s]."""
+    if not len(segments.lengths):
+        return np.empty((0, 3))
+    same = np.zeros(segments.gyroscope.shape)
+    same[:-1] = np.diff(segments.gyroscope, axis=0) == 0
+    return np.add.reduceat(same * segments.dt_s[:, None], segments.first)
 
 
 def _segments(accelerometer: TriadStream, gyroscope: TriadStream, first: Integers, lengths: Integers) -> MotionSegments:

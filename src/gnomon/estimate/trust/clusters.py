@@ -47,13 +47,13 @@ class ClusterSums:
     def gathered(self, cluster: Integers) -> "ClusterSums":
         """Return the sums of clusters of stretches, by the number (c,) of the cluster of each; empty ones vanish."""
         numbers, which = np.unique(cluster, return_inverse=True)
-        one = np.zeros((len(numbers), len(which)))
-        one[which, np.arange(len(which))] = 1.0
+        order = np.argsort(which, kind="stable")
+        first = np.searchsorted(which[order], np.arange(len(numbers)))
         return replace(
             self,
-            t_s=one @ self.t_s / one.sum(axis=1),
-            pull=one @ self.pull,
-            information=np.tensordot(one, self.information, axes=1),
+            t_s=np.add.reduceat(self.t_s[order], first) / np.bincount(which),
+            pull=np.add.reduceat(self.pull[order], first),
+            information=np.add.reduceat(self.information[order], first),
         )
 
     def moved(self, step: Floats) -> tuple["ClusterSums", Floats]:

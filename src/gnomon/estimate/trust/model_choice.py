@@ -20,6 +20,9 @@ _CHANCE = 0.01
 
 _LEAST_GAIN = 2.0  # of the log-likelihood: less is no evidence at all, however well the clusters agree
 _DRAWS = 20_000
+_MOST_SIGNS = 1_000
+"""Clusters that get a sign of their own; more are taken together, so that the memory does not grow."""
+_TOGETHER = 1_000  # draws
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,13 +110,16 @@ class _Bench:
         tries = sum(candidate.forced is None for candidate in candidates)
         self._level = 1 - _CHANCE / max(tries, 1)
         rng = np.random.default_rng(0)
-        self._signs = rng.integers(0, 2, (_DRAWS, len(sums))) * 2.0 - 1.0
+        count = min(len(sums), _MOST_SIGNS)
+        self._signs = np.concatenate(
+            [rng.integers(0, 2, (_TOGETHER, count)).astype(np.int8) for _ in range(_DRAWS // _TOGETHER)]
+        )
 
     def step(self, candidate: Candidate, kept: Sequence[Candidate]) -> Step:
         """Return what a candidate brings to a model."""
         without, larger = self._model(kept), self._model([*kept, candidate])
         gains = without.costs - larger.costs
-        needed = max(float(np.quantile(self._signs @ gains, self._level)), _LEAST_GAIN)
+        needed = max(self._by_chance(gains), _LEAST_GAIN)
         gain = float(gains.sum())
         return Step(
             candidate=candidate,
@@ -124,6 +130,13 @@ class _Bench:
             change=larger.estimate - without.estimate,
             sigma=larger.sigma,
         )
+
+    def _by_chance(self, gains: Floats) -> float:
+        """Return what the sum of gains (c,) exceeds by chance alone, were all their signs random."""
+        count = self._signs.shape[1]
+        own = np.add.reduceat(gains, np.arange(count) * len(gains) // count) if len(gains) else gains
+        sums = [self._signs[k : k + _TOGETHER] @ own for k in range(0, _DRAWS, _TOGETHER)]
+        return float(np.quantile(2 * np.concatenate(sums) - own.sum(), self._level))
 
     def _model(self, kept: Sequence[Candidate]) -> "_Model":
         names = frozenset(candidate.name for candidate in kept)

@@ -50,7 +50,7 @@ class Robust:
         Few clusters tell correlations of many parameters badly: the fewer, the more those of independent errors count.
         """
         share = self.clusters / (self.clusters + _CORRELATIONS_COUNT * len(self.factor))
-        own, root = np.sqrt(np.diag(self.from_errors)), np.sqrt(self.factor)
+        own, root = np.sqrt(np.maximum(np.diag(self.from_errors), 0.0)), np.sqrt(self.factor)  # zero but for rounding
         blended = (1 - share) * self.from_errors + share * self.correlation * np.outer(own, own)
         return blended * np.outer(root, root) + self.from_prior
 
@@ -96,10 +96,14 @@ def _jackknife(sums: ClusterSums, jacobian: Floats) -> tuple[Floats, Floats, Flo
     seen = arms @ information
     # At the estimate a cluster pulls as its errors do, less its share of what all errors pull together.
     own = np.einsum("cmp,cmp->mc", seen, arms)
-    shared = np.swapaxes(seen, 0, 1)  # (m, c, p)
-    covariance = own[:, :, None] * np.eye(len(sums)) - shared @ np.linalg.inv(total) @ np.swapaxes(shared, 1, 2)
-    expected = np.einsum("mcc->m", covariance)
-    spread = np.einsum("mcd,mcd->m", covariance, covariance)
+    # The covariance of the pulls, diag(own) - shared T shared', is never made: it is as large as the clusters squared.
+    shared, inverse = np.swapaxes(seen, 0, 1), np.linalg.inv(total)  # (m, c, p)
+    weighed = shared @ inverse
+    less = np.einsum("mcp,mcp->mc", weighed, shared)
+    inner = np.swapaxes(shared, 1, 2) @ weighed  # (m, p, p)
+    apart = np.einsum("mpq,mqp->m", inner, inner) - np.sum(less**2, axis=1)  # squares off the diagonal
+    expected = np.sum(own - less, axis=1)
+    spread = np.sum((own - less) ** 2, axis=1) + np.maximum(apart, 0.0)
     return moves.T @ moves, expected, expected**2 / np.where(spread > 0, spread, 1.0)
 
 

@@ -4,19 +4,19 @@ ROS 1 bags (https://wiki.ros.org/Bags/Format/2.0) and MCAP files (https://mcap.d
 them in compressed chunks; the messages of an SQLite file lie in the order in which they were written.
 """
 
-import bz2
 import sqlite3
 import struct
-import sys
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 from ...errors import RecordingError
 from .messages import Wire
+from .unpacking import unpack
 
 ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ROS1_MESSAGE, _ROS1_HEADER, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 3, 5, 7
@@ -277,14 +277,8 @@ def _chunk(walk: "_Ros1Walk | _McapWalk", source: _Bytes, compression: str, leng
 def _decompressor(name: str, where: str) -> Callable[[bytes], bytes]:
     if name == "":
         return bytes
-    if name == "bz2":
-        return bz2.decompress
-    if name == "lz4":
-        from lz4.frame import decompress  # pyright: ignore[reportUnknownVariableType]
-
-        return decompress  # pyright: ignore[reportUnknownVariableType]
-    if name == "zstd":
-        return unzstd
+    if name in {"bz2", "lz4", "zstd"}:
+        return partial(unpack, name)
     raise RecordingError(
         f'{where}: its chunks are compressed with "{name}", which gnomon does not know; it reads bz2, lz4, zstd and '
         "uncompressed ones. Unpack it with the tool that packed it (rosbag decompress, mcap convert)."
@@ -293,11 +287,7 @@ def _decompressor(name: str, where: str) -> Callable[[bytes], bytes]:
 
 def unzstd(data: bytes) -> bytes:
     """Unpack what was compressed with zstd."""
-    if sys.version_info >= (3, 14):
-        from compression import zstd
-    else:
-        from backports import zstd  # comes with rosbags
-    return zstd.decompress(data)
+    return unpack("zstd", data)
 
 
 def _sqlite(path: Path, wanted: frozenset[str], outcome: Outcome) -> Iterator[Record]:

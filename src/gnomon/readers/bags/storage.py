@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
-import yaml
-
-from ...errors import RecordingError
+from ...errors import FormatError, RecordingError
 from ..files import first_bytes
+from ..structured import parse_yaml, read_text
 from .messages import Wire
 from .salvage import (
     MCAP_MAGIC,
@@ -24,6 +23,7 @@ from .salvage import (
     records,
     unzstd,
 )
+from .unpacking import bound_rosbags
 
 if TYPE_CHECKING:
     from rosbags.rosbag1 import Reader as Reader1
@@ -41,6 +41,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 METADATA = "metadata.yaml"
 _INFORMATION = "rosbag2_bagfile_information"
 _SPLIT = re.compile(r"_\d+$")
+_LONGEST_NAME = 250  # that a file can have
 
 
 class BrokenBagError(Exception):
@@ -133,7 +134,8 @@ def bag_parts(path: Path, notes: list[str]) -> Parts:
     information = _information(path)
     if information is not None:
         _check_compression(path, information)
-        names = [PurePosixPath(str(name)).name for name in information.get("relative_file_paths") or ()]
+        listed = information.get("relative_file_paths")
+        names = [PurePosixPath(str(name)[:_LONGEST_NAME]).name for name in listed] if isinstance(listed, list) else []
         missing = [name for name in names if not (path / name).is_file()]
         if missing or not names:
             raise RecordingError(
@@ -161,9 +163,11 @@ def bag_parts(path: Path, notes: list[str]) -> Parts:
 
 def _information(folder: Path) -> dict[str, Any] | None:
     """Return what metadata.yaml says of a bag; None where there is none that says anything."""
+    if not (folder / METADATA).is_file():
+        return None
     try:
-        found = yaml.load((folder / METADATA).read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        found = parse_yaml(read_text(folder / METADATA), folder / METADATA)
+    except FormatError:
         return None
     information = found.get(_INFORMATION) if isinstance(found, dict) else None
     return information if isinstance(information, dict) else None
@@ -203,6 +207,7 @@ def indexed(parts: Parts) -> Bag:
     """
 
     def readers() -> "list[Reader1 | Reader2]":
+        bound_rosbags()
         if parts.form == "ros1":
             from rosbags.rosbag1 import Reader as Reader1
 

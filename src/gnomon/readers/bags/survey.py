@@ -138,10 +138,11 @@ class ImuTrack(Track):
             all(bool(getattr(block, name).all()) for block in self.blocks)
             for name in ("no_accelerometer", "no_gyroscope")
         ]
-        zero = [
-            not any(bool(getattr(block, name).any()) for block in self.blocks)
-            for name in ("accelerometer", "gyroscope")
-        ]
+        with np.errstate(invalid="ignore"):  # damaged numbers may be none
+            zero = [
+                not any(bool(getattr(block, name).any()) for block in self.blocks)
+                for name in ("accelerometer", "gyroscope")
+            ]
         return Triads(
             accelerometer=not (said[0] or zero[0]), gyroscope=not (said[1] or zero[1]), said=said[0] or said[1]
         )

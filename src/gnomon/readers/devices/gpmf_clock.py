@@ -137,7 +137,7 @@ def _fitted(index: Floats, at: Floats, samples: Floats) -> tuple[Floats, float]:
     kept = np.ones(len(index), bool)
     coefficients = np.zeros(len(knots))
     for _ in range(3):
-        coefficients = np.linalg.lstsq(_hats(index[kept], knots), at[kept])[0]
+        coefficients = np.linalg.lstsq(_hats(index[kept], knots), at[kept], rcond=None)[0]
         off = np.abs(at - _hats(index, knots) @ coefficients)
         limit = _OUTLYING * 1.5 * float(np.median(off)) + 1e-6
         if (off[kept] <= limit).all() or int((off <= limit).sum()) < max(len(knots) + 1, len(index) // 2):

@@ -1,7 +1,6 @@
 """The tables that an app on a phone exported: in a folder, or packed into a zip that is read without unpacking it."""
 
 import zipfile
-import zlib
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,9 +10,9 @@ from typing import IO
 from ...errors import RecordingError
 from ...recording import Source
 from ..files import NPZ_MAGIC, TextFile, file_source, first_bytes, plain_text, read_text
+from ..structured import shortened
+from ..zips import ZIP_DAMAGE, refuse_zip_bomb
 
-LARGEST_BYTES = 1 << 30
-"""Of one table, unpacked."""
 _MOST_MEMBERS = 10_000
 _TABLES = (".csv", ".txt", ".tsv")
 _INNER = ("meta",)  # of phyphox
@@ -70,13 +69,8 @@ class LogFiles:
         if not zipfile_at(self.path):
             return read_text(self._place(name))
         with self._opened(name) as data:
-            packed = data.read(LARGEST_BYTES + 1)
+            packed = data.read()
         label = PurePosixPath(name).name
-        if len(packed) > LARGEST_BYTES:
-            raise RecordingError(
-                f"{self.path.name}, {label}: more than {LARGEST_BYTES >> 30} GiB when unpacked. Unpack it yourself and "
-                "cut the recording into parts."
-            )
         text = plain_text(packed, Path(f"{self.path.name}, {label}"))
         return TextFile(name=label, data=text, source=self.sources([name])[0])
 
@@ -116,6 +110,7 @@ def log_files(path: Path) -> LogFiles | None:
             members = archive.infolist()
             if len(members) > _MOST_MEMBERS:
                 raise RecordingError(f"{path.name}: {len(members)} files in one zip; the log of a phone has a few.")
+            refuse_zip_bomb(archive, path.name)
             names = [member.filename for member in members if not member.is_dir()]
         if not names or any(name.endswith(".npy") for name in names):
             return None
@@ -143,10 +138,12 @@ def unzipping(path: Path, name: str = "") -> Generator[None]:
         yield
     except RuntimeError as error:  # also of a method of packing that is not known
         raise RecordingError(
-            f"{where}: cannot be unpacked ({error}). Unpack it yourself and give the folder."
+            f"{where}: cannot be unpacked ({shortened(str(error))}). Unpack it yourself and give the folder."
         ) from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, KeyError) as error:
-        raise RecordingError(f"{where}: the zip is cut off or damaged ({error}). Copy it again.") from None
+    except ZIP_DAMAGE as error:
+        raise RecordingError(
+            f"{where}: the zip is cut off or damaged ({shortened(str(error))}). Copy it again."
+        ) from None
 
 
 def table_stem(name: str) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from ...errors import RecordingError
 from .frame_stamps import is_frame_table
 from .image_file import is_image_name
+from .video_kind import is_video
 
 _CAMERA = re.compile(r"(?:cam(?:era)?|image)[-_]?0*(\d+)", re.IGNORECASE)
 _OF_A_CAMERA = re.compile(r"(cam\d+(?=[-_])|left|right)", re.IGNORECASE)
@@ -82,7 +83,7 @@ def has_cameras(root: Path) -> bool:
         return True
     folders = [path for path in inside if path.is_dir() and path.name.lower() in _USUAL]
     files = [path for folder in folders for path in folder.iterdir() if not path.name.startswith(".")]
-    return any(path.is_file() and _is_video(path) for path in (*inside, *files))
+    return any(path.is_file() and is_video(path) for path in (*inside, *files))
 
 
 def video_place(video: Path) -> CameraPlace:
@@ -95,7 +96,7 @@ def _named(root: Path) -> Iterator[tuple[str, CameraPlace]]:
     entries = sorted(path for path in root.iterdir() if not path.name.startswith("."))
     for path in entries:
         match = _CAMERA.fullmatch(path.stem)
-        if match and path.is_file() and _is_video(path):
+        if match and path.is_file() and is_video(path):
             yield f"cam{int(match[1])}", CameraPlace(label=path.name, video=path)
     for path in entries:
         match = _CAMERA.fullmatch(path.name)
@@ -125,7 +126,7 @@ def _unnamed(root: Path, notes: list[str]) -> dict[str, CameraPlace]:
     videos = [
         CameraPlace(label=path.relative_to(root).as_posix(), video=path)
         for path in files
-        if not path.name.startswith(".") and _is_video(path)
+        if not path.name.startswith(".") and is_video(path)
     ]
     usual = [place for place in inside if place.label.rstrip("/").lower() in _USUAL]
     candidates = places or (usual if len(usual) == 1 else inside) or videos
@@ -155,12 +156,6 @@ def _folder_place(folder: Path, camera: Path, root: Path) -> CameraPlace:
     sensor = camera / "sensor.yaml"
     label = folder.relative_to(root).as_posix() + "/"
     return CameraPlace(label=label, folder=folder, sensor=sensor if sensor.is_file() else None)
-
-
-def _is_video(path: Path) -> bool:
-    from .video import is_video  # PyAV takes its time
-
-    return is_video(path)
 
 
 def _with_table(place: CameraPlace, name: str, root: Path, *, alone: bool) -> CameraPlace:

@@ -261,7 +261,8 @@ def _in_ns(texts: list[str], unit: str | None, where: str) -> tuple[Integers, st
 def _unit(ordered: NDArray[np.float64]) -> tuple[str, str]:
     if len(ordered) > 1:
         return guess_time_unit(ordered, TYPICAL_FRAMES_HZ)
-    unit = next((unit for unit, factor in TIME_UNITS_NS.items() if 1e18 < ordered[0] * factor < 4e18), "ns")
+    first = float(ordered[0])  # of Python's own numbers, which become infinite without a warning
+    unit = next((unit for unit, factor in TIME_UNITS_NS.items() if 1e18 < first * factor < 4e18), "ns")
     return unit, "there is only one image"
 
 

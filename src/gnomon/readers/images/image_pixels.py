@@ -7,6 +7,7 @@ value of a stream is taken for its depth, and the lowest bits are dropped: one s
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...images import Grey
+from .image_size import too_many_pixels
 
 Buffer = bytes | memoryview
 
@@ -246,14 +248,23 @@ def _decoded(data: Buffer, where: str) -> NDArray[Any]:
     import cv2
 
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    fault = _fault(memoryview(data))
+    fault = _fault(memoryview(data)) or too_many_pixels(memoryview(data))
     found = None
     if len(data) and not fault:
-        with suppress(cv2.error):
+        _hush()
+        with suppress(cv2.error, MemoryError):
             found = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if found is None or found.dtype not in {np.dtype(np.uint8), np.dtype(np.uint16)}:
         raise RecordingError(f"{where}: the picture is {fault or 'damaged or of an unknown kind'} ({len(data)} bytes).")
     return np.asarray(found)
+
+
+@cache
+def _hush() -> None:
+    """Keep OpenCV from saying on the terminal, in its own words, what is wrong with a picture."""
+    from cv2.utils import logging
+
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
 
 
 def _fault(data: memoryview) -> str:

@@ -18,10 +18,11 @@ from ..rig.camera_folder import holds_corners
 from ..rig.imu_places import EXPECTED as EXPECTED_IMU
 from ..rig.imu_places import imu_tables, imu_tables_beside
 from ..rig.imu_stream import read_imu
-from ..rig.sensor_yaml import SensorInput, T_cam_imu, read_sensor
+from ..rig.sensor_yaml import SensorInput, T_sensor_imu, read_sensor
 from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, image_names, video_place
 from .frame_stamps import numbers_in_names
 from .image_file import is_image_name
+from .video_kind import is_video
 
 _PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"7z\xbc\xaf", b"BZh", b"\xfd7zXZ", b"\x28\xb5\x2f\xfd", b"Rar!")
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})
@@ -34,7 +35,7 @@ def holds_images(path: str | PathLike[str]) -> bool:
         if place.is_dir():
             root = _root(place)
             return not holds_corners(root) and (has_cameras(root) or _bag_of(place) is not None)
-        return place.is_file() and (_bag_of(place) is not None or _is_video(place))
+        return place.is_file() and (_bag_of(place) is not None or is_video(place))
     except RecordingError:  # several bags: there are images, and opening them says what is wrong
         return True
     except OSError:
@@ -105,7 +106,7 @@ def _opened(
         )
     if place.is_dir():
         return _from_folder(place, table, log, need_imu=need_imu)
-    if _is_video(place):
+    if is_video(place):
         return _from_video(place, table, log, need_imu=need_imu)
     raise RecordingError(f"{place}: {_kind(place)}. Expected {EXPECTED}.")
 
@@ -155,7 +156,7 @@ def _from_folder(path: Path, table: Path | None, log: ReadLog, *, need_imu: bool
     for name, place in places.items():
         if place.sensor is not None:
             sensor = read_sensor(place.sensor, f"{name}/sensor.yaml", log.notes)
-            pose = T_cam_imu(sensor, on_body.get("imu0", SensorInput())) if table is None else None
+            pose = T_sensor_imu(sensor, on_body.get("imu0", SensorInput())) if table is None else None
             streams[name] = replace(streams[name], camera=sensor.camera, T_cam_imu=pose)
     return ImageRecording(imus=imus, streams=streams, sources=tuple(log.sources), assumptions=tuple(log.notes))
 
@@ -203,17 +204,13 @@ def _stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
 def _imus(
     tables: Mapping[str, tuple[Path, ...]], on_body: Mapping[str, SensorInput], log: ReadLog
 ) -> dict[str, ImuSamples]:
-    return {
-        name: read_imu(
-            name,
-            files,
-            on_body.get(name, SensorInput()).imu,
-            units=log.units,
-            sources=log.sources,
-            notes=log.notes,
-        )
-        for name, files in tables.items()
-    }
+    first = on_body.get(next(iter(tables), ""), SensorInput())
+    imus: dict[str, ImuSamples] = {}
+    for name, files in tables.items():
+        known = on_body.get(name, SensorInput())
+        samples = read_imu(name, files, known.imu, units=log.units, sources=log.sources, notes=log.notes)
+        imus[name] = replace(samples, T_imu_body=T_sensor_imu(known, first)) if imus else samples
+    return imus
 
 
 def _imu_sensors(root: Path, names: tuple[str, ...], log: ReadLog) -> dict[str, SensorInput]:
@@ -268,12 +265,6 @@ def _bag_of(path: Path) -> Path | None:
         listed = ", ".join(bag.name for bag in bags[:6]) + (", ..." if len(bags) > 6 else "")
         raise RecordingError(f"{path}: there are {len(bags)} bags in this folder ({listed}). Give the one to read.")
     return bags[0] if bags else None
-
-
-def _is_video(path: Path) -> bool:
-    from .video import is_video  # PyAV takes its time
-
-    return is_video(path)
 
 
 def _kind(path: Path) -> str:

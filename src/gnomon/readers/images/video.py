@@ -22,9 +22,6 @@ from .camera_places import CameraPlace
 from .frame_stamps import FrameTable, read_frame_table
 
 _HEAD = 4096
-_TEXT_MAGIC = b"YUV4MPEG2"  # the only video that begins as text
-_NO_VIDEO = (b"\x1f\x8b", b"PK\x03\x04", b"#ROSBAG", b"\x89MCAP", b"SQLite format 3", b"\x93NUMPY", b"%PDF")
-_IMAGES = ("image2", "_pipe")
 _LUMA_FIRST = {"gray", "nv12", "nv21", "nv16", "nv24", "yuva420p", "yuva422p", "yuva444p"} | {
     f"yuv{full}{sampling}p" for full in ("", "j") for sampling in (410, 411, 420, 422, 440, 444)
 }
@@ -54,27 +51,6 @@ class _Facts:
     step: Fraction | None
     rotation: int
     size: tuple[int, int]
-
-
-def is_video(path: Path) -> bool:
-    """Tell by its content whether a file is a video."""
-    try:
-        if not path.is_file():
-            return False
-        with path.open("rb") as file:
-            head = file.read(_HEAD)
-    except OSError:
-        return False
-    text = b"\0" not in head and not head.startswith(_TEXT_MAGIC)
-    if text or head.startswith(_NO_VIDEO):
-        return False
-    if is_mp4_head(head):
-        return True
-    try:
-        with av.open(str(path)) as container:
-            return bool(container.streams.video) and not container.format.name.endswith(_IMAGES)
-    except (FFmpegError, OSError, ValueError):
-        return False
 
 
 def video_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:

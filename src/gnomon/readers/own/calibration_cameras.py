@@ -55,12 +55,12 @@ def camera_entry(node: Node, *, alone: bool = False) -> CameraCalibration:
         pose = () if node.key == "cam0" else ("T_cam_cam0",)
         sigmas = tuple(f"{name}_{part}_sigma" for name in pose for part in ("rotation", "translation"))
         keys = node.mapping((*pose, *_LENS), (*sigmas, *_LENS_SIGMAS))
-        T = _pose(keys["T_cam_cam0"]) if pose else np.eye(4)
+        T = pose_entry(keys["T_cam_cam0"]) if pose else np.eye(4)
         return CameraCalibration(T_cam_body=T, time_shift_cam_imu=0.0, camera=_lens(node, keys), body="cam0")
     sigmas = tuple(key for name, key in SIGMAS.items() if not name.startswith("T_cam_cam0"))
     keys = node.mapping(("T_cam_imu", "time_shift_cam_imu", *_LENS), sigmas)
     return CameraCalibration(
-        T_cam_body=_pose(keys["T_cam_imu"]),
+        T_cam_body=pose_entry(keys["T_cam_imu"]),
         time_shift_cam_imu=keys["time_shift_cam_imu"].number(),
         camera=_lens(node, keys),
     )
@@ -93,7 +93,14 @@ def _pair(node: Node) -> list[Node]:
     return items
 
 
-def _pose(node: Node) -> Floats:
+def pose_entry(node: Node) -> Floats:
+    """Return a pose (4, 4).
+
+    Raises
+    ------
+    FormatError
+        If it is none.
+    """
     matrix = node.floats(4, 4)
     rotation = matrix[:3, :3]
     if not np.array_equal(matrix[3], [0, 0, 0, 1]):

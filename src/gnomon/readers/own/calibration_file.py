@@ -1,11 +1,12 @@
-"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.4"; `writers.calibration_file` writes it.
+"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.5"; `writers.calibration_file` writes it.
 
 A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
 newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
 assessment.camera_imu, which stands there in place of the counts of a multi-position recording. "gnomon/1.2" added
 magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
 "gnomon/1.3" added lever arms of accelerometers, and assessment.trust. "gnomon/1.4" added cameras without an IMU: body
-frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras.
+frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras. "gnomon/1.5" added poses and time shifts
+of IMUs beside the first, and time shifts of accelerometers.
 """
 
 import re
@@ -36,16 +37,17 @@ from ...recording import Floats, Source
 from ...trust import Need, TrustNote
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..structured import Node
-from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry, cameras_entry
+from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry, cameras_entry, pose_entry
 from .own_root import read_own
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 4
+SCHEMA_MINOR = 5
 
 _ALWAYS = ("schema", "verdict", "body_frame", "cameras", "assessment", "provenance", "covariance")
 _OF_IMUS = ("gravity", "imus")
 FIELD_UNITS = ("uT", "local field")
 """Units of a calibrated magnetic field."""
+_TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 _VERDICTS = ("pass", "warn", "fail")
 _FRAMES = {
     "accel-x": ("accelerometer", "accel-x"),
@@ -115,6 +117,14 @@ def _checked(top: dict[str, Node], calibration: Calibration) -> Calibration:
     return calibration
 
 
+def imu_keys(path: str) -> tuple[str, tuple[str, ...], str]:
+    """Return of a parameter of an IMU its IMU, the keys under which it stands there, and the key of its sigmas."""
+    imu, *keys = path.split(".")
+    if keys[0] == "T_imu_body":  # one matrix, but two sets of sigmas
+        return imu, ("T_imu_body",), f"T_imu_body_{keys[1]}_sigma"
+    return imu, tuple(keys), f"{keys[-1]}_sigma"
+
+
 def _checked_minor(root: Node) -> int:
     """Return the minor of a schema that this version reads."""
     if not isinstance(root.value, dict) or not isinstance(root.value.get("schema"), str):
@@ -123,7 +133,7 @@ def _checked_minor(root: Node) -> int:
             "Give the calibration.yaml that gnomon wrote."
         )
     stated = root.child("schema")
-    match = re.fullmatch(r"gnomon/(\d+)(?:\.(\d+))?", stated.value)
+    match = re.fullmatch(r"gnomon/(\d{1,6})(?:\.(\d{1,6}))?", stated.value)
     if match is None:
         raise stated.fail(f'found "{stated.value}", expected gnomon/{SCHEMA_MAJOR}.')
     major, minor = int(match[1]), int(match[2] or 0)
@@ -141,10 +151,22 @@ def _imu(node: Node, minor: int) -> ImuCalibration:
     required, optional = ["accelerometer"], ["gyroscope"]
     if minor >= 2:
         required, optional = [], ["accelerometer", "gyroscope", "magnetometer"]
+    placed: tuple[str, ...] = ()
+    if minor >= 5:
+        placed = ("T_imu_body", "time_shift_imu")
+        optional += [
+            *placed,
+            *(f"{name}_sigma" for name in ("T_imu_body_rotation", "T_imu_body_translation", placed[1])),
+        ]
     triads = node.mapping(required, optional)
-    if not triads:
+    if triads.keys().isdisjoint(_TRIADS):
         raise node.fail("found no sensor, expected an accelerometer, a gyroscope or a magnetometer.")
+    stated = [name for name in placed if name in triads]
+    if len(stated) == 1:
+        raise node.fail(f"found {stated[0]} alone; T_imu_body and time_shift_imu belong together.")
     return ImuCalibration(
+        T_imu_body=pose_entry(triads["T_imu_body"]) if stated else None,
+        time_shift_s=triads["time_shift_imu"].number() if stated else 0.0,
         accelerometer=_accelerometer(triads["accelerometer"], minor) if "accelerometer" in triads else None,
         gyroscope=_gyroscope(triads["gyroscope"]) if "gyroscope" in triads else None,
         magnetometer=_magnetometer(triads["magnetometer"]) if "magnetometer" in triads else None,
@@ -152,12 +174,14 @@ def _imu(node: Node, minor: int) -> ImuCalibration:
 
 
 def _accelerometer(node: Node, minor: int) -> AccelerometerCalibration:
-    keys = _triad_keys(node, "sensitivity", "bias", may=("lever_arms_m",) if minor >= 3 else ())
+    may = ("lever_arms_m", *(("time_shift",) if minor >= 5 else ())) if minor >= 3 else ()
+    keys = _triad_keys(node, "sensitivity", "bias", may=may)
     return AccelerometerCalibration(
         unit=keys["unit"].text(tuple(ACCELEROMETER_UNITS_M_S2)),
         sensitivity=_invertible(keys["sensitivity"]),
         bias=keys["bias"].floats(3),
         lever_arms_m=keys["lever_arms_m"].floats(3, 3) if "lever_arms_m" in keys else None,
+        time_shift_s=keys["time_shift"].number() if "time_shift" in keys else None,
     )
 
 
@@ -233,6 +257,8 @@ def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
     matrix = np.zeros((len(names), len(names)))
     for i, row in enumerate(rows):
         matrix[i, : i + 1] = matrix[: i + 1, i] = row.floats(i + 1, finite=False)
+    if (np.diag(matrix) < 0).any():
+        raise keys["lower_triangle"].fail(f"the variance of {names[int(np.argmin(np.diag(matrix)))]} is below zero.")
     return Covariance(names=names, matrix=matrix)
 
 
@@ -243,8 +269,10 @@ def _check_sigmas(top: dict[str, Node], calibration: Calibration) -> None:
         if sensor in calibration.cameras:
             stated, key = top["cameras"].child(sensor), SIGMAS[name]
         else:
-            triad, name = name.split(".")
-            stated, key = top["imus"].child(sensor).child(triad), f"{name}_sigma"
+            _, (*triad, _), key = imu_keys(path)
+            stated = top["imus"].child(sensor)
+            for child in triad:
+                stated = stated.child(child)
         if key not in stated.value:
             continue
         entry = stated.child(key)

@@ -19,8 +19,8 @@ from .foreign import ForeignCalibration, recognised_frame
 
 _PX4 = re.compile(r"CAL_(ACC|GYRO)(\d)_([XYZ])(OFF|SCALE)")
 _ARDUPILOT = re.compile(r"INS_(ACC|GYR)(\d?)(OFFS|SCAL)_([XYZ])")
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_LINE = re.compile(rf"^\s*(?:\d+\s+\d+\s+|param\s+set(?:-default)?\s+)?([A-Z][A-Z0-9_]+)[\s,=]+({_NUMBER})\b", re.M)
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+_LINE = re.compile(rf"^[ \t]*(?:\d+\s+\d+\s+|param\s+set(?:-default)?\s+)?([A-Z][A-Z0-9_]+)[ \t,=]+({_NUMBER})\b", re.M)
 
 Key = tuple[int, str, str]
 """Index of the IMU from 0, "ACC" or "GYR", "offset" or "scale"."""

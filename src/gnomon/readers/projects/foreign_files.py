@@ -7,8 +7,11 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from ...calibration import CameraCalibration
 from ...errors import FormatError
+from ...parameters import parameters
 from ..own.own_root import is_own
 from ..own.parameter_csv import read_parameter_csv
 from ..rig.kalibr_camchain import CameraInput, cameras_of
@@ -77,9 +80,26 @@ def load_foreign(path: str | PathLike[str], *others: str | PathLike[str]) -> For
     """
     paths = (path, *others)
     texts = [read_text(file) for file in paths]
+    try:
+        with np.errstate(all="ignore"):
+            found = _read_all(paths, texts)
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        raise FormatError(f"{path}: its numbers are of no calibration ({error}). Was it written completely?") from error
+    _refuse_endless(found, path)
+    return found
+
+
+def _read_all(paths: Sequence[str | PathLike[str]], texts: Sequence[str]) -> ForeignCalibration:
     if all(is_imu_tk(text) for text in texts) and len(paths) <= 2:
         return _read_triads(paths, texts)
     return _joined([_read(file, text) for file, text in zip(paths, texts, strict=True)], paths)
+
+
+def _refuse_endless(found: ForeignCalibration, path: str | PathLike[str]) -> None:
+    """Refuse numbers whose inverse or product is not finite."""
+    for name, value in parameters(found.imus):
+        if not np.isfinite(value).all():
+            raise FormatError(f"{path}: {name} is not finite with the numbers in it. Was it written completely?")
 
 
 def _read_triads(paths: Sequence[str | PathLike[str]], texts: Sequence[str]) -> ForeignCalibration:

@@ -17,7 +17,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from ..structured import read_text
 from .foreign import ForeignCalibration, recognised_frame
 
-_COMMENT = re.compile(r"(?m)^\s*#.*$")
+_COMMENT = re.compile(r"(?m)^[ \t]*#.*$")
 _UNITS = re.compile(r"(?m)^#.*value \[(m/s\^2|rad/s)\] = T K \(sample \[([^\]]*)\] - B\)")
 
 

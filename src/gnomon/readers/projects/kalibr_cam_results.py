@@ -77,7 +77,7 @@ def _parameters(path: str | PathLike[str], name: str, block: str) -> tuple[Float
     """Return projection and distortion, and their standard deviations."""
     found: list[list[float]] = [[], []]
     for key in ("projection", "distortion"):
-        match = re.search(rf"^\s*{key}:\s*\[([^\]]*)\]\s*\+-\s*\[([^\]]*)\]", block, re.MULTILINE)
+        match = re.search(rf"^[ \t]*{key}:\s*\[([^\]]*)\]\s*\+-\s*\[([^\]]*)\]", block, re.MULTILINE)
         try:
             pair = (
                 [[float(word) for word in part.replace(",", " ").split()] for part in match.groups()] if match else []

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...calibration import CameraCalibration
 from ...geometry.quaternion import normalised, rotation_from_quaternion
+from ...geometry.so3 import inverse
 from ...models.camera import Camera
 from ...models.lens_names import DistortionName
 from ...recording import Floats
@@ -63,7 +64,7 @@ def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
         values = _arguments(words)
         found = _CAMERA.search(values["child-frame-id"])
         if re.fullmatch(r"imu\d+", values["child-frame-id"]) and values["frame-id"] == "imu0":
-            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=np.linalg.inv(_pose(words, values)))
+            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=inverse(_pose(words, values)))
             continue
         if found is None or _IMU.search(values["frame-id"]) is None:
             notes.append(f"The transform from {values['frame-id']} to {values['child-frame-id']} was passed over.")

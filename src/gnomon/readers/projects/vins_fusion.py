@@ -93,9 +93,18 @@ def lens_of(root: Node, notes: list[str]) -> ForeignCalibration:
 
 def _lens_beside(root: Node, calib: Node, topic: str, notes: list[str]) -> Camera:
     path = Path(root.file).parent / calib.text()
-    if not path.is_file():
+    if Path(calib.text()).is_absolute() or ".." in Path(calib.text()).parts:
+        raise calib.fail(f"found {path}, expected a file beside this one. Copy the file of the lens there.")
+    if not _is_file(path):
         raise calib.fail(f"there is no file {path}, in which the lens should be. Put it beside this file.")
     return vins_lens(_read(path, notes), topic)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that the system does not take
+        return False
 
 
 def _read(path: str | PathLike[str], notes: list[str]) -> Node:

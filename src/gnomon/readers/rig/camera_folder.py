@@ -10,6 +10,7 @@ _TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
 _CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
 _FRAMES = re.compile(rf"(cam\d+)[-_/]frames{_TABLE}", re.IGNORECASE)
 _IMU = re.compile(rf"(imu\d*)(/data)?({_TABLE}|\.npz)", re.IGNORECASE)
+_TRIADS = tuple(re.compile(rf"(imu\d*)[-_/]{word}[a-z]*{_TABLE}", re.IGNORECASE) for word in ("acc", "gyr"))
 _EXPECTED = "cam0_corners.csv (ts_ns,tag_id,corner_idx,u_px,v_px), cam1_corners.csv, ... and imu0.csv, also gzipped"
 
 
@@ -46,15 +47,19 @@ def holds_corners(folder: Path) -> bool:
     return bool(_matching(folder, _CORNERS, r"cam\d+"))
 
 
-def imu_files(folder: Path) -> dict[str, Path]:
+def imu_files(folder: Path) -> dict[str, tuple[Path, ...]]:
     """Return the IMUs, "imu0", "imu1", ..., whose samples are in a folder.
+
+    Returns
+    -------
+    name -> its table; or those of accelerometer and gyroscope, such as imu0-acc.csv and imu0-gyr.csv
 
     Raises
     ------
     RecordingError
         If there are none.
     """
-    found = {("imu0" if name == "imu" else name): path for name, path in _matching(folder, _IMU, r"imu\d*").items()}
+    found = _imu_files(folder)
     if not found:
         raise RecordingError(f"{folder}: no samples of an IMU in this folder. Expected {_EXPECTED}.")
     return found
@@ -62,7 +67,15 @@ def imu_files(folder: Path) -> dict[str, Path]:
 
 def holds_imu(folder: Path) -> bool:
     """Tell whether a folder of corners holds samples of an IMU, too."""
-    return bool(_matching(folder, _IMU, r"imu\d*"))
+    return bool(_imu_files(folder))
+
+
+def _imu_files(folder: Path) -> dict[str, tuple[Path, ...]]:
+    whole, accelerometer, gyroscope = (_matching(folder, pattern, r"imu\d*") for pattern in (_IMU, *_TRIADS))
+    pairs = {name: (accelerometer[name], gyroscope[name]) for name in accelerometer if name in gyroscope}
+    found = pairs | {name: (path,) for name, path in whole.items()}
+    named = {("imu0" if name == "imu" else name): files for name, files in found.items()}
+    return dict(sorted(named.items(), key=lambda item: (len(item[0]), item[0])))
 
 
 def recording_folder(path: Path) -> Path:

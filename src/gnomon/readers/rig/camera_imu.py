@@ -16,14 +16,14 @@ from .corner_table import read_corner_table, read_frame_stamps
 from .imu_stream import read_imu
 from .kalibr_camchain import CameraInput
 from .kalibr_target import read_target
-from .sensor_inputs import read_cameras, read_imus
+from .sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imus
 
 
 def read_corner_recording(
     path: str | PathLike[str],
     *,
     cam: str | PathLike[str],
-    imu: str | PathLike[str] | None,
+    imu: ImuFiles | None,
     target: str | PathLike[str],
     units: str | Units | None = None,
 ) -> tuple[Recording, Target]:
@@ -34,8 +34,8 @@ def read_corner_recording(
     path : folder with the corners of each camera, cam0_corners.csv, cam1_corners.csv, ..., and the samples of each
         IMU, imu0.csv, ...; all may be gzipped
     cam : Kalibr's camchain.yaml, or another file that `readers.rig.sensor_inputs.read_cameras` reads
-    imu : Kalibr's imu.yaml, or another file that `readers.rig.sensor_inputs.read_imus` reads; None where the noise of
-        the IMU is not known
+    imu : Kalibr's imu.yaml, or what else `readers.rig.sensor_inputs.read_imus` reads; None where the noise of the IMUs
+        is not known
     target : Kalibr's target.yaml
     units : of the IMU's samples, as for `gnomon.read`
 
@@ -56,14 +56,18 @@ def read_corner_recording(
     log = ReadLog(units=Units.parse(units) if isinstance(units, str) else units or Units())
     board = read_target(target, log.notes)
     known = read_cameras(cam, log.notes)
-    noise = {} if imu is None else read_imus(imu, log.notes)
-    log.sources.extend(file_source(Path(file)) for file in (cam, imu, target) if file is not None)
+    noise, stated = read_imus(imu, log.notes), imu_paths(imu)
+    log.sources.extend(file_source(Path(file)) for file in (cam, *stated, target))
     folder = recording_folder(Path(path))
     imus = {
-        name: read_imu(name, (file,), noise.get(name), units=log.units, sources=log.sources, notes=log.notes)
-        for name, file in imu_files(folder).items()
+        name: read_imu(name, tables, noise.get(name), units=log.units, sources=log.sources, notes=log.notes)
+        for name, tables in imu_files(folder).items()
     }
-    log.notes.extend(f"{name} of {Path(imu or '').name} has no samples here." for name in noise if name not in imus)
+    log.notes.extend(
+        f"{name} of {', '.join(file.name for file in stated)} has no samples here."
+        for name in noise
+        if name not in imus
+    )
     cameras = corners_of(folder, known, Path(cam).name, board, log)
     recording = Recording(imus=imus, cameras=cameras, sources=tuple(log.sources), assumptions=tuple(log.notes))
     return recording, board

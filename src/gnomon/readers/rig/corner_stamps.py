@@ -63,6 +63,6 @@ def read_corner_stamps(path: str | PathLike[str], units: str | Units | None = No
     except RecordingError:
         files = {}
     imus = {
-        name: read_imu(name, (file,), None, units=stated, sources=sources, notes=notes) for name, file in files.items()
+        name: read_imu(name, tables, None, units=stated, sources=sources, notes=notes) for name, tables in files.items()
     }
     return CornerStamps(imus=imus, frames=frames, corners=corners, assumptions=tuple(notes))

@@ -152,7 +152,7 @@ def corner_columns(layout: Layout, where: str) -> CornerColumns:
         return _by_content(layout, where)
     time = time_columns([column_name(text) for text in layout.header], layout)
     stamps = {i for i, _ in time}
-    words = {i: _words(text) for i, text in enumerate(layout.header) if i not in stamps}
+    words = {i: _words(text[:400]) for i, text in enumerate(layout.header) if i not in stamps}
     found = {
         role: [i for i, spelled in words.items() if _role(spelled) == role]
         for role in ("tag", "corner", "u", "v", "x", "y", "number")
@@ -192,7 +192,7 @@ def _by_content(layout: Layout, where: str) -> CornerColumns:
     """Tell the columns of a table without header: time does not fall, numbers are whole, coordinates are not."""
     count = layout.columns
     rows = [[token.strip('"') for token in row] for row in layout.sample]
-    whole = [all(re.fullmatch(r"\d+", row[i]) for row in rows) for i in range(count)]
+    whole = [all(re.fullmatch(r"\d{1,20}", row[i]) for row in rows) for i in range(count)]
     if count in {4, 5} and all(whole[1 : count - 2]) and not all(whole[count - 2 :]):
         times = [float(row[0].replace(",", ".")) for row in rows if is_number(row[0], layout.decimal_comma)]
         of_a_tag = count == 4 or max(int(row[2]) for row in rows) <= 3

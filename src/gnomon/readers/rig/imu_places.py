@@ -65,7 +65,7 @@ def _pair(tables: list[Path]) -> dict[str, tuple[Path, ...]]:
 
 def _named(root: Path) -> dict[str, tuple[Path, ...]]:
     try:
-        return {name: (path,) for name, path in imu_files(root).items()}
+        return imu_files(root)
     except RecordingError:
         return {}
 

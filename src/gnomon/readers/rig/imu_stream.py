@@ -69,7 +69,18 @@ def read_imu(
             f"{name}: its samples come at {found:.4g} Hz, not at the stated update_rate of {stated:g} Hz; "
             "the noise densities do not depend on it."
         )
-    return ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope, noise=known.noise, topic=known.topic)
+    return with_stated(ImuSamples(accelerometer=accelerometer, gyroscope=gyroscope), known)
+
+
+def with_stated(samples: ImuSamples, known: ImuInput) -> ImuSamples:
+    """Return samples with what is stated of their IMU; the topic of a bag stays."""
+    return replace(
+        samples,
+        noise=known.noise,
+        topic=samples.topic or known.topic,
+        T_imu_body=known.T_imu_body,
+        time_shift_s=known.time_shift_s,
+    )
 
 
 def _in_place(text: str, files: tuple[Path, ...]) -> str:

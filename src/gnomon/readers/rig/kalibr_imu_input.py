@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from os import PathLike
 
 from ...models.noise import ImuNoise
-from ..projects.foreign_yaml import read_foreign_yaml
+from ...recording import Floats
+from ..projects.foreign_yaml import read_foreign_yaml, rigid
 from ..structured import Node
 from .kalibr_yaml import file_name, passed_over, required, sensors
 
@@ -20,7 +21,7 @@ _MODEL = {"accelerometers", "gyroscopes", "Tw", "Ta", "Tg", "R_IMUtoGYRO", "R_IM
 _IGNORED = {"rostopic", "model", "T_i_b", "time_offset", *_UNITS, *_RATES, *_MODEL}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuInput:
     """What Kalibr's imu.yaml says of one IMU.
 
@@ -29,11 +30,15 @@ class ImuInput:
     noise : densities and random walks
     update_rate_hz : sample rate [Hz], or None where it is not stated
     topic : ROS topic, or ""
+    T_imu_body : (4, 4) of an IMU beside imu0, p_imu = T_imu_body @ p_imu0, where it is stated
+    time_shift_s : t_imu0 = t_imu + time_shift_s, likewise [s]
     """
 
     noise: ImuNoise
     update_rate_hz: float | None
     topic: str
+    T_imu_body: Floats | None = None
+    time_shift_s: float | None = None
 
 
 def read_imu_input(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, ImuInput]:
@@ -58,10 +63,10 @@ def read_imu_input(path: str | PathLike[str], notes: list[str] | None = None) ->
     imus = sensors(root, "imu", "accelerometer_noise_density", _EXPECTED)
     if root not in imus.values():
         passed_over((node for node in root.entries() if node.key not in imus), said)
-    return {name: _imu(node, said) for name, node in imus.items()}
+    return {name: _imu(node, said, is_body=number == 0) for number, (name, node) in enumerate(imus.items())}
 
 
-def _imu(node: Node, notes: list[str]) -> ImuInput:
+def _imu(node: Node, notes: list[str], *, is_body: bool) -> ImuInput:
     keys = {child.key: child for child in node.entries()}
     noise = {name: _positive(required(keys, name, node, f"a number in {unit}")) for name, unit in _UNITS.items()}
     model = [key for key in keys if key in _MODEL]
@@ -69,12 +74,19 @@ def _imu(node: Node, notes: list[str]) -> ImuInput:
         notes.append(
             f"{file_name(node)}: the sensor model in it ({', '.join(model)}) was passed over; it is estimated anew."
         )
-    if "time_offset" in keys and keys["time_offset"].number() != 0:
+    if is_body and "time_offset" in keys and keys["time_offset"].number() != 0:
         passed_over([keys["time_offset"]], notes)
+    placed = not is_body and "T_i_b" in keys
     passed_over((child for key, child in keys.items() if key not in _IGNORED), notes)
     rate = next((_positive(keys[name]) for name in _RATES if name in keys), None)
     topic = keys["rostopic"].text() if "rostopic" in keys else ""
-    return ImuInput(noise=ImuNoise(**noise), update_rate_hz=rate, topic=topic)
+    return ImuInput(
+        noise=ImuNoise(**noise),
+        update_rate_hz=rate,
+        topic=topic,
+        T_imu_body=rigid(keys["T_i_b"]) if placed else None,
+        time_shift_s=keys["time_offset"].number() if placed and "time_offset" in keys else None,
+    )
 
 
 def _positive(node: Node) -> float:

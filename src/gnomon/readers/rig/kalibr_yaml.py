@@ -25,7 +25,7 @@ def sensors(root: Node, prefix: str, flat_key: str, expected: str) -> dict[str, 
         If there is no such sensor in the file; the message says what the file seems to be instead.
     """
     entries = {node.key: node for node in root.entries()}
-    named = {key: node for key, node in entries.items() if re.fullmatch(rf"{prefix}\d+", key)}
+    named = {key: node for key, node in entries.items() if re.fullmatch(rf"{prefix}\d{{1,9}}", key)}
     if named:
         return dict(sorted(named.items(), key=lambda item: int(item[0].removeprefix(prefix))))
     if flat_key in entries:

@@ -1,5 +1,6 @@
 """What a camera-IMU calibration is told of its sensors beforehand, in whichever file it stands."""
 
+from collections.abc import Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -17,6 +18,9 @@ from ..projects.kalibr_cam_results import is_kalibr_cam_results, read_cam_result
 from ..structured import read_json, read_text
 from .kalibr_camchain import CameraInput, cameras_of
 from .kalibr_imu_input import ImuInput, read_imu_input
+
+ImuFiles = str | PathLike[str] | Sequence[str | PathLike[str]]
+"""One file of all IMUs, or one of each."""
 
 
 def read_cameras(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, CameraInput]:
@@ -68,13 +72,20 @@ def read_rig(path: str | PathLike[str]) -> KnownRig | None:
     return KnownRig(T_cam_cam0=poses, names=calibration.uncertainty.names, covariance=covariance)
 
 
-def read_imus(path: str | PathLike[str], notes: list[str] | None = None) -> dict[str, ImuInput]:
-    """Read the noise of IMUs, told by the content of the file.
+def imu_paths(files: ImuFiles | None) -> tuple[Path, ...]:
+    """Return the files of IMUs that are given as one path, several, or None."""
+    if files is None:
+        return ()
+    return (Path(files),) if isinstance(files, str | PathLike) else tuple(map(Path, files))
+
+
+def read_imus(files: ImuFiles | None, notes: list[str] | None = None) -> dict[str, ImuInput]:
+    """Read the noise of IMUs, told by the content of the files.
 
     Parameters
     ----------
-    path : Kalibr's imu.yaml (what it takes, or what it wrote), OpenVINS' kalibr_imu_chain.yaml, EuRoC's sensor.yaml, or
-        Basalt's calibration JSON
+    files : Kalibr's imu.yaml (what it takes, or what it wrote), OpenVINS' kalibr_imu_chain.yaml, EuRoC's sensor.yaml,
+        or Basalt's calibration JSON; or several of them, of imu0, imu1, ... one each, as Kalibr takes them; or None
     notes : where sentences on what was passed over are appended
 
     Returns
@@ -84,9 +95,26 @@ def read_imus(path: str | PathLike[str], notes: list[str] | None = None) -> dict
     Raises
     ------
     FormatError
-        If the file cannot be read, is none of these, or a noise is missing or not above zero.
+        If a file cannot be read, is none of these, a noise is missing or not above zero, or one of several files is of
+        several IMUs.
     """
     said: list[str] = [] if notes is None else notes
+    paths = imu_paths(files)
+    if len(paths) == 1:
+        return _read_imus(paths[0], said)
+    found: dict[str, ImuInput] = {}
+    for number, path in enumerate(paths):
+        mine = _read_imus(path, said)
+        if len(mine) > 1:
+            raise FormatError(
+                f"{path}: this file is of {', '.join(mine)}, and one of {len(paths)} files. Give one file of all IMUs, "
+                "or one of each in their order, imu0 first."
+            )
+        found[f"imu{number}"] = next(iter(mine.values()))
+    return found
+
+
+def _read_imus(path: Path, said: list[str]) -> dict[str, ImuInput]:
     if (found := _basalt(path, read_text(path))) is not None:
         said.extend(found.notes)
         return _noise_of_basalt(path, found, said)

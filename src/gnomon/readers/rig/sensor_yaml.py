@@ -72,14 +72,14 @@ def read_sensor(path: Path, where: str, notes: list[str]) -> SensorInput:
     return SensorInput(T_body_sensor=_pose(keys, notes), camera=camera, imu=imu)
 
 
-def T_cam_imu(camera: SensorInput, imu: SensorInput) -> Floats | None:
-    """Return p_cam = T_cam_imu @ p_imu from the places of both on the body; an IMU without place is the body itself."""
-    if camera.T_body_sensor is None:
+def T_sensor_imu(sensor: SensorInput, imu: SensorInput) -> Floats | None:
+    """Return p_sensor = T @ p_imu from the places of both on the body; an IMU without place is the body itself."""
+    if sensor.T_body_sensor is None:
         return None
-    R, p = camera.T_body_sensor[:3, :3], camera.T_body_sensor[:3, 3]
-    T_cam_body = np.eye(4)
-    T_cam_body[:3, :3], T_cam_body[:3, 3] = R.T, -R.T @ p
-    return frozen_array(T_cam_body if imu.T_body_sensor is None else T_cam_body @ imu.T_body_sensor)
+    R, p = sensor.T_body_sensor[:3, :3], sensor.T_body_sensor[:3, 3]
+    T_sensor_body = np.eye(4)
+    T_sensor_body[:3, :3], T_sensor_body[:3, 3] = R.T, -R.T @ p
+    return frozen_array(T_sensor_body if imu.T_body_sensor is None else T_sensor_body @ imu.T_body_sensor)
 
 
 def _pose(keys: dict[str, Node], notes: list[str]) -> Floats | None:

@@ -59,6 +59,10 @@ _UNITS: dict[str, dict[str, str]] = {
 }
 
 
+_LONGEST = 400
+"""Characters of a name that are looked at; no name is so long."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnName:
     """A column's name, understood.
@@ -102,6 +106,7 @@ def column_name(text: str) -> ColumnName:
     >>> column_name("timestamp_us")
     ColumnName(quantity='time', axis=None, unit='us')
     """
+    text = text[:_LONGEST]
     bracket = re.search(r"[\[(]([^\])]*)[\])]", text)
     inside = bracket.group(1).strip() if bracket else ""
     bare = text[: bracket.start()] + " " + text[bracket.end() :] if bracket else text

@@ -170,5 +170,6 @@ def _rises(layout: Layout, column: int = 0) -> bool:
     """Tell whether a column mostly rises: stamps may stand still or jump back, samples go up and down."""
     tokens = [row[column].strip('"') for row in layout.sample if is_number(row[column], layout.decimal_comma)]
     numbers = np.array([float(token.replace(",", ".")) for token in tokens])
-    steps = np.diff(numbers)
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        steps = np.diff(numbers)
     return len(steps) > 0 and float((steps >= 0).mean()) > 0.9 and numbers[-1] > numbers[0]

@@ -17,7 +17,6 @@ Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g
 """
 
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,8 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import Floats, Integers, measurable
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from ..structured import shortened
+from ..zips import ZIP_DAMAGE, refuse_false_arrays
 from .npz_keys import SensorArray, sensor_arrays
 from .stamps import guess_time_unit, to_ns
 from .table import Table, Triad, uniform_stamps
@@ -48,6 +49,8 @@ def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
         If the file is damaged, a key is missing, or an array has a wrong shape, NaN or infinity.
     """
     try:
+        with path.open("rb") as file, zipfile.ZipFile(file) as packed:
+            refuse_false_arrays(packed, path.name)
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             wanted = {"accelerometer", "gyroscope", "magnetometer"}
             names = sorted({_imu(key) for key in archive.files if key.split(".")[-1] in wanted})
@@ -60,8 +63,10 @@ def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
                     "Save with the keys t_ns (or t_s), accelerometer, gyroscope, magnetometer."
                 )
             return {name: _read_imu(archive, name, path.name, rate_hz) for name in names}
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError) as error:
-        raise RecordingError(f"{path.name}: the NPZ file is damaged or holds Python objects ({error}).") from None
+    except ZIP_DAMAGE as error:
+        raise RecordingError(
+            f"{path.name}: the NPZ file is damaged or holds Python objects ({shortened(str(error))})."
+        ) from None
 
 
 def _imu(key: str) -> str:

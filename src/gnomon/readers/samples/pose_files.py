@@ -31,7 +31,7 @@ def pose_files(paths: Sequence[str | Path]) -> list[Path] | None:
 
 
 def _by_number(path: Path) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name.lower())]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name.lower())]
 
 
 def joined(tables: list[Table], names: list[str]) -> tuple[Table, tuple[Piece, ...], list[str]]:

@@ -38,13 +38,18 @@ def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) 
     Stamps that lie between 1989 and 2099 in some unit since 1970, at a possible sample rate, are in that unit.
     Otherwise the unit is the one that gives a usual rate: units are a factor of 1000 apart, so that one always does.
     """
+    if len(stamps) < 2:
+        return "s", "nothing tells otherwise"
     last = float(stamps[-1])
     step = float(np.median(np.diff(stamps.astype(np.float64))))
     if not step > 0:
         step = (last - float(stamps[0])) / (len(stamps) - 1)
     if not step > 0:
         return "s", "nothing tells otherwise"
-    rates = {unit: 1e9 / (step * factor) for unit, factor in TIME_UNITS_NS.items()}
+    with np.errstate(over="ignore"):
+        rates = {unit: 1e9 / np.float64(step * factor) for unit, factor in TIME_UNITS_NS.items()}
+    if not all(0 < rate < np.inf for rate in rates.values()):  # of no clock
+        return "s", "nothing tells otherwise"
     for unit, factor in TIME_UNITS_NS.items():
         if _EPOCH_S[0] < last * factor * 1e-9 < _EPOCH_S[1] and _POSSIBLE_HZ[0] < rates[unit] < _POSSIBLE_HZ[1]:
             return unit, f"they count from 1970 and the rate is then {rates[unit]:.4g} Hz"
@@ -101,7 +106,7 @@ def _numbers(stamps: NDArray[Any], where: str) -> Floats:
             try:
                 float(stamp)
             except ValueError:
-                found = bytes(stamp).decode("latin-1")
+                found = bytes(stamp).decode("latin-1")[:40]
                 raise RecordingError(
                     f'{where}: stamp {row + 1} is "{found}", which is no number. Mend or remove its line.'
                 ) from None

@@ -1,7 +1,6 @@
 """NPZ files block by block: the arrays in them are read like files, compressed or not; keys as in `samples.npz`."""
 
 import zipfile
-import zlib
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,6 +14,8 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import TriadSamples, measurable
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
+from ..structured import shortened
+from ..zips import ZIP_DAMAGE, array_header, refuse_false_arrays
 from .npz_keys import SensorArray, sensor_arrays
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
 from .stamps import guess_time_unit, to_ns
@@ -25,7 +26,6 @@ _UNITS = {
     "magnetometer": MAGNETOMETER_UNITS_UT,
 }
 _FIRST_ROWS = 100_000  # from which the unit of the accelerometer is recognised
-_DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError)
 
 
 def open_npz(
@@ -40,6 +40,7 @@ def open_npz(
     """
     try:
         with zipfile.ZipFile(path) as archive:
+            refuse_false_arrays(archive, path.name)
             keys = {name.removesuffix(".npy") for name in archive.namelist()}
             rate = _rate(archive, keys, imu) if rate_hz is None else rate_hz
             arrays = _arrays(archive, keys, imu)
@@ -59,7 +60,7 @@ def open_npz(
                 for name, array in arrays.items()
                 if name in triads
             }
-    except _DAMAGE as error:
+    except ZIP_DAMAGE as error:
         raise _damaged(path, error) from None
     return SampleStream(**{name: triad.blocks() for name, triad in streams.items()})
 
@@ -85,7 +86,7 @@ def _clock_unit(archive: zipfile.ZipFile, array: SensorArray) -> str:
     """Return the unit of the stamps: as their key says, else by their size."""
     if array.stamps is None or array.stamps.endswith(("_ns", "_s")):
         return "ns" if str(array.stamps).endswith("_ns") else "s"
-    return guess_time_unit(next(_array(archive, array.stamps, _FIRST_ROWS)))[0]
+    return guess_time_unit(next(_array(archive, array.stamps, _FIRST_ROWS), np.empty(0)))[0]
 
 
 def _chosen(archive: zipfile.ZipFile, choice: UnitChoice, name: str, array: SensorArray) -> str:
@@ -116,7 +117,7 @@ class _Triad:
         try:
             with zipfile.ZipFile(self.path) as archive:
                 yield from self._blocks(archive)
-        except _DAMAGE as error:
+        except ZIP_DAMAGE as error:
             raise _damaged(self.path, error) from None
 
     def _blocks(self, archive: zipfile.ZipFile) -> Blocks:
@@ -150,7 +151,7 @@ def _array(archive: zipfile.ZipFile, key: str, rows: int) -> Iterator[NDArray[An
 
         def opened(skip: int = 0) -> Any:
             member = stack.enter_context(archive.open(f"{key}.npy"))
-            header = _header(member)
+            header = array_header(member)
             member.seek(skip, 1)
             return member, header
 
@@ -158,6 +159,10 @@ def _array(archive: zipfile.ZipFile, key: str, rows: int) -> Iterator[NDArray[An
         if dtype.kind not in "fiu":
             raise RecordingError(f"{archive.filename}: {key} holds {dtype}, expected numbers.")
         columns = prod(shape[1:])
+        if columns not in {1, 3}:
+            raise RecordingError(
+                f"{archive.filename}: {key} has the shape {shape}, expected (n, 3), or (n,) of stamps."
+            )
         members = [member]
         if fortran and columns > 1:
             members += [opened(i * shape[0] * dtype.itemsize)[0] for i in range(1, columns)]
@@ -168,15 +173,9 @@ def _array(archive: zipfile.ZipFile, key: str, rows: int) -> Iterator[NDArray[An
             yield np.column_stack(parts) if len(parts) > 1 else parts[0].reshape(count, *shape[1:])
 
 
-def _header(member: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    version = np.lib.format.read_magic(member)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    return read(member)
-
-
 def _shape(archive: zipfile.ZipFile, key: str) -> tuple[int, ...]:
     with archive.open(f"{key}.npy") as member:
-        return _header(member)[0]
+        return array_header(member)[0]
 
 
 def _rate(archive: zipfile.ZipFile, keys: set[str], imu: str) -> float | None:
@@ -211,4 +210,4 @@ def _clock(keys: set[str], imu: str, quantity: str, *, shared: bool = True) -> s
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
-    return RecordingError(f"{path.name}: the NPZ file is damaged or holds Python objects ({error}).")
+    return RecordingError(f"{path.name}: the NPZ file is damaged or holds Python objects ({shortened(str(error))}).")

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import Integers, Source, TriadSamples
-from ..files import TextFile, first_bytes, refuse_binary
+from ..files import TextFile, bomb, first_bytes, largest_unpacked, refuse_binary
 from ..recordings import inertial_streams, without_magnetometer
 from .column_roles import Roles, roles
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
@@ -22,6 +22,7 @@ from .table import Triad, preamble_rate, read_table
 from .text_table import Column, Layout, parse, sniff
 
 _HEAD_BYTES = 8 << 20
+_LONGEST_LINE = 1 << 20
 _NO_SOURCE = Source(name="", sha256="")
 
 
@@ -176,12 +177,18 @@ def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
 
 def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
     """Yield (number of the first line, whole lines) from the first row of data on."""
-    line, carry = plan.layout.first_line, b""
+    line, carry, count = plan.layout.first_line, b"", 0
+    size = plan.path.stat().st_size
     with _opened(plan.path) as stream:
         _skip(stream, plan.layout.offset)
         block = stream.read(block_bytes)
         while block:
             ahead = stream.read(block_bytes)
+            count += len(ahead)
+            if count > max(largest_unpacked(size), 2 * size):  # UTF-16 becomes half as long again at most
+                raise bomb(str(plan.path), size)
+            if len(carry) > max(_LONGEST_LINE, 4 * block_bytes):
+                raise RecordingError(f"{plan.path.name}, line {line}: it is longer than {_LONGEST_LINE} bytes.")
             if ahead and len(ahead) < block_bytes:  # a short rest goes along, so that a cut last line is not alone
                 block, ahead = block + ahead, b""
             text = carry + block

@@ -26,6 +26,9 @@ _PREAMBLE = re.compile(
     r"\W*(?P<tail>[A-Za-z]*)\W*"
 )
 
+_LONGEST_LINE = 200
+"""Characters of a line of the preamble that states a rate."""
+
 RATE_HELP = (
     "State it with --rate, for example --rate 100. If a column holds the time, name the columns: "
     '--columns "t ax ay az gx gy gz" (_ skips one).'
@@ -142,7 +145,7 @@ def uniform_stamps(count: int, rate_hz: float) -> Integers:
 def preamble_rate(lines: tuple[str, ...]) -> float | None:
     """Return the sample rate [Hz] that lines such as "Fs,50.00" or "# dt: 5 ms" state, or None."""
     for line in lines:
-        match = _PREAMBLE.fullmatch(line)
+        match = _PREAMBLE.fullmatch(line) if len(line) < _LONGEST_LINE else None
         if match is None:
             continue
         key = re.sub(r"[^a-z]", "", match["key"].lower())

@@ -16,9 +16,10 @@ from ..files import TextFile
 
 _HEAD_BYTES = 65_536
 _HEAD_LINES = 100
+_LONGEST_HEADER = 10_000
 _DELIMITERS = (",", ";", "\t", None)  # None is any white space
 _COMMENT = ("#", "%", "//")
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf|infinity)", re.IGNORECASE)
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", None: "white space"}
 
 Column = NDArray[Any]
@@ -85,6 +86,8 @@ def sniff(file: TextFile, expected: str = SAMPLE_ROWS) -> Layout:
         raw.pop()  # the last line may be cut by the end of the head
     raw = raw[:_HEAD_LINES]
     lines = [line.decode("utf-8", errors="replace").strip("\r\n") for line in raw]
+    if not lines:
+        raise RecordingError(f"{file.name}: its first line is longer than {_HEAD_BYTES} bytes, as that of no table is.")
     delimiter, comma = _best_delimiter(lines)
     rows = [[] if line.lstrip().startswith(_COMMENT) else split_line(line, delimiter) for line in lines]
     masks = [[is_number(token, comma) for token in row] for row in rows]
@@ -143,7 +146,7 @@ def _header(lines: list[str], delimiter: str | None, columns: int) -> tuple[tupl
 
 def _header_tokens(line: str, delimiter: str | None) -> list[str]:
     line = re.sub(r"^\s*(#|%|//)+", "", line)
-    if delimiter is None:  # "a_x [m s^-2]" is one name
+    if delimiter is None and len(line) < _LONGEST_HEADER:  # "a_x [m s^-2]" is one name
         line = re.sub(r"\s*[\[(][^\])]*[\])]", lambda unit: re.sub(r"\s", "", unit.group()), line)
     return [token.strip('"').strip() for token in split_line(line, delimiter)]
 
@@ -238,7 +241,7 @@ def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes, may_
                 return RecordingError(f"{where}, {name}: found {found}, expected a number. Mend or remove this line.")
             if kind and not may_be_lost and not measurable(np.array(float(token.strip('"')))):
                 return RecordingError(
-                    f"{where}, {name}: found {token}, expected a finite number that a sensor can read. "
+                    f"{where}, {name}: found {token[:40]}, expected a finite number that a sensor can read. "
                     "Remove this line if the sample is lost; gnomon treats the gap as such."
                 )
             if kind == "i8" and not re.fullmatch(r"[-+]?\d+", token.strip('"')):

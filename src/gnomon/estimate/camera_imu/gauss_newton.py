@@ -1,0 +1,186 @@
+"""Steps of Gauss and Newton towards the minimum of the batch estimation, damped only where they would not go down."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import OptionError, SolveError
+from ...recording import Floats, Integers
+from ...solve.bordered_band import Factor, Workspace
+from .batch import Linearisation, Measurements, Noise, State, linearised
+from .layout import Layout
+
+_FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-8, 100.0, 1e4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """A Gauss-Newton step.
+
+    Attributes
+    ----------
+    trajectory : (n, d) of the control points
+    parameters : (p,) of the border; zero where held
+    largest : largest step of a parameter in its sigmas
+    decrease : predicted decrease of the cost
+    factor : of the normal equations
+    covariance : (f, f) of the free parameters
+    """
+
+    trajectory: Floats
+    parameters: Floats
+    largest: float
+    decrease: float
+    factor: Factor
+    covariance: Floats
+
+
+def gauss_newton_step(lin: Linearisation, damping: float = 0.0, similar: Factor | None = None) -> Step:
+    """Solve the normal equations.
+
+    Parameters
+    ----------
+    damping : added to the diagonal, as a share of it
+    similar : of similar equations, see `BorderedBand.factorised`; the step is an approximation then
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If they are not positive definite.
+    """
+    if damping:
+        lin.system.damped(damping)
+    return step_by(lin.system.factorised(similar), lin.layout)
+
+
+def step_by(factor: Factor, layout: Layout) -> Step:
+    """Return the step by a factor of the normal equations.
+
+    Where the model of an IMU would leave the range of its weak priors in one step, which happens far from the minimum
+    in directions that the recording hardly determines, it is held this time.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the Schur complement is not positive definite.
+    """
+    free = layout.free_index
+    parameters, covariance = _border_step(factor, free)
+    leaves = layout.of_imu & layout.weak & (np.abs(parameters) > layout.prior_sigma)
+    sigma = np.sqrt(np.diag(covariance))
+    decrease = 0.5 * factor.quadratic(0, 0, free, covariance)
+    if len(free):
+        largest = float(np.max(np.abs(parameters[free]) / sigma))
+    else:  # nothing but the trajectory is estimated: its mean step in sigmas
+        largest = float(np.sqrt(2 * max(decrease, 0.0) / (factor.controls * factor.size)))
+    if leaves[free].any():
+        parameters, _ = _border_step(factor, np.flatnonzero(layout.free & ~layout.of_imu))
+    return Step(
+        trajectory=factor.substituted(0, parameters),
+        parameters=parameters,
+        largest=largest,
+        decrease=decrease,
+        factor=factor,
+        covariance=covariance,
+    )
+
+
+def _border_step(factor: Factor, free: Integers) -> tuple[Floats, Floats]:
+    """Return the step of the border parameters (p,), zero outside of `free`, and the covariance of the free ones."""
+    schur = factor.schur[np.ix_(free, free)]
+    # Units differ by many powers of ten: scale to a unit diagonal before the inversion.
+    scale = 1 / np.sqrt(np.maximum(np.diag(schur), 1e-300))
+    whitener = np.linalg.inv(np.linalg.cholesky(schur * np.outer(scale, scale)))
+    covariance = whitener.T @ whitener * np.outer(scale, scale)
+    parameters = np.zeros(len(factor.schur))
+    parameters[free] = covariance @ factor.schur_sides[free, 0]
+    return parameters, covariance
+
+
+def moved(state: State, layout: Layout, step: Step) -> State:
+    """Return the state after a step.
+
+    Raises
+    ------
+    SolveError
+        If a lens would leave its domain.
+    """
+    try:
+        parameters = layout.plus(state.parameters, step.parameters)
+    except OptionError as error:
+        raise SolveError(f"the intrinsics left the domain of their model: {error}") from error
+    return State(trajectory=state.trajectory.plus(step.trajectory), parameters=parameters)
+
+
+def _cost_change(lin: Linearisation, following: Linearisation) -> float:
+    """Return how much the cost grew, but for corners that can be imaged at one of both states only.
+
+    Where a lens folds back, at the border of a wide image, a step of its coefficients takes corners in or out.
+    """
+    change = following.cost - lin.cost
+    for before, after, used in zip(lin.sums, following.sums, lin.inside, strict=True):
+        counted = np.repeat(used, before.lengths)
+        was, now = np.isfinite(before.residual[:, 0]), np.isfinite(after.residual[:, 0])
+        change += float(before.corner_cost[counted & was & ~now].sum())
+        change -= float(after.corner_cost[counted & now & ~was].sum())
+    return change
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Iteration:
+    """One iteration as it went: cost before it, largest step of a parameter in sigmas, damping, whether accepted."""
+
+    cost: float
+    largest_step: float
+    damping: float
+    accepted: bool
+
+
+def descended(
+    measurements: Measurements,
+    lin: Linearisation,
+    state: State,
+    step: Step,
+    noise: Noise,
+    *,
+    layout: Layout,
+    probing: bool,
+    workspace: Workspace,
+) -> tuple[State, Linearisation, list[Iteration]]:
+    """Take the Gauss-Newton step, damped only if it would not lower the cost.
+
+    Parameters
+    ----------
+    lin, state, step : where the step starts, and the undamped step
+    layout, probing : for the linearisation after the step
+    workspace : of all linearisations; `lin.system` is used up
+
+    Returns
+    -------
+    state, lin : after the step
+    tried : one entry for each trial
+
+    Raises
+    ------
+    SolveError
+        If no step lowers the cost, or the equations are singular.
+    """
+    damping, tried = 0.0, list[Iteration]()
+    while damping <= _LARGEST_DAMPING:
+        try:
+            if damping:  # the undamped equations were overwritten by those after the step
+                again = linearised(measurements, state, lin.layout, noise, probing=lin.probing, workspace=workspace)
+                step = gauss_newton_step(again, damping)
+            candidate = moved(state, lin.layout, step)
+            following = linearised(measurements, candidate, layout, noise, probing=probing, workspace=workspace)
+            better = _cost_change(lin, following) <= 1e-9 * abs(lin.cost) + 1e-6
+        except (np.linalg.LinAlgError, SolveError):
+            candidate, following, better = state, lin, False
+        tried.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=damping, accepted=better))
+        if better:
+            return candidate, following, tried
+        damping = damping * _DAMPING_FACTOR if damping else _FIRST_DAMPING
+    raise SolveError(
+        "no step lowers the cost of the batch estimation. The recording contradicts what was stated about it: check "
+        "the target's size, the intrinsics and the units of the IMU."
+    )

@@ -1,0 +1,54 @@
+"""The noise levels that the residuals show, by their variance components.
+
+A group of residuals that was assumed to have sigma = 1 has sigma^2 = chi^2 / (number of residuals - trace of its part
+of the hat matrix); the trace comes from random signs carried along as a further right-hand side.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from .batch import Linearisation, Noise
+from .corner_sums import CornerSums
+from .gauss_newton import Step
+from .inertial_data import InertialNoise
+from .trajectory import BIAS
+from .walk_noise import found_walks, walk_sums
+
+
+def estimated_noise(lin: Linearisation, step: Step, noise: Noise) -> Noise:
+    """Return the noise levels that the residuals show, at a linearisation that was made with `noise` and probes."""
+    free = lin.layout.free_index
+    imus: list[InertialNoise] = []
+    for i, used in enumerate(noise.imus):
+        levels: list[float] = []
+        for which, sigma in enumerate((used.gyroscope, used.accelerometer)):
+            count, probe = lin.inertial_count[i][which], 1 + 2 * i + which
+            absorbed = step.factor.quadratic(probe, probe, free, step.covariance)
+            freedom = max(count - absorbed, 0.05 * count, 1.0)
+            levels.append(sigma * float(np.sqrt(lin.inertial_chi2[i][which] / freedom)))
+        imus.append(InertialNoise(gyroscope=levels[0], accelerometer=levels[1]))
+    pixels: list[float] = []
+    for camera, sigma in enumerate(noise.pixel_sigma):
+        probe = 1 + 2 * len(noise.imus) + camera
+        absorbed = step.factor.quadratic(probe, probe, free, step.covariance)
+        factor = _pixel_factor(lin.sums[camera], lin.inside[camera], sigma, noise.huber, absorbed)
+        pixels.append(sigma * factor)
+    first = 1 + len(noise.pixel_sigma) + (2 + BIAS) * len(noise.imus)
+    # After the step: under another level the biases are much smoother, or rougher, than before it.
+    sums = walk_sums(lin.trajectory.plus(step.trajectory), noise.walks)
+    walks = found_walks(sums, step.factor, first, free, step.covariance) * np.array(noise.walks)
+    return replace(
+        noise, imus=tuple(imus), pixel_sigma=tuple(pixels), walks=tuple((float(g), float(a)) for g, a in walks)
+    )
+
+
+def _pixel_factor(sums: CornerSums, inside: np.ndarray, sigma: float, huber: float, absorbed: float) -> float:
+    """Return the scatter of the corners over the assumed one, by Huber's proposal 2 in two dimensions."""
+    corners = np.repeat(inside, sums.lengths)
+    residual = sums.comparable[corners]
+    distance = np.sqrt(np.einsum("ij,ij->i", residual, residual)) / sigma
+    distance = distance[np.isfinite(distance)]
+    freedom = max(2 * len(distance) - absorbed, 0.05 * len(distance), 1.0)
+    share = 1 - np.exp(-0.5 * huber**2) if np.isfinite(huber) else 1.0
+    return float(np.sqrt((np.minimum(distance, huber) ** 2).sum() / (freedom * share)))

@@ -1,0 +1,242 @@
+"""What the IMUs on a rig feel on its path, and what their sensors and clocks make of it."""
+
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+
+from ..calibration import ImuCalibration
+from ..geometry.rigid_body import acceleration_by_place, along_axes
+from ..geometry.rotation_vector import rotvec_from_rotation
+from ..models.camera import Booleans
+from ..recording import Floats, ImuSamples, Integers, TriadSamples
+from .camera_imu_frames import START_NS, outside
+from .camera_imu_path import CameraPath, RigidMotion
+from .camera_imu_rig import ImuTruth, earth_rate_target, gravity_target
+from .camera_imu_scenario import CameraImuScenario
+from .trajectory import exponential
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrueTrajectory:
+    """Motion of an IMU.
+
+    Attributes
+    ----------
+    t_s : (n,) instants at which the recorded samples were taken [s on the clock of imu0 from the start]
+    p_target_imu : (n, 3) origin of the IMU in the target's frame [m]
+    R_target_imu : (n, 3, 3)
+    velocity, acceleration : (n, 3) of the origin, in the target's frame [m/s], [m/s^2]
+    omega_imu : (n, 3) angular rate that a gyroscope feels, the Earth's included, frame of the IMU [rad/s]
+    alpha_imu : (n, 3) its derivative by time [rad/s^2]
+    f_imu : (n, 3) specific force at the origin, frame of the IMU [m/s^2]
+    path : of cam0, in closed form
+    T_cam0_imu : (4, 4)
+    start_ns : stamp of t = 0 [ns]
+    """
+
+    t_s: Floats
+    p_target_imu: Floats
+    R_target_imu: Floats
+    velocity: Floats
+    acceleration: Floats
+    omega_imu: Floats
+    alpha_imu: Floats
+    f_imu: Floats
+    path: CameraPath
+    T_cam0_imu: Floats
+    start_ns: int = START_NS
+
+    @classmethod
+    def of(cls, scenario: CameraImuScenario, path: CameraPath, T_cam0_imu: Floats, t_s: Floats) -> Self:
+        """Return the motion at instants (n,) [s] of what is carried along a path."""
+        motion = path.at(t_s).of(T_cam0_imu)
+        R, earth = motion.R_target_body, earth_rate_target(scenario)
+        # The board turns with the Earth: Coriolis' acceleration; the centrifugal one is part of gravity.
+        acceleration = motion.acceleration + 2 * np.cross(earth, motion.velocity) - gravity_target(scenario)
+        earth_body = earth @ R
+        return cls(
+            t_s=t_s,
+            p_target_imu=motion.p_target_body,
+            R_target_imu=R,
+            velocity=motion.velocity,
+            acceleration=motion.acceleration,
+            omega_imu=motion.omega + earth_body,
+            alpha_imu=motion.alpha - np.cross(motion.omega, earth_body),
+            f_imu=np.einsum("nji,nj->ni", R, acceleration),
+            path=path,
+            T_cam0_imu=T_cam0_imu,
+        )
+
+    @property
+    def q_target_imu_wxyz(self) -> Floats:
+        """Attitude, (n, 4), v_target = q v_imu q*."""
+        phi = rotvec_from_rotation(self.R_target_imu)
+        return exponential(phi, np.ones((len(phi), 1)))
+
+    def at(self, t_s: Floats) -> RigidMotion:
+        """Return the exact motion of the IMU against the target at any instants (k,) [s from the start]."""
+        return self.path.at(t_s).of(self.T_cam0_imu)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedImu:
+    """The samples of one IMU, and what is true of them.
+
+    Attributes
+    ----------
+    samples : as recorded
+    sensor : its true parameters
+    calibration : what is to be estimated; biases are means over the recording
+    trajectory : motion of its frame at the samples of the gyroscope
+    b_a, b_g : (k, 3), (n, 3) true biases at the recorded samples [m/s^2], [rad/s]
+    """
+
+    samples: ImuSamples
+    sensor: ImuTruth
+    calibration: ImuCalibration
+    trajectory: TrueTrajectory
+    b_a: Floats
+    b_g: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuStreams:
+    """Random numbers of one IMU, one stream a purpose."""
+
+    accelerometer_noise: np.random.Generator
+    gyroscope_noise: np.random.Generator
+    accelerometer_walk: np.random.Generator
+    gyroscope_walk: np.random.Generator
+    dropped_samples: np.random.Generator
+    imu_jitter: np.random.Generator
+    accelerometer_instants: np.random.Generator
+    phase: np.random.Generator
+
+    @classmethod
+    def spawned(cls, seed: int, number: int) -> Self:
+        """Return the streams of imu1, imu2, ... that follow from a recording's seed."""
+        purposes = [stream.name for stream in fields(cls)]
+        return cls(**dict(zip(purposes, np.random.default_rng((seed, number)).spawn(len(purposes)), strict=True)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Instants:
+    """When samples are taken.
+
+    Attributes
+    ----------
+    rate_hz : how many a second
+    t_s : (n,) [s on the clock of imu0 from the start]
+    stamp_ns : (n,) what the IMU's own clock says then [ns]
+    kept : (n,) whether the sample is recorded
+    """
+
+    rate_hz: float
+    t_s: Floats
+    stamp_ns: Integers
+    kept: Booleans
+
+
+def simulated_imu(
+    scenario: CameraImuScenario,
+    path: CameraPath,
+    T_cam0_imu: Floats,
+    sensor: ImuTruth,
+    streams: ImuStreams,
+    *,
+    topic: str = "/imu0",
+) -> SimulatedImu:
+    """Return what an IMU records of a path.
+
+    Parameters
+    ----------
+    scenario : what to simulate
+    path : of cam0
+    T_cam0_imu : (4, 4) of this IMU
+    sensor : its true parameters
+    streams : random numbers
+    topic : ROS topic
+    """
+    gyroscope, accelerometer = _instants(scenario, sensor, streams)
+    motion = TrueTrajectory.of(scenario, path, T_cam0_imu, gyroscope.t_s)
+    felt = motion
+    if accelerometer is not gyroscope or sensor.accelerometer_shift_s:
+        felt = TrueTrajectory.of(scenario, path, T_cam0_imu, accelerometer.t_s + sensor.accelerometer_shift_s)
+    f = felt.f_imu
+    if sensor.places_m.any():
+        f = f + along_axes(acceleration_by_place(felt.omega_imu, felt.alpha_imu), sensor.places_m)
+    ideal, noise = sensor.calibration(np.zeros(3), np.zeros(3)), sensor.noise
+    assert ideal.gyroscope is not None
+    b_a = sensor.b_a + _walk(noise["accelerometer_random_walk"], accelerometer.t_s, streams.accelerometer_walk)
+    b_g = sensor.b_g + _walk(noise["gyroscope_random_walk"], gyroscope.t_s, streams.gyroscope_walk)
+    force = f @ ideal.required_accelerometer.sensitivity.T + b_a
+    rate = motion.omega_imu @ ideal.gyroscope.sensitivity.T
+    rate = rate + motion.f_imu @ ideal.gyroscope.g_sensitivity.T + b_g
+    for name, values, instants, limit in (
+        ("accelerometer", force, accelerometer, scenario.accelerometer_range),
+        ("gyroscope", rate, gyroscope, scenario.gyroscope_range),
+    ):
+        sigma = noise[f"{name}_noise_density"] * np.sqrt(instants.rate_hz)
+        np.add(values, sigma * getattr(streams, f"{name}_noise").standard_normal(values.shape), out=values)
+        if limit is not None:
+            np.clip(values, -limit, limit, out=values)
+    b_a, b_g = b_a[accelerometer.kept], b_g[gyroscope.kept]
+    if not gyroscope.kept.all():
+        motion = TrueTrajectory.of(scenario, path, T_cam0_imu, gyroscope.t_s[gyroscope.kept])
+    return SimulatedImu(
+        samples=ImuSamples(
+            accelerometer=_recorded(accelerometer, force, "m/s^2"),
+            gyroscope=_recorded(gyroscope, rate, "rad/s"),
+            noise=sensor.nominal,
+            topic=topic,
+        ),
+        sensor=sensor,
+        calibration=sensor.calibration(b_a.mean(axis=0), b_g.mean(axis=0)),
+        trajectory=motion,
+        b_a=b_a,
+        b_g=b_g,
+    )
+
+
+def _instants(scenario: CameraImuScenario, sensor: ImuTruth, streams: ImuStreams) -> tuple[_Instants, _Instants]:
+    """Return when gyroscope and accelerometer are read: the same where they share their stamps."""
+    further = sensor.T_imu_body is not None
+    rate_hz = (scenario.further_imu_rate_hz if further else None) or scenario.imu_rate_hz
+    start_s = streams.phase.random() / rate_hz if further else 0.0
+    gyroscope = _sampled(scenario, sensor, rate_hz, start_s, (streams.dropped_samples, streams.imu_jitter))
+    own_hz = scenario.accelerometer_rate_hz
+    if own_hz is None:
+        return gyroscope, gyroscope
+    rng = streams.accelerometer_instants
+    return gyroscope, _sampled(scenario, sensor, own_hz, rng.random() / own_hz, (rng, rng))
+
+
+def _sampled(
+    scenario: CameraImuScenario,
+    sensor: ImuTruth,
+    rate_hz: float,
+    start_s: float,
+    streams: tuple[np.random.Generator, np.random.Generator],
+) -> _Instants:
+    """Return instants, with random numbers for the samples that are lost, and for errors of the stamps."""
+    t_s = start_s + np.arange(int((scenario.duration_s - start_s) * rate_hz + 1e-6) + 1) / rate_hz
+    dropped, jitter = streams
+    kept = dropped.random(len(t_s)) >= scenario.dropped_samples
+    kept &= outside(t_s, scenario.imu_gaps_s)
+    error_s = scenario.imu_jitter_s * jitter.standard_normal(len(t_s))
+    own_s = t_s - sensor.time_shift_s + error_s
+    stamp_ns = START_NS + sensor.clock_offset_ns + np.rint(own_s * 1e9).astype(np.int64)
+    return _Instants(rate_hz=rate_hz, t_s=t_s, stamp_ns=stamp_ns, kept=kept)
+
+
+def _recorded(instants: _Instants, values: Floats, unit: str) -> TriadSamples:
+    return TriadSamples(t_ns=instants.stamp_ns[instants.kept], values=values[instants.kept], unit=unit)
+
+
+def _walk(density: float, t_s: Floats, rng: np.random.Generator) -> Floats:
+    """Return random walks (n, 3) that start from zero."""
+    steps = rng.standard_normal((len(t_s), 3))
+    steps[0] = 0.0
+    steps[1:] *= density * np.sqrt(np.diff(t_s))[:, None]
+    return np.cumsum(steps, axis=0)

@@ -1,0 +1,132 @@
+"""Wild cases: recordings, options and statements that nobody would make on purpose, with what is true of them.
+
+A case is drawn with several oddities at once, each of a size from harmless to hopeless. What a calibration may say of
+it is judged by `gnomon.study.wild`.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ..models.target import Target
+from ..options import CameraImuOptions, ImuOptions
+from ..parameters import moved_into_frame
+from ..recording import Floats, Recording
+from ..sensors import CameraCalibration, ImuCalibration
+
+WildKind = Literal["imu", "camera-imu"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oddity:
+    """One thing that is odd about a case.
+
+    Attributes
+    ----------
+    name : what it is, with its size
+    codes : findings that name it, or what comes of it
+    """
+
+    name: str
+    codes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class WildCase:
+    """A wild case.
+
+    Attributes
+    ----------
+    recording, target, options : what the calibration is given
+    imus, cameras : what is true, in the units and the stamps of the recording, body frame accel-x
+    oddities : what is odd about it
+    wandering : path -> by how much the true value moved during the recording, so that no number is the true one
+    """
+
+    kind: WildKind
+    seed: int
+    recording: Recording
+    target: Target | None
+    options: ImuOptions | CameraImuOptions
+    imus: dict[str, ImuCalibration]
+    cameras: dict[str, CameraCalibration]
+    oddities: tuple[Oddity, ...]
+    wandering: dict[str, Floats]
+
+    def with_oddity(self, name: str, *codes: str) -> "WildCase":
+        """Return the case with one more oddity."""
+        return replace(self, oddities=(*self.oddities, Oddity(name=name, codes=codes)))
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def signed_permutation(rng: np.random.Generator) -> Floats:
+    """Draw columns exchanged and signs changed, (3, 3), of either handedness."""
+    return np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3)[:, None]
+
+
+def reread(
+    imu: ImuCalibration,
+    *,
+    accelerometer: Floats | float = 1.0,
+    gyroscope: Floats | float = 1.0,
+) -> ImuCalibration:
+    """Return what is true of readings that were multiplied by a number or a matrix (3, 3)."""
+    force, rate = imu.required_accelerometer, imu.gyroscope
+    assert rate is not None
+    by_force, by_rate = (np.eye(3) * one if np.isscalar(one) else np.asarray(one) for one in (accelerometer, gyroscope))
+    return replace(
+        imu,
+        accelerometer=replace(force, sensitivity=by_force @ force.sensitivity, bias=by_force @ force.bias),
+        gyroscope=replace(
+            rate,
+            sensitivity=by_rate @ rate.sensitivity,
+            bias=by_rate @ rate.bias,
+            g_sensitivity=by_rate @ rate.g_sensitivity,
+        ),
+    )
+
+
+def in_units_of(imu: ImuCalibration, *, force: float = 1.0, rate: float = 1.0) -> ImuCalibration:
+    """Return what is true where one unit of the world's force, or of its rate, is taken for that many."""
+    accelerometer, gyroscope = imu.required_accelerometer, imu.gyroscope
+    assert gyroscope is not None
+    return replace(
+        imu,
+        accelerometer=replace(accelerometer, sensitivity=accelerometer.sensitivity / force),
+        gyroscope=replace(
+            gyroscope, sensitivity=gyroscope.sensitivity / rate, g_sensitivity=gyroscope.g_sensitivity / force
+        ),
+    )
+
+
+def seen_in_a_mirror(imu: ImuCalibration) -> ImuCalibration:
+    """Return an IMU with a right-handed accelerometer in the mirrored world, where the recording is just as true.
+
+    Gravity's magnitude does not tell a world from its mirror image: f becomes M f and, since a rate is no true vector,
+    omega becomes -M omega.
+    """
+    accelerometer, gyroscope = imu.required_accelerometer, imu.gyroscope
+    assert gyroscope is not None
+    mirror = np.diag([1.0, 1.0, -1.0])
+    return replace(
+        imu,
+        accelerometer=replace(accelerometer, sensitivity=accelerometer.sensitivity @ mirror),
+        gyroscope=replace(
+            gyroscope,
+            sensitivity=gyroscope.sensitivity @ -mirror,
+            g_sensitivity=gyroscope.g_sensitivity @ mirror,
+        ),
+    )
+
+
+def in_body_frame(
+    imu: ImuCalibration, cameras: dict[str, CameraCalibration]
+) -> tuple[dict[str, ImuCalibration], dict[str, CameraCalibration]]:
+    """Return the sensors in body frame accel-x."""
+    moved = moved_into_frame({"imu0": imu}, cameras, "accel-x")
+    return moved.imus, moved.cameras

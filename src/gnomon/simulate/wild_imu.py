@@ -1,0 +1,362 @@
+"""Wild cases of an IMU alone."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..geometry.rotation_vector import right_jacobian, rotation_from_rotvec
+from ..models.gravity import normal_gravity_m_s2
+from ..options import ImuOptions
+from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..sensors import ImuCalibration
+from .fault_recordings import seconds, some, warming
+from .imu import simulate_imu
+from .scenario import Scenario
+from .wild import WildCase, in_body_frame, in_units_of, log_uniform, reread, seen_in_a_mirror, signed_permutation
+
+Edit = Callable[[WildCase, np.random.Generator], WildCase]
+
+_MOST_SAMPLES = 60_000
+_LOST = ("gaps", "rotations-left-out", "jitter", "holdout-rotation")
+_UNSTILL = ("rests-unsteady", "interval-touched", "intervals-left-out", "never-static", "few-attitudes", "attitudes")
+
+
+def wild_imu(seed: int) -> WildCase:
+    """Draw a wild case of an IMU alone."""
+    rng = np.random.default_rng([seed, 11])
+    scenario = _scenario(rng)
+    recording, truth = simulate_imu(scenario, seed)
+    case = WildCase(
+        kind="imu",
+        seed=seed,
+        recording=recording,
+        target=None,
+        options=ImuOptions(),
+        imus=dict(truth.imus),
+        cameras={},
+        oddities=(),
+        wandering={},
+    )
+    case = _said(case, scenario)
+    for edit, share in _EDITS:
+        if rng.random() < share:
+            case = edit(case, rng)
+    return _settled(_with_options(case, scenario, rng))
+
+
+def _scenario(rng: np.random.Generator) -> Scenario:
+    counts = rng.random() < 0.6
+    poses = int(rng.integers(3, 10)) if rng.random() < 0.1 else int(rng.integers(10, 80))
+    hold = log_uniform(rng, 0.3, 20.0) if rng.random() < 0.2 else log_uniform(rng, 1.5, 6.0)
+    move = log_uniform(rng, 0.3, 3.0)
+    t_init_s = log_uniform(rng, 0.3, 60.0)
+    duration_s = t_init_s + poses * (1.3 * hold + 1.3 * move)
+    rate_hz = min(log_uniform(rng, 10.0, 2000.0), _MOST_SAMPLES / duration_s)
+    # Counts have no known scale nor zero; what is far off in m/s^2 is refused at once.
+    far = counts or rng.random() < 0.15
+    scales = [_scales(rng) if far else (0.95, 1.05), _scales(rng)]
+    bias = [log_uniform(rng, 0.01, 50.0 if far else 1.0), log_uniform(rng, 1e-3, 5.0)]
+    room = log_uniform(rng, 0.5, 1.0) if rng.random() < 0.12 else log_uniform(rng, 1.3, 8.0)
+    return Scenario(
+        style="thesis" if rng.random() < 0.04 else "hand",
+        intervals=poses,
+        t_init_s=t_init_s,
+        hold_s=(hold, 1.5 * hold),
+        motion_s=(move, 1.6 * move),
+        rate_hz=rate_hz,
+        gyroscope_rate_hz=rate_hz * float(rng.uniform(0.3, 1.0)) if rng.random() < 0.15 else None,
+        gravity=float(rng.uniform(9.77, 9.83)),
+        units="raw" if counts else str(rng.choice(["si", "g deg/s", "mg mdeg/s"])),
+        bits=int(rng.integers(8, 25)) if rng.random() < 0.7 else None,
+        accelerometer_range=room * (18.0 / scales[0][0] + bias[0]),
+        gyroscope_range=room * (9.0 / scales[1][0] / move + bias[1]),
+        accelerometer_misalignment=log_uniform(rng, 1e-3, 0.5),
+        gyroscope_misalignment=log_uniform(rng, 1e-3, 0.5),
+        accelerometer_scale=scales[0],
+        gyroscope_scale=scales[1],
+        accelerometer_bias=bias[0],
+        gyroscope_bias=bias[1],
+        g_sensitivity=log_uniform(rng, 1e-5, 1e-2) if rng.random() < 0.5 else 0.0,
+        accelerometer_noise_density=log_uniform(rng, 1e-5, 2e-2),
+        gyroscope_noise_density=log_uniform(rng, 1e-6, 5e-3),
+        gyroscope_bias_walk=log_uniform(rng, 1e-6, 1e-3) if rng.random() < 0.4 else 0.0,
+        stamp_jitter_s=log_uniform(rng, 1e-4, 0.6) / rate_hz if rng.random() < 0.15 else 0.0,
+        stamp_resolution_s=log_uniform(rng, 1e-4, 0.02) if rng.random() < 0.15 else 0.0,
+        dropped=log_uniform(rng, 1e-3, 0.4) if rng.random() < 0.15 else 0.0,
+    )
+
+
+def _scales(rng: np.random.Generator) -> tuple[float, float]:
+    if rng.random() < 0.5:
+        return (0.97, 1.03)
+    if rng.random() < 0.3:
+        return (0.2, 5.0)
+    middle = log_uniform(rng, 0.25, 4.0)
+    return (0.8 * middle, 1.25 * middle)
+
+
+def _said(case: WildCase, scenario: Scenario) -> WildCase:
+    """Name what is odd about a scenario."""
+    case = case.with_oddity(
+        f"{scenario.intervals} rests of {scenario.hold_s[0]:.2g} s at {scenario.rate_hz:.3g} Hz in {scenario.units}, "
+        f"bits {scenario.bits}, scales {scenario.accelerometer_scale} {scenario.gyroscope_scale}, "
+        f"misaligned {scenario.accelerometer_misalignment:.2g} {scenario.gyroscope_misalignment:.2g}, biases "
+        f"{scenario.accelerometer_bias:.2g} {scenario.gyroscope_bias:.2g}, noise "
+        f"{scenario.accelerometer_noise_density:.1g} {scenario.gyroscope_noise_density:.1g}, moves "
+        f"{scenario.motion_s[0]:.2g} s, first {scenario.t_init_s:.2g} s, g-sensitivity {scenario.g_sensitivity:.1g}",
+        "few-attitudes",
+        "attitudes",
+        "attitudes-alike",
+    )
+    if scenario.style == "thesis":
+        case = case.with_oddity("style thesis", *_UNSTILL)
+    if scenario.dropped:
+        case = case.with_oddity(f"lost {scenario.dropped:.2g}", *_LOST)
+    if scenario.stamp_jitter_s:
+        case = case.with_oddity(f"jitter {scenario.stamp_jitter_s:.2g} s", *_LOST)
+    if scenario.stamp_resolution_s:
+        case = case.with_oddity(f"stamps rounded to {scenario.stamp_resolution_s:.2g} s", "time-repeated", *_LOST)
+    if scenario.gyroscope_bias_walk:
+        t_s = case.recording.imus["imu0"].gyroscope.duration_s
+        walk = scenario.gyroscope_bias_walk * np.sqrt(t_s)
+        sensitivity = case.imus["imu0"].gyroscope
+        assert sensitivity is not None
+        unit = float(np.mean(np.linalg.norm(sensitivity.sensitivity, axis=1))) if scenario.units != "si" else 1.0
+        case = case.with_oddity(f"walk {walk:.2g} rad/s", "gyroscope-drift", "parts-disagree")
+        case = replace(case, wandering={"imu0.gyroscope.bias": np.full(3, walk * unit)})
+    samples = case.recording.imus["imu0"]
+    for name in ("accelerometer", "gyroscope"):
+        values = getattr(samples, name).values
+        ends = (values == values.max(axis=0)) | (values == values.min(axis=0))
+        if ends.sum() > 12:
+            case = case.with_oddity(f"{name} clips or is coarse", "saturation", "axis-constant", "signal-constant")
+    return case
+
+
+def _samples(case: WildCase) -> ImuSamples:
+    return case.recording.imus["imu0"]
+
+
+def _with(case: WildCase, samples: ImuSamples, imu: ImuCalibration | None = None) -> WildCase:
+    recording = Recording(imus={"imu0": samples})
+    return replace(case, recording=recording, imus=case.imus if imu is None else {"imu0": imu})
+
+
+def _both(case: WildCase, change: Callable[[TriadSamples], TriadSamples]) -> WildCase:
+    samples = _samples(case)
+    force, rate = samples.accelerometer, samples.gyroscope
+    return _with(case, replace(samples, accelerometer=change(force), gyroscope=change(rate)))
+
+
+def _multiplied(case: WildCase, force: Floats | float = 1.0, rate: Floats | float = 1.0) -> WildCase:
+    samples = _samples(case)
+
+    def by(samples: TriadSamples, factor: Floats | float) -> TriadSamples:
+        return replace(samples, values=samples.values @ (np.eye(3) * factor if np.isscalar(factor) else factor).T)  # pyright: ignore
+
+    changed = replace(samples, accelerometer=by(samples.accelerometer, force), gyroscope=by(samples.gyroscope, rate))
+    return _with(case, changed, reread(case.imus["imu0"], accelerometer=force, gyroscope=rate))
+
+
+def _converted(values: Floats, before: Floats) -> Floats:
+    """Round values (n, 3) to the steps of the converter by which those before were read."""
+    changes = np.abs(np.diff(before, axis=0))
+    step = np.array([axis[axis > 0].min(initial=np.inf) for axis in changes.T])
+    coarse = np.isfinite(step) & (step > 1e-9 * np.ptp(before, axis=0))
+    step = np.where(coarse, step, 1.0)
+    return np.where(coarse, np.rint((values - before[0]) / step) * step + before[0], values)
+
+
+def _mounted(case: WildCase, rng: np.random.Generator) -> WildCase:
+    axes = signed_permutation(rng)
+    return _multiplied(case, axes, axes).with_oddity(f"axes {axes.tolist()}")
+
+
+def _unlike(case: WildCase, rng: np.random.Generator) -> WildCase:
+    axes = signed_permutation(rng)
+    one = rng.random() < 0.5
+    changed = _multiplied(case, axes) if one else _multiplied(case, rate=axes)
+    return changed.with_oddity(f"axes of {'accelerometer' if one else 'gyroscope'} {axes.tolist()}")
+
+
+def _mislabelled(case: WildCase, rng: np.random.Generator) -> WildCase:
+    force = float(rng.choice([1.0, 9.80665, 1 / 9.80665, 1000.0, 1e-3]))
+    rate = float(rng.choice([1.0, 57.29578, 1 / 57.29578, 1000.0, 60.0]))
+    return _multiplied(case, force, rate).with_oddity(f"units misstated {force:g} {rate:g}", "unit")
+
+
+def _warming(case: WildCase, rng: np.random.Generator) -> WildCase:
+    samples = _samples(case)
+    force = rng.random() < 0.5
+    triad = samples.accelerometer if force else samples.gyroscope
+    name = "accelerometer" if force else "gyroscope"
+    sensor = case.imus["imu0"].required_accelerometer if force else case.imus["imu0"].gyroscope
+    assert sensor is not None
+    t_s = seconds(triad.t_ns)
+    size = log_uniform(rng, 1e-3, 3.0) if force else log_uniform(rng, 1e-4, 0.3)
+    size *= float(np.mean(np.abs(np.diag(sensor.sensitivity))))
+    drift = size * warming(t_s, log_uniform(rng, 5.0, 3 * t_s[-1])) * rng.uniform(-1, 1, 3)
+    changed = replace(triad, values=_converted(triad.values + drift - drift.mean(axis=0), triad.values))
+    path = f"imu0.{name}.bias"
+    wandering = case.wandering | {path: case.wandering.get(path, 0.0) + np.ptp(drift, axis=0)}
+    case = replace(case, wandering=wandering)
+    changed = replace(samples, **{name: changed})  # pyright: ignore
+    codes = (f"{name}-drift", "parts-disagree", "holdout-accelerometer", "holdout-rotation", "intervals-left-out")
+    return _with(case, changed).with_oddity(f"{name} drifts by {np.ptp(drift):.2g}", *codes)
+
+
+def _outliers(case: WildCase, rng: np.random.Generator) -> WildCase:
+    share, size = log_uniform(rng, 1e-4, 0.02), log_uniform(rng, 2.0, 50.0)
+
+    def spiked(samples: TriadSamples) -> TriadSamples:
+        values = np.array(samples.values)
+        rows = np.flatnonzero(rng.random(len(values)) < share)
+        values[rows, rng.integers(0, 3, len(rows))] += size * values.std() * rng.standard_normal(len(rows))
+        return replace(samples, values=values)
+
+    return _both(case, spiked).with_oddity(f"{share:.2g} outliers of {size:.2g}", "outliers", "saturation", *_UNSTILL)
+
+
+def _gaps(case: WildCase, rng: np.random.Generator) -> WildCase:
+    length_s, count = log_uniform(rng, 0.05, 10.0), int(rng.integers(1, 30))
+    starts = rng.random(count)
+
+    def cut(samples: TriadSamples) -> TriadSamples:
+        t_s = seconds(samples.t_ns)
+        kept = np.ones(len(t_s), dtype=bool)
+        for start in starts * t_s[-1]:
+            kept &= (t_s < start) | (t_s > start + length_s)
+        return some(samples, kept)
+
+    return _both(case, cut).with_oddity(f"{count} gaps of {length_s:.2g} s", *_LOST)
+
+
+def _doubled(case: WildCase, rng: np.random.Generator) -> WildCase:
+    share, swapped = log_uniform(rng, 1e-4, 0.3), rng.random() < 0.5
+
+    def muddled(samples: TriadSamples) -> TriadSamples:
+        t_ns = np.array(samples.t_ns)
+        rows = np.flatnonzero(rng.random(len(t_ns) - 1) < share)
+        t_ns[rows], t_ns[rows + 1] = t_ns[rows + 1], (t_ns[rows] if swapped else t_ns[rows + 1])
+        return replace(samples, t_ns=t_ns)
+
+    names = ("time-backward", "time-repeated", "jitter")
+    return _both(case, muddled).with_oddity(f"{share:.2g} {'swapped' if swapped else 'repeated'} stamps", *names)
+
+
+def _stretched(case: WildCase, rng: np.random.Generator) -> WildCase:
+    factor = float(rng.choice([1e-3, 0.5, 0.9, 1.1, 2.0, 10.0, 1e3]))
+
+    def slow(samples: TriadSamples) -> TriadSamples:
+        return replace(samples, t_ns=samples.t_ns[0] + np.rint((samples.t_ns - samples.t_ns[0]) * factor).astype(int))
+
+    # A rate is told in radians per stamped second.
+    return replace(_both(case, slow), imus={"imu0": in_units_of(case.imus["imu0"], rate=1 / factor)}).with_oddity(
+        f"time times {factor:g}", "unit", "rate-wrong"
+    )
+
+
+def _stuck(case: WildCase, rng: np.random.Generator) -> WildCase:
+    where, length_s = rng.random(), log_uniform(rng, 0.1, 5.0)
+
+    def held(samples: TriadSamples) -> TriadSamples:
+        values = np.array(samples.values)
+        first = int(where * len(values))
+        values[first : first + round(length_s * samples.rate_hz)] = values[first]
+        return replace(samples, values=values)
+
+    return _both(case, held).with_oddity(f"stuck for {length_s:.2g} s", "samples-stuck", *_UNSTILL)
+
+
+def _apart(case: WildCase, rng: np.random.Generator) -> WildCase:
+    samples, by_s = _samples(case), log_uniform(rng, 1e-3, 2.0) * float(rng.choice([-1, 1]))
+    late = replace(samples.gyroscope, t_ns=samples.gyroscope.t_ns + round(by_s * 1e9))
+    names = ("triads-apart", "clocks-apart", "holdout-rotation", "rotations-left-out")
+    return _with(case, replace(samples, gyroscope=late)).with_oddity(f"triads {by_s:.2g} s apart", *names)
+
+
+def _shaking(case: WildCase, rng: np.random.Generator) -> WildCase:
+    """Let the hand tremble all the time, rests included: the sensor is turned by a small, changing rotation."""
+    samples, imu = _samples(case), case.imus["imu0"]
+    rate = imu.gyroscope
+    assert rate is not None
+    size, hz, phase = log_uniform(rng, 1e-4, 0.05), rng.uniform(0.3, 9.0, 3), rng.uniform(0, 6, 3)
+    axes = size * rng.uniform(-1, 1, 3)
+
+    def trembled(samples: TriadSamples, sensitivity: Floats, bias: Floats, *, turns: bool) -> TriadSamples:
+        angle = 2 * np.pi * hz * seconds(samples.t_ns)[:, None] + phase
+        true = (samples.values - bias) @ np.linalg.inv(sensitivity).T
+        phi = axes * np.sin(angle)
+        felt = np.einsum("nji,nj->ni", rotation_from_rotvec(phi), true)
+        if turns:
+            felt += np.einsum("nij,nj->ni", right_jacobian(phi), axes * 2 * np.pi * hz * np.cos(angle))
+        return replace(samples, values=_converted(felt @ sensitivity.T + bias, samples.values))
+
+    force = imu.required_accelerometer
+    changed = replace(
+        samples,
+        accelerometer=trembled(samples.accelerometer, force.sensitivity, force.bias, turns=False),
+        gyroscope=trembled(samples.gyroscope, rate.sensitivity, rate.bias, turns=True),
+    )
+    return _with(case, changed).with_oddity(f"trembling by {size:.2g} rad", "vibration", *_UNSTILL)
+
+
+_EDITS: tuple[tuple[Edit, float], ...] = (
+    (_shaking, 0.12),
+    (_mounted, 0.4),
+    (_unlike, 0.2),
+    (_mislabelled, 0.1),
+    (_warming, 0.2),
+    (_outliers, 0.12),
+    (_stuck, 0.06),
+    (_gaps, 0.1),
+    (_apart, 0.08),
+    (_doubled, 0.05),
+    (_stretched, 0.1),
+)
+
+
+def _with_options(case: WildCase, scenario: Scenario, rng: np.random.Generator) -> WildCase:
+    chosen: dict[str, object] = {}
+    imus = case.imus
+    if rng.random() < 0.35:
+        gravity = scenario.gravity if rng.random() < 0.6 else float(rng.uniform(9.3, 10.3))
+        chosen["gravity"] = gravity
+        imus = {"imu0": in_units_of(case.imus["imu0"], force=gravity / scenario.gravity)}
+        case = case.with_oddity(f"gravity {gravity:.4g} stated for {scenario.gravity:.4g}")
+    elif rng.random() < 0.1:
+        latitude = float(rng.uniform(-90, 90))
+        chosen["latitude"] = latitude
+        stated = normal_gravity_m_s2(latitude)
+        imus = {"imu0": in_units_of(case.imus["imu0"], force=stated / scenario.gravity)}
+        case = case.with_oddity(f"latitude {latitude:.3g}, gravity {stated:.4g} for {scenario.gravity:.4g}")
+    if rng.random() < 0.3:
+        chosen["model"] = str(rng.choice(["basic", "g-sensitivity", "static"]))
+    if rng.random() < 0.12:
+        chosen["preset"] = str(rng.choice(["tedaldi2014", "tedaldi2014-text", "imu_tk", "angrisano"]))
+    if rng.random() < 0.1:
+        chosen["t_init_s"] = log_uniform(rng, 0.3, 60.0)
+    if rng.random() < 0.2:
+        chosen["window_s"] = log_uniform(rng, 0.2, 3.0)
+    if rng.random() < 0.1:
+        chosen["multiplier"] = log_uniform(rng, 0.3, 1e3)
+    if rng.random() < 0.15:
+        chosen["time_base"] = str(rng.choice(["stamps", "uniform"]))
+    if rng.random() < 0.1:
+        chosen["frame"] = "accel-z"
+    if rng.random() < 0.15:
+        name = rng.choice(["accelerometer.bias", "gyroscope.bias", "gyroscope.g_sensitivity", "accelerometer"])
+        chosen["prior"] = (f"imu0.{name}={log_uniform(rng, 1e-4, 1.0):.3g}",)
+    elif rng.random() < 0.05:
+        chosen["fix"] = ("imu0.gyroscope.g_sensitivity",)
+    case = replace(case, options=ImuOptions(**chosen), imus=imus)  # pyright: ignore[reportArgumentType]
+    return case.with_oddity(f"options {chosen}", "prior-disagrees") if chosen else case
+
+
+def _settled(case: WildCase) -> WildCase:
+    """Return the case with its truth in body frame accel-x."""
+    imu = case.imus["imu0"]
+    if np.linalg.det(imu.required_accelerometer.sensitivity) < 0:
+        imu = seen_in_a_mirror(imu)
+    return replace(case, imus=in_body_frame(imu, {})[0])

@@ -1,0 +1,171 @@
+"""One of document A's simulations: a recording of its signals, calibrated by gnomon and as published."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ..calibrate.imu import calibrate_imu
+from ..calibration import Calibration, ImuCalibration
+from ..errors import GnomonError
+from ..geometry.so3 import inverse
+from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
+from ..options import ImuOptions
+from ..recording import Floats, Recording
+from ..simulate.imu import TrueSignals, simulate_imu, true_signals
+from ..simulate.scenario import Scenario
+from .tedaldi_metrics import SignalErrors, signal_errors
+
+Method = Literal["gnomon", "tedaldi2014-text", "tedaldi2014"]
+METHODS: tuple[Method, ...] = ("gnomon", "tedaldi2014-text", "tedaldi2014")
+"""gnomon's recipe; Algorithm 1 as printed; the authors' script."""
+
+SCENARIO = Scenario(style="thesis")
+"""As document A describes its signals, with 40 rests; what it does not state has the defaults of `Scenario`."""
+
+_T_ENTRIES = ((0, 1, -1), (0, 2, 1), (1, 2, -1))
+_TG_ENTRIES = ((0, 1, -1), (0, 2, 1), (1, 0, 1), (1, 2, -1), (2, 0, -1), (2, 1, 1))
+"""Row, column and sign of the misalignments in T, in the order of Eqs. (3.2) and (3.6)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One recording.
+
+    Attributes
+    ----------
+    scenario : what is simulated, the parameter set by its seed
+    seed : of the signals
+    """
+
+    scenario: Scenario
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MethodOutcome:
+    """What one method made of the recording; nan where it made nothing.
+
+    Attributes
+    ----------
+    estimate, sigma : (18,) in the letters of Eqs. (3.2) and (3.6)
+    errors : of the signals that it corrects
+    problem : why it made nothing, else ""
+    """
+
+    estimate: Floats
+    sigma: Floats
+    errors: SignalErrors
+    problem: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TrialOutcome:
+    """What became of a recording.
+
+    Attributes
+    ----------
+    truth : (18,) in the letters of Eqs. (3.2) and (3.6)
+    before : errors of the signals as they were recorded
+    methods : one for each of METHODS
+    """
+
+    truth: Floats
+    before: SignalErrors
+    methods: tuple[MethodOutcome, ...]
+
+
+def trial(scenario: Scenario, parameter_set: int, seed: int) -> Trial:
+    """Return the recording of a parameter set with signals of this seed."""
+    return Trial(scenario=replace(scenario, sensor_seed=parameter_set), seed=seed)
+
+
+def run_trial(task: Trial) -> TrialOutcome:
+    """Simulate one recording, calibrate it by every method, and measure the calibrations."""
+    recording, truth = simulate_imu(task.scenario, task.seed)
+    signals = ideal_signals(task, truth)
+    gravity = task.scenario.gravity
+    force, rate = recorded(recording)
+
+    def measured(method: Method) -> MethodOutcome:
+        try:
+            calibration = calibrated(recording, method, gravity)
+        except GnomonError as error:
+            nothing = SignalErrors(**{name: np.full(size, np.nan) for name, size in _SIZES.items()})
+            return MethodOutcome(
+                estimate=np.full(18, np.nan), sigma=np.full(18, np.nan), errors=nothing, problem=str(error)
+            )
+        corrected_signals = corrected(calibration.imus["imu0"], force, rate)
+        estimate, sigma = in_document_a(calibration)
+        return MethodOutcome(estimate=estimate, sigma=sigma, errors=signal_errors(signals, *corrected_signals, gravity))
+
+    return TrialOutcome(
+        truth=in_document_a(truth.in_frame("accel-z"))[0],
+        before=signal_errors(signals, force, rate, gravity),
+        methods=tuple(measured(method) for method in METHODS),
+    )
+
+
+def ideal_signals(task: Trial, truth: Calibration) -> TrueSignals:
+    """Return the signals without noise and errors, in document A's body frame."""
+    signals = true_signals(task.scenario, task.seed)
+    before, after = (
+        truth.in_frame(frame).imus["imu0"].required_accelerometer.sensitivity for frame in ("accel-x", "accel-z")
+    )
+    turn = inverse(after) @ before  # the same measurement: after @ f_z = before @ f_x
+    return replace(signals, force=signals.force @ turn.T, rate=signals.rate @ turn.T)
+
+
+_SIZES = {name: 3 if name in ("force", "rate") else 2 for name in SignalErrors.__slots__}
+
+
+def calibrated(recording: Recording, method: Method, gravity: float) -> Calibration:
+    """Calibrate a recording in document A's body frame."""
+    return calibrate_imu(recording, ImuOptions(preset=method, gravity=gravity, frame="accel-z")).calibration
+
+
+def recorded(recording: Recording) -> tuple[Floats, Floats]:
+    """Return the samples of accelerometer and gyroscope, (n, 3) both, of one rate."""
+    samples = recording.imus["imu0"]
+    return samples.accelerometer.values, samples.gyroscope.values
+
+
+def corrected(imu: ImuCalibration, force: Floats, rate: Floats) -> tuple[Floats, Floats]:
+    """Return specific force [m/s^2] and angular rate [rad/s], (n, 3) both, of what was recorded."""
+    accelerometer, gyroscope = imu.required_accelerometer, imu.gyroscope
+    assert gyroscope is not None
+    force = (force - accelerometer.bias) @ inverse(accelerometer.sensitivity).T
+    rate = rate - gyroscope.bias - force @ gyroscope.g_sensitivity.T
+    return force, rate @ inverse(gyroscope.sensitivity).T
+
+
+def in_document_a(calibration: Calibration) -> tuple[Floats, Floats]:
+    """Return the parameters (18,) of Eqs. (3.2) and (3.6), and their sigmas (18,), of one in body frame accel-z."""
+    imu = calibration.imus["imu0"]
+    gyro = imu.gyroscope
+    assert gyro is not None
+    sensitivity = np.triu(imu.required_accelerometer.sensitivity)
+    a = TedaldiAccelerometer.from_sensor(sensitivity, imu.required_accelerometer.bias)
+    g = TedaldiGyroscope.from_sensor(gyro.sensitivity, gyro.bias, gyro.g_sensitivity)
+    estimate = np.concatenate([_angles(a.T, _T_ENTRIES), a.K, a.b, _angles(g.T, _TG_ENTRIES), g.K])
+    by_sensor = np.zeros((18, 21))
+    by_sensor[:6, :9] = _by_sensitivity(sensitivity, _T_ENTRIES)
+    by_sensor[6:9, 9:12] = -np.eye(3)
+    by_sensor[9:, 12:] = _by_sensitivity(gyro.sensitivity, _TG_ENTRIES)
+    names = ("accelerometer.sensitivity", "accelerometer.bias", "gyroscope.sensitivity")
+    uncertainty = calibration.uncertainty
+    which = [i for name in names for i, of in enumerate(uncertainty.names) if of.startswith(f"imu0.{name}")]
+    covariance = by_sensor @ uncertainty.matrix[np.ix_(which, which)] @ by_sensor.T
+    return estimate, np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def _angles(T: Floats, entries: tuple[tuple[int, int, int], ...]) -> Floats:
+    return np.array([sign * T[i, j] for i, j, sign in entries])
+
+
+def _by_sensitivity(sensitivity: Floats, entries: tuple[tuple[int, int, int], ...]) -> Floats:
+    """Return the derivative of the misalignments, then of K, by the sensitivity (row by row), (n, 9)."""
+    C = inverse(sensitivity)
+    dC = -np.kron(C, C.T)  # C = T K is the inverse
+    rows = [sign * (dC[3 * i + j] - C[i, j] / C[j, j] * dC[4 * j]) / C[j, j] for i, j, sign in entries]
+    return np.array([*rows, *dC[::4]])

@@ -1,0 +1,235 @@
+"""Targets: tables of samples and of poses, NPZ files, folders, logs of phones and of cameras."""
+
+import gzip
+import io
+import zipfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+import gnomon
+from gnomon.readers.samples.stream import open_stream
+from gnomon.readers.samples.turntable_files import turntable_files
+from gnomon.units import Units
+from gpmf_files import payloads_of, telemetry_only
+from phone_logs import metadata, motion, phyphox, sensor_logger, zipped
+
+from .promise import Target
+
+SI = Units(accelerometer="m/s^2", gyroscope="rad/s", magnetometer="uT")
+NAMES = "timestamp [ns],wx [rad/s],wy,wz,ax [m/s^2],ay,az"
+
+
+@cache
+def moved(count: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return motion(count, 0.01)
+
+
+def table(header: str = NAMES, *, separator: str = ",", magnetometer: bool = False, end: str = "\n") -> bytes:
+    t, force, rate = moved()
+    columns = [rate, force] + ([force * 4] if magnetometer else [])
+    rows = np.column_stack(columns)
+    stamps = 1_600_000_000_000_000_000 + np.rint(t * 1e9).astype(np.int64)
+    lines = [separator.join([str(s), *(f"{v:.6f}" for v in row)]) for s, row in zip(stamps.tolist(), rows, strict=True)]
+    return end.join([*([header] if header else []), *lines, ""]).encode()
+
+
+def poses(header: str) -> bytes:
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(9, 3))
+    rows *= 9.8 / np.linalg.norm(rows, axis=1)[:, None]
+    lines = [",".join(f"{v:.6f}" for v in row) for row in rows]
+    return "\n".join([header, *lines, ""]).encode()
+
+
+def tables() -> list[bytes]:
+    plain = table("")
+    return [
+        table(), table(f"{NAMES},mx [uT],my,mz", magnetometer=True), plain, table("", separator=" "),
+        table("", separator=";").replace(b".", b","), gzip.compress(table()), table(end="\r\n"),
+        b"# Fs: 100\n" + b"\n".join(line.partition(b",")[2] for line in plain.splitlines()) + b"\n",
+        poses("ax,ay,az"), b"Time,%time,field.header.stamp\n" + plain,
+    ]  # fmt: skip
+
+
+def npz(compressed: bool, **changes: Any) -> bytes:
+    t, force, rate = moved()
+    arrays = {"t_ns": np.rint(t * 1e9).astype(np.int64), "accelerometer": force, "gyroscope": rate, **changes}
+    file = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(file, **{k: v for k, v in arrays.items() if v is not None})
+    return file.getvalue()
+
+
+def archives() -> list[bytes]:
+    t, force, rate = moved()
+    units = {"unit_accelerometer": np.array("m/s^2"), "unit_gyroscope": np.array("rad/s")}
+    several = {"imu1.t_s": t, "imu1.accelerometer": force, "imu1.gyroscope": rate, **units}
+    others = {"t_ns": None, "accelerometer": None, "gyroscope": None}
+    return [
+        npz(compressed=False), npz(compressed=True, **units), npz(compressed=False, **several),
+        npz(compressed=False, t_ns=None, rate_hz=np.array(100.0), magnetometer=force),
+        npz(compressed=False, **others, acc=force, gyro=rate, ts=t, t_acc=t, t_gyro=t),
+        npz(compressed=False, accelerometer=np.asfortranarray(force)),
+    ]  # fmt: skip
+
+
+def streamed(path: Path, **options: Any) -> None:
+    """Read everything of a recording block by block."""
+    stream = open_stream(path, expected=SI, block_bytes=700, **options)
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
+        blocks = getattr(stream, name)
+        for block in blocks if blocks is not None else ():
+            assert block.values.shape == (len(block.t_ns), 3)
+
+
+def several_ways(*reads: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    def read(path: Path) -> None:
+        refused: list[gnomon.GnomonError] = []
+        for one in reads:
+            try:
+                one(path)
+            except gnomon.GnomonError as error:
+                refused.append(error)
+        if refused:
+            raise refused[0]
+
+    return read
+
+
+def _phone(kind: str) -> dict[str, bytes]:
+    """Return the files that an app exports, by name, and what is packed from them."""
+    t, force, rate = motion(60, 0.02)
+    with TemporaryDirectory() as folder:
+        place = Path(folder)
+        if kind == "sensor-logger":
+            tables = {"Accelerometer": force - 1, "Gravity": force * 0 + [0, 0, 9.8], "Gyroscope": rate}
+            for name, values in tables.items():
+                sensor_logger(place / f"{name}.csv", t, values)
+            metadata(place, "android")
+        else:
+            phyphox(place / "Accelerometer.csv", "Acceleration", "m/s^2", t, force)
+            phyphox(place / "Gyroscope.csv", "Gyroscope", "rad/s", t, rate)
+            (place / "meta").mkdir()
+            (place / "meta/device.csv").write_text('"property","value"\n"version","1.1"\n')
+        zipped(place, place / "packed.zip")
+        return {path.relative_to(place).as_posix(): path.read_bytes() for path in place.rglob("*") if path.is_file()}
+
+
+phone = cache(_phone)
+
+
+def phone_folder(kind: str, file: str) -> Target:
+    def beside(folder: Path) -> None:
+        for name, data in phone(kind).items():
+            if not name.endswith(".zip"):
+                (folder / name).parent.mkdir(exist_ok=True)
+                (folder / name).write_bytes(data)
+
+    return Target(
+        name=f"{kind}-folder", file=file, form="text", beside=beside, read=gnomon.read,
+        seeds=lambda: [phone(kind)[file]],
+    )  # fmt: skip
+
+
+def _stored(data: bytes) -> bytes:
+    """Return a zip with its tables stored, so that damages reach them."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as packed, zipfile.ZipFile(file, "w") as stored:
+        for member in packed.infolist():
+            stored.writestr(member.filename, packed.read(member))
+    return file.getvalue()
+
+
+@cache
+def telemetry() -> tuple[list[bytes], list[int]]:
+    _, force, rate = motion(90, 0.02)
+    return payloads_of(force, rate, 50.0)
+
+
+def _mp4() -> list[bytes]:
+    return [telemetry_only(*telemetry())]
+
+
+def _raw_gpmf() -> list[bytes]:
+    payloads, _ = telemetry()
+    return [b"".join(payloads), payloads[0]]
+
+
+def _beside_poses(folder: Path) -> None:
+    for number in range(4):
+        (folder / f"pose{number}.csv").write_bytes(table("t_ns,gx,gy,gz,ax,ay,az"))
+
+
+def _two(folder: Path) -> None:
+    gnomon.read(folder / "acc.csv", folder / "gyr.csv")
+
+
+def _one_triad(part: slice) -> bytes:
+    t, force, rate = moved()
+    values = np.column_stack([force, rate])[:, part]
+    return "".join(f"{s:.3f},{a:.6f},{b:.6f},{c:.6f}\n" for s, (a, b, c) in zip(t, values, strict=True)).encode()
+
+
+SAMPLES: tuple[Target, ...] = (
+    Target(
+        name="sample-table", file="rec.csv", form="text", seeds=tables,
+        read=lambda folder: several_ways(gnomon.read, gnomon.read_turntable)(folder / "rec.csv"),
+    ),
+    Target(
+        name="sample-table-stated", file="rec.csv", form="text", seeds=lambda: [table(""), table()],
+        read=lambda folder: gnomon.read(
+            folder / "rec.csv", columns="t gx gy gz ax ay az", units="g deg/s us", rate_hz=100.0
+        ),
+    ),
+    Target(
+        name="stream-of-table", file="rec.csv", form="text", seeds=tables,
+        read=lambda folder: streamed(folder / "rec.csv"),
+    ),
+    Target(
+        name="pair-of-tables", file="gyr.csv", form="text", seeds=lambda: [_one_triad(slice(3, 6))], read=_two,
+        beside=lambda folder: (folder / "acc.csv").write_bytes(_one_triad(slice(3))),
+    ),
+    Target(
+        name="pose-files", file="poses/pose9.csv", form="text", seeds=lambda: [table("t_ns,gx,gy,gz,ax,ay,az")],
+        beside=lambda folder: _beside_poses(folder / "poses"),
+        read=lambda folder: (gnomon.read(folder / "poses"), turntable_files([folder / "poses"])),
+    ),
+    Target(
+        name="pose-table", file="poses.csv", form="text",
+        seeds=lambda: [
+            poses("ax,ay,az"), poses("pose,ax [g],ay,az").replace(b"\n", b"\n1,").rstrip(b"1,"),
+            b"pose,ax,ay,az,gx,gy,gz,n\n" + b"".join(b"p%d,0.1,0.2,9.8,0,0.01,0.02,100\n" % i for i in range(8)),
+        ],
+        read=lambda folder: gnomon.read(folder / "poses.csv"),
+    ),
+    Target(
+        name="euroc-imu-folder", file="mav0/imu0/data.csv", form="text", seeds=lambda: [table()],
+        read=gnomon.read,
+    ),
+    Target(
+        name="npz", file="rec.npz", seeds=archives, read=lambda folder: gnomon.read(folder / "rec.npz"),
+    ),
+    Target(
+        name="stream-of-npz", file="rec.npz", seeds=archives, read=lambda folder: streamed(folder / "rec.npz"),
+    ),
+    Target(
+        name="phone-zip", file="log.zip", read=lambda folder: gnomon.read(folder / "log.zip"),
+        seeds=lambda: [
+            made for kind in ("sensor-logger", "phyphox") for data in [phone(kind)["packed.zip"]]
+            for made in (data, _stored(data))
+        ],
+    ),
+    phone_folder("sensor-logger", "Accelerometer.csv"),
+    phone_folder("phyphox", "Gyroscope.csv"),
+    Target(
+        name="sensor-logger-metadata", file="Metadata.csv", form="text",
+        beside=phone_folder("sensor-logger", "Metadata.csv").beside, read=gnomon.read,
+        seeds=lambda: [phone("sensor-logger")["Metadata.csv"]],
+    ),
+    Target(name="gpmf-mp4", file="GX01.MP4", seeds=_mp4, read=lambda folder: gnomon.read(folder / "GX01.MP4")),
+    Target(name="gpmf-raw", file="track.bin", seeds=_raw_gpmf, read=lambda folder: gnomon.read(folder / "track.bin")),
+)  # fmt: skip

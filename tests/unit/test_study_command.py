@@ -1,0 +1,171 @@
+"""`gnomon study`: the list, options, progress, and going on after an interrupt; with a study that takes no time."""
+
+import json
+from dataclasses import dataclass
+
+import pytest
+
+from gnomon.cli import main
+from gnomon.cli.studies import STUDIES, Parts, StudyEntry
+from gnomon.cli.study_count import StudyCount
+from gnomon.cli.study_journal import JOURNAL
+from gnomon.cli.terminal import Terminal
+from gnomon.report.page import KeyNumber
+from gnomon.report.study_page import study_page
+from gnomon.study.runs import carry_out, seeds
+from gnomon.study.tables import Claim, StudyTable
+from study_work import Task, drawn
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    runs: int
+    seed: int
+    largest: list[float]
+
+
+class Quick:
+    """A study of a few runs that can be stopped on the way."""
+
+    def __init__(self):
+        self.began = []
+        self.stop_at = None
+
+    def carry_out(self, *, runs, workers, seed, progress):
+        tasks = [Task(seed=number) for number in seeds(seed, runs)]
+        outcomes = carry_out(self.work(), tasks, workers=workers, progress=progress, name="draw")
+        return Found(runs=runs, seed=seed, largest=[float(o.matrix.max()) for o in outcomes])
+
+    def work(self):
+        def drawn_here(task):
+            if len(self.began) == self.stop_at:
+                raise KeyboardInterrupt
+            self.began.append(task.seed)
+            return drawn(task)
+
+        drawn_here.__module__, drawn_here.__qualname__ = drawn.__module__, drawn.__qualname__
+        drawn_here.__annotations__ = drawn.__annotations__
+        return drawn_here
+
+    def claims(self, found):
+        yield Claim(claim="drawn in m/s^2", expected="> 0", found=str(min(found.largest)), holds=min(found.largest) > 0)
+        yield Claim(claim="never", expected="0", found="1", holds=False)
+
+    def tables(self, found):
+        yield StudyTable(name="largest", head=("largest",), rows=[(x,) for x in found.largest])
+
+    def page(self, found):
+        number = KeyNumber(label="runs", value=str(found.runs))
+        return study_page("A study", "quick", tuple(self.claims(found)), (number,), ())
+
+
+@pytest.fixture
+def quick(monkeypatch, tmp_path):
+    made = Quick()
+    parts = Parts(carry_out=made.carry_out, claims=made.claims, tables=made.tables, page=made.page)
+    entry = StudyEntry(
+        about="nothing at all", counted="draws", runs=6, minutes=0.1, tables=("largest",), load=lambda: parts
+    )
+    for name in ("study_actions", "study_command"):
+        monkeypatch.setattr(f"gnomon.cli.{name}.STUDIES", {"quick": entry, **STUDIES})
+    monkeypatch.chdir(tmp_path)
+    return made
+
+
+def files(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_without_a_name_the_studies_are_listed_with_what_they_cost(capsys):
+    assert main(["study"]) == 0
+    out = capsys.readouterr().out
+    for name, entry in STUDIES.items():
+        assert f"{name}\n  {entry.about}\n  {entry.runs} {entry.counted}: about" in out
+    assert main(["study", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)["studies"]
+    assert set(listed) == set(STUDIES)
+    assert all(study["minutes"] > 0 for study in listed.values())
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_every_study_can_be_loaded(name):
+    parts = STUDIES[name].load()
+    assert callable(parts.carry_out)
+    assert "claims" in STUDIES[name].tables
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["tedaldy"], "Did you mean tedaldi"),
+        (["unheard"], "There are: tedaldi"),
+        (["tedaldi", "--jobs", "2", "--scheduler", "tcp://host:8786"], "Leave out --jobs"),
+        (["tedaldi", "--runs", "1"], "runs 1"),
+    ],
+)
+def test_impossible_options_are_refused(arguments, word, capsys):
+    assert main(["study", *arguments]) == 2
+    assert word in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_an_interrupted_study_goes_on_and_ends_as_if_it_never_was(quick, capsys, tmp_path):
+    assert main(["study", "quick", "-o", "whole"]) == 0
+    whole = files(tmp_path / "whole")
+    assert set(whole) == {"study.html", "largest.csv"}
+    capsys.readouterr()
+    quick.began.clear()
+    quick.stop_at = 4
+    assert main(["study", "quick", "-o", "part"]) == 130
+    assert set(files(tmp_path / "part")) == {JOURNAL}
+    err = capsys.readouterr().err
+    assert err.splitlines()[-1] == (
+        "gnomon: interrupted; 4 runs that are done are kept, and the same command goes on from there."
+    )
+    quick.stop_at = None
+    assert main(["study", "quick", "-o", "part"]) == 0
+    assert "draw: 4 of 6 were done before and are taken over" in capsys.readouterr().err
+    assert len(quick.began) == 6
+    assert files(tmp_path / "part") == whole
+
+
+def test_more_runs_take_over_fewer_and_another_seed_none(quick, tmp_path):
+    quick.stop_at = 3
+    assert main(["study", "quick"]) == 130
+    quick.stop_at = 5
+    assert main(["study", "quick", "--seed", "1"]) == 130
+    assert len(quick.began) == 5
+    quick.stop_at = None
+    assert main(["study", "quick", "--runs", "8"]) == 0
+    assert quick.began == [*seeds(0, 3), *seeds(1, 2), *seeds(0, 8)[3:]]
+    assert (tmp_path / "gnomon-study-quick" / "largest.csv").read_text().count("\n") == 9
+    assert not (tmp_path / "gnomon-study-quick" / JOURNAL).exists()
+
+
+def test_a_claim_that_fails_is_a_result_like_any_other(quick, capsys):
+    assert main(["study", "quick", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [claim["holds"] for claim in document["claims"]] == [True, False]
+    assert document["runs"] == 6
+    assert set(document["files"]) == {"study", "largest"}
+
+
+def test_nothing_is_left_where_nothing_was_done(quick, capsys, tmp_path):
+    quick.stop_at = 0
+    assert main(["study", "quick", "-o", "none"]) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("gnomon: interrupted;")
+    assert not (tmp_path / "none").exists()
+
+
+def test_lines_of_progress_tell_the_time_left(capsys, monkeypatch):
+    clock = iter([10.0 + k for k in range(400)])
+    monkeypatch.setattr("gnomon.cli.study_count.time.monotonic", lambda: next(clock))
+    count = StudyCount(Terminal(as_json=False))
+    for done in range(100, 201):
+        count("draw", done, 200)
+    count.close()
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "draw 100 of 200" or lines[0].startswith("draw 100 of 200,")
+    assert len(lines) == 11
+    assert lines[-1] == "draw 200 of 200"
+    assert lines[5].startswith("draw 150 of 200, ")
+    assert lines[5].endswith(" s left")
