@@ -22,6 +22,7 @@ IMU = {
     104: "the Allan deviation of a gyroscope that reads one number",
     217: "a bias between two steps of the converter",
     253: "a variance that is negative by rounding",
+    20134: "a stated bias that the rests contradict, unsaid",
     20076: "a preset's threshold, where the accelerometer reads one number at rest",
     10074: "milliseconds taken for seconds, a grid without end",
 }

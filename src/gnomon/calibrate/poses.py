@@ -31,6 +31,7 @@ from ..estimate.triads.triad_trust import robust_triad
 from ..evidence import NOTHING, Evidence, Priors, known_beforehand
 from ..findings import Finding
 from ..options import ImuOptions
+from ..parameters import parameters
 from ..recording import Floats, Poses, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .pose_gyroscope import fit_gyroscope_at_rest
@@ -135,7 +136,7 @@ def calibrate_poses(
         stop_s=prepared.stop_s,
         noise_variance=prepared.variance,
         left_out=prepared.left_out,
-        noticed=(*prepared.findings, *_agreement(prepared, gravity, known, attitudes)),
+        noticed=(*prepared.findings, *_agreement(prepared, gravity, known, attitudes, options)),
         attitudes=attitudes,
         fit=fit,
         stated=stated,
@@ -237,15 +238,19 @@ def _fit_accelerometer(
     return fit_triad(problem(None, 0.0), prior=prior), None
 
 
-def _agreement(prepared: PreparedPoses, gravity: Gravity, known: Evidence, attitudes: int) -> list[Finding]:
-    """Say what was known beforehand and, where the poses determine the accelerometer alone, whether they agree."""
+def _agreement(
+    prepared: PreparedPoses, gravity: Gravity, known: Evidence, attitudes: int, options: ImuOptions
+) -> list[Finding]:
+    """Say what was known beforehand and, where the poses determine the sensors alone, whether they agree."""
     if not known or attitudes < _FEWEST_DETERMINED or prepared.poses.specific_force is not None:
         return prior_used(known)
     try:
         alone, _ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
+        gyroscope, _ = _gyroscope(prepared, alone, NOTHING, gravity, options)
     except InitialisationError:
         return prior_used(known)
-    return prior_findings(known, np.concatenate([alone.sensitivity.ravel(), alone.bias]), alone.covariance[:12, :12])
+    sensor, covariance = _sensor(alone, prepared.poses, gyroscope)
+    return prior_findings(known, np.concatenate([value.ravel() for _, value in parameters({"": sensor})]), covariance)
 
 
 def _assumed_angles(poses: Poses, gravity_m_s2: float, prior: TriadPrior | None) -> TriadPrior:

@@ -150,8 +150,8 @@ def _search_threshold(
     level = float(np.sum(np.var(values[:first], axis=0, ddof=1) ** 2))
     if not level > 0:
         raise DetectionError(
-            f"the accelerometer reads one number throughout the first {t_init_s:g} s: its converter is coarser than its "
-            "noise, and this preset's threshold is a multiple of the noise. Use the default preset."
+            f"the accelerometer reads one number throughout the first {t_init_s:g} s: its converter is coarser than "
+            "its noise, and this preset's threshold is a multiple of the noise. Use the default preset."
         )
     statistic = variance_magnitude_squared(window_variances(values, window))
     half = window // 2

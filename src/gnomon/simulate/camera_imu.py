@@ -25,7 +25,6 @@ from .camera_imu_frames import CameraTruth, FrameStreams, View, simulated_frames
 from .camera_imu_motion import drawn_path
 from .camera_imu_path import CameraPath
 from .camera_imu_rig import (
-    board,
     corner_offsets,
     drawn_cameras,
     drawn_imu_truth,
@@ -36,6 +35,7 @@ from .camera_imu_rig import (
 )
 from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
 from .camera_imu_scenario import CameraImuScenario
+from .stated_board import stated_board
 from .truth import changed_options
 
 
@@ -120,7 +120,7 @@ _STREAMS = (
 def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSimulation:
     """Make a recording and its truth; see `gnomon.simulate_camera_imu`."""
     streams = _streams(scenario, seed)
-    target, gravity = board(scenario), gravity_target(scenario)
+    target, gravity = stated_board(scenario), gravity_target(scenario)
     offsets = corner_offsets(scenario, target, streams["board"])
     points = scenario.target_scale * (target.points + offsets)
     middle = scenario.target_scale * (target.points.min(axis=0) + target.points.max(axis=0)) / 2

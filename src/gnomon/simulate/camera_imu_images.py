@@ -1,7 +1,7 @@
 """The images of a simulated recording: each is rendered when it is asked for, at the true lens and the true path."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -15,9 +15,7 @@ from .camera_imu_path import CameraPath
 from .clutter import Wall, cluttered_wall
 from .covers import MovingCovers, moving_covers
 from .outlines import TrueBoard
-from .rendering import Optics, render_moving
-
-_LIGHT = Optics(white=205.0, black=28.0, background=90.0, gradient=(0.08, -0.05))
+from .rendering import Optics, render_moving, usual_light
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,15 +99,7 @@ def simulated_images(simulation: CameraImuSimulation) -> ImageRecording:
             T_cam_cam0=cameras[name].T_cam_imu @ np.linalg.inv(cameras["cam0"].T_cam_imu),
             middle_s=simulation.frames[name].exposure_s,
             exposure_s=scenario.exposure_s,
-            optics=replace(
-                _LIGHT,
-                blur_px=scenario.blur_px,
-                defocus_px=scenario.defocus_px,
-                focus_m=scenario.focus_m,
-                noise=scenario.image_noise,
-                shot_noise=scenario.shot_noise,
-                vignetting=scenario.vignetting,
-            ),
+            optics=usual_light(scenario),
             seed=(simulation.seed, number),
         )
         streams[name] = ImageStream(

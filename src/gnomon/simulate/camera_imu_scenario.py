@@ -5,22 +5,17 @@ from math import isfinite
 from typing import Literal
 
 from ..errors import OptionError
-from ..models.lens_names import COEFFICIENTS, LINEAR, SHAPES, DistortionName, ProjectionName
+from .seen_board import DISTORTION_COEFFS, RenderedImages, SeenBoard, TrueLens
 
 MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "slow"]
 ImuPreset = Literal["thesis", "consumer", "ideal"]
-TargetName = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
-
-INTRINSICS = {name: len((*shape, *LINEAR)) for name, shape in SHAPES.items()}
-DISTORTION_COEFFS = {name: len(coefficients) for name, coefficients in COEFFICIENTS.items()}
-"""How many numbers each lens model has."""
 
 MOST_IMUS = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CameraImuScenario:
-    """Cameras and an IMU that are waved together before a board (document B, section 5.1)."""
+@dataclass(frozen=True, kw_only=True)
+class HandMotion:
+    """How long cameras and IMU are waved, how, and at which rates they measure."""
 
     duration_s: float = 60.0
     """Length of the recording in seconds; 90 in document B."""
@@ -37,37 +32,10 @@ class CameraImuScenario:
     camera_rate_hz: float = 20.0
     """Frame rate of the cameras."""
 
-    target_type: TargetName = "aprilgrid"
-    """Kind of board. Of an AprilGrid and of a ChArUco board every corner in the image is detected, of other boards all
-    corners or none."""
 
-    target_cols: int = 6
-    """Tags of an AprilGrid, inner corners of a checkerboard, circles, or squares of a ChArUco board in a row."""
-
-    target_rows: int = 6
-    """Rows of them."""
-
-    target_size_m: float = 0.088
-    """Side of a tag, of a square, or distance of two circles, in metres."""
-
-    target_spacing: float = 0.3
-    """Gap between the tags of an AprilGrid, as a fraction of a tag's side."""
-
-    target_asymmetric: bool = False
-    """Whether every other row of a circle grid is shifted."""
-
-    marker_share: float = 0.75
-    """Side of the marker of a ChArUco board, as a fraction of the square's."""
-
-    dictionary: str = "4X4_50"
-    """Markers of a ChArUco board, as OpenCV calls them."""
-
-    target_scale: float = 1.0
-    """How much larger the true board is than the board that goes with the recording."""
-
-    corner_offset_m: float = 0.0
-    """Standard deviation of the places of the board's corners, each axis, in metres: a bad print, or a detector's bias.
-    The board as a whole is neither shifted, nor turned, nor larger for it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
+    """Cameras and an IMU that are waved together before a board (document B, section 5.1)."""
 
     board_bow_m: float = 0.0
     """How far the middle of the board bulges towards the viewer against its corners, in metres."""
@@ -80,21 +48,6 @@ class CameraImuScenario:
 
     distance_m: float = 0.9
     """Mean distance from the camera to the middle of the board in metres."""
-
-    projection: ProjectionName = "pinhole"
-    """Projection of the lens, as Kalibr names it."""
-
-    intrinsics: tuple[float, ...] = (460.0, 458.5, 322.4, 237.1)
-    """True intrinsics in Kalibr's order; of a pinhole fu fv pu pv."""
-
-    distortion: DistortionName = "radtan"
-    """Distortion of the lens, as Kalibr names it; radtan5 is radtan with k3, k1 k2 p1 p2 k3."""
-
-    distortion_coeffs: tuple[float, ...] = (-0.28, 0.075, 0.0002, -0.00015)
-    """True coefficients of the distortion."""
-
-    resolution: tuple[int, int] = (640, 480)
-    """Width and height of the images in px."""
 
     focal_error: float = 0.0
     """By which fraction the focal length that goes with the recording is too long."""
@@ -111,37 +64,8 @@ class CameraImuScenario:
     pixel_noise_px: float = 0.3
     """Standard deviation of a detected corner, per axis."""
 
-    images: bool = False
-    """Render images, PNG files in cam0/data with stamps in cam0/data.csv, in place of detected corners, whose errors
-    (pixel_noise_px, outliers, shifted_frames) then do not apply."""
-
     exposure_s: float = 0.004
     """Exposure time of the images in seconds; stamps are of its middle."""
-
-    blur_px: float = 0.6
-    """Standard deviation of the blur of lens and focus in the images, in px."""
-
-    defocus_px: float = 0.0
-    """Radius of the disc as which a point out of focus is seen in the images, in px; with focus_m of one far away."""
-
-    focus_m: float | None = None
-    """Distance that is in focus, in metres: the board is the less sharp the farther it is from there, its disc being
-    defocus_px |1 - focus_m / distance|. Without it all distances are alike."""
-
-    image_noise: float = 2.0
-    """Standard deviation of the noise in the images that does not depend on the light, in grey levels."""
-
-    shot_noise: float = 0.0
-    """Variance of the noise that does, over the grey level."""
-
-    vignetting: float = 0.25
-    """Fraction of the light that is lost in the corners of the images."""
-
-    image_clutter: bool = False
-    """Whether the images have a wall full of edges and foreign AprilTags behind the board, or even grey."""
-
-    covers: int = 0
-    """Hands and cables that move before the board in the images."""
 
     line_delay_s: float = 0.0
     """Time from one image row to the next in seconds (rolling shutter)."""
@@ -310,7 +234,8 @@ class CameraImuScenario:
 
     def __post_init__(self) -> None:
         self._check_numbers()
-        self._check_lens()
+        self.check_lens()
+        self._check_distortion_error()
         for name in ("imu_gaps_s", "camera_gaps_s"):
             for start, length in getattr(self, name):
                 if not (start >= 0 and length > 0):
@@ -359,22 +284,12 @@ class CameraImuScenario:
                 for value in triple:
                     _check(name, value)
 
-    def _check_lens(self) -> None:
-        for name, model, numbers in (
-            ("intrinsics", self.projection, INTRINSICS),
-            ("distortion_coeffs", self.distortion, DISTORTION_COEFFS),
-        ):
-            values = getattr(self, name)
-            if len(values) != numbers[model]:
-                raise OptionError(f"{name}: {model} has {numbers[model]} of them, found {len(values)}.")
-            if name == "distortion_coeffs" and len(self.distortion_error) not in (0, numbers[model]):
-                raise OptionError(
-                    f"distortion_error: {model} has {numbers[model]} coefficients, found {len(self.distortion_error)}."
-                )
-            if not all(isfinite(value) for value in values):
-                raise OptionError(f"{name} {' '.join(f'{value:g}' for value in values)}: give finite numbers.")
-        if min(self.resolution) < 2:
-            raise OptionError(f"resolution {self.resolution[0]} x {self.resolution[1]} is no image.")
+    def _check_distortion_error(self) -> None:
+        wanted = DISTORTION_COEFFS[self.distortion]
+        if len(self.distortion_error) not in (0, wanted):
+            raise OptionError(
+                f"distortion_error: {self.distortion} has {wanted} coefficients, found {len(self.distortion_error)}."
+            )
 
 
 _POSITIVE = (

@@ -30,6 +30,7 @@ from ..units import STANDARD_GRAVITY_M_S2
 from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole
 from .cameras_scenario import CamerasScenario
+from .stated_board import stated_board
 from .truth import TRUTH_METHOD, changed_options
 
 _TILT_BETWEEN_CAMERAS = np.array([0.004, -0.012, 0.007])
@@ -116,7 +117,7 @@ def simulate_cameras(scenario: CamerasScenario | None = None, seed: int = 0) -> 
     """
     scenario = scenario or CamerasScenario()
     poses, board, views, *streams = np.random.default_rng(seed).spawn(3 + scenario.cameras)
-    target, cameras = _board(scenario), _cameras(scenario)
+    target, cameras = stated_board(scenario), _cameras(scenario)
     points = _true_points(scenario, target, board)
     R, p = _drawn_poses(scenario, points, cameras, poses)
     count = scenario.views
@@ -156,21 +157,6 @@ def simulate_cameras(scenario: CamerasScenario | None = None, seed: int = 0) -> 
         blurred=blurred,
         resized=resized,
     )
-
-
-def _board(scenario: CamerasScenario) -> Target:
-    """Return the board that goes with the recording."""
-    cols, rows, size = scenario.target_cols, scenario.target_rows, scenario.target_size_m
-    if scenario.target_type == "aprilgrid":
-        return Target.aprilgrid(tag_cols=cols, tag_rows=rows, tag_size_m=size, tag_spacing=scenario.target_spacing)
-    if scenario.target_type == "checkerboard":
-        return Target.checkerboard(cols=cols, rows=rows, row_spacing_m=size, col_spacing_m=size)
-    if scenario.target_type == "charuco":
-        marker = scenario.marker_share * size
-        return Target.charuco(
-            cols=cols, rows=rows, square_size_m=size, marker_size_m=marker, dictionary=scenario.dictionary
-        )
-    return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=scenario.target_asymmetric)
 
 
 def _true_points(scenario: CamerasScenario, target: Target, rng: np.random.Generator) -> Floats:

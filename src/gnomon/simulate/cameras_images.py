@@ -12,15 +12,13 @@ from ..models.board_pattern import Pattern, board_pattern
 from ..models.camera import Booleans, Camera
 from ..recording import Floats
 from .cameras import CamerasSimulation
-from .cameras_scenario import CamerasScenario
 from .clutter import Wall, cluttered_wall
 from .covers import MovingCovers, moving_covers
 from .outlines import TrueBoard
-from .rendering import Optics, render_moving
+from .rendering import Optics, render_moving, usual_light
 
 _EXPOSURE_S = 0.01  # any: it is the length of the motion that is stated
 _BLURRED = 30.0  # times the motion of other views
-_LIGHT = Optics(white=205.0, black=28.0, background=90.0, gradient=(0.08, -0.05))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,7 +106,7 @@ def rendered_cameras(simulation: CamerasSimulation) -> ImageRecording:
             turn=turn,
             move=move,
             half=simulation.resized,
-            optics=_optics(scenario),
+            optics=usual_light(scenario),
             seed=(simulation.seed, number),
         )
         streams[name] = ImageStream(
@@ -117,18 +115,6 @@ def rendered_cameras(simulation: CamerasSimulation) -> ImageRecording:
             topic=camera.camera.topic,
         )
     return ImageRecording(imus={}, streams=streams)
-
-
-def _optics(scenario: CamerasScenario) -> Optics:
-    return replace(
-        _LIGHT,
-        blur_px=scenario.blur_px,
-        defocus_px=scenario.defocus_px,
-        focus_m=scenario.focus_m,
-        noise=scenario.image_noise,
-        shot_noise=scenario.shot_noise,
-        vignetting=scenario.vignetting,
-    )
 
 
 def _middle(pattern: Pattern) -> Floats:

@@ -5,11 +5,9 @@ from math import isfinite
 from typing import Any, Literal, Self
 
 from ..errors import OptionError
-from ..models.lens_names import DistortionName, ProjectionName
-from .camera_imu_scenario import DISTORTION_COEFFS, INTRINSICS
+from .seen_board import RenderedImages, SeenBoard, TrueLens
 
 AttitudeName = Literal["varied", "facing", "one"]
-BoardName = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
 
 USUAL_LENSES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "pinhole-radtan": ((458.7, 457.3, 367.2, 248.4), (-0.283, 0.074, 0.0002, 0.00002)),
@@ -23,9 +21,9 @@ USUAL_LENSES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 """Intrinsics and distortion coefficients of a usual lens of each model, for images of 752 x 480."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CamerasScenario:
-    """One to three cameras that see a board in view after view."""
+@dataclass(frozen=True, kw_only=True)
+class ShownViews:
+    """How the board is shown to the cameras."""
 
     views: int = 60
     """Number of views; all cameras expose at the same instants."""
@@ -62,33 +60,10 @@ class CamerasScenario:
     shared_views: bool = True
     """Whether all cameras see the board at the same instants, or take turns."""
 
-    target_type: BoardName = "aprilgrid"
-    """Kind of board. Of an AprilGrid and of a ChArUco board every corner in the image is detected, of other boards all
-    corners or none."""
 
-    target_cols: int = 6
-    """Tags of an AprilGrid, inner corners of a checkerboard, circles, or squares of a ChArUco board in a row."""
-
-    target_rows: int = 6
-    """Rows of them."""
-
-    target_size_m: float = 0.088
-    """Side of a tag, of a square, or distance of two circles, in metres."""
-
-    target_spacing: float = 0.3
-    """Gap between the tags of an AprilGrid, as a fraction of a tag's side."""
-
-    target_asymmetric: bool = False
-    """Whether every other row of a circle grid is shifted."""
-
-    marker_share: float = 0.75
-    """Side of the marker of a ChArUco board, as a fraction of the square's."""
-
-    dictionary: str = "4X4_50"
-    """Markers of a ChArUco board, as OpenCV calls them."""
-
-    target_scale: float = 1.0
-    """How much larger the true board is than the board that goes with the recording."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CamerasScenario(RenderedImages, TrueLens, SeenBoard, ShownViews):
+    """One to three cameras that see a board in view after view."""
 
     board_aspect: float = 0.0
     """By which fraction the true board is longer along its y axis than stated, against x: a printer's feed."""
@@ -96,18 +71,8 @@ class CamerasScenario:
     board_bow_m: tuple[float, float] = (0.0, 0.0)
     """How far the middle of the board bulges towards the viewer against the ends along x, and along y, in metres."""
 
-    corner_offset_m: float = 0.0
-    """Standard deviation of the places of the board's corners, each axis, in metres: a bad print, or a detector's bias.
-    The board as a whole is neither shifted, nor turned, nor larger for it."""
-
-    projection: ProjectionName = "pinhole"
-    """Projection of the lenses, as Kalibr names it."""
-
     intrinsics: tuple[float, ...] = USUAL_LENSES["pinhole-radtan"][0]
     """True intrinsics of cam0 in Kalibr's order; of a pinhole fu fv pu pv. Those of further cameras differ a little."""
-
-    distortion: DistortionName = "radtan"
-    """Distortion of the lenses, as Kalibr names it; radtan5 is radtan with k3, k1 k2 p1 p2 k3."""
 
     distortion_coeffs: tuple[float, ...] = USUAL_LENSES["pinhole-radtan"][1]
     """True coefficients of the distortion."""
@@ -137,38 +102,9 @@ class CamerasScenario:
     resized_views: float = 0.0
     """Fraction of the views that come from images of half the size."""
 
-    images: bool = False
-    """Render images in place of detected corners, whose errors (pixel_noise_px, view_bias_px, outliers) then do not
-    apply; those of the detector come in their place."""
-
     motion_px: float = 0.3
     """How far the board moves in the images while they are exposed, in px, and as much by turning: a hand holds it.
     In blurred views it moves thirty times as far."""
-
-    blur_px: float = 0.6
-    """Standard deviation of the blur of lens and focus in the images, in px."""
-
-    defocus_px: float = 0.0
-    """Radius of the disc as which a point out of focus is seen in the images, in px; with focus_m of one far away."""
-
-    focus_m: float | None = None
-    """Distance that is in focus, in metres: the board is the less sharp the farther it is from there, its disc being
-    defocus_px |1 - focus_m / distance|. Without it all distances are alike."""
-
-    image_noise: float = 2.0
-    """Standard deviation of the noise in the images that does not depend on the light, in grey levels."""
-
-    shot_noise: float = 0.0
-    """Variance of the noise that does, over the grey level."""
-
-    vignetting: float = 0.25
-    """Fraction of the light that is lost in the corners of the images."""
-
-    image_clutter: bool = False
-    """Whether the images have a wall full of edges and foreign AprilTags behind the board, or even grey."""
-
-    covers: int = 0
-    """Hands and cables before the board in the images."""
 
     def __post_init__(self) -> None:
         for name in ("views", "between"):
@@ -191,7 +127,7 @@ class CamerasScenario:
             raise OptionError(f"fill {self.fill}: give the smallest and the largest fraction, above 0.")
         if not (len(self.board_bow_m) == 2 and all(isfinite(value) for value in self.board_bow_m)):
             raise OptionError(f"board_bow_m {self.board_bow_m}: give two finite numbers.")
-        self._check_lens()
+        self.check_lens()
 
     @classmethod
     def with_lens(cls, model: str, **options: Any) -> Self:
@@ -208,17 +144,6 @@ class CamerasScenario:
         intrinsics, coeffs = USUAL_LENSES[model]
         lens: dict[str, Any] = {"projection": projection, "distortion": distortion}
         return cls(**lens, intrinsics=intrinsics, distortion_coeffs=coeffs, **options)
-
-    def _check_lens(self) -> None:
-        for name, model, numbers in (
-            ("intrinsics", self.projection, INTRINSICS),
-            ("distortion_coeffs", self.distortion, DISTORTION_COEFFS),
-        ):
-            values = getattr(self, name)
-            if len(values) != numbers[model]:
-                raise OptionError(f"{name}: {model} has {numbers[model]} of them, found {len(values)}.")
-        if min(self.resolution) < 2:
-            raise OptionError(f"resolution {self.resolution[0]} x {self.resolution[1]} is no image.")
 
 
 _POSITIVE = ("rate_hz", "target_size_m", "target_scale")

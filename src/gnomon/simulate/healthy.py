@@ -5,8 +5,9 @@ from math import radians
 import numpy as np
 
 from .camera_imu_scenario import CameraImuScenario, MotionName
-from .cameras_scenario import USUAL_LENSES, BoardName, CamerasScenario
+from .cameras_scenario import USUAL_LENSES, CamerasScenario
 from .scenario import Scenario
+from .seen_board import BoardName
 
 _MOTIONS: tuple[MotionName, ...] = ("gentle", "normal", "tremor", "shaky", "rolling")
 

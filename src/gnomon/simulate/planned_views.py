@@ -11,9 +11,10 @@ from ..recording import CameraFrames, Floats
 from .camera_imu_frames import START_NS, View
 from .camera_imu_motion import drawn_path
 from .camera_imu_path import CameraPath, RigidMotion
-from .camera_imu_rig import board, drawn_cameras, gravity_target, nominal_extrinsics
+from .camera_imu_rig import drawn_cameras, gravity_target, nominal_extrinsics
 from .camera_imu_scenario import CameraImuScenario
 from .plans import CameraImuPlan
+from .stated_board import stated_board
 
 _TURNS = {"x": (1, 5), "y": (0, 4), "z": (3,)}
 """Axis of the camera -> coordinates of the path that turn it about that axis."""
@@ -62,7 +63,7 @@ class PlannedRecording:
 def usual_rig() -> PlannedRig:
     """Return the rig of `gnomon simulate-camera-imu`: one camera of 640 x 480 px and an AprilGrid of 6 x 6 tags."""
     scenario = CameraImuScenario()
-    return PlannedRig(cameras=drawn_cameras(scenario, np.random.default_rng(0)), target=board(scenario))
+    return PlannedRig(cameras=drawn_cameras(scenario, np.random.default_rng(0)), target=stated_board(scenario))
 
 
 def planned_recording(plan: CameraImuPlan, rig: PlannedRig, imu_rate_hz: float, seed: int) -> PlannedRecording:

@@ -19,6 +19,7 @@ from .clutter import Wall
 from .coverage import Singles, coverage
 from .outlines import Outline, TrueBoard, outline_of
 from .passages import Movement, Passage, Pose, Poses
+from .seen_board import RenderedImages
 
 _LONGEST_PX, _BENT_PX = 8.0, 0.0015  # of a straight piece, and by how much the lens may bend the line in it
 _CELLS = ((2, 0.7), (3, 0.4), (4, 0.0))  # cells along a side of a pixel, and the blur from which on they do
@@ -57,6 +58,22 @@ class Optics:
     shot_noise: float = 0.0
     vignetting: float = 0.0
     gradient: tuple[float, float] = (0.0, 0.0)
+
+
+def usual_light(scenario: RenderedImages) -> Optics:
+    """Return indoor light, with blur, noise and vignetting as a scenario states them."""
+    return Optics(
+        white=205.0,
+        black=28.0,
+        background=90.0,
+        gradient=(0.08, -0.05),
+        blur_px=scenario.blur_px,
+        defocus_px=scenario.defocus_px,
+        focus_m=scenario.focus_m,
+        noise=scenario.image_noise,
+        shot_noise=scenario.shot_noise,
+        vignetting=scenario.vignetting,
+    )
 
 
 def render(

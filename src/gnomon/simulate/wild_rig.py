@@ -11,8 +11,9 @@ from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import CameraFrames, ImuSamples, TriadSamples
 from .camera_imu import simulated_camera_imu
-from .camera_imu_scenario import INTRINSICS, CameraImuScenario
+from .camera_imu_scenario import CameraImuScenario
 from .fault_recordings import seconds, warming
+from .seen_board import INTRINSICS
 from .wild import WildCase, in_body_frame, log_uniform, reread, signed_permutation
 
 Edit = Callable[[WildCase, np.random.Generator], WildCase]
