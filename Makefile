@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test test-lowest check study bench install dev clean
+.PHONY: help demo test test-lowest check study bench fuzz install dev clean
 
 help:
 	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
@@ -26,6 +26,7 @@ help:
 	@echo "make check        lint, format, types, import contract, examples in docstrings"
 	@echo "make study        run the tests that take minutes"
 	@echo "make bench        time what has a limit, beside the limits and other programs"
+	@echo "make fuzz         try 100 000 damaged files on every reader; takes hours, and goes on where it left off"
 	@echo "make clean        remove the environments and what the tools left behind"
 
 demo: install
@@ -50,6 +51,10 @@ study: dev
 bench: dev
 	$(BIN)/python $(INSTALL) --group bench
 	$(BIN)/python benchmarks/limits.py
+
+fuzz: dev
+	$(BIN)/python $(INSTALL) --group fuzz
+	$(BIN)/python tests/hostile/fuzz.py
 
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed

@@ -53,7 +53,8 @@ Results go to standard output, progress and errors to standard error.
 | 4 | finished, but the verdict says do not use; for `check`: a problem was found; \
 for `compare`: two calibrations contradict each other; \
 for `plan`, `plan-imu`: such a recording would not do |
-| 1, 130 | a bug in gnomon (please report it; `GNOMON_DEBUG=1` shows where); interrupted |
+| 1 | a bug in gnomon (please report it; `GNOMON_DEBUG=1` shows where) |
+| 130, 143, 129 | interrupted (Ctrl-C), asked to end (SIGTERM), terminal closed (SIGHUP); nothing half-written is left |
 """
 
 _PYTHON_HEAD = """\

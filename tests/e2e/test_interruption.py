@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("resource", reason="signals and limits as POSIX has them")
+
 from gnomon.output import put_in_place
 from killing import Killer, contents, refill, visible
 

@@ -1,7 +1,6 @@
 """What is written is whole, whatever moment the writer is killed at; signals tidy up; two writers do not mix."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -10,9 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from gnomon import OutputError
-from gnomon.output import READY, atomic_file, files_together, put_in_place, write_together, write_whole
-from killing import Killer, contents, visible
+resource = pytest.importorskip("resource", reason="signals and limits as POSIX has them")
+
+from gnomon import OutputError  # noqa: E402
+from gnomon.output import (  # noqa: E402
+    READY,
+    atomic_file,
+    files_together,
+    put_in_place,
+    write_together,
+    write_whole,
+)
+from killing import Killer, contents, visible  # noqa: E402
 
 NEW = {"calibration.yaml": b"new", "report.html": b"new", "cam0/1.png": b"new", "cam0/2.png": b"new"}
 OLD = {"calibration.yaml": b"old", "report.html": b"old", "cam0/1.png": b"old", "trajectory.txt": b"old"}

@@ -78,6 +78,7 @@ class Workers:
 HERE = Workers()
 """One process, this one."""
 
+_MOST_PROCESSES = 61  # of one pool on Windows
 _TOLD = 20  # times that progress is told where nobody counts
 
 
@@ -185,7 +186,7 @@ def _stream(work: Callable[[Task], Outcome], tasks: Sequence[Task], workers: Wor
         from .cluster import cluster_stream
 
         return cluster_stream(work, tasks, workers.scheduler)
-    jobs = min(workers.jobs, len(tasks))
+    jobs = min(workers.jobs, len(tasks), _MOST_PROCESSES)
     return _here(work, tasks) if jobs <= 1 else _pooled(work, tasks, jobs)
 
 
