@@ -2,7 +2,10 @@
 
 from ..calibration import Gravity, Verdict
 from ..findings import Finding, Severity
+from ..units import STANDARD_GRAVITY_M_S2
 from .causes import SEVERITIES, causes_first
+
+_ON_EARTH_M_S2 = 9.76, 9.84
 
 __all__ = ["SEVERITIES", "graded", "gravity_findings", "verdict_of", "worst_first"]
 
@@ -26,6 +29,18 @@ def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
 def gravity_findings(gravity: Gravity) -> list[Finding]:
     """Say aloud what was taken for gravity."""
     relative = gravity.sigma / gravity.value
+    least, most = _ON_EARTH_M_S2
+    if not least - gravity.sigma < gravity.value < most + gravity.sigma:
+        return [
+            Finding(
+                severity="warning",
+                code="gravity",
+                message=f"Gravity is {gravity.value:.5f} m/s^2 ({gravity.source}); on Earth it is {least} to {most}.",
+                consequence=f"All accelerometer scales are wrong by up to "
+                f"{100 * abs(gravity.value / STANDARD_GRAVITY_M_S2 - 1):.2g} %, and what correlates with them.",
+                cure="State --latitude (and --altitude), or the local value in m/s^2 with --gravity.",
+            )
+        ]
     if relative < 1e-3:
         return [
             Finding(
