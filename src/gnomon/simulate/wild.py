@@ -78,7 +78,9 @@ def reread(
     """Return what is true of readings that were multiplied by a number or a matrix (3, 3)."""
     force, rate = imu.required_accelerometer, imu.gyroscope
     assert rate is not None
-    by_force, by_rate = (np.eye(3) * one if np.isscalar(one) else np.asarray(one) for one in (accelerometer, gyroscope))
+    by_force, by_rate = (
+        np.asarray(one) if np.ndim(one) else np.eye(3) * np.asarray(one) for one in (accelerometer, gyroscope)
+    )
     return replace(
         imu,
         accelerometer=replace(force, sensitivity=by_force @ force.sensitivity, bias=by_force @ force.bias),
