@@ -14,7 +14,7 @@ from ..simulate.pose_scenario import PoseScenario
 from .angrisano_basin import GROUPS, Basin, Journey, journeys, scan
 from .angrisano_trial import TABLE_2, TRUTH, Trial, TrialOutcome, run_trial
 from .runs import HERE, Progress, Workers, carry_out, scatter_bounds, seeds
-from .tables import Cell, Claim, StudyTable
+from .tables import Cell, Claim, StudyTable, claims_table
 
 NAMES = ("angle x", "angle y", "angle z", "bias x", "bias y", "bias z", "scale x", "scale y", "scale z")
 UNITS = ("rad", "rad", "rad", "count", "count", "count", "m/s^2 per count", "m/s^2 per count", "m/s^2 per count")
@@ -221,11 +221,7 @@ def group_rms(values: Floats) -> Floats:
 
 def tables(study: AngrisanoStudy) -> Iterator[StudyTable]:
     """Yield all numbers of the study."""
-    yield StudyTable(
-        name="claims",
-        head=("claim", "expected", "found", "holds"),
-        rows=[(c.claim, c.expected, c.found, c.holds) for c in claims(study)],
-    )
+    yield claims_table(claims(study))
     yield StudyTable(
         name="parameters",
         head=("setting", "parameter", "unit", "truth", "paper_sigma", "paper_scatter", "ours_sigma", "ours_scatter",

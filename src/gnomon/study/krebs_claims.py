@@ -9,7 +9,7 @@ from .krebs import KrebsStudy, Sample, group_mean, group_rms, reduction
 from .krebs_single import CHANGES
 from .krebs_thesis import GROUPS, NAMES, UNITS, columns, stated_mean, stated_sigma
 from .runs import scatter_bounds
-from .tables import Cell, Claim, StudyTable
+from .tables import Cell, Claim, StudyTable, claims_table
 
 _CHANCE = 1e-3
 """That a claim about many means fails although it holds."""
@@ -197,11 +197,7 @@ def _millimetres(values: Floats) -> str:
 
 def tables(study: KrebsStudy) -> Iterator[StudyTable]:
     """Yield all numbers of the study."""
-    yield StudyTable(
-        name="claims",
-        head=("claim", "expected", "found", "holds"),
-        rows=[(c.claim, c.expected, c.found, c.holds) for c in claims(study)],
-    )
+    yield claims_table(claims(study))
     yield StudyTable(
         name="parameters",
         head=("series", "parameter", "unit", "mean_error", "scatter", "sigma", "sigma_thesis", "mean_error_thesis"),

@@ -1,7 +1,7 @@
 """What a study found, as tables of numbers that any program reads."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import StringIO
 
@@ -41,3 +41,12 @@ class Claim:
     expected: str
     found: str
     holds: bool
+
+
+def claims_table(claims: Iterable[Claim]) -> StudyTable:
+    """Return the claims of a study as a table."""
+    return StudyTable(
+        name="claims",
+        head=("claim", "expected", "found", "holds"),
+        rows=[(one.claim, one.expected, one.found, one.holds) for one in claims],
+    )

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..recording import Floats
 from .runs import scatter_bounds
-from .tables import Cell, Claim, StudyTable
+from .tables import Cell, Claim, StudyTable, claims_table
 from .tedaldi import TedaldiStudy, known_mean
 from .tedaldi_metrics import SignalErrors
 from .tedaldi_thesis import ACCELEROMETER, DIVERGENCE, GROUPS, GYROSCOPE, MEAN_ERROR, ROTATION, SPREAD, UNITS
@@ -119,11 +119,7 @@ def _signals(study: TedaldiStudy) -> Iterator[Claim]:
 
 def tables(study: TedaldiStudy) -> Iterator[StudyTable]:
     """Yield all numbers of the study."""
-    yield StudyTable(
-        name="claims",
-        head=("claim", "expected", "found", "holds"),
-        rows=[(c.claim, c.expected, c.found, c.holds) for c in claims(study)],
-    )
+    yield claims_table(claims(study))
     yield StudyTable(
         name="parameters",
         head=("set", "method", "parameter", "unit", "truth", "mean", "spread", "mean_absolute_error", "sigma"),
