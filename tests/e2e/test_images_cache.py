@@ -140,7 +140,7 @@ def test_a_run_that_is_stopped_midway_leaves_nothing_half_written(walks, tmp_pat
     assert visible == ["calibration.yaml"]
     assert (out / "calibration.yaml").read_text() == "of an earlier run\n"
     if stop == "SIGINT":
-        assert rest.endswith("gnomon: interrupted; nothing was written.\n")
+        assert rest.endswith("gnomon: interrupted; no file is half-written.\n")
         assert "Traceback" not in rest
         assert sorted(path.name for path in out.iterdir()) == ["calibration.yaml"]
 

@@ -143,9 +143,11 @@ def test_what_cannot_be_drawn(arguments, message, run, names, tmp_path, monkeypa
 
 
 def test_places_that_cannot_be_written(run, names, tmp_path):
-    code, _, err = run("target", "charuco", "-o", tmp_path / "nowhere" / "board.pdf")
+    (tmp_path / "board.yaml").write_text("")
+    code, _, err = run("target", "charuco", "-o", tmp_path / "board.yaml" / "board.pdf")
     assert code == BAD_INPUT
     assert "cannot be written" in err
+    assert names(tmp_path) == ["board.yaml"]
     (tmp_path / "board.yaml").write_text("target_type: aprilgrid\ntagCols: 3\n")
     code, _, err = run("target", "charuco", "-o", tmp_path / "board.pdf")
     assert code == BAD_INPUT
@@ -155,3 +157,9 @@ def test_places_that_cannot_be_written(run, names, tmp_path):
     code, _, err = run("target", tmp_path / "bad.yaml", "-o", tmp_path / "new.pdf")
     assert code == BAD_INPUT
     assert "the key tagRows is missing" in err
+
+
+def test_a_folder_that_is_not_there_is_made(run, names, tmp_path):
+    code, _, _ = run("target", "charuco", "-o", tmp_path / "new" / "boards" / "board.pdf")
+    assert code == 0
+    assert names(tmp_path / "new" / "boards") == ["board.pdf", "board.yaml"]

@@ -167,7 +167,7 @@ def keys_but_trust(diagnostics):
 
 def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
-    heads = "Of poses, a turntable|Of cameras and an IMU|Of cameras alone|Of all of them"
+    heads = "Of poses, a turntable|Of cameras and IMUs|Of cameras alone|Of all of them"
     alone, from_magnitudes, with_cameras, _, trusted = re.split(heads, section)
     assert documented_keys(alone) == keys_but_trust(result.diagnostics)
     names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name in keys_but_trust(rig_result.diagnostics)}
@@ -191,7 +191,7 @@ def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
 
 def test_every_key_of_the_diagnostics_of_cameras_alone_is_documented(lenses_result):
     section = text("files.md").split("## diagnostics.npz")[1].split("\n## ")[0]
-    of_rigs, of_lenses = re.split("Of cameras and an IMU|Of cameras alone|Of all of them", section)[1:3]
+    of_rigs, of_lenses = re.split("Of cameras and IMUs|Of cameras alone|Of all of them", section)[1:3]
     names = keys_but_trust(lenses_result.diagnostics)
     names = {re.sub(r"^views\.\d+", "views.0", name).replace("cam1", "cam0") for name in names}
     names = {re.sub(r"(dropped\.).*", r"\1REASON", name) for name in names}

@@ -138,7 +138,7 @@ def test_a_gyroscope_known_in_its_own_frame_says_nothing_of_its_pose(first: Cali
     precision, information = known.quadratic(x)
     assert np.linalg.matrix_rank(precision[12:21, 12:21], tol=1e-9 * np.abs(precision[12:21, 12:21]).max()) == 6
     np.testing.assert_allclose(precision @ x, information, atol=1e-6 * np.abs(information).max())
-    in_letters = known_imu(evidence_of_imu(alone, first.gravity))
+    in_letters = known_imu(evidence_of_imu(alone, first.gravity, "imu0", first=True))
     assert in_letters is not None
     assert in_letters.covariance is not None
     sigma = np.sqrt(np.diag(in_letters.covariance))
