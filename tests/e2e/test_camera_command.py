@@ -1,5 +1,7 @@
 """`gnomon camera` from recording to files, on simulated views, and what the other commands do with its result."""
 
+import contextlib
+import io
 import json
 from pathlib import Path
 
@@ -45,12 +47,18 @@ def views(simulation, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def result(views):
-    """The folder of a result, made once."""
-    assert main(["camera", str(views), "--resolution", "752", "480", *QUICK, "--no-report"]) == 0
+def made(views):
+    """The folder of a result, made once, and what was on the screen."""
+    with contextlib.redirect_stdout(io.StringIO()) as screen:
+        assert main(["camera", str(views), "--resolution", "752", "480", *QUICK, "--no-report"]) == 0
     folder = views.with_name("views-gnomon")
     assert {path.name for path in folder.iterdir()} == FILES
-    return folder
+    return folder, screen.getvalue()
+
+
+@pytest.fixture(scope="module")
+def result(made):
+    return made[0]
 
 
 def test_truth_is_inside_the_sigmas(result, simulation):
@@ -85,10 +93,8 @@ def test_kalibrs_files_hold_the_same(result):
     assert "cam_overlaps: [1]" in (result / "camchain.yaml").read_text()
 
 
-def test_the_screen(views, capsys):
-    code = main(["camera", str(views), "--resolution", "752", "480", *QUICK, "--no-report"])
-    out = capsys.readouterr().out
-    assert code == 0
+def test_the_screen(views, made):
+    out = made[1]
     assert "target.yaml in the recording's folder is used." in out
     for words in ("of 24 views", "on unseen views", "% of the image", "pinhole-radtan *", "t_x from cam0", "mm apart"):
         assert words in out

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
+from gnomon.models import lens_names
 from gnomon.models.camera import Camera
 from gnomon.models.distortions import arctan_over_x, first_root
 from gnomon.models.target import Target
@@ -27,6 +28,11 @@ COEFFS = {
     "fov": [(0.93,), (1e-3,), (2.6,), (0.199,), (0.201,)],
 }
 MODELS = list(product(SHAPES, COEFFS))
+
+
+def test_every_model_is_in_these_tables():
+    assert list(SHAPES) == list(lens_names.SHAPES)
+    assert list(COEFFS) == list(lens_names.COEFFICIENTS)
 
 
 def camera(projection="pinhole", distortion="none", shape=None, coeffs=None, **changed):
@@ -66,6 +72,7 @@ def reference(cam, parameters, point):
         d = mp.sqrt(beta * (x**2 + y**2) + z**2)
         mx, my = x / (alpha * d + (1 - alpha) * z), y / (alpha * d + (1 - alpha) * z)
     else:
+        assert cam.projection == "ds", f"the equation of {cam.projection} is missing here"
         xi, alpha = shape
         d1 = mp.sqrt(x**2 + y**2 + z**2)
         d2 = mp.sqrt(x**2 + y**2 + (xi * d1 + z) ** 2)
@@ -84,6 +91,7 @@ def reference(cam, parameters, point):
             theta = mp.atan(r)
             bent = theta * (1 + sum(k[n] * theta ** (2 * n + 2) for n in range(4)))
         else:
+            assert cam.distortion == "fov", f"the equation of {cam.distortion} is missing here"
             bent = mp.atan(2 * r * mp.tan(k[0] / 2)) / k[0]
         scale = bent / r if r else 2 * mp.tan(k[0] / 2) / k[0] if cam.distortion == "fov" else mp.mpf(1)
         dx, dy = scale * mx, scale * my

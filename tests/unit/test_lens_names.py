@@ -10,18 +10,33 @@ from gnomon.report.cameras_use import DISTORTION_FORMULAS, PROJECTION_FORMULAS
 from gnomon.writers.kalibr_results import LENS_NAMES
 
 
+def missing(name, tables):
+    return [file for file, table in tables.items() if name not in table]
+
+
 @pytest.mark.parametrize("name", lens_names.SHAPES)
 def test_a_projection_is_known_everywhere(name):
+    tables = {
+        "models/projections.py": PROJECTIONS,
+        "estimate/cameras/first_lens.py": SHAPES,
+        "report/cameras_use.py": PROJECTION_FORMULAS,
+        "writers/kalibr_results.py": LENS_NAMES,
+    }
+    assert missing(name, tables) == []
     assert PROJECTIONS[name].names == lens_names.SHAPES[name]
     assert all(len(shape) == len(lens_names.SHAPES[name]) for shape in SHAPES[name])
     assert len(LENS_NAMES[name]) == len(lens_names.SHAPES[name])
-    assert name in PROJECTION_FORMULAS
     assert names_of(f"{name}-none") == (name, "none")
 
 
 @pytest.mark.parametrize("name", lens_names.COEFFICIENTS)
 def test_a_distortion_is_known_everywhere(name):
+    tables = {
+        "models/distortions.py": DISTORTIONS,
+        "estimate/cameras/first_lens.py": BENDINGS,
+        "report/cameras_use.py": DISTORTION_FORMULAS,
+    }
+    assert missing(name, tables) == []
     assert DISTORTIONS[name].names == lens_names.COEFFICIENTS[name]
     assert all(len(coefficients) == len(lens_names.COEFFICIENTS[name]) for coefficients in BENDINGS[name])
-    assert name in DISTORTION_FORMULAS
     assert names_of(f"pinhole-{name}") == ("pinhole", name)

@@ -10,6 +10,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from .._version import __version__
+from ..errors import OptionError
 from .command_parts import FromScenario
 from .commands import COMMANDS, Command
 
@@ -38,7 +39,7 @@ def parse(arguments: Sequence[str]) -> Command:
         raise SystemExit(0)
     if name in COMMANDS:  # only this command's options are looked at, and suggested after a typing error
         command: Any = COMMANDS[name]
-        return tyro.cli(
+        parsed: Command = tyro.cli(
             command,
             prog=f"gnomon {name}",
             args=arguments[1:],
@@ -46,6 +47,8 @@ def parse(arguments: Sequence[str]) -> Command:
             config=_CONFIG,
             registry=_registry(),
         )
+        _check_seed(parsed)
+        return parsed
     union: Any = Union[tuple(Annotated[COMMANDS[key], tyro.conf.subcommand(key)] for key in COMMANDS)]  # noqa: UP007
     return tyro.cli(
         union,
@@ -55,6 +58,12 @@ def parse(arguments: Sequence[str]) -> Command:
         config=_CONFIG,
         registry=_registry(),
     )
+
+
+def _check_seed(command: Command) -> None:
+    seed = getattr(command, "seed", 0)
+    if seed < 0:
+        raise OptionError(f"seed {seed} must not be below zero.")
 
 
 def _scenario_default(name: str, arguments: Sequence[str]) -> Any:

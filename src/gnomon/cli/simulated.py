@@ -21,12 +21,15 @@ def write_simulated(recording: "Recording", truth: "Calibration", path: Path, te
     from ..writers.recording_file import save_recording
 
     folder = path.parent
+    replaced = (folder / TRUTH).exists() and not path.exists()
     with result_folder(folder, own=()) as staging:
         names = [file.name for file in save_recording(recording, staging / path.name)]
         save(truth, staging / TRUTH)
     for name in names:
         terminal.say(f"recording    {folder / name}")
     terminal.say(f"truth        {folder / TRUTH}")
+    if replaced:
+        terminal.say("             the truth of another recording was there; give each recording a folder of its own")
     terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / TRUTH)})
     return USABLE
 

@@ -172,7 +172,10 @@ def _outcome(future: Any, address: str) -> Any:
 
 
 def _ended(address: str) -> SolveError:
-    return SolveError(f"the cluster at {address} ended before its work was done.")
+    return SolveError(
+        f"the cluster at {address} has no workers any more, or ended, before its work was done. What is done is kept: "
+        "start workers, and give the same command again."
+    )
 
 
 @contextmanager

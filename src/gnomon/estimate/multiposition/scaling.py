@@ -113,12 +113,13 @@ def unscaled(
         fit.state, accelerometer, gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
     )
     covariance = jacobian @ fit.covariance @ jacobian.T
+    estimated = bool(fit.free[G_].any())
+    if not estimated:
+        values[24:] = 0.0
     by_gravity = np.zeros(33)
     by_gravity[:9], by_gravity[24:] = -values[:9] / gravity_m_s2, -values[24:] / gravity_m_s2
     covariance += gravity_sigma_m_s2**2 * np.outer(by_gravity, by_gravity)
-    if not fit.free[G_].any():
-        values[24:] = 0.0
-    elif latitude_deg is None:
+    if estimated and latitude_deg is None:
         by_earth = np.zeros(33)
         by_earth[24:] = values[12:21] / gravity_m_s2
         covariance += EARTH_RATE_RAD_S**2 / 3 * np.outer(by_earth, by_earth)
