@@ -1,6 +1,6 @@
 """Steps of Gauss and Newton towards the minimum of the batch estimation, damped only where they would not go down."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from ...solve.bordered_band import Factor, Workspace
 from .batch import Linearisation, Measurements, Noise, State, linearised
 from .layout import Layout
 
+_OVERSHOT = 0.25  # of the decrease that a step foretold: if less comes true, half of the step is tried, too
+_WORTH = 1.0  # decrease of the cost below which nothing is
 _FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-8, 100.0, 1e4
 
 
@@ -33,6 +35,10 @@ class Step:
     decrease: float
     factor: Factor
     covariance: Floats
+
+    def part(self, share: float) -> "Step":
+        """Return the same step, but only a share of the way."""
+        return replace(self, trajectory=share * self.trajectory, parameters=share * self.parameters)
 
 
 def gauss_newton_step(lin: Linearisation, damping: float = 0.0, similar: Factor | None = None) -> Step:
@@ -171,9 +177,18 @@ def descended(
             if damping:  # the undamped equations were overwritten by those after the step
                 again = linearised(measurements, state, lin.layout, noise, probing=lin.probing, workspace=workspace)
                 step = gauss_newton_step(again, damping)
-            candidate = moved(state, lin.layout, step)
-            following = linearised(measurements, candidate, layout, noise, probing=probing, workspace=workspace)
-            better = _cost_change(lin, following) <= 1e-9 * abs(lin.cost) + 1e-6
+
+            def after(part: float, taken: Step = step) -> tuple[State, Linearisation]:
+                there = moved(state, lin.layout, taken.part(part))
+                return there, linearised(measurements, there, layout, noise, probing=probing, workspace=workspace)
+
+            candidate, following = after(1.0)
+            change = _cost_change(lin, following)
+            better = change <= 1e-9 * abs(lin.cost) + 1e-6
+            if better and step.decrease > _WORTH and -change < _OVERSHOT * step.decrease:
+                shorter = after(0.5)
+                nearer = _cost_change(lin, shorter[1]) < change
+                candidate, following = shorter if nearer else after(1.0)  # one linearisation at a time has room
         except (np.linalg.LinAlgError, SolveError):
             candidate, following, better = state, lin, False
         tried.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=damping, accepted=better))
