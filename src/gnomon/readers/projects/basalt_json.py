@@ -5,7 +5,6 @@ columns of S. T_imu_cam maps camera to IMU coordinates, with a Hamilton quaterni
 t_imu - t_cam. Densities are of continuous time, as Kalibr's are.
 """
 
-
 import numpy as np
 
 from ...calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
