@@ -12,7 +12,8 @@ from .layout import Layout
 
 _OVERSHOT = 0.25  # of the decrease that a step foretold: if less comes true, half of the step is tried, too
 _WORTH = 1.0  # decrease of the cost below which nothing is
-_FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-8, 100.0, 1e4
+_TRIALS = ((0.0, 1.0), (0.0, 0.5), (0.0, 0.25), *((10.0**power, 1.0) for power in range(-6, 5, 2)))
+"""Damping and share of the step that are tried, one after the other, until the cost falls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -142,6 +143,11 @@ class Iteration:
     accepted: bool
 
 
+def _overshot(step: Step, change: float) -> bool:
+    """Tell whether much less came true than the step foretold."""
+    return step.decrease > _WORTH and -change < _OVERSHOT * step.decrease
+
+
 def descended(
     measurements: Measurements,
     lin: Linearisation,
@@ -153,7 +159,7 @@ def descended(
     probing: bool,
     workspace: Workspace,
 ) -> tuple[State, Linearisation, list[Iteration]]:
-    """Take the Gauss-Newton step, damped only if it would not lower the cost.
+    """Take the Gauss-Newton step; a part of it, or a damped one, only if it would not lower the cost.
 
     Parameters
     ----------
@@ -171,30 +177,30 @@ def descended(
     SolveError
         If no step lowers the cost, or the equations are singular.
     """
-    damping, tried = 0.0, list[Iteration]()
-    while damping <= _LARGEST_DAMPING:
+
+    def after(taken: Step) -> tuple[State, Linearisation]:
+        there = moved(state, lin.layout, taken)
+        return there, linearised(measurements, there, layout, noise, probing=probing, workspace=workspace)
+
+    tried: list[Iteration] = []
+    for damping, share in _TRIALS:
+        taken = step.part(share)
         try:
             if damping:  # the undamped equations were overwritten by those after the step
                 again = linearised(measurements, state, lin.layout, noise, probing=lin.probing, workspace=workspace)
-                step = gauss_newton_step(again, damping)
-
-            def after(part: float, taken: Step = step) -> tuple[State, Linearisation]:
-                there = moved(state, lin.layout, taken.part(part))
-                return there, linearised(measurements, there, layout, noise, probing=probing, workspace=workspace)
-
-            candidate, following = after(1.0)
+                taken = gauss_newton_step(again, damping)
+            candidate, following = after(taken)
             change = _cost_change(lin, following)
             better = change <= 1e-9 * abs(lin.cost) + 1e-6
-            if better and step.decrease > _WORTH and -change < _OVERSHOT * step.decrease:
-                shorter = after(0.5)
+            if better and share == 1 and not damping and _overshot(step, change):
+                shorter = after(step.part(0.5))
                 nearer = _cost_change(lin, shorter[1]) < change
-                candidate, following = shorter if nearer else after(1.0)  # one linearisation at a time has room
+                candidate, following = shorter if nearer else after(step)  # one linearisation at a time has room
         except (np.linalg.LinAlgError, SolveError):
             candidate, following, better = state, lin, False
-        tried.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=damping, accepted=better))
+        tried.append(Iteration(cost=lin.cost, largest_step=taken.largest, damping=damping, accepted=better))
         if better:
             return candidate, following, tried
-        damping = damping * _DAMPING_FACTOR if damping else _FIRST_DAMPING
     raise SolveError(
         "no step lowers the cost of the batch estimation. The recording contradicts what was stated about it: check "
         "the target's size, the intrinsics and the units of the IMU."
