@@ -137,7 +137,7 @@ def test_terminals_are_not_steered(make_result, tmp_path, capsys, evil):
     gnomon.save(named(make_result(), evil).calibration, tmp_path / "calibration.yaml")
     other = tmp_path / "other.yaml"
     other.write_text((tmp_path / "calibration.yaml").read_text())
-    main(["compare", str(tmp_path / "calibration.yaml"), str(other)])
+    main(["compare", str(tmp_path / "calibration.yaml"), str(other), "-o", str(tmp_path / "compared")])
     main(["convert", str(tmp_path / "calibration.yaml"), "--to", "c-header", "-o", str(tmp_path / "out")])
     main(["imu", str(tmp_path / evil.replace("/", "_").replace("\0", ""))])
     terminal = Terminal(as_json=False)

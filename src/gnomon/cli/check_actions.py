@@ -156,6 +156,7 @@ class _Known:
 
     @classmethod
     def of(cls, command: commands.Check) -> "_Known":
+        """Return the files that are stated, or lie beside the recording."""
         path = command.recording.path
         folder = path if path.is_dir() else path.parent
         files: dict[str, Any] = {}

@@ -21,6 +21,7 @@ def signals(diagnostics: ImuDiagnostics) -> str:
     height = 292.0 if gyroscope is None else 554.0
 
     def paint(sheet: Sheet) -> None:
+        """Draw the signals of both triads over time, the static intervals behind them."""
         top = 36.0
         for name, signal in (("Accelerometer", diagnostics.accelerometer), ("Gyroscope", gyroscope)):
             if signal is None:
@@ -76,6 +77,7 @@ def allan(curve: AllanCurve) -> str:
     """Allan deviation of the three gyroscope axes (document A, Fig. 3.2), with the advised T_init."""
 
     def paint(sheet: Sheet) -> None:
+        """Draw the Allan deviation of the three axes over the averaging time."""
         prefix, factor = prefixed(float(np.median(finite(curve.deviation))) if finite(curve.deviation).size else 1.0)
         title = f"Allan deviation [{prefix}rad/s]"
         axes = sheet.panel(title, top=36, height=290, x_label="averaging time [s]")
@@ -104,6 +106,7 @@ def rotation_errors(rotations: RotationTable) -> str:
     degrees = np.asarray(np.degrees(rotations.angle_rad[used]), dtype=np.float64)
 
     def paint(sheet: Sheet) -> None:
+        """Draw the error of every rotation, as with the nominal gyroscope, fitted, and left out."""
         title = "Measured against propagated gravity [mrad]"
         panels = (
             (sheet.panel(title, top=36, height=220, x_label="rotation"), number_of),

@@ -28,6 +28,7 @@ def directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) 
     labelled = len(used) <= 60
 
     def paint(sheet: Sheet) -> None:
+        """Draw the directions as seen from both ends of the z axis."""
         for side in (1.0, -1.0):
             axes = hemisphere(sheet, side)
             here = known & ((direction[:, 2] >= 0) == (side > 0))
@@ -107,6 +108,7 @@ def magnitude_errors(name: str, table: IntervalTable | PoseTable, si_unit: str, 
     few = len(number_of) <= 300
 
     def paint(sheet: Sheet) -> None:
+        """Draw the errors of the magnitude before and after, and those left out."""
         before, after = table.error_before[used], table.error_after[used]
         heldout, sigma = table.error_holdout[used], table.sigma[used]
         unit, factor = scaled(largest(np.concatenate([before, after])), si_unit)

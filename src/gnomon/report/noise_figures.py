@@ -21,6 +21,7 @@ def allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s
     prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
 
     def paint(sheet: Sheet) -> None:
+        """Draw the Allan deviation with its uncertainty, and what was fitted to it."""
         panel = sheet.panel(f"Allan deviation [{prefix}{unit}]", top=36, height=330, x_label="averaging time [s]")
         for i, name in enumerate(AXES):
             panel.band(curve.tau_s, curve.lower[:, i] * factor, curve.upper[:, i] * factor, name, alpha=0.16)
@@ -44,6 +45,7 @@ def parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]
     prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
 
     def paint(sheet: Sheet) -> None:
+        """Draw for each axis the parts of the noise that make up its deviation."""
         for i, (axis, name) in enumerate(zip(axes, AXES, strict=True)):
             label = "averaging time [s]" if i == 2 else ""
             panel = sheet.panel(f"{name} [{prefix}{unit}]", top=36 + 232 * i, height=180, x_label=label)
@@ -68,6 +70,7 @@ def means(sensor: str, unit: str, signal: SignalEnvelope) -> str:
     prefix, factor = prefixed(highest(np.abs(np.concatenate([low, high])), 1.0))
 
     def paint(sheet: Sheet) -> None:
+        """Draw the means of the signal over time."""
         panel = sheet.panel(f"{sensor}, about its mean [{prefix}{unit}]", top=36, height=200, x_label="time [s]")
         for i, name in enumerate(AXES):
             zigzag(panel, signal.t_s, low[:, i] * factor, high[:, i] * factor, name)

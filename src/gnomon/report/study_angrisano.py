@@ -162,6 +162,7 @@ def _interval(ends: Floats) -> str:
 
 def _basins(basins: tuple[Basin, ...]) -> str:
     def paint(sheet: Sheet) -> None:
+        """Draw for each group of parameters the starts that lead home."""
         for k, basin in enumerate(basins):
             title = f"{basin.group[:1].upper()}{basin.group[1:]}: offset [{_UNITS[k]}]"
             _basin(sheet.panel(title, top=36.0 + 178 * k, height=112, left=LEFT + 52, right=44), basin, k)
@@ -235,6 +236,7 @@ def _journey(name: str, journey: Journey) -> str:
     panels = (("Angles [°]", 0, _SHOWN[0]), ("Biases [count]", 3, 1.0), ("Scale factors [10⁻³ m/s² per count]", 6, 1e3))
 
     def paint(sheet: Sheet) -> None:
+        """Draw angles, biases and scale factors after each iteration."""
         top = 36.0
         for title, first, shown in panels:
             last = first == 6

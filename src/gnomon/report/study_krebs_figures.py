@@ -31,6 +31,7 @@ def _histograms(name: str, samples: Sequence[Sample], symbol: str, *, factor: fl
     place = columns(symbol)
 
     def paint(sheet: Sheet) -> None:
+        """Draw a histogram of the errors for each series and axis."""
         for row, sample in enumerate(samples):
             for k, axis in enumerate(AXES):
                 values = factor * (truth[k] + sample.errors[:, place.start + k])
@@ -47,6 +48,7 @@ def noise_levels(study: KrebsStudy) -> str:
     """Draw the fitted distributions of p_cb at each noise level, with pixel noise and without it (Fig. 5.3)."""
 
     def paint(sheet: Sheet) -> None:
+        """Draw the fitted distributions of each axis, with pixel noise above and without it below."""
         for row, (samples, title) in enumerate(
             ((study.noise_levels, "with pixel noise"), (study.without_pixel_noise, "without"))
         ):
@@ -66,6 +68,7 @@ def neglect(study: KrebsStudy) -> str:
     """Draw the histograms of p_cb's error with the extended and with the basic model (Fig. 5.4)."""
 
     def paint(sheet: Sheet) -> None:
+        """Draw the errors of the position along each axis, with the basic and the extended model."""
         for k, axis in enumerate(AXES):
             at = columns("p_cb").start + k
             panel = _third(sheet, f"{axis} [mm]", 0, k)

@@ -26,6 +26,7 @@ def set_errors(study: TedaldiStudy, called: Mapping[str, str]) -> Figure:
     number = np.arange(1.0, len(study.outcomes) + 1)
 
     def paint(sheet: Sheet) -> None:
+        """Draw the errors of each group over the parameter sets."""
         for at, (name, (where, theirs)) in enumerate(GROUPS.items()):
             last = at == len(GROUPS) - 1
             unit = " [10⁻³ m/s²]" if "bias" in name else " [10⁻³]"
@@ -83,6 +84,7 @@ def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats |
     low, high = np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)
 
     def paint(sheet: Sheet) -> None:
+        """Draw the three axes of a signal over time, the rests behind them."""
         panel = sheet.panel(f"{title[:1].upper()}{title[1:]}", top=36, height=190, x_label="time [s]")
         for k, axis in enumerate(_AXES):
             zigzag(panel, t_s[first], low[:, k], high[:, k], axis)
@@ -123,6 +125,7 @@ def _improved(example: Example, which: int, k: int, motion: Floats, title: str) 
     before, after, truth = (pair[which][shown, k] for pair in (example.before, example.after, example.truth))
 
     def paint(sheet: Sheet) -> None:
+        """Draw one axis before and after calibration, and its truth, through a motion."""
         panel = sheet.panel(f"{title[:1].upper()}{title[1:]}", top=36, height=190)
         panel.line(t_s, before, "before", width=1.4)
         panel.line(t_s, after, "after", width=1.4)

@@ -31,6 +31,7 @@ def at_rest(rest: GyroscopeAtRest) -> str:
     measured, predicted = measured - centre, predicted - centre
 
     def paint(sheet: Sheet) -> None:
+        """Draw measured and predicted readings in each attitude, an axis a panel."""
         unit, factor = _scaled(largest(np.concatenate([measured, predicted])), rest.unit)
         for axis, name in enumerate("xyz"):
             top = 36.0 + 190 * axis
@@ -76,6 +77,7 @@ def dip(table: DipTable) -> str:
     spread = 2 * float(np.degrees(table.sigma_rad))
 
     def paint(sheet: Sheet) -> None:
+        """Draw the dip of the field at every rest."""
         panel = sheet.panel("Dip of the field below horizontal [°]", top=36, height=220, x_label="attitude")
         if spread > 0:
             panel.strip(estimated - spread, estimated + spread, "after", alpha=0.2)
@@ -92,6 +94,7 @@ def video(curve: PeriodCurve, name: str, period_s: float) -> str:
     """How well the picture repeats after each period, and by how much the platter ran ahead of a constant rate."""
 
     def paint(sheet: Sheet) -> None:
+        """Draw how well the picture repeats after each period, and how far the platter ran ahead."""
         panel = sheet.panel("Likeness of pictures one period apart", top=36, height=180, x_label="period [s]")
         panel.line(curve.period_s, curve.score, "after", width=1.4)
         limits(panel, curve.score)
@@ -121,6 +124,7 @@ def history(found: IterationHistory, name: str) -> str:
     step = np.arange(len(found.q), dtype=np.float64)
 
     def paint(sheet: Sheet) -> None:
+        """Draw q and the parameters after each iteration."""
         panel = sheet.panel("Residual quadratic form q", top=36, height=200, x_label="iteration")
         positive = np.where(found.q > 0, found.q, np.nan)
         panel.line(step, positive, "after", width=1.6)

@@ -39,7 +39,7 @@ from .marked import (
 from .markers import Markers, read_markers
 from .plane_map import plane_map
 from .quads import Search
-from .tag_places import Booleans, charted, consistent, shortest_side, through
+from .tag_places import Booleans, charted, connected, consistent, once_each, shortest_side, through
 from .tags import square_to_quads
 
 _FEW_CORNERS = 12  # with fewer of them, they are also sought as a lattice
@@ -195,18 +195,8 @@ def _groups(layout: _Layout, number: Integers, corners: Floats, H: Floats) -> li
     distance = np.linalg.norm(middles[:, None] - middles, axis=2)
     agrees = (apart < _APART_PX + _APART * shortest_side(corners) * distance) & (distance > 0) & (distance < _REACH)
     agrees &= agrees.T
-    group = np.arange(len(number))
-    while True:
-        smallest = np.minimum(group, np.where(agrees, group, len(number)).min(axis=1, initial=len(number)))
-        if (smallest == group).all():
-            break
-        group = smallest
-    votes = agrees.sum(axis=1)
-    found: list[Integers] = []
-    for name in np.unique(group).tolist():
-        members = np.flatnonzero(group == name)
-        by_votes = members[np.argsort(-votes[members], kind="stable")]
-        found.append(by_votes[np.unique(number[by_votes], return_index=True)[1]])
+    group = connected(agrees)
+    found = [once_each(np.flatnonzero(group == name), number, agrees) for name in np.unique(group).tolist()]
     return sorted(found, key=len, reverse=True)
 
 

@@ -79,20 +79,33 @@ def groups(target: Target, number: Integers, corners: Floats, most: int) -> list
     apart = np.hypot(apart[..., 0], apart[..., 1])
     agrees = (apart < _APART_PX + _APART * shortest_side(corners) * distance) & (distance > 0) & (distance <= _REACH)
     agrees &= agrees.T
-    group = np.arange(len(number))
-    while True:
-        smallest = np.minimum(group, np.where(agrees, group, len(number)).min(axis=1, initial=len(number)))
-        if (smallest == group).all():
-            break
-        group = smallest
+    group = connected(agrees)
     sizes = np.bincount(group)
+    largest = np.argsort(-sizes, kind="stable")[: min(most, np.count_nonzero(sizes))]
+    return [once_each(np.flatnonzero(group == name), number, agrees) for name in largest.tolist()]
+
+
+def connected(agrees: Booleans) -> Integers:
+    """Return for each tag the smallest index of those that it agrees with, directly or through others, (k,).
+
+    Parameters
+    ----------
+    agrees : (k, k) symmetric, which tags agree on where they are
+    """
+    count = len(agrees)
+    group = np.arange(count)
+    while True:
+        smallest = np.minimum(group, np.where(agrees, group, count).min(axis=1, initial=count))
+        if (smallest == group).all():
+            return group
+        group = smallest
+
+
+def once_each(members: Integers, number: Integers, agrees: Booleans) -> Integers:
+    """Return the members (m,) of a group, of those with the same number the one that most others agree with."""
     votes = agrees.sum(axis=1)
-    found: list[Integers] = []
-    for name in np.argsort(-sizes, kind="stable")[: min(most, np.count_nonzero(sizes))].tolist():
-        members = np.flatnonzero(group == name)
-        by_votes = members[np.argsort(-votes[members], kind="stable")]
-        found.append(by_votes[np.unique(number[by_votes], return_index=True)[1]])
-    return found
+    by_votes = members[np.argsort(-votes[members], kind="stable")]
+    return by_votes[np.unique(number[by_votes], return_index=True)[1]]
 
 
 def charted(board: Floats, pixels: Floats, points: Floats) -> Floats:

@@ -237,6 +237,7 @@ def _with_stated(entry: CameraParameters, frames: CameraFrames, status: dict[str
     """Return a camera with its stated extrinsics and time shift where these are kept or have a prior."""
 
     def kept(block: str, stated: bool) -> bool:
+        """Tell whether any scalar of a block is kept or has a prior, which something stated is needed for."""
         name = f"{entry.name}.{block}"
         if not any(kind != "estimated" for scalar, kind in status.items() if scalar.partition("[")[0] == name):
             return False

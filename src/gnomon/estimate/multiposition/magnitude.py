@@ -135,6 +135,7 @@ def _magnitude_problem(
     measured: Floats, magnitude: float, weights: Floats, kind: str
 ) -> Callable[[Floats], tuple[Floats, Floats]]:
     def problem(x: Floats) -> tuple[Floats, Floats]:
+        """Return weighted residuals (n,) and their derivative (n, 9) by the correction and the bias, x (9,)."""
         correction = np.zeros((3, 3))
         correction[UPPER] = x[:6]
         centred = measured - x[6:]

@@ -140,6 +140,7 @@ class _Ros1Walk:
         self.channels: dict[int, Channel] = {}
 
     def records(self, source: _Bytes, *, chunk: bool = False) -> Iterator[Record]:
+        """Yield the messages from the first byte on, of a whole file or of a chunk of it."""
         while source.left:
             fields = _ros1_fields(source)
             length, op = source.number(4), _ros1_number(fields, "op")
@@ -204,6 +205,7 @@ class _McapWalk:
         self.channels: dict[int, Channel] = {}
 
     def records(self, source: _Bytes, *, chunk: bool = False) -> Iterator[Record]:
+        """Yield the messages from the first byte on, of a whole file or of a chunk of it."""
         while source.left and not self.outcome.complete:
             op, length = source.number(1), source.number(8)
             if op == _MCAP_CHUNK and not chunk:

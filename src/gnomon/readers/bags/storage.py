@@ -217,6 +217,7 @@ def indexed(parts: Parts) -> Bag:
         return [Reader2(file) for file in ((parts.path,) if parts.described else parts.files)]
 
     def messages(wanted: Collection[str]) -> Iterator[Record]:
+        """Yield the messages of some topics, by the index of the bag."""
         try:
             with ExitStack() as stack:
                 for reader in readers():
