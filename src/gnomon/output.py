@@ -186,11 +186,11 @@ def put_in_place(folder: Path) -> None:
         return
     try:
         with _alone(folder):
-            _move_all(ready, folder)
-    except FileNotFoundError:
-        if ready.is_dir():  # else another process was faster
-            raise
+            if ready.is_dir():  # else another process was faster
+                _move_all(ready, folder)
     except OSError as error:
+        if isinstance(error, FileNotFoundError) and not ready.is_dir():
+            return  # the same, where folders cannot be locked
         raise OutputError(
             f"{error.filename or folder}: this file cannot be replaced ({error.strerror or error}). If another program "
             f"has it open, close it there. The new one waits in {ready}; any gnomon command on this folder puts it in "
