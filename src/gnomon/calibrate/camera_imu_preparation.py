@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..assess.camera_checks import check_cameras
-from ..assess.rig_checks import check_look
+from ..assess.rig_checks import about, check_look
 from ..detect.samples.repair import repaired
 from ..detect.samples.saturation import saturated
 from ..detect.samples.time_base import time_base
@@ -119,7 +119,7 @@ def with_looks(
     for number, one in enumerate(beside, 1):
         look = replace(one.look, alignment=one.alignment)
         own = _looked(prepared, look, target, streams[number], number)
-        findings += [_about(one.name, finding) for finding in own if finding.code not in known]
+        findings += [about(one.name, finding) for finding in own if finding.code not in known]
     for finding in findings:
         if finding.code in _CONTRADICTIONS:
             raise RecordingError(str(finding))
@@ -141,11 +141,6 @@ def _looked(prepared: PreparedCameraImu, look: Look, target: Target, stream: Imu
         imu=prepared.imus[number].name,
         unusable=~gyroscope.used,
     )
-
-
-def _about(imu: str, finding: Finding) -> Finding:
-    """Return a finding that names the IMU which it is about."""
-    return finding if imu in finding.message else replace(finding, message=f"{imu}: {finding.message}")
 
 
 def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si: str) -> TriadSamples:

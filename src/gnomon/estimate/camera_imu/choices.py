@@ -1,7 +1,7 @@
 """What is estimated: by the model (B3, B9 of document B), and by name."""
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,6 +106,11 @@ def lens_prior(start: Parameters) -> dict[str, float]:
         for name, kind, symbol in zip(entry.lens_names(), lens.parameter_kinds, lens.parameter_symbols, strict=True):
             found[name] = _TANGENTIAL if symbol in {"p1", "p2"} else sizes[kind]
     return found
+
+
+def kept_or_prior(status: Mapping[str, Status], block: str) -> bool:
+    """Tell whether any scalar of a block, such as "cam0.T_cam_imu.rotation", is held fixed or has a prior."""
+    return any(kind != "estimated" for scalar, kind in status.items() if scalar.partition("[")[0] == block)
 
 
 def wants_k3(name: str, options: CameraImuOptions) -> bool:

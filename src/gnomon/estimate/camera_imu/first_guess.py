@@ -17,7 +17,8 @@ from .alignment import Alignment, align, gyroscope_integral
 from .batch import State
 from .board import Board
 from .board_poses import BoardPoses, board_poses
-from .choices import choices, wants_k3
+from .camera_acceleration import STEP_S, averaged, camera_accelerations
+from .choices import choices, kept_or_prior, wants_k3
 from .corner_sums import Exposures
 from .inertial_data import InertialData
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory
@@ -28,8 +29,6 @@ _BAD_FRAME = 5.0
 """Frames whose pose fits worse than the median by this factor do not guide the first trajectory."""
 
 _FEWEST_ACCELERATIONS = 10
-STEP_S = 0.1
-"""Step of the second differences that tell the camera's acceleration."""
 
 _ONE_AXIS = 0.1
 """Ratio of the second to the first principal rate below which the rotation is about one axis only."""
@@ -130,17 +129,14 @@ def _as_stated(frames: CameraFrames, poses: BoardPoses) -> Alignment:
 def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated: Floats | None = None) -> Alignment:
     """Where the rotation was about one axis, find the angle about it from the specific force, unless it is stated.
 
-    The camera's own acceleration is the second difference of its positions, which is the acceleration averaged with a
-    triangular window; the accelerometer is averaged with the same one. Both are compared in the camera's axes, less
-    their means, so that a bias does not matter.
+    The camera's own acceleration (`camera_acceleration`) and the accelerometer, averaged as that is, are compared in
+    the camera's axes, less their means, so that a bias does not matter.
     """
     if alignment.axes[1] > _ONE_AXIS * alignment.axes[0]:
         return alignment
     if R_stated is not None:
         return replace(alignment, R_cam_imu=R_stated)
-    t_s = poses.t_s + alignment.time_shift_s
-    position = -np.einsum("nji,nj->ni", poses.R_cam_target, poses.p_cam_target)
-    centre, acceleration = second_differences(t_s, position)
+    centre, acceleration, at_s = camera_accelerations(poses, alignment.time_shift_s)
     if len(centre) < _FEWEST_ACCELERATIONS:
         raise InitialisationError(
             f"the rig turned about one axis only, and {len(centre)} frames have neighbours {STEP_S:g} s before and "
@@ -148,10 +144,7 @@ def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated
             "T_cam_imu in camchain.yaml."
         )
     R_cam_target = poses.R_cam_target[centre]
-    offsets = np.linspace(-1, 1, 21)[1:-1] * STEP_S
-    weights = (1 - np.abs(offsets) / STEP_S) / (1 - np.abs(offsets) / STEP_S).sum()
-    at = t_s[centre][:, None] + offsets
-    force = np.stack([np.interp(at, stream.t_s, stream.force[:, i]) @ weights for i in range(3)], axis=1)
+    force = averaged(at_s, stream.t_s, stream.force)
     turns = rotvec_from_rotation(poses.R_cam_target[:-1] @ np.swapaxes(poses.R_cam_target[1:], 1, 2))
     axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     best, least = alignment.R_cam_imu, np.inf
@@ -164,19 +157,6 @@ def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated
         if scatter < least:
             best, least = R, scatter
     return replace(alignment, R_cam_imu=best)
-
-
-def second_differences(t_s: Floats, position: Floats) -> tuple[np.ndarray, Floats]:
-    """Return frames (m,) that have neighbours at about +- 0.1 s, and the accelerations there (m, 3) [m/s^2]."""
-    before = np.clip(np.searchsorted(t_s, t_s - STEP_S), 0, len(t_s) - 1)
-    after = np.clip(np.searchsorted(t_s, t_s + STEP_S), 0, len(t_s) - 1)
-    back, ahead = t_s - t_s[before], t_s[after] - t_s
-    usable = (np.abs(back - STEP_S) < 0.5 * STEP_S) & (np.abs(ahead - STEP_S) < 0.5 * STEP_S)
-    centre = np.flatnonzero(usable)
-    before, after, back, ahead = before[centre], after[centre], back[centre][:, None], ahead[centre][:, None]
-    slope_after = (position[after] - position[centre]) / ahead
-    slope_before = (position[centre] - position[before]) / back
-    return centre, 2 * (slope_after - slope_before) / (back + ahead)
 
 
 def per_corner(exposures: Exposures) -> Exposures:
@@ -239,7 +219,7 @@ def _with_stated(entry: CameraParameters, frames: CameraFrames, status: dict[str
     def kept(block: str, stated: bool) -> bool:
         """Tell whether any scalar of a block is kept or has a prior, which something stated is needed for."""
         name = f"{entry.name}.{block}"
-        if not any(kind != "estimated" for scalar, kind in status.items() if scalar.partition("[")[0] == name):
+        if not kept_or_prior(status, name):
             return False
         if not stated:
             raise OptionError(

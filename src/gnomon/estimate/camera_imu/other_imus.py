@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from ...errors import InitialisationError, OptionError
 from ...recording import Floats, ImuSamples
 from .alignment import Alignment, align, gyroscope_integral
+from .choices import kept_or_prior
 from .first_guess import ImuStream, Look, upright
 from .layout import Status
 from .parameters import ImuParameters
@@ -121,14 +122,9 @@ def with_stated_pose(imu: ImuParameters, name: str, samples: ImuSamples, status:
     OptionError
         If a place shall be kept, or has a prior, that was not stated.
     """
-
-    def kept(block: str) -> bool:
-        own = (kind for scalar, kind in status.items() if scalar.partition("[")[0] == f"{name}.{block}")
-        return any(kind != "estimated" for kind in own)
-
     T = samples.T_imu_body
     for block in ("T_imu_body.rotation", "T_imu_body.translation"):
-        if not kept(block):
+        if not kept_or_prior(status, f"{name}.{block}"):
             continue
         if T is None:
             raise OptionError(
@@ -136,6 +132,6 @@ def with_stated_pose(imu: ImuParameters, name: str, samples: ImuSamples, status:
                 "T_imu_body with the recording, or let it be estimated."
             )
         imu = replace(imu, R_imu_body=T[:3, :3]) if block.endswith("rotation") else replace(imu, p_imu_body=T[:3, 3])
-    if kept("time_shift"):
+    if kept_or_prior(status, f"{name}.time_shift"):
         imu = replace(imu, time_shift_s=(samples.time_shift_s or 0.0) - imu.epoch_s)
     return imu
