@@ -5,6 +5,7 @@ import numpy as np
 from ..calibration import Assessment, CameraImuFit
 from ..diagnostics import CameraImuDiagnostics, NoiseLevel
 from ..estimate.camera_imu.first_guess import imu_stream
+from ..estimate.camera_imu.model_ladder import LADDER
 from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import CameraImuEvidence
@@ -23,6 +24,7 @@ _SCALE_WARN, _SCALE_FAIL = 0.003, 0.03
 _FOCAL_WARN, _FOCAL_FAIL = 0.003, 0.03
 _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 1.0, 15.0  # 1 px is some 0.1 deg of rotation
 _SIGNIFICANT, _MODEL_SIGNIFICANT = 5.0, 8.0  # sigmas; errors of a real detector feign four in the IMU's model
+_OF_IMU = ("scale", "misalignment", "g-sensitivity", "lever arms")
 _GUESS_RAD = np.radians(10.0)
 _NOISE_FACTOR = 3.0
 _WALK = ".walk"
@@ -51,7 +53,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *_frames(fit, diagnostics),
         *_board_size(evidence),
         *_intrinsics(evidence),
-        *_model(evidence),
+        *_model(evidence, diagnostics),
         *_stated_guess(evidence),
         *_noise(diagnostics),
         *residual_findings(diagnostics),
@@ -104,7 +106,7 @@ def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
         Finding(
             severity="problem",
             code="not-converged",
-            message=f"The batch estimation did not come to rest within {len(evidence.solution.iterations)} iterations.",
+            message=f"The batch estimation did not come to rest within {sum(i.accepted for i in evidence.solution.iterations)} iterations.",
             consequence="Its parameters are not a minimum.",
             cure="Check the target's size, the intrinsics and the units of the IMU; move about all three axes.",
         )
@@ -283,12 +285,19 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
     return findings
 
 
-def _model(evidence: CameraImuEvidence) -> list[Finding]:
-    """Say that the IMU has errors which the chosen model does not have."""
+def _model(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Say that the IMU has errors which the chosen model does not have.
+
+    They show by the step that a held block would take, or by what it foretells of clusters of time that were left out.
+    """
     wanting: list[str] = []
     for name, held in evidence.uncertainty.held.items():
         if name.startswith("imu") and np.any(np.abs(held.wanted) > _MODEL_SIGNIFICANT * held.wanted_sigma):
             wanting.append(name)
+    for step in () if diagnostics.trust is None else diagnostics.trust.models:
+        told = any(name.endswith(LADDER.get(step.name, ())) for name in wanting)
+        if step.name in _OF_IMU and not (told or step.used) and step.gain > step.needed:
+            wanting.append(step.name)
     if not wanting:
         return []
     return [

@@ -34,6 +34,7 @@ _JUDGEMENTS = 3  # of frames, after which they stay as they are
 _LEAST_NOISE = 1e-2
 """Share of the first noise level below which none is believed: simulated data without noise must not end in zero."""
 _PATIENCE = 10  # iterations after which steps must shrink
+_FALLS = 0.9  # ratio of the costs of some iterations below which it is still going down
 _FEWEST_FRAMES = 5
 
 
@@ -102,8 +103,8 @@ def solved(
     first, judgements, workspace = noise, 0, workspace or Workspace()
     lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
     step, found, previous = _step(lin), noise, np.inf
-    while len(iterations) < max_iterations:
-        tell(f"iteration {len(iterations) + 1}: largest step {step.largest:.2g} sigma")
+    while (done := sum(one.accepted for one in iterations)) < max_iterations:
+        tell(f"iteration {done + 1}: largest step {step.largest:.2g} sigma")
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
             found = _at_least(estimated_noise(lin, step, noise), first)
             proposed = replace(found, walks=_next_walks(found, noise, first) if estimate_walks else noise.walks)
@@ -164,9 +165,12 @@ def solved(
 
 
 def _stalled(iterations: list[Iteration]) -> bool:
-    """Tell whether steps no longer shrink, as where a direction is determined by noise alone."""
-    steps = [i.largest_step for i in iterations if i.accepted]
-    return len(steps) > _PATIENCE and min(steps[-_PATIENCE // 2 :]) > 0.5 * min(steps[: -_PATIENCE // 2])
+    """Tell whether steps no longer shrink nor the cost falls, as where a direction is determined by noise alone."""
+    taken = [one for one in iterations if one.accepted]
+    if len(taken) <= _PATIENCE or taken[-1].cost < _FALLS * taken[-_PATIENCE // 2].cost:
+        return False
+    steps = [one.largest_step for one in taken]
+    return min(steps[-_PATIENCE // 2 :]) > 0.5 * min(steps[: -_PATIENCE // 2])
 
 
 def _left(step: Step, previous: float) -> float:
