@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test test-lowest check study bench fuzz install dev clean
+.PHONY: help demo test test-lowest check lint types examples study bench fuzz install dev clean
 
 help:
 	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
@@ -38,11 +38,18 @@ test: dev
 test-lowest: $(LOWEST)/installed
 	$(LOWEST)/bin/python $(TESTS)
 
-check: dev
+# Three parts that make --jobs 2 does beside each other.
+check: lint types examples
+
+lint: dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
-	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/lint-imports
+
+types: dev
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+examples: dev
 	$(BIN)/python -m pytest --doctest-modules src
 
 study: dev

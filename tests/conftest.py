@@ -36,8 +36,11 @@ from gnomon.findings import Finding
 from gnomon.recording import Source
 from trust_example import example_trust
 
-# The same examples on every run: what fails here fails for everyone.
-hypothesis.settings.register_profile("steady", derandomize=True)
+# The same examples on every run, and no limits by the clock, which a busy machine exceeds: what fails here fails for
+# everyone.
+hypothesis.settings.register_profile(
+    "steady", derandomize=True, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("steady")
 
 

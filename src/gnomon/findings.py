@@ -1,5 +1,6 @@
 """What was noticed: a fact, what follows from it, and what to do about it."""
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
@@ -29,3 +30,24 @@ class Finding:
 
     def __str__(self) -> str:
         return " ".join(part for part in (self.message, self.consequence, self.cure) if part)
+
+
+_STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Control characters but tab and new line, and those that turn the direction of writing."""
+
+
+def printable(text: str) -> str:
+    """Return a text in which characters that steer a terminal are shown as escapes; files bring them in names."""
+    return re.sub(_STEERING, lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def listed(names: tuple[str, ...]) -> str:
+    """Return names as a choice.
+
+    Examples
+    --------
+    >>> listed(("kalibr", "openvins", "basalt"))
+    'kalibr, openvins or basalt'
+    """
+    *first, last = names
+    return f"{', '.join(first)} or {last}" if first else last

@@ -29,7 +29,6 @@ _STAGING = ".gnomon-staging-"
 _HELD, _DROPPED = ".in-use", ".dropped"
 _OLD = ".old-"
 _OURS = (_HELD, _DROPPED)
-_BINARY = getattr(os, "O_BINARY", 0)
 
 
 # ---- one file ----
@@ -55,10 +54,11 @@ def atomic_file(path: str | os.PathLike[str]) -> Generator[IO[bytes]]:
         target = target.resolve()
         if target.is_dir():
             raise OutputError(f"{path}: this is a folder. Give the name of a file in it.")
+        put_in_place(target.parent)  # else an older file of this name that waits there would replace the new one
         _remove_abandoned(target.parent, f".{target.name}.", ".part")
         temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}.part")
         try:
-            with os.fdopen(_hold(temporary), "wb") as stream:
+            with _hold(temporary) as stream:
                 yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -109,33 +109,29 @@ def files_together(folder: str | os.PathLike[str], own: tuple[str, ...] = ()) ->
         If the folder cannot be made or written, or a folder has the name of a file.
     """
     place = Path(folder)
-    staging, held = place / f"{_STAGING}{os.urandom(4).hex()}", None
     made = [path for path in (place, *place.parents) if not path.exists()]
+    staging, held = place / f"{_STAGING}{os.urandom(4).hex()}", None
     try:
-        place.mkdir(parents=True, exist_ok=True)
-        put_in_place(place)
-        with _alone(place):
-            _remove_abandoned(place, _STAGING, "")
-            staging.mkdir()
-            held = _hold(staging / _HELD)
+        with suppress(FileNotFoundError):
+            held = _begun(place, staging)
+        if held is None:  # another process, which failed, removed the folder that it had made
+            held = _begun(place, staging)
         yield staging
         _check_places(staging, place)
         dropped = sorted(set(own) - {path.name for path in staging.iterdir()})
         (staging / _DROPPED).write_text(json.dumps(dropped), encoding="utf-8")
         _all_on_disk(staging)
+        _declare_valid(staging, place, held)
+        put_in_place(place)
     except BaseException as error:
         if held is not None:
-            os.close(held)
+            held.close()
         shutil.rmtree(staging, ignore_errors=True)
+        if isinstance(error, KeyboardInterrupt):
+            put_in_place(place)  # what is declared valid is moved all the same
         _remove_empty(made)
         if isinstance(error, OSError):
             raise (_cannot if held is None else _unchanged)(folder, error) from error
-        raise
-    try:
-        _declare_valid(staging, place, held)
-        put_in_place(place)
-    except KeyboardInterrupt:
-        put_in_place(place)  # what is declared valid is moved all the same
         raise
 
 
@@ -198,28 +194,31 @@ def put_in_place(folder: Path) -> None:
         ) from error
 
 
-def _declare_valid(staging: Path, place: Path, held: int) -> None:
+def _begun(place: Path, staging: Path) -> IO[bytes]:
+    """Make a folder and an empty one in it, and return the open file by which that one is held."""
+    place.mkdir(parents=True, exist_ok=True)
+    put_in_place(place)
+    with _alone(place):
+        _remove_abandoned(place, _STAGING, "")
+        staging.mkdir()
+        return _hold(staging / _HELD)
+
+
+def _declare_valid(staging: Path, place: Path, held: IO[bytes]) -> None:
     """Rename a complete staging folder, from which moment its files are the valid ones."""
-    try:
-        with _alone(place):
-            os.close(held)  # on Windows no folder with an open file in it can be renamed
-            while (place / READY).is_dir():  # of a process that was killed in between
-                _move_all(place / READY, place)
-            staging.rename(place / READY)
-            _on_disk(place)
-    except BaseException as error:
-        if staging.is_dir():
-            shutil.rmtree(staging, ignore_errors=True)
-        if isinstance(error, OSError):
-            raise _unchanged(place, error) from error
-        raise
+    with _alone(place):
+        held.close()  # on Windows no folder with an open file in it can be renamed
+        while (place / READY).is_dir():  # of a process that was killed in between
+            _move_all(place / READY, place)
+        staging.rename(place / READY)
+        _on_disk(place)
 
 
 def _move_all(ready: Path, folder: Path) -> None:
     """Move what is in `ready` to its places; whatever is done already is passed over, so that it can be done again."""
     for path in sorted(path for path in ready.iterdir() if path.name not in _OURS and not path.name.startswith(_OLD)):
         target = folder / path.name
-        if target.is_dir() and not target.is_symlink():  # cannot be replaced while there is something in it
+        if path.is_dir() and target.is_dir() and not target.is_symlink():  # which is not replaced as it is
             _remove(ready / f"{_OLD}{path.name}")
             target.rename(ready / f"{_OLD}{path.name}")
         elif path.is_dir():
@@ -259,14 +258,14 @@ def _check_free(target: Path, path: str | os.PathLike[str]) -> None:
 # ---- what killed processes left ----
 
 
-def _hold(path: Path) -> int:
-    """Open a new file that is locked until it is closed, or its process ends in any way, and return its descriptor."""
+def _hold(path: Path) -> IO[bytes]:
+    """Open a new file that is locked until it is closed, or its process ends in any way."""
     while True:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
-        _lock(descriptor, wait=True)
-        if os.fstat(descriptor).st_nlink:  # else somebody took it for abandoned before it was locked
-            return descriptor
-        os.close(descriptor)
+        stream = path.open("xb")
+        _lock(stream.fileno(), wait=True)
+        if os.fstat(stream.fileno()).st_nlink:  # else somebody took it for abandoned before it was locked
+            return stream
+        stream.close()
 
 
 def _remove_abandoned(folder: Path, start: str, end: str) -> None:

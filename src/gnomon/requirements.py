@@ -60,6 +60,8 @@ QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
             ("camera_rotation", "rotation of {sensor} against the IMU", "angle"),
             ("camera_translation", "translation of {sensor} against the IMU", "length"),
             ("time_shift", "time shift of {sensor}", "time"),
+            ("imu_rotation", "rotation of {sensor} against imu0", "angle"),
+            ("imu_translation", "translation of {sensor} against imu0", "length"),
             ("gyroscope_scale", "gyroscope scale", "ratio"),
             ("gyroscope_misalignment", "gyroscope axes", "angle"),
             ("gyroscope_bias", "gyroscope bias", "rate"),
@@ -138,13 +140,16 @@ USES: Mapping[str, Use] = MappingProxyType(
             # A corner's noise of 0.3 px at a focal length of 460 px is 0.04 deg; at 2 rad/s the image moves so far in
             # 0.33 ms. A tilt of 0.1 deg turns gravity into 17 mm/s^2, as an accelerometer's bias does that a filter
             # follows anyway; scale and axes of the accelerometer: the same. Turns of 90 deg shall end within 0.1 deg.
-            # g-sensitivity: 1 g of acceleration shall feign no more than the bias.
+            # g-sensitivity: 1 g of acceleration shall feign no more than the bias. A second IMU may be turned against
+            # the first by as much as a gyroscope's axes may.
             _use(
                 "vio",
                 "visual-inertial odometry",
                 camera_rotation="0.1 deg",
                 camera_translation="5 mm",
                 time_shift="0.3 ms",
+                imu_rotation="0.06 deg",
+                imu_translation="5 mm",
                 gyroscope_scale="0.1 %",
                 gyroscope_misalignment="0.06 deg",
                 gyroscope_bias="0.05 deg/s",
@@ -159,6 +164,7 @@ USES: Mapping[str, Use] = MappingProxyType(
             _use(
                 "ahrs",
                 "attitude and heading",
+                imu_rotation="0.1 deg",
                 gyroscope_scale="0.3 %",
                 gyroscope_misalignment="0.2 deg",
                 gyroscope_bias="0.05 deg/s",
@@ -175,6 +181,7 @@ USES: Mapping[str, Use] = MappingProxyType(
                 "stabilised camera",
                 camera_rotation="0.1 deg",
                 time_shift="2 ms",
+                imu_rotation="0.05 deg",
                 gyroscope_scale="1 %",
                 gyroscope_misalignment="0.5 deg",
                 gyroscope_bias="0.02 deg/s",
@@ -191,6 +198,8 @@ USES: Mapping[str, Use] = MappingProxyType(
                 camera_rotation="0.3 deg",
                 camera_translation="10 mm",
                 time_shift="1 ms",
+                imu_rotation="0.3 deg",
+                imu_translation="10 mm",
                 gyroscope_scale="0.3 %",
                 gyroscope_misalignment="0.3 deg",
                 gyroscope_bias="0.1 deg/s",
@@ -208,9 +217,16 @@ GENERAL = "general"
 """The name under which a calibration is judged again for no special use."""
 
 GENERAL_RIG = _use(
-    GENERAL, "general use", 10.0, camera_rotation="0.1 deg", camera_translation="5 mm", time_shift="0.5 ms"
+    GENERAL,
+    "general use",
+    10.0,
+    camera_rotation="0.1 deg",
+    camera_translation="5 mm",
+    time_shift="0.5 ms",
+    imu_rotation="0.1 deg",
+    imu_translation="5 mm",
 )
-"""What is asked of cameras and IMU where no use is stated."""
+"""What is asked of cameras and IMUs where no use is stated."""
 
 GENERAL_IMU = _use(
     GENERAL,

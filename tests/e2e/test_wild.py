@@ -1,7 +1,7 @@
 """Wild cases converge or are refused in words, and are never answered confidently and wrongly.
 
-`pytest tests/e2e/test_wild.py -m slow -s` (`make wild`) judges a thousand cases of each kind and prints a table. The
-number of cases is in $GNOMON_WILD, the first seed in $GNOMON_WILD_SEED.
+`pytest tests/e2e/test_wild.py -m slow -s` judges a thousand cases of each kind and prints a table. The number of cases
+is in $GNOMON_WILD, the first seed in $GNOMON_WILD_SEED.
 """
 
 import os
@@ -25,10 +25,27 @@ IMU = {
     20134: "a stated bias that the rests contradict, unsaid",
     20076: "a preset's threshold, where the accelerometer reads one number at rest",
     10074: "milliseconds taken for seconds, a grid without end",
+    20601: "a share of two codes, taken for the bias between them",
+    20313: "the same, g-sensitivity stated",
+    50346: "a tremor, which the simulated converter did not see",
+    71636: "steps hidden by the arithmetic of a few outliers",
+    70810: "a tremor of about a step, which dwells at its ends",
+    20555: "a latitude stated where the Earth stands still",
+    70367: "the same, seen in a mirror",
+    50121: "samples dropped for their stamps, though a uniform clock is stated",
+    60157: "a uniform clock stated for samples with losses too rare to be warned of",
+    60119: "one rest, and a prior that it contradicts",
+    60091: "motion between samples, which the integration does not see",
+    61012: "the Earth's rate, taken off by a scale that was assumed",
 }
 """Seeds of what once was wrong."""
 
-RIG = {107: "turned about one axis, frames too rare to tell the angle"}
+RIG = {
+    107: "turned about one axis, frames too rare to tell the angle",
+    20027: "a gravity that is nowhere on Earth, unsaid",
+    60044: "errors of the IMU that a basic model leaves out, by clusters of time alone",
+    60203: "g-sensitivity estimated while the gyroscope's scale was taken for ideal",
+}
 
 
 @pytest.mark.parametrize("seed", IMU, ids=str)

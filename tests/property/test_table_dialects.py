@@ -31,7 +31,7 @@ def tables(draw):
     return np.cumsum([first, *steps], dtype=np.int64), np.array(values).reshape(rows, 6)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     table=tables(),
     header=st.sampled_from(HEADERS),
@@ -64,7 +64,7 @@ def test_written_is_read(tmp_path, table, header, delimiter, comma, mark, preamb
     np.testing.assert_array_equal(imu.gyroscope.values, values[:, 3:])
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     accel=tables(), gyro=tables(), shared=st.booleans(), alone=st.booleans(),
     units=st.sampled_from([("m/s^2", "rad/s"), ("g", "deg/s"), ("mg", "mdeg/s"), ("count", "count")]),
@@ -107,7 +107,7 @@ def test_saving_names_its_limits(tmp_path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     start=st.sampled_from([
         b"t,ax,ay,az,gx,gy,gz\n" + b"0.01,1,2,9.5,4,5,6\n0.02,1,2.5,9.5,4,5,6\n0.03,1,2,9,4,5,6\n" * 3,

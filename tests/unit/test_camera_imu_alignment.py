@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, InitialisationError, simulate_camera_imu
+from gnomon.assess.rig_checks import check_recording_rig
 from gnomon.estimate.camera_imu.alignment import align, gyroscope_integral
 from gnomon.estimate.camera_imu.board_poses import board_poses, gathered
 from gnomon.estimate.camera_imu.corner_sums import CornerSums, frame_scatter
 from gnomon.estimate.camera_imu.first_guess import ImuStream, looks
+from gnomon.estimate.camera_imu.first_place import first_place
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames
@@ -90,7 +92,7 @@ def test_scatter_of_a_frame_counts_no_wrong_corners():
     residual[::7] = np.nan  # not imaged
     lengths = np.diff(exposures.start)
     sums = CornerSums(
-        gram=np.empty((0, 0, 0)), cost=np.empty(0), mean_square=np.empty(0), valid=lengths, lengths=lengths,
+        sums=np.empty((0, 0, 0)), cost=np.empty(0), mean_square=np.empty(0), valid=lengths, lengths=lengths,
         residual=residual, weight=np.ones(len(residual)), corner_cost=np.empty(0),
     )  # fmt: skip
     known = np.ones(len(exposures), dtype=bool)
@@ -246,6 +248,34 @@ def test_hardly_any_common_rotation_is_refused():
         align(poses_of(simulated(0)), integral_of(simulated(3)), "cam0")
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_poses_far_off_do_not_hide_the_time_shift(seed):
+    simulation = simulated(seed, time_shift_s=1.7)
+    poses = poses_of(simulation)
+    rng = np.random.default_rng(seed)
+    bad = rng.choice(len(poses), len(poses) // 20, replace=False)
+    turned = poses.R_cam_target.copy()
+    turned[bad] = rotation_from_rotvec(rng.normal(0, 0.6, (len(bad), 3))) @ turned[bad]
+    found = align(replace(poses, R_cam_target=turned), integral_of(simulation), "cam0")
+    assert_aligned(found, simulation, shift=5e-3)
+    assert found.score > 0.9
+    assert found.consistent[bad].mean() < 0.2
+
+
+@pytest.mark.parametrize("motion", ["normal", "shaky"])
+@pytest.mark.parametrize("camera_rate_hz", [8.0, 20.0])
+def test_the_imu_is_found_where_it_is(motion, camera_rate_hz):
+    simulation = simulated(
+        motion=motion, camera_rate_hz=camera_rate_hz, lever_arm_m=1.5, random_extrinsics=True, duration_s=16.0,
+        time_shift_s=0.2,
+    )  # fmt: skip
+    (look,) = looks(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
+    place = first_place(look.alignment, look.poses, stream_of(simulation))
+    true = simulation.truth.cameras["cam0"].T_cam_imu[:3, 3]
+    assert np.linalg.norm(true) > 0.3
+    assert np.linalg.norm(place - true) < 0.15 * np.linalg.norm(true)
+
+
 def test_two_cameras_have_clocks_of_their_own():
     simulation = simulated(cameras=2, time_shift_s=0.3, time_shift_difference_s=0.2, random_extrinsics=True)
     found = looks(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
@@ -286,3 +316,20 @@ def test_a_stated_guess_is_used_where_nothing_turns():
     assert look.alignment.score == 0.0
     with pytest.raises(InitialisationError):
         looks({"cam0": frames}, simulation.target, START_NS, stream)
+
+
+@pytest.mark.parametrize("axes", [[1, 0, 2], [0, 2, 1]])
+def test_an_imu_whose_triads_are_left_handed_alike_is_told(axes):
+    # Gyroscope and accelerometer agree with each other, and no rotation makes either agree with the camera.
+    simulation = simulated(1)
+    imu = simulation.recording.imus["imu0"]
+    exchanged = replace(
+        imu,
+        gyroscope=replace(imu.gyroscope, values=imu.gyroscope.values[:, axes]),
+        accelerometer=replace(imu.accelerometer, values=imu.accelerometer.values[:, axes]),
+    )
+    recording = replace(simulation.recording, imus={"imu0": exchanged})
+    found = {finding.code: finding for finding in check_recording_rig(recording, simulation.target)}
+    assert "mirror image" in found["axes-mirrored"].message
+    sound = {finding.code for finding in check_recording_rig(simulation.recording, simulation.target)}
+    assert "axes-mirrored" not in sound

@@ -14,6 +14,7 @@ from gnomon.cli import main
 from gnomon.cli.compare_command import sources_of
 from gnomon.readers.own.calibration_sources import load_any, source_names
 from gnomon.recording import Source
+from gnomon.simulate.truth import TRUTH_METHOD
 from html_page import Page
 
 
@@ -56,6 +57,31 @@ def test_agreement_in_words_and_files(rig):
     before = {path.name: path.read_bytes() for path in (rig / "gnomon-compare").iterdir()}
     assert run("compare", "mon-gnomon", "tue-gnomon")[0] == 0
     assert {path.name: path.read_bytes() for path in (rig / "gnomon-compare").iterdir()} == before
+
+
+def test_with_the_truth_among_them_the_figure_shows_errors(rig, monkeypatch):
+    calibration = gnomon.load("mon-gnomon")
+    assert calibration.uncertainty.matrix.any()
+    provenance = replace(calibration.provenance, method=TRUTH_METHOD)
+    gnomon.save(replace(calibration, provenance=provenance), rig / "truth.yaml")
+    drawn = []
+
+    def dots(panel, x, y, color, **_):
+        drawn.append((color, np.abs(x).max(initial=0.0)))
+
+    monkeypatch.setattr("gnomon.report.comparison_figures.dots", dots)
+    for names, words, colors, errors in (
+        (("truth.yaml", "tue-gnomon", "wed-gnomon"), "Deviation from the truth", {"y", "z"}, {"y"}),
+        (("mon-gnomon", "tue-gnomon", "wed-gnomon"), "Deviation from the mean", {"x", "y", "z"}, set()),
+    ):
+        drawn.clear()
+        run("compare", *names)
+        html = Path("gnomon-compare/report.html").read_text(encoding="utf-8")
+        assert words in html
+        assert (", the truth of a simulation, over" in html) == ("truth.yaml" in names)
+        assert {color for color, _ in drawn} == colors
+        # Two are exactly the truth: the third one's error is its own, and shifts the mean of all.
+        assert {color for color in colors if all(away == 0 for c, away in drawn if c == color)} == errors
 
 
 def test_the_odd_one_out_fails(rig):

@@ -44,6 +44,26 @@ def result(tmp_path, camera_calibration):
     return tmp_path / "rig/calibration.yaml"
 
 
+@pytest.mark.parametrize("to", ["kalibr", "ros2"])  # ros2 is a format of recordings too
+def test_the_folder_of_a_result_stands_for_its_calibration(result, tmp_path, to):
+    (result.parent / "imu.yaml").write_text(IMU_YAML)
+    assert run("convert", result, "--to", to, "-o", tmp_path / "file")[0] == 0
+    code, out, err = run("convert", result.parent, "--to", to)
+    assert code == 0, err
+    for path in (tmp_path / "file").iterdir():
+        assert (result.parent / to / path.name).read_bytes() == path.read_bytes()
+    assert ("noise and rate are taken from" in out) == (to == "kalibr")
+    (tmp_path / "empty").mkdir()
+    code, _, err = run("convert", tmp_path / "empty", "--to", "kalibr")
+    assert (code, "of a result, give its folder" in err) == (2, True)
+
+
+def test_a_file_in_place_of_the_folder_is_said(result, tmp_path):
+    (tmp_path / "mine").write_text("")
+    code, _, err = run("convert", result, "--to", "json", "-o", tmp_path / "mine")
+    assert (code, f"{tmp_path / 'mine'}: this is a file" in err) == (3, True)
+
+
 @pytest.mark.parametrize("to", WITH_NOISE)
 def test_noise_beside_the_calibration_is_taken(result, to):
     """What a user has after a calibration: imu.yaml in the folder of the result."""

@@ -244,9 +244,36 @@ def test_lenses_that_a_project_does_not_know(rig, tmp_path, to, lenses):
     for lens in lenses:
         calibration = rig(0, "radtan", units=SI)
         cameras = {"cam0": replace(calibration.cameras["cam0"], camera=others.get(lens) or LENSES[lens])}
-        with pytest.raises(OptionError, match=r"cam0 is .*knows pinhole.*or convert to kalibr"):
+        with pytest.raises(OptionError, match=r"cam0 is .*knows pinhole.*or convert to "):
             gnomon.convert(calibration_of(calibration.imus, cameras), to, tmp_path / lens)
         assert not (tmp_path / lens).exists()
+
+
+BENT = {"radtan": [0.1, 0, 0, 0], "radtan5": [0.1, 0, 0, 0, 0.01], "equidistant": [0.1, 0, 0, 0], "fov": [0.9]}
+
+
+def test_the_formats_that_are_advised_for_a_lens_can_hold_it(rig):
+    shapes = [LENSES[name] for name in ("none", "ds", "eucm", "omni")]
+    shapes.append(replace(LENSES["omni"], intrinsics=[-0.2, 540.5, 536.25, 321.0, 239.0]))
+    bent = [replace(lens, distortion=name, distortion_coeffs=c) for name, c in BENT.items() for lens in shapes]
+    advised = set()
+    for lens in shapes + bent:
+        calibration = rig(0, "radtan", units=SI)
+        cameras = {"cam0": replace(calibration.cameras["cam0"], camera=lens)}
+        calibration = calibration_of(calibration.imus, cameras)
+        for to in ("orb-slam3", "ros2", "vins-fusion", "openvins", "okvis", "basalt"):
+            try:
+                exported(calibration, to, imu={"imu0": STATED})
+            except OptionError as error:
+                formats = re.split(", | or ", re.search(r"or convert to (.*)\.$", str(error))[1])
+                advised |= {(lens.model, name) for name in formats}
+                for name in formats:
+                    exported(calibration, name, imu={"imu0": STATED})
+    assert {name for model, name in advised if model == "pinhole-fov"} == {"kalibr"}
+    assert {name for model, name in advised if model == "ds-none"} == {"kalibr", "basalt"}
+    assert {name for model, name in advised if model == "ds-radtan"} == {"json", "csv"}  # Kalibr reads ds without
+    flight = exported(calibration, "px4").losses
+    assert "Use json or csv to write them too" in said(flight)
 
 
 @pytest.mark.parametrize("to", ["openvins", "basalt"])

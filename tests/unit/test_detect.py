@@ -360,6 +360,18 @@ def test_rounded_stamps_give_way_to_the_line():
     assert base.jitter_s == pytest.approx(1e-3 / np.sqrt(12), rel=0.05)
 
 
+def test_a_line_that_was_asked_for_counts_what_it_leaves_out():
+    kept = np.random.default_rng(13).random(N) > 0.002
+    lost = int(N - kept.sum())
+    assert clock(TRUE_S[kept], choice="uniform").missing == pytest.approx(lost, abs=2)
+    assert clock(TRUE_S[kept]).missing == 0
+    assert clock(TRUE_S, choice="uniform").missing == 0
+    packets = np.repeat(TRUE_S[9::10], 10)  # stamped as they came, ten by ten: nothing is missing
+    assert clock(packets, choice="uniform").missing == 0
+    delayed = TRUE_S + np.random.default_rng(1).exponential(0.004, N)
+    assert clock(np.maximum.accumulate(delayed), choice="uniform").missing == 0
+
+
 def test_lost_samples_leave_gaps_in_the_line():
     rng = np.random.default_rng(13)
     kept = rng.random(N) > 0.05

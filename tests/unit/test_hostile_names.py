@@ -16,8 +16,8 @@ import gnomon
 from camera_imu_result import make_camera_imu_result
 from cameras_result import make_cameras_result
 from gnomon.cli import main
-from gnomon.cli.terminal import Terminal, printable
-from gnomon.findings import Finding
+from gnomon.cli.terminal import Terminal
+from gnomon.findings import Finding, printable
 from gnomon.recording import Source
 from gnomon.report import write_report
 from gnomon.writers.calibration_file import calibration_text
@@ -75,6 +75,7 @@ def test_reports_hold_no_markup_of_others(make_result, tmp_path, kind):
     pages = []
     for number, result in enumerate((honest, attacked)):
         write_report(result, tmp_path / f"{number}.html")
+        assert b"\x1b" not in (tmp_path / f"{number}.html").read_bytes()
         pages.append(Tags((tmp_path / f"{number}.html").read_text(encoding="utf-8")))
     assert pages[1].elements <= pages[0].elements | {
         "li",

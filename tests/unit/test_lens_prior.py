@@ -140,6 +140,9 @@ def test_sums_weigh_every_corner_by_its_own_sigma(simulation, huber):
             )
             part = corner_sums(one, camera, R[:1], p[:1], CornerNoise(sigma_px=80.0 * spread[i], huber=huber))
             gram, cost = gram + part.gram[0], cost + part.cost[0]
+            rows = part.rows(np.array([0]))[0]
+            assert len(rows) == 2  # no more rows than one corner has
+            np.testing.assert_allclose(rows.T @ rows, part.gram[0], rtol=1e-12)
         np.testing.assert_allclose(found.gram[e], gram, rtol=1e-10, atol=1e-12 * np.abs(gram).max())
         np.testing.assert_allclose(found.cost[e], cost, rtol=1e-12)
     np.testing.assert_allclose(found.comparable, found.residual / spread[:, None])

@@ -1,6 +1,7 @@
 """A calibration judged for a use: what it needs, what there is, and what to do next."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +43,8 @@ def codes(calibration):
 def test_every_quantity_of_a_use_is_judged(waved):
     found = gnomon.judge(waved, "vio")
     assert found.verdict == "pass"
-    assert len(found.assessment.trust.needs) == len(USES["vio"].needs) == 10
+    asked = {name for name in USES["vio"].needs if not name.startswith("imu_")}  # there is one IMU
+    assert len(found.assessment.trust.needs) == len(asked) == 10
     assert {need.verdict for need in found.assessment.trust.needs} == {"pass"}
     shift = need_of(found, "time shift of cam0")
     assert shift.sigma == pytest.approx(1e3 * float(waved.sigma("cam0.time_shift_cam_imu")), rel=1e-4)
@@ -64,6 +66,34 @@ def test_what_is_too_coarse_warns_and_far_beyond_fails(waved):
             (finding,) = [f for f in found.assessment.findings if f.code == "use-imprecise"]
             assert "vio needs the rotation of cam0 against the IMU to 0.1 deg, and has" in finding.message
             assert finding.cure == need.cure
+
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "calibration-gnomon-1.5.yaml"
+
+
+@pytest.mark.parametrize(
+    ("path", "quantity", "block"),
+    [
+        ("imu1.T_imu_body.rotation", "imu_rotation", "rotation of imu1 against imu0"),
+        ("imu1.T_imu_body.translation", "imu_translation", "translation of imu1 against imu0"),
+        ("imu1.time_shift_imu", "time_shift", "time shift of imu1"),
+    ],
+)
+def test_where_and_when_a_further_imu_is_is_judged_too(path, quantity, block):
+    calibration = gnomon.load(GOLDEN)
+    worst = float(np.max(calibration.sigma(path)))
+    for factor, verdict in ((0.9, "pass"), (2.0, "warn"), (4.0, "fail")):
+        coarse = scaled(calibration, factor * USES["vio"].needs[quantity] / worst, path)
+        need = need_of(gnomon.judge(coarse, "vio"), block)
+        assert need.verdict == verdict
+        assert need.sigma == pytest.approx(factor * need.needed, rel=1e-4)
+        assert bool(need.cure) == (verdict != "pass")
+    assert len({need.block for need in gnomon.judge(calibration, "vio").assessment.trust.needs}) == 23
+    held = replace(calibration, assessment=replace(calibration.assessment, held_by_prior=(path,)))
+    assert need_of(gnomon.judge(held, "vio"), block).verdict == "fail"
+    # Judged for general use again, what is too coarse is said as it was in the first place.
+    coarse = gnomon.judge(scaled(calibration, 6e-3 / worst, path), "vio")
+    assert [f.message for f in gnomon.judge(coarse, "general").assessment.findings if block in f.message]
 
 
 def test_one_sentence_says_why_the_verdict_is_not_the_general_one(waved):

@@ -1,17 +1,19 @@
 """What is written is whole, whatever moment the writer is killed at; signals tidy up; two writers do not mix."""
 
 import os
+import random
 import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
 
 resource = pytest.importorskip("resource", reason="signals and limits as POSIX has them")
 
-from gnomon import OutputError  # noqa: E402
+from gnomon import OutputError, output  # noqa: E402
 from gnomon.output import (  # noqa: E402
     READY,
     atomic_file,
@@ -116,6 +118,46 @@ def test_two_writers_of_one_folder_do_not_mix(tmp_path):
     assert len(set(found.values())) == 1
 
 
+WRITE_OFTEN = """
+import sys
+from gnomon.output import files_together, write_whole
+for number in range(12):
+    word = f"{sys.argv[1]} {number}"
+    with files_together("out", ("odd.txt",)) as staging:
+        (staging / "cam0").mkdir()
+        for name in ("1.txt", "2.txt", "3.txt", "cam0/1.png", "cam0/2.png", *["odd.txt"][: number % 2]):
+            write_whole(staging / name, word)
+    write_whole("out/alone.csv", word * 10_000 + "end")
+"""
+
+
+@pytest.mark.slow
+def test_writers_of_one_folder_of_which_some_are_killed(tmp_path):
+    """Four processes at a time, any three of which may be killed: one set in the end, and nothing left."""
+    chance = random.Random(8)
+    for turn in range(20):
+        place = tmp_path / f"{turn}"
+        place.mkdir()
+        writers = [
+            subprocess.Popen([sys.executable, "-c", WRITE_OFTEN, word], cwd=place, stderr=subprocess.PIPE, text=True)
+            for word in ("one", "two", "three", "four")
+        ]
+        for writer in writers[: turn % 4]:
+            time.sleep(chance.uniform(0.0, 0.4))
+            writer.kill()
+        for writer in writers:
+            _, err = writer.communicate()
+            assert writer.returncode == 0 or (writer in writers[: turn % 4] and not err), err
+        put_in_place(place / "out")
+        found = visible(contents(place / "out"))
+        assert found.pop("alone.csv").endswith(b"end")
+        (word,) = set(found.values())
+        assert len(found) == 5 + int(word.split()[1]) % 2, turn
+        write_together(place / "out", {"1.txt": "next"})
+        write_whole(place / "out/alone.csv", "next")
+        assert contents(place / "out").keys() == {*found, "alone.csv"}, turn
+
+
 def test_files_on_the_way_are_moved_and_names_that_are_paths_are_not_removed(tmp_path):
     out = tmp_path / "out"
     fill(out, {"a.yaml": b"old", f"{READY}/a.yaml": b"new"})
@@ -130,6 +172,59 @@ def test_a_folder_is_not_replaced_by_a_file(tmp_path):
     with pytest.raises(OutputError, match=r"this is a folder. Nothing was changed"):
         write_together(tmp_path, {"calibration.yaml": "new", "report.html": "new"})
     assert contents(tmp_path) == {"report.html/mine.txt": b"mine", "calibration.yaml": b"old"}
+
+
+def test_a_folder_that_is_there_when_a_file_is_moved_stays(tmp_path):
+    """Somebody made it after the file was complete, and before it was moved: the file waits."""
+    fill(tmp_path, {f"{READY}/report.html": b"new", "report.html/mine.txt": b"mine"})
+    with pytest.raises(OutputError, match=r"report.html: this file cannot be replaced .* The new one waits"):
+        put_in_place(tmp_path)
+    assert contents(tmp_path) == {f"{READY}/report.html": b"new", "report.html/mine.txt": b"mine"}
+    (tmp_path / "report.html").rename(tmp_path / "mine")
+    put_in_place(tmp_path)
+    assert contents(tmp_path) == {"report.html": b"new", "mine/mine.txt": b"mine"}
+
+
+def test_a_file_that_waits_does_not_replace_a_newer_one(tmp_path):
+    fill(tmp_path, {f"{READY}/a.yaml": b"waited", f"{READY}/b.yaml": b"waited", "a.yaml": b"old"})
+    write_whole(tmp_path / "a.yaml", "new")
+    put_in_place(tmp_path)
+    assert contents(tmp_path) == {"a.yaml": b"new", "b.yaml": b"waited"}
+
+
+def test_a_folder_that_another_writer_removes_is_made_again(tmp_path, monkeypatch):
+    """One that failed removes the folder that it had made, empty as it is, just when this one begins in it."""
+    out, alone = tmp_path / "out", []
+
+    def removed_once(folder: Path):
+        alone.append(folder)
+        if len(alone) == 1:
+            folder.rmdir()
+        return true_alone(folder)
+
+    true_alone = output._alone
+    monkeypatch.setattr(output, "_alone", removed_once)
+    write_together(out, {"a.txt": "new"})
+    assert contents(out) == {"a.txt": b"new"}
+
+
+@pytest.mark.parametrize("at", ["_all_on_disk", "_declare_valid", "put_in_place"])
+def test_an_interrupt_between_two_steps_leaves_old_or_new(at, tmp_path, monkeypatch):
+    """Wherever it comes, nothing else is left, and nothing is held any more."""
+    fill(tmp_path, {"a.txt": b"old"})
+    calls = []
+    true_one = getattr(output, at)
+
+    def interrupted(*arguments):
+        calls.append(at)
+        if len(calls) == (2 if at == "put_in_place" else 1):  # its first call is before the work
+            raise KeyboardInterrupt
+        return true_one(*arguments)
+
+    monkeypatch.setattr(output, at, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_together(tmp_path, {"a.txt": "new"})
+    assert contents(tmp_path) == {"a.txt": b"new" if at == "put_in_place" else b"old"}
 
 
 def test_a_folder_that_goes_or_closes_meanwhile(tmp_path):

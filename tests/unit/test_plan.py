@@ -1,7 +1,7 @@
 """What a plan predicts, against recordings that were simulated as planned."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from gnomon.cli import main
 from gnomon.errors import OptionError
 from gnomon.models.noise import ImuNoise
 from gnomon.simulate.camera_imu_rig import CONSUMER_NOISE
+from gnomon.writers.kalibr_text import kalibr_yaml
 
 BLOCKS = (
     "imu0.gyroscope.sensitivity",
@@ -145,8 +146,11 @@ def test_the_command_line_plans(capsys, tmp_path):
     assert document["changes"][0]["worst"] < document["changes"][0]["before"]
     path = tmp_path / "mine.yaml"
     path.write_text("gyroscope_scale: 0.0001 %\n")
-    assert main(["plan-imu", "--for", str(path)]) == 4
+    two = tmp_path / "imu.yaml"
+    two.write_text(kalibr_yaml({name: {**asdict(HAND_NOISE), "update_rate": 200.0} for name in ("imu0", "imu1")}))
+    assert main(["plan-imu", "--for", str(path), "--imu", str(two)]) == 4
     said = capsys.readouterr().out
+    assert f"{two}: its first IMU is planned; of imu1 nothing is predicted." in said
     assert "such a recording would not do for mine" in said
     assert "gyroscope scale" in said
     assert main(["plan-imu", "--for", "nothing"]) == 2

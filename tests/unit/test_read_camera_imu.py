@@ -620,7 +620,7 @@ WRONG = [
 ]
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     st.sampled_from(["camchain.yaml", "imu.yaml", "target.yaml", "cam0_corners.csv", "cam0_frames.csv", "imu0.csv"]),
     st.lists(st.tuples(st.floats(0, 1), st.sampled_from(WRONG)), min_size=1, max_size=3),

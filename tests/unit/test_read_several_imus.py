@@ -1,13 +1,20 @@
 """Recordings of several IMUs: folders, images in every form, NPZ, and Kalibr's files of their noise, read back."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import gnomon
 from gnomon import CameraImuScenario, FormatError, OptionError, Recording, read_camera_imu, simulate_camera_imu
+from gnomon.assess import rig_lens
 from gnomon.assess.rig_doctor import check_corners
+from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu, with_looks
+from gnomon.estimate.camera_imu.first_guess import Look
+from gnomon.estimate.camera_imu.other_imus import Beside
+from gnomon.findings import Finding
+from gnomon.options import CameraImuOptions
 from gnomon.readers.images.image_recording import open_images
 from gnomon.readers.rig.corner_stamps import read_corner_stamps
 from gnomon.readers.rig.sensor_inputs import read_imus
@@ -105,10 +112,14 @@ def test_noise_of_several_imus_is_keyed_or_in_a_file_of_each(tmp_path):
         read_imus(files[:2])
 
 
-def test_what_check_says_of_several_imus():
+def test_what_check_says_of_several_imus(monkeypatch):
+    looked = []
+    fit = rig_lens.lens_fit
+    monkeypatch.setattr(rig_lens, "lens_fit", lambda *given: looked.append(1) or fit(*given))
     simulation = simulate_camera_imu(replace(APART, duration_s=12.0, accelerometer_delay_s=0.008), seed=3)
     recording = simulation.recording
     findings = check_corners(recording, simulation.target)
+    assert len(looked) == len(recording.cameras)  # however many IMUs there are
     apart = {finding.message.split(" comes")[0]: finding for finding in findings if finding.code == "triads-apart"}
     assert set(apart) == {"The accelerometer of imu0", "The accelerometer of imu1"}
     assert "--free imu1.accelerometer_shift" in apart["The accelerometer of imu1"].cure
@@ -122,3 +133,24 @@ def test_what_check_says_of_several_imus():
     wrong = [f for f in check_corners(broken, simulation.target) if f.severity == "problem"]
     assert wrong
     assert all("imu1" in finding.message for finding in wrong)
+
+
+def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
+    simulation = simulate_camera_imu(replace(APART, duration_s=12.0), seed=3)
+    prepared = prepare_camera_imu(simulation.recording, simulation.target, CameraImuOptions())
+    lenses = []
+
+    def look_at(name, _poses, _alignment, camera, _target, *, imu, **_):
+        lenses.append(camera)
+        told = [("triads-apart", f"accelerometer of {imu} late"), ("board-moved", f"{name}: board moved")]
+        return [Finding(severity="warning", code=code, message=message) for code, message in told]
+
+    monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.check_look", look_at)
+    aligned = SimpleNamespace(score=1.0)
+    frames = simulation.recording.cameras["cam0"]
+    look = Look(name="cam0", frames=frames, poses=None, alignment=aligned, target=simulation.target)
+    beside = Beside(name="imu1", look=look, alignment=aligned, R_imu_body=np.eye(3), time_shift_s=0.0)
+    found = with_looks(prepared, [look], simulation.target, [None, None], [beside]).findings
+    told = [finding.message for finding in found if finding.code in {"triads-apart", "board-moved"}]
+    assert told == ["accelerometer of imu0 late", "cam0: board moved", "accelerometer of imu1 late"]
+    assert lenses == [frames.camera, None]

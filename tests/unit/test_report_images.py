@@ -84,7 +84,7 @@ def test_diagnostics_file(result, tmp_path) -> None:
     fit = result.diagnostics.corners["cam1"]
     with np.load(tmp_path / "diagnostics.npz", allow_pickle=False) as arrays:
         assert np.array_equal(arrays["corners.cam1.quality.blur_px"], fit.quality.blur_px, equal_nan=True)
-        assert np.array_equal(arrays["corners.cam1.corner_sigma_px"], fit.corner_sigma_px)
+        assert np.allclose(arrays["corners.cam1.corner_sigma_px"], fit.corner_sigma_px, rtol=1e-7, atol=0)
         assert arrays["corners.cam1.quality.dropped.blurred"] == 2310
     save_diagnostics(make_camera_imu_result(duration_s=5).diagnostics, tmp_path / "corners.npz")
     with np.load(tmp_path / "corners.npz", allow_pickle=False) as arrays:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from gnomon import OutputError
+from gnomon.cli import main
 from gnomon.cli.places import default_folder, result_folder
 
 
@@ -49,8 +50,28 @@ def test_a_place_that_cannot_be_written_is_known_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="-o"), result_folder(tmp_path / "file" / "result"):
         pytest.fail("entered")
-    with pytest.raises(OutputError, match="file"), result_folder(tmp_path / "file"):
+    with pytest.raises(OutputError, match=r"file: this is a file, .* need a folder"), result_folder(tmp_path / "file"):
         pytest.fail("entered")
+
+
+def test_the_name_of_a_file_is_not_made_a_folder(tmp_path):
+    with (
+        pytest.raises(OutputError, match=r"name of a file. .* such as .*/result\."),
+        result_folder(tmp_path / "result.txt"),
+    ):
+        pytest.fail("entered")
+    assert names(tmp_path) == []
+    (tmp_path / "odd.csv").mkdir()
+    for name in ("odd.csv", "gnomon-1.2"):
+        with result_folder(tmp_path / name) as staging:
+            (staging / "calibration.yaml").write_text("one")
+        assert names(tmp_path / name) == ["calibration.yaml"]
+
+
+def test_a_recording_with_another_ending_is_refused_under_its_own_name(tmp_path, capsys):
+    assert main(["simulate", "--intervals", "3", "-o", str(tmp_path / "rec")]) == 2
+    assert capsys.readouterr().err.startswith(f"gnomon: {tmp_path / 'rec'}: a recording is written as .npz, .csv")
+    assert names(tmp_path) == []
 
 
 @pytest.mark.parametrize(

@@ -20,11 +20,40 @@ def test_rounding_of_means_scatters_as_predicted(noise):
     still = StaticIntervals(start=np.arange(count) * length, stop=np.arange(1, count + 1) * length)
     flat = values.reshape(-1, 3)
     white = 0.25**2 * (noise**2 + 1 / 12 * (noise > 0)) / length
-    predicted = rounding_variance(flat, still)
+    predicted = rounding_variance(flat, still).mean(axis=0)
     assert smallest_steps(flat) == pytest.approx(0.25)
     measured = error.var(axis=0)
     assert np.all(measured < 1.5 * predicted + 1.5 * white)
     assert np.all(predicted < 2.0 * measured + white)
+
+
+@pytest.mark.parametrize(
+    ("white", "tremor"), [(0.0, 0.0), (0.12, 0.0), (0.2, 0.0), (0.03, 0.2), (0.05, 0.5), (0.05, 0.8)]
+)
+def test_a_bias_between_two_steps_is_off_as_predicted(white, tremor):
+    # All rests read the same part of a step: more of them do not help.
+    rng = np.random.default_rng(5)
+    count, length, tries = 40, 200, 15
+    still = StaticIntervals(start=np.arange(count) * length, stop=np.arange(1, count + 1) * length)
+    t_s = np.arange(count * length)[:, None] / 100
+    squares, predicted = [], []
+    for _ in range(tries):
+        bias, hz, phase = rng.uniform(-50, 50, 3), rng.uniform(0.3, 9, 3), rng.uniform(0, 6, 3)
+        noise = white * rng.standard_normal((len(t_s), 3)) + tremor * np.sin(2 * np.pi * hz * t_s + phase)
+        values = np.rint(bias + noise)
+        turned = np.concatenate([values, values[:1] + np.arange(50)[:, None]])  # a rotation, which shows the step
+        squares.append(np.square((values - noise).mean(axis=0) - bias))
+        predicted.append(rounding_variance(turned, still).mean(axis=0))
+    assert np.mean(squares) < 1.6 * np.mean(predicted)
+    assert np.max(np.divide(squares, predicted)) < 4.0**2
+    assert np.mean(predicted) < 0.09
+
+
+def test_steps_are_seen_behind_the_arithmetic_of_a_conversion():
+    counts = np.random.default_rng(0).integers(-5, 5, (500, 3)).astype(float)
+    values = 0.061 * counts + 100.0
+    values[7] = (counts[7] * 61.0 + 100_000.0) / 1000.0
+    assert smallest_steps(values) == pytest.approx(0.061)
 
 
 @pytest.mark.parametrize("seed", range(3))

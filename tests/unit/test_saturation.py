@@ -105,6 +105,25 @@ def test_rare_repeated_stamps_are_dropped_many_are_not() -> None:
     assert len(repaired(coarse)) == 1000
 
 
+def test_a_stamp_that_is_wrong_costs_no_sample_where_they_are_counted() -> None:
+    samples = triad(np.random.default_rng(0).normal(size=(1000, 3)))
+    t_ns = samples.t_ns.copy()
+    t_ns[[10, 500]] = t_ns[[9, 499]]
+    rare = TriadSamples(t_ns=t_ns, values=samples.values, unit="count")
+    assert repaired(rare, counted=True) is rare
+    twice = TriadSamples(t_ns=np.repeat(samples.t_ns, 2), values=np.repeat(samples.values, 2, axis=0), unit="count")
+    assert len(repaired(twice, counted=True)) == 1000
+
+
+def test_a_coarse_converter_writes_nothing_twice() -> None:
+    rng = np.random.default_rng(0)
+    samples = triad(np.rint(0.3 * rng.normal(size=(2000, 3))))
+    t_ns = samples.t_ns.copy()
+    again = np.flatnonzero(rng.random(1999) < 0.2)
+    t_ns[again] = t_ns[again + 1]
+    assert len(repaired(TriadSamples(t_ns=t_ns, values=samples.values, unit="count"))) == 2000
+
+
 def test_good_and_backward_stamps_are_left_alone() -> None:
     samples = triad(np.random.default_rng(0).normal(size=(100, 3)))
     assert repaired(samples) is samples

@@ -10,6 +10,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_problem import problem
+from gnomon.assess.rig_residuals import cut_findings
 from gnomon.calibration import Calibration, Covariance
 from gnomon.errors import FormatError, OptionError
 from gnomon.estimate.camera_imu.choices import choices
@@ -299,3 +300,27 @@ def test_the_model_reads_what_was_simulated():
             assert len(read) > 500
             error = np.abs(read - expected).max()
             assert error < (5e-3 if which else 1e-4), (i, which, error)  # that of the splines
+
+
+def test_golden_file():
+    """A file of two IMUs as version 1.5 of the schema wrote it; it stays readable, and is written as it was."""
+    golden = Path(__file__).parents[1] / "golden" / "calibration-gnomon-1.5.yaml"
+    calibration = load(golden)
+    assert calibration_text(calibration) == golden.read_text(encoding="utf-8")
+    second = calibration.imus["imu1"]
+    assert second.time_shift_s == pytest.approx(3.986e-3, abs=1e-6)
+    assert second.accelerometer.time_shift_s == 0.0021
+    assert np.linalg.norm(second.T_imu_body[:3, 3]) == pytest.approx(0.0678, abs=1e-4)
+    assert calibration.imus["imu0"].accelerometer.lever_arms_m[1].tolist() == [0.004, -0.002, 0.001]
+    assert calibration.sigma("imu1.time_shift_imu") == pytest.approx(1e-5)
+    names = calibration.uncertainty.names
+    pair = names.index("imu1.T_imu_body.translation[0]"), names.index("cam0.T_cam_imu.translation[0]")
+    assert calibration.uncertainty.matrix[pair] > 0
+
+
+def test_a_cut_at_gaps_of_the_first_imu_says_what_is_lost_of_the_others():
+    assert cut_findings(1, ("imu0", "imu1")) == []
+    (alone,), (several,) = cut_findings(2, ("imu0",)), cut_findings(2, ("imu0", "imu1", "imu2"))
+    assert alone.consequence.startswith("Nothing is lost but")
+    assert several.consequence.startswith("In a gap of imu0 neither frames nor the samples of imu1, imu2 are used;")
+    assert (alone.cure, several.cure) == ("", "If it is imu0 that lost samples, let another one be the first IMU.")

@@ -88,7 +88,7 @@ def test_nobody_at_the_address_is_one_error_within_seconds(dask, monkeypatch):
             began = time.monotonic()
             with pytest.raises(OptionError, match=f"no Dask scheduler answers at {address}"):
                 carry_out(slow_product, [1], workers=Workers(scheduler=address))
-            assert time.monotonic() - began < 10
+            assert time.monotonic() - began < 25  # Dask itself would try for 30 s; a busy machine takes its time
 
 
 @pytest.mark.slow

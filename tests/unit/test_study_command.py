@@ -1,7 +1,10 @@
 """`gnomon study`: the list, options, progress, and going on after an interrupt; with a study that takes no time."""
 
+import inspect
 import json
+import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
@@ -10,10 +13,10 @@ from gnomon.cli.studies import STUDIES, Parts, StudyEntry
 from gnomon.cli.study_count import StudyCount
 from gnomon.cli.study_journal import JOURNAL
 from gnomon.cli.terminal import Terminal
-from gnomon.report.page import KeyNumber
+from gnomon.report.page import KeyNumber, render
 from gnomon.report.study_page import study_page
-from gnomon.study.runs import carry_out, seeds
-from gnomon.study.tables import Claim, StudyTable
+from gnomon.study.runs import carry_out, scatter_bounds, seeds
+from gnomon.study.tables import Claim, StudyTable, claims_table, told
 from study_work import Task, drawn
 
 
@@ -64,7 +67,13 @@ def quick(monkeypatch, tmp_path):
     made = Quick()
     parts = Parts(carry_out=made.carry_out, claims=made.claims, tables=made.tables, page=made.page)
     entry = StudyEntry(
-        about="nothing at all", counted="draws", runs=6, minutes=0.1, tables=("largest",), load=lambda: parts
+        about="nothing at all",
+        counted="draws",
+        runs=6,
+        minutes=0.1,
+        stages=("draw",),
+        tables=("largest",),
+        load=lambda: parts,
     )
     for name in ("study_actions", "study_command"):
         monkeypatch.setattr(f"gnomon.cli.{name}.STUDIES", {"quick": entry, **STUDIES})
@@ -101,6 +110,7 @@ def test_every_study_can_be_loaded(name):
         (["unheard"], "There are: tedaldi"),
         (["tedaldi", "--jobs", "2", "--scheduler", "tcp://host:8786"], "Leave out --jobs"),
         (["tedaldi", "--runs", "1"], "runs 1"),
+        (["tedaldi", "--scheduler", ""], "--scheduler is empty"),
     ],
 )
 def test_impossible_options_are_refused(arguments, word, capsys):
@@ -111,7 +121,7 @@ def test_impossible_options_are_refused(arguments, word, capsys):
 def test_an_interrupted_study_goes_on_and_ends_as_if_it_never_was(quick, capsys, tmp_path):
     assert main(["study", "quick", "-o", "whole"]) == 0
     whole = files(tmp_path / "whole")
-    assert set(whole) == {"study.html", "largest.csv"}
+    assert set(whole) == {"study.html", "largest.csv", JOURNAL}
     capsys.readouterr()
     quick.began.clear()
     quick.stop_at = 4
@@ -138,7 +148,62 @@ def test_more_runs_take_over_fewer_and_another_seed_none(quick, tmp_path):
     assert main(["study", "quick", "--runs", "8"]) == 0
     assert quick.began == [*seeds(0, 3), *seeds(1, 2), *seeds(0, 8)[3:]]
     assert (tmp_path / "gnomon-study-quick" / "largest.csv").read_text().count("\n") == 9
-    assert not (tmp_path / "gnomon-study-quick" / JOURNAL).exists()
+
+
+def test_a_finished_study_is_shown_again_from_its_journal_unless_something_changed(quick, tmp_path, monkeypatch):
+    folder = tmp_path / "gnomon-study-quick"
+    assert main(["study", "quick"]) == 0
+    first = files(folder)
+    quick.began.clear()
+    (folder / "study.html").unlink()
+    assert main(["study", "quick"]) == 0
+    assert quick.began == []
+    assert files(folder) == first
+    assert main(["study", "quick", "--runs", "7"]) == 0
+    assert quick.began == seeds(0, 7)[6:]
+    quick.began.clear()
+    monkeypatch.setattr("gnomon.cli.study_journal._sources", lambda: "changed")
+    assert main(["study", "quick"]) == 0
+    assert quick.began == seeds(0, 6)
+
+
+def test_what_few_runs_cannot_tell_is_neither_held_nor_failed(quick, capsys, tmp_path):
+    def claims(found):
+        least, most = scatter_bounds(found.runs, 0.15)
+        yield Claim(claim="alike", expected="about 1", found="1.5", holds=told(least < 1.5 < most, least, most))
+
+    quick.claims = claims
+    page = quick.page(Found(runs=6, seed=0, largest=[1.0]))
+    assert (page.verdict, page.headline) == ("warn", "0 of 1 claims hold; 1 cannot be told from so few runs.")
+    assert claims_table(claims(Found(runs=6, seed=0, largest=[]))).csv().endswith(",1.5,\n")
+    assert [claim.holds for runs in (6, 500) for claim in claims(Found(runs=runs, seed=0, largest=[]))] == [None, False]
+
+
+def test_claims_can_be_read_on_a_narrow_screen(quick):
+    html = render(quick.page(Found(runs=6, seed=0, largest=[1.0]))).decode()
+    assert '<th scope="row" data-head="Holds">no</th><td data-head="Claim">never</td>' in html
+    assert re.search(r"max-width: 520px.*\.stacked td::before \{ content: attr\(data-head\)", html, re.DOTALL)
+
+
+@pytest.mark.parametrize("name", list(STUDIES))
+def test_stages_are_those_of_the_study(name):
+    source = Path(inspect.getfile(STUDIES[name].load().carry_out)).read_text()
+    assert tuple(re.findall(r'carry_out\(.*name="([^"]+)"', source)) == STUDIES[name].stages
+
+
+def test_progress_says_which_stage_of_how_many(capsys, monkeypatch):
+    monkeypatch.setattr("gnomon.cli.study_count.time.monotonic", lambda: next(clock))
+    clock = iter(range(0, 4000, 10))
+    count = StudyCount(Terminal(as_json=False), ("run", "scan"))
+    for name in ("run", "scan"):
+        for done in (1, 2, 3):
+            count(name, done, 3)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[1].startswith("stage 1 of 2: run 2 of 3, ")
+    assert lines[1].endswith(" s of this stage left")
+    assert lines[4].startswith("stage 2 of 2: scan 2 of 3, ")
+    assert lines[4].endswith(" s left")
+    assert "of this stage" not in lines[4]
 
 
 def test_a_claim_that_fails_is_a_result_like_any_other(quick, capsys):

@@ -157,8 +157,24 @@ def test_runs_can_be_kept_in_a_journal():
 
 
 def test_claims_hold_where_document_b_is_true():
-    for claim in claims(drawn_study()):
+    for claim in claims(drawn_study(150)):  # as many as its large scatter of p_cb asks for
         assert claim.holds, claim
+
+
+def test_few_recordings_tell_little():
+    held = {claim.claim: claim.holds for claim in claims(drawn_study(6))}
+    assert False not in held.values()
+    too_few = [text for text, holds in held.items() if holds is None]
+    for word in ("mean lies", "Earth's rate", "each sigma", "by 2 to 4", "follows", "extended model"):
+        assert sum(word in text for text in too_few) == 1, word
+    for word in ("converge", "Change one", "same size"):
+        assert not any(word in text for text in too_few)
+    basic = drawn_study(6)
+    hidden = replace(basic.basic, outcomes=tuple(replace(o, error=0.05 * (-1) ** k + 0.1 * o.error)
+                                                 for k, o in enumerate(basic.basic.outcomes)))  # fmt: skip
+    samples = (*basic.samples[:3], hidden, *basic.samples[4:])
+    held = {claim.claim: claim.holds for claim in claims(replace(basic, samples=samples))}
+    assert [holds for text, holds in held.items() if "biases p_cb" in text] == [None]
 
 
 @pytest.mark.parametrize(

@@ -122,8 +122,11 @@ def test_letters_and_sigmas_of_document_a():
 
 
 def test_every_claim_holds_but_for_what_few_runs_can_tell(small):
-    for claim in claims(small):
-        assert claim.holds, claim
+    found = {claim.claim: claim.holds for claim in claims(small)}
+    assert [text for text, holds in found.items() if holds is False] == []
+    assert [text for text, holds in found.items() if holds is None] == [
+        "Gnomon's sigmas agree with the scatter, each of the 18 parameters"
+    ]
 
 
 def test_gnomon_is_nearer_to_the_truth_than_what_was_published(small):

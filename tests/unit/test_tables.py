@@ -8,6 +8,7 @@ import pytest
 from gnomon.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration, parameters
 from gnomon.errors import OptionError
 from gnomon.models.forms import TedaldiAccelerometer, inverse
+from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 from gnomon.writers import tables
 from gnomon.writers.tables import entries_with_sigmas, form_tables, summary_table, value_text
 
@@ -160,3 +161,21 @@ def test_summary(random_calibration):
     assert rows["static intervals used"] == "38 of 40"
     assert rows["gravity"] == "9.8100 ± 0.0030"
     assert "held-out rotations, rms" not in rows
+
+
+def test_the_truth_of_a_simulation_is_shown_without_sigmas_and_verdict():
+    truth = simulate_camera_imu(CameraImuScenario(duration_s=1.0, cameras=2, imus=2), 0).truth
+    summary, *others = summary_table(truth), *form_tables(truth, "krebs")
+    assert (summary.title, [row.name for row in summary.rows]) == ("truth of a simulation", ["body frame", "gravity"])
+    titles = [table.title.split(",")[0] for table in others]
+    assert titles == [
+        "imu0 accelerometer",
+        "imu0 gyroscope",
+        "imu1 accelerometer",
+        "imu1 gyroscope",
+        "imu1",
+        "cam0",
+        "cam1",
+    ]
+    for table in (summary, *others):
+        assert not any("fixed" in row.value or "±" in row.value for row in table.rows), table.title

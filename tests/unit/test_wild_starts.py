@@ -36,8 +36,8 @@ def test_the_only_coefficient_of_a_lens_is_called_as_its_block_is():
     assert set(lens_prior(start)) <= known
 
 
-def test_a_turn_about_one_axis_in_rare_frames_is_refused_in_words():
-    t_s = np.arange(20) / 3.0  # no frame has neighbours a tenth of a second away
+def test_a_turn_about_one_axis_in_few_frames_is_refused_in_words():
+    t_s = np.arange(10) / 3.0  # too few to tell accelerations
     R = rotation_from_rotvec(np.outer(np.sin(t_s), [0.0, 0.0, 1.0]))
     alignment = Alignment(
         time_shift_s=0.0,
@@ -46,7 +46,7 @@ def test_a_turn_about_one_axis_in_rare_frames_is_refused_in_words():
         rate_scale=1.0,
         score=1.0,
         axes=np.array([1.0, 0.0, 0.0]),
-        consistent=np.ones(20, dtype=bool),
+        consistent=np.ones(10, dtype=bool),
     )
     poses = _poses(t_s, R)
     stream = ImuStream(t_s=np.linspace(0, 7, 700), rate=np.zeros((700, 3)), force=np.zeros((700, 3)))

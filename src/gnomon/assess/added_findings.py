@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..estimate.camera_imu.layout import Layout
 from ..estimate.camera_imu.parameters import CameraParameters, Parameters
 from ..findings import Finding
 from ..recording import Floats
@@ -25,6 +26,28 @@ def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters)
         findings += [_lens(*pair) for pair in zip(start.cameras, found.cameras, strict=True)]
     if "board" in added and found.board is not None:
         findings.append(_board(found.board.offsets))
+    return findings
+
+
+def out_of_order(columns: Layout, found: Parameters) -> list[Finding]:
+    """Say where g-sensitivity is estimated and what matters more, scale and misalignment, is taken for ideal."""
+    findings: list[Finding] = []
+    for i, imu in enumerate(found.imus):
+        late, early = columns.get(f"imu{i}.B_g"), columns.get(f"imu{i}.S_g")
+        if late is None or early is None or not columns.free[late].any() or columns.free[early].any():
+            continue
+        if np.any(imu.S_g != 1):
+            continue  # somebody knows it
+        findings.append(
+            Finding(
+                severity="warning",
+                code="model-too-simple",
+                message=f"The g-sensitivity of imu{i} is estimated, and its gyroscope's scale is taken for ideal.",
+                consequence="Scale and misalignment, 1 % of the rate as a rule, pass for g-sensitivity and bias; "
+                "the stated sigmas do not hold that.",
+                cure=f"Estimate them, too: --model full, or --free imu{i}.S_g --free imu{i}.M_g.",
+            )
+        )
     return findings
 
 

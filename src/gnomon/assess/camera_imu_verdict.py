@@ -11,7 +11,7 @@ from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import CameraImuEvidence
 from .clock_drift import check_drift
 from .rig_precision import precision_findings
-from .rig_residuals import residual_findings
+from .rig_residuals import cut_findings, residual_findings
 from .verdict import gravity_findings, verdict_of, worst_first
 from .weak_findings import PLACES_AND_CLOCKS, weak_findings
 
@@ -58,7 +58,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *_noise(diagnostics),
         *residual_findings(diagnostics),
         *_clocks(evidence),
-        *_trajectory(diagnostics),
+        *cut_findings(diagnostics.segments, tuple(evidence.published.imus)),
         *gravity_findings(evidence.gravity),
     ]
     ordered = worst_first(findings)
@@ -102,11 +102,12 @@ def _graded(value: float, warn: float, fail: float) -> str | None:
 def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
     if evidence.solution.converged:
         return []
+    accepted = sum(step.accepted for step in evidence.solution.iterations)
     return [
         Finding(
             severity="problem",
             code="not-converged",
-            message=f"The batch estimation did not come to rest within {sum(i.accepted for i in evidence.solution.iterations)} iterations.",
+            message=f"The batch estimation did not come to rest within {accepted} iterations.",
             consequence="Its parameters are not a minimum.",
             cure="Check the target's size, the intrinsics and the units of the IMU; move about all three axes.",
         )
@@ -286,10 +287,7 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
 
 
 def _model(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
-    """Say that the IMU has errors which the chosen model does not have.
-
-    They show by the step that a held block would take, or by what it foretells of clusters of time that were left out.
-    """
+    """Say that the IMU has errors beyond its model: a held block would take a step, or foretells time left out."""
     wanting: list[str] = []
     for name, held in evidence.uncertainty.held.items():
         if name.startswith("imu") and np.any(np.abs(held.wanted) > _MODEL_SIGNIFICANT * held.wanted_sigma):
@@ -385,18 +383,4 @@ def _clocks(evidence: CameraImuEvidence) -> list[Finding]:
         finding
         for look, entry in zip(evidence.looks, entries, strict=True)
         for finding in check_drift(look.name, look.poses, stream, entry.time_shift_s, imu)
-    ]
-
-
-def _trajectory(diagnostics: CameraImuDiagnostics) -> list[Finding]:
-    if diagnostics.segments == 1:
-        return []
-    return [
-        Finding(
-            severity="info",
-            code="trajectory-cut",
-            message=f"The trajectory was cut into {diagnostics.segments} pieces, at gaps of the IMU or where it turned "
-            "by more than a full turn.",
-            consequence="Nothing is lost but the little that a piece's ends tell.",
-        )
     ]

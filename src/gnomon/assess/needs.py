@@ -13,6 +13,7 @@ from ..trust import Need
 from .directions import Kind, Part, amount, cure, one_direction, parts, relative
 from .observability import LIMITS
 from .verdict import graded, verdict_of, worst_first
+from .weak_findings import PLACES_AND_CLOCKS
 
 _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
 """Findings of the general verdict on standard deviations, in whose place those on a stated use stand."""
@@ -26,6 +27,8 @@ _KINDS: dict[str, Kind] = {
     "camera_rotation": "rotation",
     "camera_translation": "translation",
     "time_shift": "time_shift",
+    "imu_rotation": "rotation",
+    "imu_translation": "translation",
     "gyroscope_scale": "gyroscope",
     "gyroscope_misalignment": "gyroscope",
     "gyroscope_g_sensitivity": "g_sensitivity",
@@ -41,7 +44,9 @@ _FOLLOWED = "It follows from:"
 _PREFIXES = {
     "camera_rotation": ("{}.T_cam_imu.rotation",),
     "camera_translation": ("{}.T_cam_imu.translation",),
-    "time_shift": ("{}.time_shift_cam_imu",),
+    "time_shift": ("{}.time_shift_cam_imu", "{}.time_shift_imu", "{}.time_shift"),
+    "imu_rotation": ("{}.T_imu_body.rotation",),
+    "imu_translation": ("{}.T_imu_body.translation",),
     "gyroscope_scale": ("{}.gyroscope.sensitivity", "{}.S_g"),
     "gyroscope_misalignment": ("{}.gyroscope.sensitivity", "{}.M_g", "{}.q_bg"),
     "gyroscope_bias": ("{}.gyroscope.bias",),
@@ -74,7 +79,10 @@ class Offer:
     @property
     def words(self) -> str:
         """What it is, for people."""
-        return QUANTITIES[self.quantity].words.format(sensor=self.sensor)
+        words = QUANTITIES[self.quantity].words
+        if "{sensor}" in words or self.sensor == "imu0":
+            return words.format(sensor=self.sensor)
+        return f"{words} of {self.sensor}"
 
 
 def offers(calibration: Calibration) -> Iterator[Offer]:
@@ -84,7 +92,9 @@ def offers(calibration: Calibration) -> Iterator[Offer]:
     """
     found = relative(calibration.imus, calibration.cameras, calibration.uncertainty.matrix)
     column = {name: i for i, name in enumerate(found.names)}
+    placed = {name: imu.T_imu_body for name, imu in calibration.imus.items() if imu.T_imu_body is not None}
     turns = {name: camera.T_cam_imu[:3, :3] for name, camera in calibration.cameras.items()}
+    turns |= {name: T[:3, :3] for name, T in placed.items()}
     known = {(part.sensor, part.kind): part for part in parts(found.names, found.covariance, turns)}
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
 
@@ -105,6 +115,10 @@ def offers(calibration: Calibration) -> Iterator[Offer]:
         yield offer("camera_rotation", name, largest([f"{name}.T_cam_imu.rotation[{k}]" for k in range(3)]))
         yield offer("camera_translation", name, largest([f"{name}.T_cam_imu.translation[{k}]" for k in range(3)]))
         yield offer("time_shift", name, largest([f"{name}.time_shift_cam_imu"]))
+    for name in placed:
+        yield offer("imu_rotation", name, largest([f"{name}.T_imu_body.rotation[{k}]" for k in range(3)]))
+        yield offer("imu_translation", name, largest([f"{name}.T_imu_body.translation[{k}]" for k in range(3)]))
+        yield offer("time_shift", name, largest([f"{name}.time_shift_imu"]))
     for name, imu in calibration.imus.items():
         for triad in ("gyroscope", "accelerometer"):
             sensor = getattr(imu, triad)
@@ -331,7 +345,7 @@ def _general(calibration: Calibration) -> Assessment:
     if not assessment.trust.use:
         return assessment
     held = assessment.held_by_prior
-    vital = not calibration.cameras or any(".T_cam_imu" in name or name.endswith("time_shift_cam_imu") for name in held)
+    vital = not calibration.cameras or any(part in name for name in held for part in PLACES_AND_CLOCKS)
     kept = [
         _regraded(finding, "problem" if vital else "warning")
         for finding in assessment.findings

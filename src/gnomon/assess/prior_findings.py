@@ -42,10 +42,6 @@ def cameras_disagree(
 ) -> list[Finding]:
     """Return whether a recording contradicts what was known of its cameras, which the estimate rests on, too.
 
-    In coordinates in which the prior's covariance is I and the recording's information diagonal, lambda, the estimate
-    differs from the prior by w, and the recording alone would by w (1 + 1 / lambda), with the variance 1 + f / lambda
-    where f is by how much its errors are larger than independent ones.
-
     Parameters
     ----------
     names : (n,) scalars
@@ -53,19 +49,8 @@ def cameras_disagree(
     prior : (n, n) covariance of the prior
     ordinary, covariance : (n, n) of the estimate, for independent errors and as it is published
     """
-    root = np.linalg.cholesky(prior)
-    left = np.linalg.inv(root)
-    kept, axes = np.linalg.eigh(left @ ordinary @ left.T)  # 1 / (1 + lambda)
-    told = kept < 1 / (1 + _TELLS)
-    if not told.any():
-        return []
-    information = 1 / np.maximum(kept[told], 1e-12) - 1
-    white = axes[:, told].T @ left
-    wider = np.maximum(np.einsum("ij,jk,ik->i", white, covariance, white) / kept[told], 1.0)
-    by_recording = (white @ difference) ** 2 * (1 + 1 / information) ** 2
-    chi2 = float(np.sum(by_recording / (1 + wider / information)))
-    degrees = int(told.sum())
-    if chi2 <= _limit(degrees):
+    chi2, degrees = _pulled(difference, prior, ordinary, covariance)
+    if not degrees or chi2 <= _limit(degrees):
         return []
     worst = int(np.argmax(np.abs(difference) / np.sqrt(np.diag(prior))))
     return [
@@ -79,6 +64,59 @@ def cameras_disagree(
             "or image size may have changed since, or the board's stated size may be another one.",
         )
     ]
+
+
+def pulled_findings(known: Evidence, values: Floats, covariance: Floats) -> list[Finding]:
+    """Return what was taken from elsewhere, and whether an estimate that rests on it too contradicts it.
+
+    So do recordings that determine nothing on their own.
+
+    Parameters
+    ----------
+    values, covariance : as for `prior_findings`, of the estimate from both
+    """
+    findings = prior_used(known)
+    for part in known.known:
+        if part.own_frame or part.index.min() >= len(values):
+            continue
+        shown = part.index < len(values)
+        index = part.index[shown]
+        estimated = covariance[np.ix_(index, index)]
+        difference = values[index] - part.mean[shown]
+        prior = np.asarray(np.linalg.inv(part.precision)[np.ix_(shown, shown)], dtype=np.float64)
+        chi2, degrees = _pulled(difference, prior, estimated, estimated)
+        if degrees and chi2 > _limit(degrees):
+            worst = NAMES[int(index[np.argmax(np.abs(difference) / np.sqrt(np.diag(prior)))])]
+            findings.append(
+                Finding(
+                    severity="warning",
+                    code="prior-disagrees",
+                    message=f"The recording contradicts what was stated beforehand: chi squared {chi2:.0f} for "
+                    f"{degrees} directions, most of all in {worst}.",
+                    consequence="It has too few attitudes to determine the sensor without it, and the result is wrong.",
+                    cure="Record 18 or more attitudes, or state what is known of this sensor with sigmas that hold.",
+                )
+            )
+    return findings
+
+
+def _pulled(difference: Floats, prior: Floats, ordinary: Floats, covariance: Floats) -> tuple[float, int]:
+    """Return chi squared of recording minus prior, from an estimate that both made, and its degrees of freedom.
+
+    In coordinates in which the prior's covariance is I and the recording's information diagonal, lambda, the estimate
+    differs from the prior by w, and the recording alone would by w (1 + 1 / lambda), with the variance 1 + f / lambda
+    where f is by how much its errors are larger than independent ones.
+    """
+    left = np.linalg.inv(np.linalg.cholesky(prior))
+    kept, axes = np.linalg.eigh(left @ ordinary @ left.T)  # 1 / (1 + lambda)
+    told = kept < 1 / (1 + _TELLS)
+    if not told.any():
+        return 0.0, 0
+    information = 1 / np.maximum(kept[told], 1e-12) - 1
+    white = axes[:, told].T @ left
+    wider = np.maximum(np.einsum("ij,jk,ik->i", white, covariance, white) / kept[told], 1.0)
+    by_recording = (white @ difference) ** 2 * (1 + 1 / information) ** 2
+    return float(np.sum(by_recording / (1 + wider / information))), int(told.sum())
 
 
 def prior_used(known: Evidence) -> list[Finding]:

@@ -22,7 +22,7 @@ from ..recording import Floats
 
 _STEP_S = 0.1
 _TURN_S = 0.1
-_FEWEST = 60
+_FEWEST, _FEWEST_TURNS = 60, 25
 _ROUNDS, _ROBUST = 3, 3.5
 _SEARCH_S, _TRIALS = 0.04, 17
 _WINDOW = 21
@@ -62,7 +62,7 @@ def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) ->
     start, stop = poses.t_s[first] + time_shift_s, poses.t_s[second] + time_shift_s
     inside = (start >= stream.t_s[0]) & (stop <= stream.t_s[-1])
     first, second, start, stop = first[inside], second[inside], start[inside], stop[inside]
-    if len(first) < _FEWEST:
+    if len(first) < _FEWEST_TURNS:
         return None
     length = (stop - start)[:, None]
     between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[second], 1, 2)

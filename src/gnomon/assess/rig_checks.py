@@ -24,6 +24,7 @@ from .rig_frames import FrameTimes, frame_times
 from .rig_lens import check_lens
 
 _EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
+_MIRRORED = 2.0  # times as much as a mirror leaves, what a rotation leaves
 _NEAR = 0.3  # of an entry of the relative axes from -1, 0 or 1
 _DELAY_S, _SIGMAS = 3e-3, 5.0
 _CERTAIN_S, _LATE_S, _LATE_SIGMAS = 3e-3, 4e-3, 5.0
@@ -45,7 +46,7 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
     findings = _beside(first, samples, recording.cameras, target)
     guide = dict(list(recording.cameras.items())[:1])
     for name, samples in others:
-        found = _beside(name, samples, guide, target)
+        found = _beside(name, samples, guide, target, lens=False)
         findings += [about(name, finding) for finding in found if finding.code in _OF_AN_IMU]
     return causes_first(findings)
 
@@ -61,7 +62,9 @@ def about(imu: str, finding: Finding) -> Finding:
     return finding if imu in finding.message else replace(finding, message=f"{imu}: {finding.message}")
 
 
-def _beside(imu: str, samples: ImuSamples, cameras: Mapping[str, CameraFrames], target: Target) -> list[Finding]:
+def _beside(
+    imu: str, samples: ImuSamples, cameras: Mapping[str, CameraFrames], target: Target, *, lens: bool = True
+) -> list[Finding]:
     """Return what cameras and an IMU say of each other."""
     stream, clipped = _stream(samples)
     if stream is None:
@@ -76,7 +79,8 @@ def _beside(imu: str, samples: ImuSamples, cameras: Mapping[str, CameraFrames], 
         except InitialisationError as error:
             findings.append(Finding(severity="problem", code="not-aligned", message=str(error)))
             continue
-        findings += check_look(name, poses, alignment, frames.camera, target, stream=stream, imu=imu, unusable=clipped)
+        camera = frames.camera if lens else None
+        findings += check_look(name, poses, alignment, camera, target, stream=stream, imu=imu, unusable=clipped)
         findings += look_at_drift(name, poses, stream, alignment.time_shift_s, imu)
     return findings
 
@@ -101,7 +105,7 @@ def check_look(
     name: str,
     poses: BoardPoses,
     alignment: Alignment,
-    camera: Camera,
+    camera: Camera | None,
     target: Target,
     *,
     stream: ImuStream,
@@ -115,7 +119,8 @@ def check_look(
 
     Parameters
     ----------
-    name, poses, alignment, camera : of the camera
+    name, poses, alignment : of the camera
+    camera : its lens, None where that was looked at beside another IMU already
     target : the board
     stream, imu : readings of the IMU, and its name
     unusable : (n,) readings of the gyroscope that are clipped
@@ -123,14 +128,14 @@ def check_look(
     shift = alignment.time_shift_s
     certain = poses.scatter_px < _SCATTERED * float(np.nanmedian(poses.scatter_px))
     certain &= np.diff(poses.exposures.start) >= _CORNERS
-    findings = check_lens(name, poses, camera, target, certain)
+    findings = [] if camera is None else check_lens(name, poses, camera, target, certain)
     poses = poses.where(certain)
     gyroscope = gyroscope_axes(poses, stream, shift)
     if gyroscope is None:
         return findings
     findings += _slow(name, alignment)
     accelerometer = accelerometer_axes(poses, stream, shift)
-    findings = [*_axes(name, gyroscope, accelerometer), *findings]
+    findings = [*(_axes(name, gyroscope, accelerometer) or _hand(name, gyroscope, alignment)), *findings]
     if gyroscope.explained < _GYRO_EXPLAINED or gyroscope.hand == 0:
         return findings
     times = frame_times(poses, stream, shift, gyroscope, unusable)
@@ -185,6 +190,24 @@ def _axes(name: str, gyroscope: AxesFit, accelerometer: AxesFit | None) -> list[
             message=f"{found.message} {which}".rstrip(),
             consequence="No rotation between camera and IMU fits both sensors.",
             cure=found.cure,
+        )
+    ]
+
+
+def _hand(name: str, gyroscope: AxesFit, alignment: Alignment) -> list[Finding]:
+    """Say that the gyroscope's axes are left-handed: with a mirror it reads what the camera saw, by no rotation."""
+    left, by_rotation = 1 - gyroscope.explained, 1 - alignment.score
+    if gyroscope.hand >= 0 or left > 1 - _GYRO_EXPLAINED or by_rotation < max(_MIRRORED * left, 1 - _EXPLAINED):
+        return []
+    return [
+        Finding(
+            severity="problem",
+            code="axes-mirrored",
+            message=f"The gyroscope reads the mirror image of the rotation that {name} saw: no rotation explains more "
+            f"than {100 * alignment.score:.0f} % of it, a mirror {100 * gyroscope.explained:.0f} %.",
+            consequence="No pose between camera and IMU fits.",
+            cure="Check the order of the columns (--columns) and the signs of both sensors: one axis has the wrong "
+            "sign, or two columns are exchanged.",
         )
     ]
 

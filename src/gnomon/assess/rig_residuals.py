@@ -1,4 +1,6 @@
-"""What the residuals of a camera-IMU estimation say of single faults: wrong corners, a bias that ran away."""
+"""What a camera-IMU estimation says of single faults: wrong corners, a bias that ran away, a trajectory in pieces."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -62,5 +64,28 @@ def _drift(name: str, track: BiasTrack) -> list[Finding]:
             consequence="The drift is followed, and the published bias is its mean; it will be another one tomorrow.",
             cure="Let the sensor warm up for ten minutes before you record, or state a larger gyroscope_random_walk in "
             "imu.yaml.",
+        )
+    ]
+
+
+def cut_findings(segments: int, imus: Sequence[str]) -> list[Finding]:
+    """Say that the trajectory has several pieces, and what that costs where there are several IMUs.
+
+    Code: trajectory-cut.
+    """
+    if segments == 1:
+        return []
+    first, *others = imus
+    lost = (
+        f"In a gap of {first} neither frames nor the samples of {', '.join(others)} are used; apart from that nothing"
+    )
+    return [
+        Finding(
+            severity="info",
+            code="trajectory-cut",
+            message=f"The trajectory was cut into {segments} pieces, at gaps of "
+            f"{first if others else 'the IMU'} or where it turned by more than a full turn.",
+            consequence=f"{lost if others else 'Nothing'} is lost but the little that a piece's ends tell.",
+            cure=f"If it is {first} that lost samples, let another one be the first IMU." if others else "",
         )
     ]

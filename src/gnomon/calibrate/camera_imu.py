@@ -9,7 +9,7 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.added_findings import added_findings
+from ..assess.added_findings import added_findings, out_of_order
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
 from ..assess.likely_missing import likely_missing
@@ -18,6 +18,7 @@ from ..assess.trust_findings import incomplete, model_incomplete, parts_disagree
 from ..assess.weak_findings import camera_imu_weak
 from ..calibration import Calibration, Covariance, Provenance, covariance_names
 from ..diagnostics import Result
+from ..errors import InitialisationError
 from ..estimate.camera_imu.first_guess import imu_stream, looks
 from ..estimate.camera_imu.other_imus import aligned_beside
 from ..estimate.camera_imu.publish import published
@@ -30,7 +31,7 @@ from ..recording import Recording
 from .board_order import numbered_alike
 from .camera_imu_estimation import Rig, basic_model, estimated
 from .camera_imu_model import chosen_model, considered
-from .camera_imu_preparation import prepare_camera_imu, with_looks
+from .camera_imu_preparation import prepare_camera_imu, suspected, with_looks
 from .camera_imu_prior import cameras_moved, evidence_of_imu, known_imu
 from .camera_imu_shutter import LINE_DELAY, shutters_estimated, with_line_delays
 from .preparation import local_gravity, stated_options
@@ -86,7 +87,10 @@ def _calibrated(
     recording = replace(recording, cameras=cameras)
     used = [finding for one in known for finding in prior_used(one)]
     prepared = replace(prepared, findings=(*prepared.findings, *used, *ends))
-    found = looks(recording.cameras, target, prepared.origin_ns, streams[0])
+    try:
+        found = looks(recording.cameras, target, prepared.origin_ns, streams[0])
+    except InitialisationError as error:
+        raise InitialisationError(f"{error}{suspected(prepared.findings)}") from error
     beside = aligned_beside(found, streams, list(recording.imus.items()), prepared.epochs_s)
     prepared = with_looks(prepared, found, target, streams, beside)
     stated = options
@@ -121,6 +125,7 @@ def _calibrated(
     doubts = (
         *cameras_moved(solution, certain),
         *took_up,
+        *out_of_order(solution.layout, solution.state.parameters),
         *model_incomplete(trust, likely),
         *parts_disagree(trust.splits),
     )

@@ -10,6 +10,7 @@ from ..estimate.camera_imu.accelerometer_delay import accelerometer_delay
 from ..estimate.camera_imu.batch import Measurements, State
 from ..estimate.camera_imu.choices import choices, lens_prior
 from ..estimate.camera_imu.first_guess import ImuStream, Look, first_parameters, first_state, per_corner
+from ..estimate.camera_imu.first_place import first_place
 from ..estimate.camera_imu.inertial_data import InertialData, apart, triads, well_inside
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
 from ..estimate.camera_imu.knots import knots_per_s
@@ -102,7 +103,14 @@ def _first_parameters(
         imu = replace(errors or ImuParameters.ideal(), apart=apart_stamps, epoch_s=prepared.epochs_s[i])
         imu = first_imu(rig.beside[i - 1], imu) if i else imu
         imus.append(replace(imu, accelerometer_shift_s=_delay(rig, i) if imu.apart else 0.0))
-    parameters = first_parameters(rig.looks, gravity.value, options, imus)
+    places = [
+        first_place(look.alignment, look.poses, rig.streams[0], imus[0].accelerometer_shift_s)
+        for look in rig.looks
+        if look.alignment.score
+    ]
+    parameters = first_parameters(
+        rig.looks, gravity.value, options, imus, places if len(places) == len(rig.looks) else ()
+    )
     if len(imus) > 1:
         status = choices(parameters, options).status
         recorded = rig.recording.imus.values()

@@ -23,6 +23,10 @@ from ..recording import Recording, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _CONTRADICTIONS = {"axes-differ", "axes-mirrored"}
+_OF_ONE_IMU = "triads-apart"  # of all that is noticed beside an IMU, what the others do not share
+_SUSPECTS = ("saturation", "rate-magnitude", "board-small", "corners-few", "gaps", "frame-rate", "frames-few")
+"""What keeps camera and gyroscope from showing the same rotation, the surest first."""
+
 _FEW_CODES = {"frames-few", "corners-few", "stream-short"}
 
 
@@ -98,6 +102,12 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     return PreparedCameraImu(inertial=tuple(inertial), imus=tuple(imus), findings=tuple(findings))
 
 
+def suspected(findings: Sequence[Finding]) -> str:
+    """Return, as a sentence, what was noticed that most likely keeps the same rotation from being seen; or nothing."""
+    found = [one.message for code in _SUSPECTS for one in findings if one.code == code and one.severity == "warning"]
+    return f" Noticed: {found[0]}" if found else ""
+
+
 def with_looks(
     prepared: PreparedCameraImu,
     found: Sequence[Look],
@@ -119,7 +129,7 @@ def with_looks(
     for number, one in enumerate(beside, 1):
         look = replace(one.look, alignment=one.alignment)
         own = _looked(prepared, look, target, streams[number], number)
-        findings += [about(one.name, finding) for finding in own if finding.code not in known]
+        findings += [about(one.name, found) for found in own if found.code not in known or found.code == _OF_ONE_IMU]
     for finding in findings:
         if finding.code in _CONTRADICTIONS:
             raise RecordingError(str(finding))
@@ -135,7 +145,7 @@ def _looked(prepared: PreparedCameraImu, look: Look, target: Target, stream: Imu
         look.name,
         look.poses,
         look.alignment,
-        look.frames.camera,
+        None if number else look.frames.camera,
         target,
         stream=stream,
         imu=prepared.imus[number].name,

@@ -124,7 +124,7 @@ def _planned_problem(
             rate_hz=plan.rate_hz,
             density=np.full(3, density**2),
             density_in_motion=np.full(3, density**2),
-            rounding=np.zeros(3),
+            rounding=np.zeros((len(still), 3)),
             intervals=still,
         )
 

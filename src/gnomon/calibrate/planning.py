@@ -44,12 +44,14 @@ class PlannedHardware:
     target : the board
     noise : of the IMU
     imu_rate_hz : its sample rate [Hz]
+    others : names of IMUs beside the first one, which are not planned
     """
 
     cameras: Mapping[str, CameraCalibration]
     target: Target
     noise: ImuNoise
     imu_rate_hz: float
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +99,7 @@ def read_hardware(
     ----------
     cam : camchain.yaml, calibration.yaml, or what else describes cameras
     target : target.yaml
-    imu : imu.yaml
+    imu : imu.yaml, of which the first IMU is planned
 
     Raises
     ------
@@ -116,15 +118,17 @@ def read_hardware(
             )
             for name, found in read_cameras(cam).items()
         }
-    noise, rate_hz = CONSUMER_MEMS, None
+    noise, rate_hz, others = CONSUMER_MEMS, None, ()
     if imu is not None:
-        stated = next(iter(read_imus(imu).values()))
-        noise, rate_hz = stated.noise, stated.update_rate_hz
+        imus = read_imus(imu)
+        first, *others = imus
+        noise, rate_hz = imus[first].noise, imus[first].update_rate_hz
     return PlannedHardware(
         cameras=cameras,
         target=usual.target if target is None else read_target(target),
         noise=noise,
         imu_rate_hz=rate_hz or _USUAL_RATE_HZ,
+        others=tuple(others),
     )
 
 

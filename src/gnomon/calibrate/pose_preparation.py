@@ -118,7 +118,8 @@ def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
     name, samples = next(iter(recording.imus.items()))
     findings = (*check(replace(recording, imus={name: samples})), *map(assumed, recording.assumptions))
     refuse(findings, tolerated=TOLERATED)
-    accelerometer, gyroscope = repaired(samples.accelerometer), repaired(samples.gyroscope)
+    counted = options.time_base == "uniform"
+    accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
     origin = int(accelerometer.t_ns[0])
     t_s = time_base(accelerometer, origin, options.time_base).t_s
     t_gyro = time_base(gyroscope, origin, options.time_base).t_s if len(gyroscope) else np.empty(0)

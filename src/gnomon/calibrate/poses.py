@@ -10,7 +10,7 @@ import numpy as np
 from .._version import __version__
 from ..assess.pose_tables import PoseEvidence, RestingGyroscope, describe_poses
 from ..assess.poses_verdict import assess_poses
-from ..assess.prior_findings import prior_findings, prior_used
+from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
 from ..calibration import (
     AccelerometerCalibration,
     Calibration,
@@ -136,7 +136,7 @@ def calibrate_poses(
         stop_s=prepared.stop_s,
         noise_variance=prepared.variance,
         left_out=prepared.left_out,
-        noticed=(*prepared.findings, *_agreement(prepared, gravity, known, attitudes, options)),
+        noticed=(*prepared.findings, *_agreement(prepared, fit, known, attitudes, gravity=gravity, options=options)),
         attitudes=attitudes,
         fit=fit,
         stated=stated,
@@ -239,11 +239,16 @@ def _fit_accelerometer(
 
 
 def _agreement(
-    prepared: PreparedPoses, gravity: Gravity, known: Evidence, attitudes: int, options: ImuOptions
+    prepared: PreparedPoses, fit: TriadFit, known: Evidence, attitudes: int, *, gravity: Gravity, options: ImuOptions
 ) -> list[Finding]:
     """Say what was known beforehand and, where the poses determine the sensors alone, whether they agree."""
-    if not known or attitudes < _FEWEST_DETERMINED or prepared.poses.specific_force is not None:
+    if not known or prepared.poses.specific_force is not None:
         return prior_used(known)
+    if attitudes < _FEWEST_DETERMINED:
+        sensor, covariance = _sensor(fit, prepared.poses, None)
+        return pulled_findings(
+            known, np.concatenate([value.ravel() for _, value in parameters({"": sensor})]), covariance
+        )
     try:
         alone, _ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
         gyroscope, _ = _gyroscope(prepared, alone, NOTHING, gravity, options)

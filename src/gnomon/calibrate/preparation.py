@@ -116,11 +116,13 @@ def turns_at_rest(
 
 
 def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:
-    accelerometer, gyroscope = repaired(samples.accelerometer), repaired(samples.gyroscope)
+    counted = options.time_base == "uniform"
+    accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
     origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
     accelerometer_time = time_base(accelerometer, origin, options.time_base)
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
     gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
+    findings += tuple(uniform_despite_gaps(accelerometer_time, gyroscope_time))
     return PreparedImu(
         accelerometer=accelerometer,
         gyroscope=gyroscope,
@@ -130,6 +132,24 @@ def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: I
         gyroscope_saturated=saturated(gyroscope, options.gyroscope_range),
         findings=findings,
     )
+
+
+def uniform_despite_gaps(accelerometer: TimeBase, gyroscope: TimeBase) -> list[Finding]:
+    """Warn where a uniform time base was stated although the stamps show that samples are missing."""
+    missing, longest = max((base.missing, len(base.t_s)) for base in (accelerometer, gyroscope))
+    if not missing:
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="time-base-stated",
+            message=f"A uniform time base is stated, but between the stamps of {longest} samples {missing} more are "
+            "missing.",
+            consequence="Rotations take too short, or too long a time: the gyroscope's scales and axes may be off by "
+            "more than their sigmas.",
+            cure="Leave the time base to the evidence (--time-base auto), or use the stamps.",
+        )
+    ]
 
 
 def local_gravity(options: ImuOptions | CameraImuOptions | TurntableOptions) -> Gravity:

@@ -7,9 +7,10 @@ import sys
 from collections.abc import Sequence
 
 from ..errors import GnomonError, OptionError
+from ..findings import printable
 from .commands import Command
 from .parse import parse
-from .terminal import Terminal, printable
+from .terminal import Terminal
 
 USAGE, BAD_INPUT, BUG, INTERRUPTED = 2, 3, 1, 130
 """Exit codes of work that was not finished; those of finished work are in `actions`."""

@@ -186,8 +186,9 @@ class Convert:
     paths: Annotated[
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
     ]
-    """A calibration.yaml, or files of another project that make one calibration, such as Kalibr's camchain-imucam.yaml
-    and imu.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a video."""
+    """A calibration.yaml or the folder of a result, or files of another project that make one calibration, such as
+    Kalibr's camchain-imucam.yaml and imu.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a
+    video."""
     to: CalibrationForm | RecordingForm
     """The format: imu_tk, kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis, px4, ardupilot, ros2 (static
     transforms, camera_info), imucal, c-header, json or csv of a calibration; euroc, ros1, ros2 (SQLite) or mcap of a

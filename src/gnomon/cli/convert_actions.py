@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast, get_args
 
 from ..errors import GnomonError, OptionError, OutputError
+from ..findings import listed
 from . import commands
+from .places import check_folder
 from .results import USABLE, say_assumptions
 from .terminal import Terminal
 from .topics import topics_of
@@ -24,9 +26,21 @@ _NOISE_FILES = ("imu.yaml", "noise.yaml")
 def convert(command: commands.Convert, terminal: Terminal) -> int:
     """Write the calibration or the recording in another format, and return the exit code."""
     of_recordings, of_calibrations = get_args(commands.RecordingForm), get_args(commands.CalibrationForm)
+    command = _of_result(command) if command.to in of_calibrations else command
     if command.to in of_recordings and (command.to not in of_calibrations or not _is_text(command.path)):
         return _convert_recording(command, terminal)
     return _convert_calibration(command, terminal)
+
+
+def _of_result(command: commands.Convert) -> commands.Convert:
+    """Return the command with the calibration of a result's folder in place of the folder, unless images are in it."""
+    from ..readers.images.image_recording import holds_images
+    from ..readers.own.own_root import calibration_at
+
+    inside = Path(calibration_at(command.path))
+    if inside == command.path or holds_images(command.path):
+        return command
+    return replace(command, paths=(inside, *command.paths[1:]))
 
 
 def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
@@ -45,6 +59,7 @@ def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
         notes = list(calibration.notes)
     imu, said = _noise(command)
     folder = command.output or command.path.parent / command.to
+    check_folder(folder)
     paths = [folder / name for name in exported(calibration, command.to, imu=imu).files]
     _spare_inputs(command, paths)
     losses = write(calibration, command.to, folder, imu=imu)
@@ -73,7 +88,7 @@ def _noise(command: commands.Convert) -> tuple["Mapping[str, StatedImu] | None",
 
     if command.imu is not None:
         if command.to not in WITH_NOISE:
-            raise OptionError(f"--imu: {command.to} has no place for noise. Those that have are {_listed(WITH_NOISE)}.")
+            raise OptionError(f"--imu: {command.to} has no place for noise. Those that have are {listed(WITH_NOISE)}.")
         return stated_imus(command.imu), []
     if command.to not in WITH_NOISE:
         return None, []
@@ -165,8 +180,8 @@ def _refuse_recording(command: commands.Convert) -> None:
     if command.path.is_dir() or (not _is_calibration(command.path) and holds_images(command.path)):
         raise OptionError(
             f"{command.path}: this is {'a folder' if command.path.is_dir() else 'a recording'}, and {command.to} is a "
-            f"format of calibrations. Recordings are written --to {_listed(get_args(commands.RecordingForm))}; of a "
-            "result, give its calibration.yaml."
+            f"format of calibrations. Recordings are written --to {listed(get_args(commands.RecordingForm))}; of a "
+            "result, give its folder or the calibration.yaml in it."
         )
     if command.topics or command.units or command.imu_table:
         raise OptionError(f"topics, units and imu-table are of recordings; {command.to} is a format of calibrations.")
@@ -177,7 +192,7 @@ def _refuse_calibration(command: commands.Convert) -> None:
     if _is_calibration(command.path):
         raise OptionError(
             f"{command.path}: this is a calibration, and {command.to} is a format of recordings. Calibrations are "
-            f"written --to {_listed(get_args(commands.CalibrationForm))}."
+            f"written --to {listed(get_args(commands.CalibrationForm))}."
         )
     if len(command.paths) > 1:
         raise OptionError(f"{command.paths[1]}: of recordings one at a time is converted.")
@@ -199,7 +214,3 @@ def _is_text(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         return b"\0" not in file.read(_HEAD)
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return f"{', '.join(names[:-1])} or {names[-1]}"

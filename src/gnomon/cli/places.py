@@ -19,6 +19,9 @@ CAMERA_FILES = (*RESULT_FILES, "camchain.yaml", "results-cam.txt")
 CAMERA_IMU_FILES = (*RESULT_FILES, "trajectory.txt", "camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
 """The same of a camera-IMU calibration; the last three are Kalibr's."""
 
+_FILES = (".yaml", ".yml", ".json", ".html", ".csv", ".txt", ".npz", ".pdf", ".zip")
+"""Endings that nobody gives to a folder."""
+
 
 def default_folder(paths: tuple[Path, ...]) -> Path:
     """Return the folder for the result of a recording: its name with -gnomon, beside it.
@@ -52,8 +55,36 @@ def _common_start(names: list[str]) -> str:
 
 
 def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> AbstractContextManager[Path]:
-    """Give an empty folder to write a result into, which is moved to `folder` at the end; see `files_together`."""
+    """Give an empty folder to write a result into, which is moved to `folder` at the end; see `files_together`.
+
+    Raises
+    ------
+    OutputError
+        If a file is where the folder should be, besides what `files_together` raises.
+    """
+    check_folder(folder)
     return files_together(folder, own)
+
+
+def check_folder(folder: Path) -> None:
+    """Check that files can go into a folder of this name.
+
+    Raises
+    ------
+    OutputError
+        If there is a file of its name, or of that of a folder around it, or the name is new and one of a file.
+    """
+    there = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    if there.exists() and not there.is_dir():
+        raise OutputError(
+            f"{there}: this is a file, and several files are written here, which need a folder. Name a folder with -o; "
+            "it is made where there is none."
+        )
+    if not folder.exists() and folder.suffix.lower() in _FILES:
+        raise OutputError(
+            f"{folder}: several files are written here, which need a folder, and this is the name of a file. Name a "
+            f"folder with -o, such as {folder.with_suffix('')}."
+        )
 
 
 def finish_moves(command: object) -> None:

@@ -4,11 +4,13 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from . import plan_command
-from .results import UNUSABLE, USABLE
+from .results import UNUSABLE, USABLE, say_assumptions
 from .terminal import Terminal
 from .use_option import read_use_option
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ..calibrate.planning import PlanResult
 
 _VERDICTS = {
@@ -28,11 +30,18 @@ def plan(command: plan_command.Plan | plan_command.PlanImu, terminal: Terminal) 
         hardware = read_hardware(command.cam, command.target, command.imu)
     else:
         hardware = read_hardware(imu=command.imu)
+    assumptions = _unplanned(command.imu, hardware.others)
+    say_assumptions(assumptions, terminal)
     result = predicted(command.plan, hardware, use, seed=command.seed, progress=terminal.progress)
     terminal.close()
     _say(result, terminal)
-    terminal.document(_document(result))
+    terminal.document({**_document(result), "assumptions": assumptions})
     return UNUSABLE if result.calibration.verdict == "fail" else USABLE
+
+
+def _unplanned(imu: "Path | None", others: tuple[str, ...]) -> list[str]:
+    """Return a sentence on the IMUs of a file that are not planned."""
+    return [f"{imu}: its first IMU is planned; of {', '.join(others)} nothing is predicted."] if others else []
 
 
 def _say(result: "PlanResult", terminal: Terminal) -> None:

@@ -21,7 +21,7 @@ class Plan:
     cam: Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")] = None
     """Kalibr's file of the cameras, or a calibration.yaml (default: one camera of 640 x 480 px)."""
     imu: Annotated[Path | None, FileOption] = None
-    """Kalibr's file of the IMU's noise (default: that of a consumer sensor)."""
+    """Kalibr's file of the IMU's noise (default: that of a consumer sensor); of several IMUs the first is planned."""
     target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board (default: an AprilGrid of 6 x 6 tags of 88 mm)."""
     use: UseOption = None

@@ -18,8 +18,9 @@ SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
 def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal) -> int:
     """Write the recording of one sensor as `path`, its truth beside it, and return the exit code."""
     from ..writers import save
-    from ..writers.recording_file import save_recording
+    from ..writers.recording_file import check_suffix, save_recording
 
+    check_suffix(path)
     folder = path.parent
     replaced = (folder / TRUTH).exists() and not path.exists()
     with result_folder(folder, own=()) as staging:

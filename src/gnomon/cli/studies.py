@@ -58,6 +58,7 @@ class StudyEntry:
     counted : what --runs counts
     runs : how many of them the document's numbers need
     minutes : that these take on one core
+    stages : what it does one after the other, as progress names it
     tables : names of its tables
     load : returns its functions
     """
@@ -66,6 +67,7 @@ class StudyEntry:
     counted: str
     runs: int
     minutes: float
+    stages: tuple[str, ...]
     tables: tuple[str, ...]
     load: Callable[[], Parts]
 
@@ -99,6 +101,7 @@ STUDIES: Mapping[str, StudyEntry] = {
         counted="recordings of each of 40 parameter sets",
         runs=30,
         minutes=15,
+        stages=("recording",),
         tables=("claims", "parameters", "document_a", "signals"),
         load=_tedaldi,
     ),
@@ -107,6 +110,7 @@ STUDIES: Mapping[str, StudyEntry] = {
         counted="recordings of 90 s of each of seven series",
         runs=100,
         minutes=50,
+        stages=("recording", "changed parameter", "setting", "recording without noise"),
         tables=("claims", "parameters", "table_5_3", "runs", "independence", "settings"),
         load=_krebs,
     ),
@@ -115,6 +119,7 @@ STUDIES: Mapping[str, StudyEntry] = {
         counted="experiments of each of three settings",
         runs=500,
         minutes=15,
+        stages=("experiment", "scan of starts"),
         tables=("claims", "parameters", "runs", "starts", "iterations"),
         load=_angrisano,
     ),

@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING
 
 from .places import result_folder
 from .results import USABLE
-from .studies import STUDIES, Found, Parts
+from .studies import STUDIES, Found, Parts, StudyEntry
 from .study_command import Study
 from .study_count import StudyCount
-from .study_journal import JOURNAL, FileJournal, study_journal
+from .study_journal import FileJournal, study_journal
 from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..study.tables import Claim
 
 PAGE = "study.html"
+_OLD_JOURNAL = "unfinished.journal"  # of gnomon before studies kept it
 
 
 def study(command: Study, terminal: Terminal) -> int:
@@ -29,10 +30,10 @@ def study(command: Study, terminal: Terminal) -> int:
     entry = STUDIES[command.name]
     folder = command.output or Path(f"gnomon-study-{command.name}")
     every = {f"{table}.csv" for known in STUDIES.values() for table in known.tables}
-    with result_folder(folder, own=(PAGE, JOURNAL, *every)) as staging:
+    with result_folder(folder, own=(PAGE, _OLD_JOURNAL, *every)) as staging:
         parts = entry.load()
         with study_journal(folder, command.name, terminal.progress) as journal:
-            found = _carried_out(command, parts, entry.runs, journal, terminal)
+            found = _carried_out(command, parts, entry, journal, terminal)
         names = _write(found, parts, staging, terminal)
     terminal.close()
     stated = list(parts.claims(found))
@@ -50,13 +51,13 @@ def study(command: Study, terminal: Terminal) -> int:
     return USABLE
 
 
-def _carried_out(command: Study, parts: Parts, runs: int, journal: FileJournal, terminal: Terminal) -> Found:
+def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: FileJournal, terminal: Terminal) -> Found:
     from ..study.runs import Workers
 
-    count = StudyCount(terminal)
+    count = StudyCount(terminal, entry.stages)
     try:
         return parts.carry_out(
-            runs=command.runs or runs,
+            runs=command.runs or entry.runs,
             workers=Workers(jobs=command.jobs, scheduler=command.scheduler or "", journal=journal, count=count),
             seed=command.seed,
             progress=count.progress,
@@ -84,7 +85,8 @@ def _write(found: Found, parts: Parts, staging: Path, terminal: Terminal) -> lis
 
 def _say_claims(stated: "Sequence[Claim]", terminal: Terminal) -> None:
     for claim in stated:
-        terminal.say(f"{'holds' if claim.holds else 'FAILS'}  {claim.claim}", "" if claim.holds else "bold red")
+        word = "too few runs to tell:" if claim.holds is None else "holds " if claim.holds else "FAILS "
+        terminal.say(f"{word} {claim.claim}", "bold red" if claim.holds is False else "")
         terminal.say(f"       expected {claim.expected}; found {claim.found}", "dim")
     terminal.say("")
 

@@ -51,3 +51,5 @@ class Study:
             raise OptionError(f"jobs {self.jobs} must be at least 1.")
         if self.jobs > 1 and self.scheduler is not None:
             raise OptionError("the workers of --scheduler do all the work. Leave out --jobs.")
+        if self.scheduler is not None and not self.scheduler.strip():
+            raise OptionError("--scheduler is empty. Give the address that the scheduler prints, tcp://host:8786.")

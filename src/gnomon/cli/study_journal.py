@@ -1,4 +1,4 @@
-"""What an interrupted study had done, in a file of its folder.
+"""What a study has done, in a file of its folder: an interrupted one goes on from it, a finished one is shown from it.
 
 The first line says which gnomon made it. Each line after it is a checksum, the key of a task, and its outcome as JSON;
 they are only ever added. A line that is not whole, as the last one may be after a loss of power, is cut off. The file
@@ -19,7 +19,7 @@ from typing import IO
 from .._version import __version__
 from ..errors import OutputError
 
-JOURNAL = "unfinished.journal"
+JOURNAL = "runs.journal"
 """Name of the file in the folder of a study."""
 
 _MARK = b"gnomon study journal 1"

@@ -3,10 +3,11 @@
 import json
 import logging
 import math
-import re
 import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
+
+from ..findings import printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -15,10 +16,6 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 """Columns of text that is not printed to a terminal."""
-
-
-_STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Control characters but tab and new line, and those that turn the direction of writing."""
 
 
 class Terminal:
@@ -79,11 +76,6 @@ class Terminal:
         if self._status is not None:
             self._status.stop()
             self._status = None
-
-
-def printable(text: str) -> str:
-    """Return a text in which characters that steer a terminal are shown as escapes; files bring them in names."""
-    return re.sub(_STEERING, lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def _unmarked(text: str) -> "Text":

@@ -13,6 +13,7 @@ from . import svg
 from .camera_imu_images import TIMES, time_spans
 from .camera_imu_signals import AXES, half_panel, histograms
 from .figures import TEXT, WIDTH, Sheet, draw
+from .label_places import LabelPlaces, half_size
 from .numbers import finite, highest, number, rms
 from .panel import DASHED, Panel
 from .sphere import SPHERE_HEIGHT, hemisphere, lambert
@@ -147,32 +148,39 @@ def rig(calibration: Calibration) -> str:
     origins = [body.origin for body in bodies]
     apart = max(float(np.linalg.norm(a - b)) for a in origins for b in origins)
     length = 0.4 * apart if np.isfinite(apart) and apart > 1e-6 else 0.02
-    height = 380.0
 
     def paint(sheet: Sheet) -> None:
         """Draw lines from the first body to the others, the images of cameras, and all axes."""
-        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=height)
+        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
         cameras = [body for body in bodies if body.image]
         corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
         tips = [body.origin + length * body.axes.T for body in bodies]
-        _fit(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])), height)
-        for body in bodies[1:]:
-            _dashed(panel, bodies[0], body, length)
+        _fit(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])))
+        links = [np.stack([bodies[0].origin, body.origin]) for body in bodies[1:]]
+        for link in links:
+            ends = _flat(link)
+            panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
+        edges: list[Floats] = []
         for body, image in zip(cameras, corners, strict=True):
-            edges = [np.stack([body.origin, corner]) for corner in image]
-            for line in (image[[0, 1, 2, 3, 0]], *edges):
-                flat = _flat(line)
-                panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
+            edges += [np.stack([body.origin, corner]) for corner in image]
+            edges += [image[[k, (k + 1) % 4]] for k in range(4)]
+        for edge in edges:
+            flat = _flat(edge)
+            panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
         for body in bodies:
             _triad(panel, body, length)
-            _name(panel, body, [b.origin for b in bodies if b is not body], length)
+        axes = [np.stack([body.origin, tip]) for body, ends in zip(bodies, tips, strict=True) for tip in ends]
+        _label(panel, bodies, links, np.array([*edges, *axes, *links]), length)
 
     names = ", ".join(body.name for body in bodies)
-    return draw("rig", height, f"The axes of {names} in space, drawn to scale.", paint)
+    return draw("rig", _HEIGHT, f"The axes of {names} in space, drawn to scale.", paint)
 
 
+_HEIGHT = 380.0
 _FRUSTUM = np.array([[-0.5, -0.36, 0.8], [0.5, -0.36, 0.8], [0.5, 0.36, 0.8], [-0.5, 0.36, 0.8]])
 """Corners of the image in front of a camera, in its own axes, for a triad of length one."""
+
+_AROUND = np.column_stack([f(np.linspace(0, 2 * np.pi, 32, endpoint=False)) for f in (np.cos, np.sin)])
 
 _LOOK = rotation_from_rotvec(np.array([np.radians(24), 0, 0])) @ rotation_from_rotvec(np.array([0, np.radians(-38), 0]))
 
@@ -182,19 +190,39 @@ def _flat(points: Floats) -> Floats:
     return (points @ _LOOK.T)[:, :2] * (1, -1)
 
 
-def _dashed(panel: Panel, first: _Body, other: _Body, length: float) -> None:
-    """Draw the line between two bodies, with its length where there is room for it."""
-    ends = _flat(np.stack([first.origin, other.origin]))
-    panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
-    if np.linalg.norm(ends[1] - ends[0]) > 1.5 * length:
-        far = f"{number(1e3 * float(np.linalg.norm(other.origin - first.origin)), 3)} mm"
-        _write(panel, far, ends.mean(axis=0), np.array([0.0, 9.0]))
+def _label(panel: Panel, bodies: list[_Body], links: list[Floats], lines: Floats, length: float) -> None:
+    """Write the names of the bodies, and how far they are from the first one where there is room for it."""
+
+    def on_page(points: Floats) -> Floats:
+        flat = _flat(points)
+        return np.column_stack([panel.x.places(flat[:, 0]), panel.y.places(flat[:, 1])])
+
+    drawn = on_page(lines.reshape(-1, 3)).reshape(-1, 2, 2)
+    places = LabelPlaces(drawn[np.isfinite(drawn).all(axis=(1, 2))], WIDTH, _HEIGHT)
+    for body in bodies:
+        base = on_page(body.origin[None])[0]
+        if np.isfinite(base).all():
+            ring = half_size(body.name) + 4.0
+            place = places.take(body.name, np.concatenate([base + reach * ring * _AROUND for reach in (1.0, 1.4, 1.9)]))
+            _write(panel, body.name, body.origin, place - base, color="ink", bold=True)
+    for link in links:
+        start, stop = on_page(link)
+        if not np.linalg.norm(np.diff(_flat(link), axis=0)) > 1.5 * length:
+            continue
+        far = f"{number(1e3 * float(np.linalg.norm(link[1] - link[0])), 3)} mm"
+        aside = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
+        aside *= float(np.abs(aside) @ half_size(far)) + 2.0
+        middles = [start + share * (stop - start) for share in (0.5, 0.6, 0.4, 0.7, 0.3, 0.8, 0.2)]
+        place = places.take_free(far, np.array([middle + side * aside for middle in middles for side in (1, -1)]))
+        if place is not None:
+            _write(panel, far, link[0], place - start)
 
 
 def _write(panel: Panel, text: str, at: Floats, offset: Floats, *, color: str = "muted", bold: bool = False) -> None:
-    """Write a text about a point that is moved by an offset (right, up) in figure units."""
-    place = float(offset[0]), svg.MIDDLE * TEXT - float(offset[1])
-    panel.text(text, float(at[0]), float(at[1]), svg.text_style(color, TEXT, "center", bold=bold), offset=place)
+    """Write a text about a point (3,) that is moved by an offset (right, down) in figure units."""
+    x, y = _flat(at[None])[0].tolist()
+    place = float(offset[0]), svg.MIDDLE * TEXT + float(offset[1])
+    panel.text(text, x, y, svg.text_style(color, TEXT, "center", bold=bold), offset=place)
 
 
 def _triad(panel: Panel, body: _Body, length: float) -> None:
@@ -210,25 +238,13 @@ def _triad(panel: Panel, body: _Body, length: float) -> None:
         panel.line(line[:, 0], line[:, 1], name, width=2.6, ends="round")
 
 
-def _name(panel: Panel, body: _Body, others: list[Floats], length: float) -> None:
-    """Write a body's name on the side to which neither an axis nor another body lies."""
-    base = _flat(body.origin[None])[0]
-    parts = np.concatenate([np.eye(3), _FRUSTUM]) if body.image else np.eye(3)
-    ends = _flat(np.concatenate([body.origin + length * (parts @ body.axes.T), np.array(others)]))
-    bearings = [np.arctan2(*(end - base)[::-1]) for end in ends if np.linalg.norm(end - base) > 0.1 * length]
-    around = np.linspace(-np.pi, np.pi, 25)[:-1]
-    gap = [min((abs(np.angle(np.exp(1j * (a - b)))) for b in bearings), default=0.0) for a in around]
-    away = around[int(np.argmax(gap))]
-    _write(panel, body.name, base, np.array([30 * np.cos(away), 17 * np.sin(away)]), color="ink", bold=True)
-
-
-def _fit(panel: Panel, drawn: Floats, height: float) -> None:
+def _fit(panel: Panel, drawn: Floats) -> None:
     """Give the panel limits that hold all points, to scale, with room for labels."""
     known = drawn[np.isfinite(drawn).all(axis=1)]
     if not len(known):
         return
     low, high = known.min(axis=0), known.max(axis=0)
     middle, size = (low + high) / 2, high - low
-    scale = max(size[0] / (WIDTH - 150), size[1] / (height - 70), 1e-9)
+    scale = max(size[0] / (WIDTH - 150), size[1] / (_HEIGHT - 70), 1e-9)
     panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
-    panel.y.span(middle[1] - scale * height / 2, middle[1] + scale * height / 2)
+    panel.y.span(middle[1] - scale * _HEIGHT / 2, middle[1] + scale * _HEIGHT / 2)

@@ -12,7 +12,7 @@ from ..assess.comparison_words import block_words, shown_unit, typical_size
 from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
-from .comparison_figures import color_of, deviations, drawn_blocks
+from .comparison_figures import color_of, deviations, drawn_blocks, truth_of
 from .imu_parameters import readable_unit
 from .numbers import MISSING, fixed, number
 from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
@@ -82,7 +82,9 @@ def _written(unit: str) -> str:
 def _summary(comparison: Comparison) -> Section:
     blocks: list[Block] = []
     if drawn_blocks(comparison):
-        names = [one.name for one in comparison.calibrations]
+        truth = truth_of(comparison)
+        names = [one.name for one in comparison.calibrations if one.name != truth]
+        zero = f"{truth}, the truth of a simulation," if truth else "the mean of the calibrations"
         legend = dict.fromkeys((color_of(comparison, name), name) for name in names)
         if len({color for color, _ in legend}) < len(names):
             legend = {item: None for item in legend if item[1] in comparison.outside} | {("before", "the others"): None}
@@ -91,8 +93,8 @@ def _summary(comparison: Comparison) -> Section:
                 title="All scalars",
                 svg=deviations(comparison),
                 legend=tuple(Legend(mark="dot", color=color, label=label) for color, label in legend),
-                caption="Every dot is a scalar: its deviation from the mean of the calibrations over the root mean "
-                "square of their stated sigmas. Hollow dots lie beyond the edge.",
+                caption=f"Every dot is a scalar: its deviation from {zero} over the root mean square of the stated "
+                "sigmas. Hollow dots lie beyond the edge.",
             )
         )
     blocks.append(_summary_table(comparison))

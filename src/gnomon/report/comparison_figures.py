@@ -4,6 +4,7 @@ import numpy as np
 
 from ..assess.comparison import Comparison, Repeatability
 from ..assess.comparison_words import block_words
+from ..recording import Floats
 from . import svg
 from .figures import RIGHT, Sheet, dots, draw
 from .panel import Panel
@@ -29,15 +30,22 @@ def drawn_blocks(comparison: Comparison) -> list[Repeatability]:
     return [block for block in comparison.blocks if len(block.names) > 1 and np.isfinite(block.predicted).any()]
 
 
+def truth_of(comparison: Comparison) -> str:
+    """Return the name of the one calibration that is exact, against which the others are drawn; "" without one."""
+    exact = [one.name for one in comparison.calibrations if one.exact]
+    return exact[0] if len(exact) == 1 and all(exact[0] in block.names for block in drawn_blocks(comparison)) else ""
+
+
 def deviations(comparison: Comparison) -> str:
-    """Deviation of every scalar from the mean, in predicted sigmas, a line for each block."""
+    """Deviation of every scalar from the truth, else from the mean, in predicted sigmas, a line for each block."""
+    zero = "the truth" if truth_of(comparison) else "the mean"
     blocks = drawn_blocks(comparison)
     height = _ROW * len(blocks)
 
     def paint(sheet: Sheet) -> None:
         """Draw a line of dots for each block."""
-        panel = sheet.panel("Deviation from the mean, in sigmas", top=36, height=height, left=RIGHT, x_label="sigmas")
-        reach = _reach(blocks)
+        panel = sheet.panel(f"Deviation from {zero}, in sigmas", top=36, height=height, left=RIGHT, x_label="sigmas")
+        reach = _reach(comparison, blocks)
         panel.x.span(-reach, reach)
         panel.x.grid = True
         panel.y.span(len(blocks) - 0.5, -0.5)
@@ -49,23 +57,30 @@ def deviations(comparison: Comparison) -> str:
             _draw_block(panel, comparison, block, row, reach)
 
     count = len(comparison.calibrations)
-    alt = f"Deviations of {count} calibrations in {len(blocks)} blocks from their means, in sigmas."
+    alt = f"Deviations of {count} calibrations in {len(blocks)} blocks from {zero}, in sigmas."
     return draw("deviations", height + 100, alt, paint)
 
 
-def _reach(blocks: list[Repeatability]) -> float:
+def _in_sigmas(comparison: Comparison, block: Repeatability) -> Floats:
+    """Return the deviations (m, k) of the calibrations of a block in its predicted sigmas."""
+    truth = truth_of(comparison)
+    zero = block.values[block.names.index(truth)] if truth else block.mean
     with np.errstate(invalid="ignore", divide="ignore"):
-        sizes = [np.abs((block.values - block.mean) / block.predicted) for block in blocks]
+        return (block.values - zero) / block.predicted
+
+
+def _reach(comparison: Comparison, blocks: list[Repeatability]) -> float:
+    sizes = [np.abs(_in_sigmas(comparison, block)) for block in blocks]
     largest = max((float(np.nanmax(size)) for size in sizes if np.isfinite(size).any()), default=1.0)
     return float(min(max(1.1 * largest, 3.0), _MOST_SIGMAS))
 
 
 def _draw_block(panel: Panel, comparison: Comparison, block: Repeatability, row: int, reach: float) -> None:
     """Draw a block; what lies beyond the edge is drawn on it, hollow."""
-    count = len(block.names)
-    for i, name in enumerate(block.names):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            sigmas = (block.values[i] - block.mean) / block.predicted
+    shown = [name for name in block.names if name != truth_of(comparison)]
+    count, deviation = len(shown), _in_sigmas(comparison, block)
+    for i, name in enumerate(shown):
+        sigmas = deviation[block.names.index(name)]
         sigmas = sigmas[np.isfinite(sigmas)]
         place = np.full(len(sigmas), row + 0.2 + 0.5 * ((i + 0.5) / count - 0.5))
         inside = np.abs(sigmas) <= reach

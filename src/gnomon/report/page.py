@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..calibration import Verdict
-from ..findings import Finding
+from ..findings import Finding, printable
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -85,7 +85,8 @@ class Table:
     """Rows of texts; the first column is the row's name.
 
     `marked` is the index of the row that was chosen, `faint` are those of rows that matter less. A `dense` table is set
-    small, since it has many rows or columns. The last column of a `remarked` table holds remarks, which may break.
+    small, since it has many rows or columns. The last column of a `remarked` table holds remarks, which may break. On
+    a narrow screen the cells of a `stacked` table stand below each other, each with its head before it.
     """
 
     title: str
@@ -95,6 +96,7 @@ class Table:
     marked: int | None = None
     faint: frozenset[int] = frozenset()
     prose: bool = False
+    stacked: bool = False
     dense: bool = False
     remarked: bool = False
     kind: str = "table"
@@ -179,8 +181,8 @@ def render(page: Page) -> bytes:
         # The page may run this one script and load nothing, whatever a file name might try to smuggle in.
         policy=f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'",
     )
-    # A file name may hold bytes that are no text; they are shown as escapes.
-    return html.encode("utf-8", "backslashreplace")
+    # A file name may hold bytes that are no text, or steer a terminal that shows the file; they are shown as escapes.
+    return printable(html).encode("utf-8", "backslashreplace")
 
 
 @cache

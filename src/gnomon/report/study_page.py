@@ -6,6 +6,8 @@ from .._version import __version__
 from ..study.tables import Claim
 from .page import KeyNumber, Page, Section, Table
 
+_WORDS = {True: "yes", False: "no", None: "too few runs"}
+
 
 def study_page(
     title: str,
@@ -15,24 +17,31 @@ def study_page(
     sections: Sequence[Section],
 ) -> Page:
     """Return the page of a study; its verdict says whether all claims hold."""
-    kept = sum(claim.holds for claim in claims)
-    whole = kept == len(claims)
+    whole = all(claim.holds for claim in claims)
     table = Table(
         title="Expected and found",
         head=("Holds", "Claim", "Expected", "Found"),
-        rows=tuple(("yes" if c.holds else "no", *map(_fine, (c.claim, c.expected, c.found))) for c in claims),
+        rows=tuple((_WORDS[c.holds], *map(_fine, (c.claim, c.expected, c.found))) for c in claims),
         prose=True,
+        stacked=True,
     )
     return Page(
         title=title,
         subject=subject,
         verdict="pass" if whole else "warn",
-        headline=f"{'All' if whole else kept} {len(claims) if whole else f'of {len(claims)}'} claims hold.",
+        headline=_headline([claim.holds for claim in claims]),
         key_numbers=key_numbers,
         findings=(),
         sections=(Section(anchor="claims", title="Claims", blocks=(table,)), *sections),
         footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
     )
+
+
+def _headline(held: Sequence[bool | None]) -> str:
+    if all(held):
+        return f"All {len(held)} claims hold."
+    open_ones = f"; {count} cannot be told from so few runs" if (count := held.count(None)) else ""
+    return f"{held.count(True)} of {len(held)} claims hold{open_ones}."
 
 
 def _fine(text: str) -> str:

@@ -1,7 +1,7 @@
 """The simulation of an IMU, from the drawing of its parameters to the recorded numbers."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,8 +46,11 @@ class _Clock:
     kept: np.ndarray
 
 
-def simulate_imu(scenario: Scenario, seed: int) -> tuple[Recording, Calibration]:
-    """Make a recording and its truth; see `gnomon.simulate`."""
+def simulate_imu(scenario: Scenario, seed: int, *, digitised: bool = True) -> tuple[Recording, Calibration]:
+    """Make a recording and its truth; see `gnomon.simulate`.
+
+    Without `digitised` it holds what the converters are given, neither rounded nor limited.
+    """
     # One stream a purpose: an option for one leaves the others as they are.
     for_sensor, for_motion, for_force, for_rate, for_walk, for_clock = np.random.default_rng(seed).spawn(6)
     if scenario.sensor_seed is not None:
@@ -59,6 +62,8 @@ def simulate_imu(scenario: Scenario, seed: int) -> tuple[Recording, Calibration]
     # Triads of one rate come in one packet: the same stamps, the same losses.
     gyroscope_clock = clock if rate_hz == scenario.rate_hz else _clock(scenario, end_s, rate_hz, for_clock)
     to_force, to_rate = converters(scenario)
+    if not digitised:
+        to_force, to_rate = (replace(one, step=0.0, low=-np.inf, high=np.inf) for one in (to_force, to_rate))
     accelerometer, gyroscope = _models(truth.imus["imu0"])
     noise = scenario.accelerometer_noise_density * np.sqrt(scenario.rate_hz) / to_force.unit_si
     force = _readings(world, clock, accelerometer, noise, for_force)

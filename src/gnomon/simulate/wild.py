@@ -25,11 +25,13 @@ class Oddity:
     Attributes
     ----------
     name : what it is, with its size
-    codes : findings that name it, or what comes of it
+    codes : findings that name it, or what comes of it, and say that the result suffers
+    decisive : whether its own codes are needed where it is there, since it spoils everything
     """
 
     name: str
     codes: tuple[str, ...] = ()
+    decisive: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,9 +56,9 @@ class WildCase:
     oddities: tuple[Oddity, ...]
     wandering: dict[str, Floats]
 
-    def with_oddity(self, name: str, *codes: str) -> "WildCase":
+    def with_oddity(self, name: str, *codes: str, decisive: bool = False) -> "WildCase":
         """Return the case with one more oddity."""
-        return replace(self, oddities=(*self.oddities, Oddity(name=name, codes=codes)))
+        return replace(self, oddities=(*self.oddities, Oddity(name=name, codes=codes, decisive=decisive)))
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
@@ -104,6 +106,19 @@ def in_units_of(imu: ImuCalibration, *, force: float = 1.0, rate: float = 1.0) -
             gyroscope, sensitivity=gyroscope.sensitivity / rate, g_sensitivity=gyroscope.g_sensitivity / force
         ),
     )
+
+
+def on_a_turning_earth(imu: ImuCalibration, vertical: float, gravity: float) -> ImuCalibration:
+    """Return what is true where the Earth, which stands still here, is said to turn with a vertical rate [rad/s].
+
+    That rate turns with the attitude like gravity: the readings are those of another g-sensitivity. In the mirrored
+    world, in which a left-handed accelerometer is calibrated, the Earth turns the other way.
+    """
+    rate = imu.gyroscope
+    assert rate is not None
+    hand = np.sign(np.linalg.det(imu.required_accelerometer.sensitivity))
+    hidden = hand * rate.sensitivity * vertical / gravity
+    return replace(imu, gyroscope=replace(rate, g_sensitivity=rate.g_sensitivity - hidden))
 
 
 def seen_in_a_mirror(imu: ImuCalibration) -> ImuCalibration:

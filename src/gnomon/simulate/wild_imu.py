@@ -6,31 +6,41 @@ from dataclasses import replace
 import numpy as np
 
 from ..geometry.rotation_vector import right_jacobian, rotation_from_rotvec
-from ..models.gravity import normal_gravity_m_s2
+from ..models.gravity import EARTH_RATE_RAD_S, normal_gravity_m_s2
 from ..options import ImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..sensors import ImuCalibration
 from .fault_recordings import seconds, some, warming
 from .imu import simulate_imu
 from .scenario import Scenario
-from .wild import WildCase, in_body_frame, in_units_of, log_uniform, reread, seen_in_a_mirror, signed_permutation
+from .sensor import Converter, converters
+from .wild import (
+    WildCase,
+    in_body_frame,
+    in_units_of,
+    log_uniform,
+    on_a_turning_earth,
+    reread,
+    seen_in_a_mirror,
+    signed_permutation,
+)
+from .wild_scenario import wild_scenario
 
 Edit = Callable[[WildCase, np.random.Generator], WildCase]
 
-_MOST_SAMPLES = 60_000
-_LOST = ("gaps", "rotations-left-out", "jitter", "holdout-rotation")
-_UNSTILL = ("rests-unsteady", "interval-touched", "intervals-left-out", "never-static", "few-attitudes", "attitudes")
+_LOST = ("jitter", "time-base-stated", "holdout-rotation")
+_UNSTILL = ("rests-unsteady", "interval-touched", "never-static", "few-attitudes", "attitudes")
 
 
 def wild_imu(seed: int) -> WildCase:
     """Draw a wild case of an IMU alone."""
     rng = np.random.default_rng([seed, 11])
-    scenario = _scenario(rng)
-    recording, truth = simulate_imu(scenario, seed)
+    scenario = wild_scenario(rng)
+    readings, truth = simulate_imu(scenario, seed, digitised=False)
     case = WildCase(
         kind="imu",
         seed=seed,
-        recording=recording,
+        recording=readings,
         target=None,
         options=ImuOptions(),
         imus=dict(truth.imus),
@@ -38,62 +48,18 @@ def wild_imu(seed: int) -> WildCase:
         oddities=(),
         wandering={},
     )
-    case = _said(case, scenario)
-    for edit, share in _EDITS:
-        if rng.random() < share:
-            case = edit(case, rng)
+    case = replace(_said(_digitised(case, scenario, truth.imus["imu0"]), scenario), recording=readings)
+    case = _edited(case, _OF_READINGS, rng)
+    case = _digitised(case, scenario, truth.imus["imu0"])
+    case = _edited(case, _OF_NUMBERS, rng)
     return _settled(_with_options(case, scenario, rng))
 
 
-def _scenario(rng: np.random.Generator) -> Scenario:
-    counts = rng.random() < 0.6
-    poses = int(rng.integers(3, 10)) if rng.random() < 0.1 else int(rng.integers(10, 80))
-    hold = log_uniform(rng, 0.3, 20.0) if rng.random() < 0.2 else log_uniform(rng, 1.5, 6.0)
-    move = log_uniform(rng, 0.3, 3.0)
-    t_init_s = log_uniform(rng, 0.3, 60.0)
-    duration_s = t_init_s + poses * (1.3 * hold + 1.3 * move)
-    rate_hz = min(log_uniform(rng, 10.0, 2000.0), _MOST_SAMPLES / duration_s)
-    # Counts have no known scale nor zero; what is far off in m/s^2 is refused at once.
-    far = counts or rng.random() < 0.15
-    scales = [_scales(rng) if far else (0.95, 1.05), _scales(rng)]
-    bias = [log_uniform(rng, 0.01, 50.0 if far else 1.0), log_uniform(rng, 1e-3, 5.0)]
-    room = log_uniform(rng, 0.5, 1.0) if rng.random() < 0.12 else log_uniform(rng, 1.3, 8.0)
-    return Scenario(
-        style="thesis" if rng.random() < 0.04 else "hand",
-        intervals=poses,
-        t_init_s=t_init_s,
-        hold_s=(hold, 1.5 * hold),
-        motion_s=(move, 1.6 * move),
-        rate_hz=rate_hz,
-        gyroscope_rate_hz=rate_hz * float(rng.uniform(0.3, 1.0)) if rng.random() < 0.15 else None,
-        gravity=float(rng.uniform(9.77, 9.83)),
-        units="raw" if counts else str(rng.choice(["si", "g deg/s", "mg mdeg/s"])),
-        bits=int(rng.integers(8, 25)) if rng.random() < 0.7 else None,
-        accelerometer_range=room * (18.0 / scales[0][0] + bias[0]),
-        gyroscope_range=room * (9.0 / scales[1][0] / move + bias[1]),
-        accelerometer_misalignment=log_uniform(rng, 1e-3, 0.5),
-        gyroscope_misalignment=log_uniform(rng, 1e-3, 0.5),
-        accelerometer_scale=scales[0],
-        gyroscope_scale=scales[1],
-        accelerometer_bias=bias[0],
-        gyroscope_bias=bias[1],
-        g_sensitivity=log_uniform(rng, 1e-5, 1e-2) if rng.random() < 0.5 else 0.0,
-        accelerometer_noise_density=log_uniform(rng, 1e-5, 2e-2),
-        gyroscope_noise_density=log_uniform(rng, 1e-6, 5e-3),
-        gyroscope_bias_walk=log_uniform(rng, 1e-6, 1e-3) if rng.random() < 0.4 else 0.0,
-        stamp_jitter_s=log_uniform(rng, 1e-4, 0.6) / rate_hz if rng.random() < 0.15 else 0.0,
-        stamp_resolution_s=log_uniform(rng, 1e-4, 0.02) if rng.random() < 0.15 else 0.0,
-        dropped=log_uniform(rng, 1e-3, 0.4) if rng.random() < 0.15 else 0.0,
-    )
-
-
-def _scales(rng: np.random.Generator) -> tuple[float, float]:
-    if rng.random() < 0.5:
-        return (0.97, 1.03)
-    if rng.random() < 0.3:
-        return (0.2, 5.0)
-    middle = log_uniform(rng, 0.25, 4.0)
-    return (0.8 * middle, 1.25 * middle)
+def _edited(case: WildCase, edits: tuple[tuple[Edit, float], ...], rng: np.random.Generator) -> WildCase:
+    for edit, share in edits:
+        if rng.random() < share:
+            case = edit(case, rng)
+    return case
 
 
 def _said(case: WildCase, scenario: Scenario) -> WildCase:
@@ -130,7 +96,7 @@ def _said(case: WildCase, scenario: Scenario) -> WildCase:
         values = getattr(samples, name).values
         ends = (values == values.max(axis=0)) | (values == values.min(axis=0))
         if ends.sum() > 12:
-            case = case.with_oddity(f"{name} clips or is coarse", "saturation", "axis-constant", "signal-constant")
+            case = case.with_oddity(f"{name} clips or is coarse", "axis-constant", "signal-constant")
     return case
 
 
@@ -159,8 +125,35 @@ def _multiplied(case: WildCase, force: Floats | float = 1.0, rate: Floats | floa
     return _with(case, changed, reread(case.imus["imu0"], accelerometer=force, gyroscope=rate))
 
 
-def _converted(values: Floats, before: Floats) -> Floats:
-    """Round values (n, 3) to the steps of the converter by which those before were read."""
+def _digitised(case: WildCase, scenario: Scenario, drawn: ImuCalibration) -> WildCase:
+    """Return the case with its readings as the converters make numbers of them.
+
+    What moves the sensor, or its bias, does so before the converter, which it carries from step to step.
+    """
+    samples, imu = _samples(case), case.imus["imu0"]
+    to_force, to_rate = converters(scenario)
+    force, rate = imu.required_accelerometer, imu.gyroscope
+    assert rate is not None
+    assert drawn.gyroscope is not None
+    by_force = force.sensitivity @ np.linalg.inv(drawn.required_accelerometer.sensitivity)
+    by_rate = rate.sensitivity @ np.linalg.inv(drawn.gyroscope.sensitivity)
+    changed = replace(
+        samples,
+        accelerometer=_read_by(to_force, samples.accelerometer, by_force),
+        gyroscope=_read_by(to_rate, samples.gyroscope, by_rate),
+    )
+    return _with(case, changed)
+
+
+def _read_by(converter: Converter, samples: TriadSamples, matrix: Floats) -> TriadSamples:
+    """Return what a converter reads, by which axes are exchanged and multiplied (3, 3) only afterwards."""
+    factor = float(np.abs(matrix).max())
+    axes = np.rint(matrix / factor)
+    return replace(samples, values=factor * (converter.digitise(samples.values @ axes / factor) @ axes.T))
+
+
+def _in_steps(values: Floats, before: Floats) -> Floats:
+    """Round values (n, 3) to the steps in which those before were recorded."""
     changes = np.abs(np.diff(before, axis=0))
     step = np.array([axis[axis > 0].min(initial=np.inf) for axis in changes.T])
     coarse = np.isfinite(step) & (step > 1e-9 * np.ptp(before, axis=0))
@@ -183,7 +176,7 @@ def _unlike(case: WildCase, rng: np.random.Generator) -> WildCase:
 def _mislabelled(case: WildCase, rng: np.random.Generator) -> WildCase:
     force = float(rng.choice([1.0, 9.80665, 1 / 9.80665, 1000.0, 1e-3]))
     rate = float(rng.choice([1.0, 57.29578, 1 / 57.29578, 1000.0, 60.0]))
-    return _multiplied(case, force, rate).with_oddity(f"units misstated {force:g} {rate:g}", "unit")
+    return _multiplied(case, force, rate).with_oddity(f"units misstated {force:g} {rate:g}")
 
 
 def _warming(case: WildCase, rng: np.random.Generator) -> WildCase:
@@ -197,12 +190,12 @@ def _warming(case: WildCase, rng: np.random.Generator) -> WildCase:
     size = log_uniform(rng, 1e-3, 3.0) if force else log_uniform(rng, 1e-4, 0.3)
     size *= float(np.mean(np.abs(np.diag(sensor.sensitivity))))
     drift = size * warming(t_s, log_uniform(rng, 5.0, 3 * t_s[-1])) * rng.uniform(-1, 1, 3)
-    changed = replace(triad, values=_converted(triad.values + drift - drift.mean(axis=0), triad.values))
+    changed = replace(triad, values=triad.values + drift - drift.mean(axis=0))
     path = f"imu0.{name}.bias"
     wandering = case.wandering | {path: case.wandering.get(path, 0.0) + np.ptp(drift, axis=0)}
     case = replace(case, wandering=wandering)
     changed = replace(samples, **{name: changed})  # pyright: ignore
-    codes = (f"{name}-drift", "parts-disagree", "holdout-accelerometer", "holdout-rotation", "intervals-left-out")
+    codes = (f"{name}-drift", "parts-disagree", "holdout-accelerometer", "holdout-rotation")
     return _with(case, changed).with_oddity(f"{name} drifts by {np.ptp(drift):.2g}", *codes)
 
 
@@ -213,9 +206,10 @@ def _outliers(case: WildCase, rng: np.random.Generator) -> WildCase:
         values = np.array(samples.values)
         rows = np.flatnonzero(rng.random(len(values)) < share)
         values[rows, rng.integers(0, 3, len(rows))] += size * values.std() * rng.standard_normal(len(rows))
+        values[rows] = _in_steps(values[rows], samples.values)
         return replace(samples, values=values)
 
-    return _both(case, spiked).with_oddity(f"{share:.2g} outliers of {size:.2g}", "outliers", "saturation", *_UNSTILL)
+    return _both(case, spiked).with_oddity(f"{share:.2g} outliers of {size:.2g}", "outliers", *_UNSTILL)
 
 
 def _gaps(case: WildCase, rng: np.random.Generator) -> WildCase:
@@ -241,7 +235,7 @@ def _doubled(case: WildCase, rng: np.random.Generator) -> WildCase:
         t_ns[rows], t_ns[rows + 1] = t_ns[rows + 1], (t_ns[rows] if swapped else t_ns[rows + 1])
         return replace(samples, t_ns=t_ns)
 
-    names = ("time-backward", "time-repeated", "jitter")
+    names = ("time-backward", "time-repeated", "time-base-stated", "jitter")
     return _both(case, muddled).with_oddity(f"{share:.2g} {'swapped' if swapped else 'repeated'} stamps", *names)
 
 
@@ -252,9 +246,8 @@ def _stretched(case: WildCase, rng: np.random.Generator) -> WildCase:
         return replace(samples, t_ns=samples.t_ns[0] + np.rint((samples.t_ns - samples.t_ns[0]) * factor).astype(int))
 
     # A rate is told in radians per stamped second.
-    return replace(_both(case, slow), imus={"imu0": in_units_of(case.imus["imu0"], rate=1 / factor)}).with_oddity(
-        f"time times {factor:g}", "unit", "rate-wrong"
-    )
+    imus = {"imu0": in_units_of(case.imus["imu0"], rate=1 / factor)}
+    return replace(_both(case, slow), imus=imus).with_oddity(f"time times {factor:g}")
 
 
 def _stuck(case: WildCase, rng: np.random.Generator) -> WildCase:
@@ -272,7 +265,7 @@ def _stuck(case: WildCase, rng: np.random.Generator) -> WildCase:
 def _apart(case: WildCase, rng: np.random.Generator) -> WildCase:
     samples, by_s = _samples(case), log_uniform(rng, 1e-3, 2.0) * float(rng.choice([-1, 1]))
     late = replace(samples.gyroscope, t_ns=samples.gyroscope.t_ns + round(by_s * 1e9))
-    names = ("triads-apart", "clocks-apart", "holdout-rotation", "rotations-left-out")
+    names = ("triads-apart", "clocks-apart", "holdout-rotation")
     return _with(case, replace(samples, gyroscope=late)).with_oddity(f"triads {by_s:.2g} s apart", *names)
 
 
@@ -291,7 +284,7 @@ def _shaking(case: WildCase, rng: np.random.Generator) -> WildCase:
         felt = np.einsum("nji,nj->ni", rotation_from_rotvec(phi), true)
         if turns:
             felt += np.einsum("nij,nj->ni", right_jacobian(phi), axes * 2 * np.pi * hz * np.cos(angle))
-        return replace(samples, values=_converted(felt @ sensitivity.T + bias, samples.values))
+        return replace(samples, values=felt @ sensitivity.T + bias)
 
     force = imu.required_accelerometer
     changed = replace(
@@ -302,12 +295,14 @@ def _shaking(case: WildCase, rng: np.random.Generator) -> WildCase:
     return _with(case, changed).with_oddity(f"trembling by {size:.2g} rad", "vibration", *_UNSTILL)
 
 
-_EDITS: tuple[tuple[Edit, float], ...] = (
+_OF_READINGS: tuple[tuple[Edit, float], ...] = (
     (_shaking, 0.12),
     (_mounted, 0.4),
     (_unlike, 0.2),
     (_mislabelled, 0.1),
     (_warming, 0.2),
+)
+_OF_NUMBERS: tuple[tuple[Edit, float], ...] = (
     (_outliers, 0.12),
     (_stuck, 0.06),
     (_gaps, 0.1),
@@ -329,7 +324,12 @@ def _with_options(case: WildCase, scenario: Scenario, rng: np.random.Generator) 
         latitude = float(rng.uniform(-90, 90))
         chosen["latitude"] = latitude
         stated = normal_gravity_m_s2(latitude)
-        imus = {"imu0": in_units_of(case.imus["imu0"], force=stated / scenario.gravity)}
+        vertical = EARTH_RATE_RAD_S * float(np.sin(np.radians(latitude)))
+        imus = {
+            "imu0": on_a_turning_earth(
+                in_units_of(case.imus["imu0"], force=stated / scenario.gravity), vertical, stated
+            )
+        }
         case = case.with_oddity(f"latitude {latitude:.3g}, gravity {stated:.4g} for {scenario.gravity:.4g}")
     if rng.random() < 0.3:
         chosen["model"] = str(rng.choice(["basic", "g-sensitivity", "static"]))
@@ -351,7 +351,8 @@ def _with_options(case: WildCase, scenario: Scenario, rng: np.random.Generator) 
     elif rng.random() < 0.05:
         chosen["fix"] = ("imu0.gyroscope.g_sensitivity",)
     case = replace(case, options=ImuOptions(**chosen), imus=imus)  # pyright: ignore[reportArgumentType]
-    return case.with_oddity(f"options {chosen}", "prior-disagrees") if chosen else case
+    codes = ("prior-disagrees",) if "prior" in chosen else ()
+    return case.with_oddity(f"options {chosen}", *codes) if chosen else case
 
 
 def _settled(case: WildCase) -> WildCase:

@@ -27,6 +27,7 @@ _SHUTTER = ("rolling-shutter",)
 _CLIPS = ("saturation",)
 _GAPS = ("gaps", "trajectory-cut", "frame-gaps", "frames-left-out")
 
+_GRAVITY_WRONG = 0.01  # m/s^2
 _LENSES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "radtan": ((460.0, 458.5, 322.4, 237.1), (-0.28, 0.075, 0.0002, -0.00015)),
     "equidistant": ((300.0, 299.4, 318.0, 243.0), (-0.01, 0.02, -0.015, 0.003)),
@@ -223,7 +224,7 @@ def _guessed(case: WildCase, rng: np.random.Generator) -> WildCase:
         T[:3, :3], T[:3, 3] = rotation_from_rotvec(rng.normal(0, 1.5, 3)), rng.normal(0, 1, 3)
         return replace(frames, T_cam_imu=T, time_shift_cam_imu_s=float(rng.normal(0, 10.0 ** rng.uniform(-3, 2))))
 
-    return _with_cameras(case, guess).with_oddity("wild first guesses", "extrinsics-contradicted")
+    return _with_cameras(case, guess).with_oddity("wild first guesses")
 
 
 def _repeated(case: WildCase, rng: np.random.Generator) -> WildCase:
@@ -284,7 +285,10 @@ def _apart(case: WildCase, rng: np.random.Generator) -> WildCase:
     samples, by_s = _imu(case), log_uniform(rng, 1e-3, 0.5) * float(rng.choice([-1, 1]))
     late = replace(samples.accelerometer, t_ns=samples.accelerometer.t_ns + round(by_s * 1e9))
     name = f"accelerometer {by_s:.2g} s late"
-    return _with_imu(case, replace(samples, accelerometer=late)).with_oddity(name, "triads-apart", "clocks-apart")
+    imu = case.imus["imu0"]
+    true = replace(imu, accelerometer=replace(imu.required_accelerometer, time_shift_s=-by_s))
+    case = replace(_with_imu(case, replace(samples, accelerometer=late)), imus={"imu0": true})
+    return case.with_oddity(name, "triads-apart", "clocks-apart")
 
 
 def _warming(case: WildCase, rng: np.random.Generator) -> WildCase:
@@ -322,6 +326,16 @@ _EDITS: tuple[tuple[Edit, float], ...] = (
 )
 
 
+def _stated_at_least(case: WildCase, name: str) -> float:
+    """Return by how much the IMU differs from an ideal one: nobody can tell that a person stated less than that."""
+    imu = in_body_frame(case.imus["imu0"], case.cameras)[0]["imu0"]
+    if name == "imu0.S_a":
+        return float(np.abs(np.diag(imu.required_accelerometer.sensitivity) - 1).max())
+    if name == "imu0.B_g" and imu.gyroscope is not None:
+        return float(np.abs(imu.gyroscope.g_sensitivity).max())
+    return 0.0
+
+
 def _with_options(case: WildCase, scenario: CameraImuScenario, rng: np.random.Generator) -> WildCase:
     chosen: dict[str, Any] = {}
     if rng.random() < 0.35:
@@ -347,7 +361,8 @@ def _with_options(case: WildCase, scenario: CameraImuScenario, rng: np.random.Ge
             "imu0.S_a",
             "imu0.B_g",
         ]
-        chosen["prior"] = (f"{rng.choice(names)}={log_uniform(rng, 1e-4, 1.0):.3g}",)
+        name, sigma = str(rng.choice(names)), log_uniform(rng, 1e-4, 1.0)
+        chosen["prior"] = (f"{name}={max(sigma, _stated_at_least(case, name)):.3g}",)
     if rng.random() < 0.08:
         chosen["robust"] = False
     if rng.random() < 0.05:
@@ -355,9 +370,12 @@ def _with_options(case: WildCase, scenario: CameraImuScenario, rng: np.random.Ge
     if rng.random() < 0.05:
         chosen["max_iterations"] = int(rng.integers(1, 10))
     if "gravity" in chosen:
+        wrong = abs(chosen["gravity"] - scenario.gravity) > _GRAVITY_WRONG
         case = case.with_oddity(
-            f"gravity {chosen['gravity']:.4g} for {scenario.gravity:.4g}", "target-scale", "gravity-magnitude"
+            f"gravity {chosen['gravity']:.4g} for {scenario.gravity:.4g}",
+            *(("gravity", "target-scale", "gravity-magnitude") if wrong else ()),
+            decisive=wrong,
         )
     case = replace(case, options=CameraImuOptions(**chosen))
-    codes = ("prior-disagrees", "model-too-simple", "extrinsics-contradicted")
+    codes = ("prior-disagrees", "model-too-simple")
     return case.with_oddity(f"options {chosen}", *codes) if chosen else case

@@ -34,13 +34,31 @@ class Claim:
     claim : in words
     expected : what it would be if it held
     found : what it was
-    holds : whether it does
+    holds : whether it does; None where there are too few runs to tell
     """
 
     claim: str
     expected: str
     found: str
-    holds: bool
+    holds: bool | None
+
+
+_TELLING = 2.0
+"""Bounds tell something while a number that is wrong by this factor would lie outside."""
+
+
+def told(inside: bool, least: float, most: float) -> bool | None:
+    """Return whether a ratio whose right value is 1 agrees with its bounds, as `Claim.holds`.
+
+    Few runs need wide bounds because of chance. What lies inside of bounds that half or twice of the right value
+    would satisfy as well says nothing; what lies outside is wrong however wide they are.
+
+    Examples
+    --------
+    >>> told(True, 0.85, 1.15), told(True, 0.38, 24.0), told(False, 0.38, 24.0)
+    (True, None, False)
+    """
+    return None if inside and (least <= 1 / _TELLING or most >= _TELLING) else inside
 
 
 def claims_table(claims: Iterable[Claim]) -> StudyTable:
@@ -48,5 +66,5 @@ def claims_table(claims: Iterable[Claim]) -> StudyTable:
     return StudyTable(
         name="claims",
         head=("claim", "expected", "found", "holds"),
-        rows=[(one.claim, one.expected, one.found, one.holds) for one in claims],
+        rows=[(one.claim, one.expected, one.found, "" if one.holds is None else one.holds) for one in claims],
     )

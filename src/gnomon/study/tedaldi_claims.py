@@ -6,7 +6,7 @@ import numpy as np
 
 from ..recording import Floats
 from .runs import scatter_bounds
-from .tables import Cell, Claim, StudyTable, claims_table
+from .tables import Cell, Claim, StudyTable, claims_table, told
 from .tedaldi import TedaldiStudy, known_mean
 from .tedaldi_metrics import SignalErrors
 from .tedaldi_thesis import ACCELEROMETER, DIVERGENCE, GROUPS, GYROSCOPE, MEAN_ERROR, ROTATION, SPREAD, UNITS
@@ -77,7 +77,7 @@ def _sigmas(study: TedaldiStudy) -> Iterator[Claim]:
         claim="Gnomon's sigmas agree with the scatter, each of the 18 parameters",
         expected=f"sigma over scatter {least:.2f} to {most:.2f}",
         found=f"{np.min(ratios):.3f} to {np.max(ratios):.3f}",
-        holds=bool(np.min(ratios) > least and np.max(ratios) < most),
+        holds=told(bool(np.min(ratios) > least and np.max(ratios) < most), least, most),
     )
 
 

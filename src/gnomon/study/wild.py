@@ -7,7 +7,7 @@ import signal
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import FrameType
 from typing import Literal
@@ -21,7 +21,8 @@ from ..calibrate.imu import calibrate_imu
 from ..calibration import Calibration, Verdict
 from ..errors import GnomonError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from ..options import CameraImuOptions
+from ..models.gravity import EARTH_RATE_RAD_S
+from ..options import CameraImuOptions, ImuOptions
 from ..parameters import element_names, parameters
 from ..recording import Floats
 from ..simulate.wild import WildCase, WildKind
@@ -37,9 +38,15 @@ CPU_LIMIT_S = 60.0
 
 GENERAL = (
     *("parts-disagree", "not-observable", "not-converged", "holdout-accelerometer", "holdout-rotation"),
-    *("prior-disagrees", "reprojection"),
+    "reprojection",
 )
 """Findings that say, whatever the reason, that true errors are larger than the sigmas."""
+
+OF_ROTATIONS = {
+    *("jitter", "time-repeated", "time-backward", "time-base-stated", "triads-apart", "clocks-apart"),
+    "holdout-rotation",
+}
+"""Findings that do not excuse the accelerometer of an IMU alone, which is calibrated from rests."""
 
 PUBLISHED_FORMS = {"sensitivity": 0.05, "bias": 0.5}
 """What a preset may be off by beyond its sigmas: relative to the sensitivity; in m/s^2 and, a tenth of it, in rad/s.
@@ -166,7 +173,10 @@ def _weighed(case: WildCase, calibration: Calibration, said: Sequence[str]) -> t
     why = worst if z[k] > MOST_SIGMAS else f"Mahalanobis distance {distance:.0f} > {limit:.0f}"
     if calibration.verdict == "fail":
         return "failed", why, worst, float(z[k])
-    naming = {*GENERAL, *(code for oddity in case.oddities for code in oddity.codes)}
+    decisive = tuple(oddity for oddity in case.oddities if oddity.decisive)
+    naming = {*GENERAL, *(code for oddity in decisive or case.oddities for code in oddity.codes)}
+    if case.kind == "imu" and names[k].startswith("imu0.accelerometer"):
+        naming -= OF_ROTATIONS
     if calibration.verdict == "warn" and naming & set(said):
         return "named", why, worst, float(z[k])
     return "bad", why, worst, float(z[k])
@@ -192,6 +202,8 @@ def _errors(case: WildCase, calibration: Calibration) -> tuple[list[str], Floats
         if path in case.wandering:
             moved = np.broadcast_to(case.wandering[path], found.shape)
             error = np.sign(error) * np.maximum(np.abs(error) - moved, 0.0)
+        if path.endswith("g_sensitivity") and isinstance(case.options, ImuOptions):
+            error = error + _taken_off(case.options, calibration, truth)
         difference |= zip(element_names(path, found.shape), error.ravel().tolist(), strict=True)
     names, covariance = calibration.uncertainty.names, calibration.uncertainty.matrix
     error = np.array([difference[name] for name in names])
@@ -208,6 +220,15 @@ def _taken_from_the_unit(calibration: Calibration) -> NDArray[np.bool_]:
     if not any(finding.code == "gyroscope-scale-assumed" for finding in calibration.assessment.findings):
         return np.zeros(len(names), dtype=bool)
     return np.array([name.startswith("imu0.gyroscope.sensitivity") for name in names])
+
+
+def _taken_off(options: ImuOptions, calibration: Calibration, truth: Mapping[str, Floats]) -> Floats:
+    """Return by how much more of the Earth's rate was taken off a g-sensitivity (3, 3) for a scale that was assumed."""
+    if options.latitude is None or not _taken_from_the_unit(calibration).any():
+        return np.zeros((3, 3))
+    path = "imu0.gyroscope.sensitivity"
+    assumed = dict(parameters(calibration.imus))[path] - truth[path]
+    return assumed * EARTH_RATE_RAD_S * np.sin(np.radians(options.latitude)) / calibration.gravity.value
 
 
 def _beyond_what_is_published(case: WildCase, calibration: Calibration, names: list[str], error: Floats) -> Floats:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration, ImuCalibration
-from ..errors import OptionError
 from ..geometry.quaternion import quaternion_from_rotation
 from ..models.camera import Camera
 from ..models.estimator_forms import BasaltTriad
@@ -28,6 +27,7 @@ from .export import (
     require_triads,
     uncertainty_loss,
 )
+from .lens_formats import unknown_lens
 from .sensor_losses import (
     accelerometer_losses,
     missing_gyroscope_loss,
@@ -168,10 +168,8 @@ def _lens(name: str, camera: Camera) -> dict[str, Any]:
                 "intrinsics": {**linear, "fx": fx / scale, "fy": fy / scale, "alpha": shape[0] / scale},
             }
         case _:
-            raise OptionError(
-                f"{name} is {camera.model}, and Basalt knows pinhole with radtan, equidistant or no distortion, and "
-                "ds, eucm and omni without. Calibrate the camera with one of these, or convert to kalibr."
-            )
+            knows = "Basalt knows pinhole with radtan, equidistant or no distortion, and ds, eucm and omni without"
+            raise unknown_lens(name, camera, knows)
 
 
 def _named(names: str, values: Floats) -> dict[str, float]:

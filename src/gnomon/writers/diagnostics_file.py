@@ -16,13 +16,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, ImuDiagnostics
+from ..diagnostics import (
+    CameraImuDiagnostics,
+    CamerasDiagnostics,
+    CornerFit,
+    ImuDiagnostics,
+    SignalFit,
+    TrajectoryTrack,
+)
 from ..output import atomic_file
 from ..triad_diagnostics import TriadDiagnostics
 
 _LEVEL = 1  # higher levels take twice the time for a twentieth of the size
 _SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,
 _WORTH = 0.75  # to this share at least: readings with noise hardly do, and would take most of the time
+_SINGLE: Mapping[type, frozenset[str]] = {
+    SignalFit: frozenset({"measured", "predicted", "basic"}),
+    CornerFit: frozenset({"pixels", "residual", "weight", "corner_sigma_px"}),
+    TrajectoryTrack: frozenset({"p_target_imu", "q_target_imu_wxyz", "omega_imu", "f_imu"}),
+}
+"""What has a row for each sample or corner of a recording, and is kept in single precision: pixels to 1e-4 px, the
+others to 6e-8 of their size. Stamps, and all that was estimated, keep theirs."""
+
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 
 
@@ -57,8 +72,10 @@ def diagnostic_arrays(node: Any, path: str = "") -> Iterator[tuple[str, NDArray[
     if node is None:
         return
     if is_dataclass(node):
+        single = _SINGLE.get(type(node), frozenset())
         for entry in fields(node):
-            yield from diagnostic_arrays(getattr(node, entry.name), _joined(path, entry.name))
+            for name, array in diagnostic_arrays(getattr(node, entry.name), _joined(path, entry.name)):
+                yield name, array.astype(np.float32) if entry.name in single else array
     elif isinstance(node, Mapping):
         for key, value in node.items():  # pyright: ignore[reportUnknownVariableType]
             yield from diagnostic_arrays(value, _joined(path, str(key)))

@@ -8,8 +8,10 @@ import numpy as np
 
 from ..calibration import Calibration, ImuCalibration
 from ..errors import OptionError
+from ..findings import listed
 from ..models.frames import Floats, frame_rotation
 from ..units import STANDARD_GRAVITY_M_S2
+from .lens_formats import formats_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +107,8 @@ def rig_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
         yield Loss(
             what=", ".join(calibration.cameras),
             why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
-            "Use kalibr, openvins or basalt to write them too, or keep calibration.yaml.",
+            f"Use {listed(formats_of(c.camera for c in calibration.cameras.values()))} to write them too, or keep "
+            "calibration.yaml.",
         )
     for name, imu in calibration.imus.items():
         if imu.T_imu_body is not None:

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration, ImuCalibration
-from ..errors import OptionError
 from ..recording import Floats
 from .camera_poses import pose_in_body
 from .context import Context, StatedImu
 from .export import Export, Loss, g_sensitivity_losses, magnetometer_losses, uncertainty_loss
+from .lens_formats import unknown_lens
 from .opencv_yaml import opencv_lines
 from .sensor_losses import (
     accelerometer_losses,
@@ -106,10 +106,7 @@ def _text(calibration: Calibration, name: str, imu: ImuCalibration, stated: Stat
 def _camera(name: str, calibrated: CameraCalibration) -> dict[str, Any]:
     camera = calibrated.camera
     if camera.projection != "pinhole" or camera.distortion not in _NAMES:
-        raise OptionError(
-            f"{name} is {camera.model}, and OKVIS knows pinhole with radtan, equidistant or no distortion. Calibrate "
-            "the camera with one of these, or convert to kalibr or basalt."
-        )
+        raise unknown_lens(name, camera, "OKVIS knows pinhole with radtan, equidistant or no distortion")
     coeffs = camera.distortion_coeffs if camera.distortion != "none" else np.zeros(4)
     coeffs = np.append(coeffs, np.zeros(3)) if camera.distortion == "radtan5" else coeffs  # k4, k5, k6
     return {

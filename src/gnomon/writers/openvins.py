@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration, ImuCalibration
-from ..errors import OptionError
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..models.noise import ImuNoise
 from .context import Context, StatedImu
@@ -22,6 +21,7 @@ from .kalibr import stated_entry
 from .kalibr_camchain import camera_chain
 from .kalibr_text import kalibr_yaml
 from .lens_fit import k3_losses, without_k3
+from .lens_formats import unknown_lens
 from .sensor_losses import (
     accelerometer_losses,
     bias_losses,
@@ -130,10 +130,7 @@ def _known(name: str, calibrated: CameraCalibration) -> CameraCalibration:
     """Return a camera in OpenVINS' terms: without distortion it is radtan with zeros."""
     camera = calibrated.camera
     if camera.projection != "pinhole" or camera.distortion == "fov":
-        raise OptionError(
-            f"{name} is {camera.model}, and OpenVINS knows pinhole-radtan and pinhole-equidistant only. Calibrate the "
-            "camera with one of these, or convert to kalibr or basalt."
-        )
+        raise unknown_lens(name, camera, "OpenVINS knows pinhole-radtan and pinhole-equidistant only")
     if camera.distortion != "none":
         return replace(calibrated, camera=without_k3(camera).camera)
     return replace(calibrated, camera=replace(camera, distortion="radtan", distortion_coeffs=np.zeros(4)))

@@ -17,6 +17,7 @@ from .camera_poses import pose_in_body
 from .context import Context, StatedImu
 from .export import Export, Loss, g_sensitivity_losses, magnetometer_losses, uncertainty_loss
 from .kalibr_camchain import baseline
+from .lens_formats import unknown_lens
 from .opencv_yaml import opencv_lines, opencv_matrix
 from .sensor_losses import (
     accelerometer_losses,
@@ -131,10 +132,7 @@ def _second_to_first(first: CameraCalibration, second: CameraCalibration) -> np.
 
 def _type(name: str, camera: Camera) -> str:
     if camera.projection != "pinhole" or camera.distortion not in _TYPES:
-        raise OptionError(
-            f"{name} is {camera.model}, and ORB-SLAM3 knows pinhole with radtan, equidistant or no distortion. "
-            "Calibrate the camera with one of these, or convert to kalibr or basalt."
-        )
+        raise unknown_lens(name, camera, "ORB-SLAM3 knows pinhole with radtan, equidistant or no distortion")
     return _TYPES[camera.distortion]
 
 

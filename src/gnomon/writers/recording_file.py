@@ -36,17 +36,27 @@ def save_recording(recording: Recording, path: str | Path) -> tuple[Path, ...]:
         If a file cannot be written.
     """
     path = Path(path)
-    name = path.name.lower()
-    if name.endswith(".npz"):
+    check_suffix(path)
+    if path.name.lower().endswith(".npz"):
         with atomic_file(path) as stream:
             np.savez_compressed(stream, **_arrays(recording))  # pyright: ignore[reportArgumentType]
         return (path,)
-    if not name.endswith((".csv", ".csv.gz")):
-        raise OptionError(f"{path}: a recording is written as .npz, .csv or .csv.gz. Choose one of these suffixes.")
     if len(recording.imus) != 1:
         raise OptionError(f"{path}: CSV holds one IMU, the recording has {len(recording.imus)}. Write .npz.")
     (imu,) = recording.imus.values()
     return _save_csv(imu, path)
+
+
+def check_suffix(path: Path) -> None:
+    """Check that a recording can be written under this name.
+
+    Raises
+    ------
+    OptionError
+        If its suffix is not one of those.
+    """
+    if not path.name.lower().endswith((".npz", ".csv", ".csv.gz")):
+        raise OptionError(f"{path}: a recording is written as .npz, .csv or .csv.gz. Choose one of these suffixes.")
 
 
 def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:

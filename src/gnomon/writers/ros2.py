@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration
-from ..errors import OptionError
 from ..geometry.quaternion import quaternion_from_rotation
 from ..geometry.so3 import inverse
 from ..models.camera import Camera
@@ -18,6 +17,7 @@ from ..recording import Floats
 from .camera_poses import pose_in_body
 from .context import Context
 from .export import Export, Loss, uncertainty_loss
+from .lens_formats import unknown_lens
 from .opencv_yaml import flow
 from .sensor_losses import no_shift_losses, require_cameras, triad_shift_losses
 
@@ -105,10 +105,8 @@ def _node(imu: str, name: str, pose: Floats) -> str:
 
 def _info_text(name: str, camera: Camera, context: Context, where: str) -> str:
     if camera.projection != "pinhole" or camera.distortion not in _MODELS:
-        raise OptionError(
-            f"{name} is {camera.model}, and CameraInfo knows pinhole with radtan (plumb_bob), equidistant or no "
-            "distortion. Calibrate the camera with one of these, or convert to kalibr or basalt."
-        )
+        knows = "CameraInfo knows pinhole with radtan (plumb_bob), equidistant or no distortion"
+        raise unknown_lens(name, camera, knows)
     fx, fy, cx, cy = camera.intrinsics.tolist()
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     model, count = _MODELS[camera.distortion]

@@ -9,6 +9,7 @@ import numpy as np
 from ..calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, parameters
 from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
+from ..simulate.truth import TRUTH_METHOD
 from . import form_entries
 from .camera_entries import IMU_EQUATION, camera_entries, camera_equation, imu_entries
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
@@ -117,7 +118,7 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
     """
     if form not in _FORMS:
         raise OptionError(f'"{form}" is no form of the sensor model. Choose one of: {", ".join(_FORMS)}.')
-    frame = calibration.frame
+    frame, written = calibration.frame, _values_of(calibration)
     tables: list[Table] = []
     for name, imu in calibration.imus.items():
         if imu.accelerometer is not None:  # which defines the frames of the forms; other triads stay in theirs
@@ -126,7 +127,7 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
         entries, sigmas = entries_with_sigmas(imu, calibration.covariance(*paths), form)
         for triad, note in zip(_TRIADS, _EQUATIONS[form], strict=True):
             rows = tuple(
-                Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
+                Row(name=entry.name, value=written(entry.value, sigma), unit=entry.unit)
                 for entry, sigma in zip(entries, sigmas, strict=True)
                 if entry.triad == triad
             )
@@ -138,17 +139,18 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
 def _rig_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
     """Yield a table for each IMU with a pose, and for each camera; poses are those against the form's body frame."""
     placed = [name for name, imu in calibration.imus.items() if imu.T_imu_body is not None]
+    written = _values_of(calibration)
     if (calibration.cameras or placed) and frame != calibration.frame:
         calibration = calibration.in_frame(frame)
     for name in placed:
         rows = tuple(
-            Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
+            Row(name=entry.name, value=written(entry.value, sigma), unit=entry.unit)
             for entry, sigma in imu_entries(calibration, name)
         )
         yield Table(title=f"{name}, pose and clock, body frame {frame}", note=IMU_EQUATION, rows=rows)
     for name, camera in calibration.cameras.items():
         rows = tuple(
-            Row(name=entry.name, value=value_text(entry.value, sigma), unit=entry.unit)
+            Row(name=entry.name, value=written(entry.value, sigma), unit=entry.unit)
             for entry, sigma in camera_entries(calibration, name)
         )
         yield Table(
@@ -222,6 +224,19 @@ def _shaped(x: Floats, imu: ImuCalibration) -> dict[str, Floats]:
     return found
 
 
+def _values_of(calibration: Calibration) -> Callable[[float, float], str]:
+    """Return what writes values with their sigmas, which the truth of a simulation has not."""
+    return _exact_text if _is_exact(calibration) else value_text
+
+
+def _is_exact(calibration: Calibration) -> bool:
+    return calibration.provenance.method == TRUTH_METHOD and not calibration.uncertainty.matrix.any()
+
+
+def _exact_text(value: float, _sigma: float) -> str:
+    return f"{value:.6g}"
+
+
 def value_text(value: float, sigma: float) -> str:
     """Return value and sigma with two significant digits of sigma.
 
@@ -245,6 +260,8 @@ def value_text(value: float, sigma: float) -> str:
 
 def summary_table(calibration: Calibration) -> Table:
     """Return what concerns the calibration as a whole: verdict, frame, gravity, and what it rests on."""
+    if _is_exact(calibration):
+        return _truth_table(calibration)
     assessment, gravity = calibration.assessment, calibration.gravity
     camera_imu = assessment.camera_imu
     note = f"gnomon {calibration.provenance.gnomon_version}"
@@ -263,6 +280,14 @@ def summary_table(calibration: Calibration) -> Table:
     elif calibration.imus:
         rows += _magnitude_rows(calibration) if camera_imu is None else _camera_imu_rows(camera_imu)
     return Table(title="calibration", note=note, rows=tuple(rows))
+
+
+def _truth_table(calibration: Calibration) -> Table:
+    rows = [Row(name="body frame", value=calibration.frame, unit="")]
+    if rests_on_gravity(calibration):
+        rows.append(Row(name="gravity", value=_exact_text(calibration.gravity.value, 0.0), unit="m/s^2"))
+    note = f"gnomon {calibration.provenance.gnomon_version}; exact: what the recording was simulated with"
+    return Table(title="truth of a simulation", note=note, rows=tuple(rows))
 
 
 def _magnitude_rows(calibration: Calibration) -> Iterator[Row]:

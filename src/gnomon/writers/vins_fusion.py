@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration
-from ..errors import OptionError
 from ..models.camera import Camera
 from .camera_poses import pose_in_body
 from .context import Context, StatedImu
 from .export import Export, Loss, g_sensitivity_losses, magnetometer_losses, uncertainty_loss
 from .lens_fit import cameras_without_k3, k3_losses
+from .lens_formats import unknown_lens
 from .opencv_yaml import FIRST_LINE, opencv_lines, opencv_matrix
 from .sensor_losses import (
     accelerometer_losses,
@@ -146,10 +146,8 @@ def _lens(name: str, camera: Camera) -> tuple[str, dict[str, Any]]:
                 "mirror_parameters": mirror, "distortion_parameters": bent, "projection_parameters": linear,
             }  # fmt: skip
         case _:
-            raise OptionError(
-                f"{name} is {camera.model}, and VINS-Fusion knows pinhole with radtan, equidistant or no distortion, "
-                "and omni with radtan or none. Calibrate the camera with one of these, or convert to kalibr or basalt."
-            )
+            knows = "pinhole with radtan, equidistant or no distortion, and omni with radtan or none"
+            raise unknown_lens(name, camera, f"VINS-Fusion knows {knows}")
 
 
 def _joined(lines: Iterator[str]) -> str:

@@ -2,17 +2,24 @@
 
 import numpy as np
 
+from ...intervals import Booleans
 from ...recording import TriadSamples
 
 _RARE = 0.01
 
 
-def repaired(samples: TriadSamples) -> TriadSamples:
+def repaired(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
     """Return the samples without those whose stamp equals the one before; the first of them is kept.
 
-    A sample that repeats stamp and values of the one before was written twice, and is always dropped. One that repeats
-    the stamp alone is dropped only while such samples are rare (1 %): where they are many, the clock is coarser than
-    the sample rate, and dropping them would lose good samples. Stamps that go backwards are never touched.
+    A sample that repeats stamp and values of the one before was written twice, and is always dropped, unless a coarse
+    converter repeats values as often where the stamps differ. One that repeats the stamp alone is dropped only while
+    such samples are rare (1 %): where they are many, the clock is coarser than the sample rate, and dropping them would
+    lose good samples. Stamps that go backwards are never touched.
+
+    Parameters
+    ----------
+    samples : stamps in any order
+    counted : samples are counted, not timed (a uniform time base is stated): a stamp that is wrong costs none of them
     """
     if len(samples) < 2:
         return samples
@@ -20,9 +27,23 @@ def repaired(samples: TriadSamples) -> TriadSamples:
     if not same_stamp.any():
         return samples
     same_values = (samples.values[1:] == samples.values[:-1]).all(axis=1)
-    rare = np.count_nonzero(same_stamp & ~same_values) <= _RARE * len(samples)
-    drop = same_stamp if rare else same_stamp & same_values
+    drop = same_stamp & same_values
+    if _by_chance(same_values, same_stamp):
+        drop[:] = False
+    if not counted and np.count_nonzero(same_stamp & ~drop) <= _RARE * len(samples):
+        drop = same_stamp
+    if not drop.any():
+        return samples
     keep = np.concatenate([[True], ~drop])
     t_ns, values = samples.t_ns[keep], samples.values[keep]
     t_ns.flags.writeable = values.flags.writeable = False  # so that they are kept without a copy
     return TriadSamples(t_ns=t_ns, values=values, unit=samples.unit)
+
+
+def _by_chance(same_values: Booleans, same_stamp: Booleans) -> bool:
+    """Return whether values repeat no more often (three sigma) where the stamp is repeated than where it is not."""
+    here, elsewhere = same_values[same_stamp], same_values[~same_stamp]
+    if not elsewhere.any():
+        return False
+    usual = float(elsewhere.mean())
+    return float(here.mean()) <= usual + 3 * np.sqrt(usual * (1 - usual) / len(here))

@@ -9,6 +9,7 @@ from ...recording import Floats, TriadSamples, frozen_array
 
 _PACKETS = 0.3  # share of samples that are stamped together with the one before
 _PACKET_S = 0.5
+_FAR_BETTER = 0.7
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,11 +21,13 @@ class TimeBase:
     t_s : (n,) [s since `origin_ns`]
     uniform : whether they lie on a straight line through the stamps
     jitter_s : rms distance of the stamps from that line [s]; nan where there is none
+    missing : samples that the stamps leave room for, and a line that was asked for does not
     """
 
     t_s: Floats
     uniform: bool
     jitter_s: float
+    missing: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t_s", frozen_array(self.t_s))
@@ -63,15 +66,30 @@ def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "st
             return TimeBase(t_s=stamps, uniform=False, jitter_s=float("nan"))
     number = np.zeros(len(stamps))
     np.cumsum(np.rint(steps / period), out=number[1:])
+    counted = number
     if choice == "uniform":
         number = np.arange(len(stamps), dtype=np.float64)
+    slope, line = _line(number, stamps)
+    jitter = float(np.sqrt(np.mean((stamps - line) ** 2)))
+    holds = slope > 0 and bool(np.all(np.diff(number) >= 1)) and float(np.abs(stamps - line).max()) < 0.5 * slope
+    if choice == "uniform":
+        return TimeBase(t_s=line, uniform=True, jitter_s=jitter, missing=_missing(counted, stamps, jitter))
+    if holds:
+        return TimeBase(t_s=line, uniform=True, jitter_s=jitter)
+    return TimeBase(t_s=stamps, uniform=False, jitter_s=jitter)
+
+
+def _line(number: Floats, stamps: Floats) -> tuple[float, Floats]:
+    """Return slope and values of the straight line through stamps over the samples' numbers."""
     mean_number, mean_stamp = number.mean(), stamps.mean()
     spread = float((number - mean_number) @ (number - mean_number))
     slope = float((number - mean_number) @ (stamps - mean_stamp)) / spread if spread > 0 else 0.0
-    line = mean_stamp + slope * (number - mean_number)
-    error = stamps - line
-    jitter = float(np.sqrt(np.mean(error**2)))
-    holds = slope > 0 and bool(np.all(np.diff(number) >= 1)) and float(np.abs(error).max()) < 0.5 * slope
-    if holds or choice == "uniform":
-        return TimeBase(t_s=line, uniform=True, jitter_s=jitter)
-    return TimeBase(t_s=stamps, uniform=False, jitter_s=jitter)
+    return slope, mean_stamp + slope * (number - mean_number)
+
+
+def _missing(number: Floats, stamps: Floats, jitter_s: float) -> int:
+    """Return how many samples are missing, where the numbers with missing ones explain the stamps better."""
+    missing = int(number[-1]) - (len(number) - 1)
+    _, line = _line(number, stamps)
+    better = float(np.sqrt(np.mean((stamps - line) ** 2))) < _FAR_BETTER * jitter_s
+    return missing if missing > 0 and better else 0

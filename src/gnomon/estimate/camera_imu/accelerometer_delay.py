@@ -13,7 +13,7 @@ import numpy as np
 from ...geometry.rigid_body import acceleration_by_place
 from .alignment import Alignment
 from .board_poses import BoardPoses
-from .camera_acceleration import DIFFERENCE, averaged, camera_accelerations
+from .camera_acceleration import averaged, camera_accelerations, derivative
 from .first_guess import ImuStream
 
 _GRID_S = np.arange(-0.06, 0.0601, 0.002)
@@ -35,7 +35,7 @@ def accelerometer_delay(alignment: Alignment, poses: BoardPoses, stream: ImuStre
         return 0.0
     R_imu_target = alignment.R_cam_imu.T @ poses.R_cam_target[centre]
     omega = averaged(at_s, stream.t_s, stream.rate)
-    alpha = averaged(at_s, stream.t_s, stream.rate, DIFFERENCE)
+    alpha = derivative(at_s, stream.t_s, stream.rate)
     columns = np.concatenate(
         [-R_imu_target, acceleration_by_place(omega, alpha), np.broadcast_to(np.eye(3), R_imu_target.shape)], axis=2
     ).reshape(-1, 9)

@@ -21,6 +21,7 @@ _STEP_S = 0.1
 _LONGEST_STEP_S = 0.35  # frames further apart tell no rate
 _SHORTEST_OVERLAP_S = 3.0
 _FINE_S = 0.02  # search about the coarse shift
+_STEPS, _FINER = 8, 3
 _ROBUST, _ROUNDS = 3.0, 3
 _EXPLAINED, _PROPER = 0.3, 0.9
 _SCALE = 0.5
@@ -105,29 +106,67 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
             f"{name}: the board was seen in {len(poses)} frames, and in fewer than ten pairs of frames less than "
             f"{_LONGEST_STEP_S:g} s apart. Keep the board in view while you move, and record at 4 Hz or more."
         )
-    rates = turns.rotvec / (turns.stop_s - turns.start_s)[:, None]
-    spread = np.sqrt(np.linalg.eigvalsh(np.cov(rates.T)))[::-1]
+    spread = _principal_rates(turns, np.ones(len(turns.first), dtype=bool))
     if spread[0] < 0.02:
         raise InitialisationError(
             f"{name}: the camera turned by {np.degrees(spread[0]):.2g} deg/s (rms) only; without rotation neither the "
             "time shift nor the rotation between camera and IMU can be found. Turn it about all three axes, briskly."
         )
-    coarse = _coarse_shift(turns, integral, name)
-    found = _refined(poses, turns, integral, coarse, spread)
+    found = _aligned(poses, turns, integral, name)
     if found.score < _PROPER and _is_mirrored(turns, integral, found.time_shift_s):
         return found  # with its low score: whoever looks at the axes says what is wrong with them
-    if found.score < _EXPLAINED:
+    fits_scale = 1 - _SCALE < found.rate_scale < 1 + _SCALE
+    if found.score < (_EXPLAINED if fits_scale else _PROPER):
         raise InitialisationError(
             f"{name} and the gyroscope do not show the same rotation at any time shift: the best one, "
-            f"{found.time_shift_s:.2f} s, explains {100 * max(found.score, 0):.0f} % of it. Either hardly anything "
-            "turned, or the streams are not of one recording. Turn about all three axes, briskly, board in view."
+            f"{found.time_shift_s:.2f} s, explains {100 * max(found.score, 0):.0f} % of it (rms {name} "
+            f"{np.degrees(np.linalg.norm(spread)):.3g}, gyroscope {np.degrees(_rate(integral)):.3g} deg/s). Either "
+            "hardly anything turned, or the board's poses are too uncertain (small in the image, blurred), or the "
+            "streams are not of one recording. Turn about all three axes, briskly, with the board large in view."
         )
-    if not 1 - _SCALE < found.rate_scale < 1 + _SCALE:
+    if not fits_scale:
         raise InitialisationError(
             f"the gyroscope reads {found.rate_scale:.3g} times the rotation that {name} sees, at the best time shift. "
             + _unit_hint(found.rate_scale)
         )
     return found
+
+
+def _aligned(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, name: str) -> Alignment:
+    """Return the alignment at the time shift of best agreement.
+
+    A few poses that are far off make a search by least squares fail; then long rotations are made short in another one.
+
+    Raises
+    ------
+    InitialisationError
+        If the streams hardly overlap.
+    """
+    tried: list[Alignment] = []
+    for limited in (False, True):
+        coarse = _coarse_shift(turns, integral, name, limited=limited)
+        found = _refined(poses, turns, integral, coarse)
+        tried += [] if found is None else [found]
+        if found is not None and found.score >= _PROPER:
+            break
+    if not tried:
+        raise InitialisationError(
+            f"{name} and gyroscope overlap in fewer than ten pairs of frames at the best time shift. "
+            "Record both together, in one go."
+        )
+    return max(tried, key=lambda one: one.score)
+
+
+def _principal_rates(turns: _Turns, used: np.ndarray) -> Floats:
+    """Return the rms angular rate along the principal axes, largest first, (3,) [rad/s]."""
+    rates = (turns.rotvec / (turns.stop_s - turns.start_s)[:, None])[used]
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(rates.T)), 0.0))[::-1]
+
+
+def _rate(integral: GyroscopeIntegral) -> float:
+    """Return the rms angular rate about the mean one [rad/s]."""
+    rate = np.diff(integral.angle, axis=0) / np.maximum(np.diff(integral.t_s), 1e-9)[:, None]
+    return float(np.sqrt(np.var(rate, axis=0).sum()))
 
 
 def _is_mirrored(turns: _Turns, integral: GyroscopeIntegral, shift: float) -> bool:
@@ -169,8 +208,13 @@ def _turns(poses: BoardPoses) -> _Turns:
     return _Turns(start_s=poses.t_s[first], stop_s=poses.t_s[second], rotvec=rotvec[usable], first=first, second=second)
 
 
-def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str) -> float:
-    """Return the shift of best agreement on a grid over the whole overlap, by fast Fourier transforms."""
+def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str, *, limited: bool) -> float:
+    """Return the shift of best agreement on a grid over the whole overlap, by fast Fourier transforms.
+
+    Parameters
+    ----------
+    limited : take rates above the median one for as large as that
+    """
     length = float(np.median(turns.stop_s - turns.start_s))
     step = turns.stop_s - turns.start_s
     camera_start = float(turns.start_s[0])
@@ -180,6 +224,9 @@ def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str) -> floa
     mask = np.zeros(camera_count)
     rate = turns.rotvec / step[:, None]
     rate -= np.median(rate, axis=0)
+    if limited:
+        size = np.linalg.norm(rate, axis=1)
+        rate *= np.minimum(1.0, np.median(size) / np.maximum(size, 1e-12))[:, None]
     camera[:, centre], mask[centre] = rate.T, 1.0
     first, last = float(integral.t_s[0]), float(integral.t_s[-1])
     grid = np.arange(first, last, _GRID_S)
@@ -212,20 +259,25 @@ def _coarse_shift(turns: _Turns, integral: GyroscopeIntegral, name: str) -> floa
     return float(lag[best]) * _GRID_S + first - camera_start
 
 
-def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coarse: float, spread: Floats) -> Alignment:
+def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coarse: float) -> Alignment | None:
+    """Return the alignment near a time shift; None where the streams hardly overlap."""
     shifts, best = coarse + np.linspace(-_FINE_S, _FINE_S, 17), coarse
     found: _HandEye | None = None
-    for _ in range(3):
+    finer = 0
+    for _ in range(_STEPS):
         trials = [_hand_eye(turns, integral, shift) for shift in shifts]
         costs = [np.inf if trial is None else trial.cost for trial in trials]
         place = int(np.argmin(costs))
         best, found = float(shifts[place]), trials[place]
-        shifts = best + np.linspace(-1, 1, 9) * (shifts[1] - shifts[0])
+        if finer or 0 < place < len(shifts) - 1:
+            finer += 1
+            shifts = best + np.linspace(-1, 1, 9) * (shifts[1] - shifts[0])
+        else:  # the coarse shift is off by more: go on from here
+            shifts = best + np.linspace(-_FINE_S, _FINE_S, 17)
+        if finer == _FINER:
+            break
     if found is None:
-        raise InitialisationError(
-            f"camera and gyroscope overlap in fewer than ten pairs of frames at the best time shift, {best:.2f} s. "
-            "Record both together, in one go."
-        )
+        return None
     consistent = np.ones(len(poses), dtype=bool)
     bad = found.good == 0
     # A frame is inconsistent where the rotations on both of its sides are.
@@ -239,7 +291,7 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
         gyroscope_bias=found.fit.bias,
         rate_scale=found.scale,
         score=found.explained,
-        axes=spread,
+        axes=_principal_rates(turns, found.good > 0),
         consistent=consistent,
     )
 

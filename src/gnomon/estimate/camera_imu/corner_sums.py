@@ -89,7 +89,8 @@ class CornerSums:
 
     Attributes
     ----------
-    gram : (e, w, w) products of the columns [twist 6 | own parameters | residual | probe, if any], in sigmas
+    sums : (e, w, w) products of the columns [twist 6 | own parameters | residual | probe, if any], in sigmas; or where
+        every exposure is a single corner, as with a rolling shutter, (e, 2, w) the columns themselves
     cost : (e,) robust cost, half of chi-square for small residuals
     corner_cost : (m,) the same of each corner; zero where not valid
     mean_square : (e,) mean squared residual per axis [px^2]; nan without valid corners
@@ -100,7 +101,7 @@ class CornerSums:
     spread : (m,) or 1.0, standard deviation of each corner over that of a usual one
     """
 
-    gram: Floats
+    sums: Floats
     cost: Floats
     corner_cost: Floats
     mean_square: Floats
@@ -109,6 +110,20 @@ class CornerSums:
     residual: Floats
     weight: Floats
     spread: Floats | float = 1.0
+
+    @property
+    def gram(self) -> Floats:
+        """Products of the columns, (e, w, w)."""
+        return np.swapaxes(self.sums, 1, 2) @ self.sums if self._single else self.sums
+
+    def rows(self, chosen: Integers) -> Floats:
+        """Return rows (n, r, w) of some exposures whose products are the sums: few, however many corners there are."""
+        sums = self.sums[chosen]
+        return sums if self._single else _square_roots(sums)
+
+    @property
+    def _single(self) -> bool:
+        return self.sums.shape[1] != self.sums.shape[2]
 
     @property
     def comparable(self) -> Floats:
@@ -148,7 +163,8 @@ def corner_sums(
     bends = 0 if shape is None else len(shape)
     width = TWIST + len(own) + scale_column + bends + 1 + (noise.probe_sign is not None)
     count = len(exposures)
-    gram = np.zeros((count, width, width))
+    single = bool((np.diff(exposures.start) == 1).all())
+    sums = np.zeros((count, 2 if single else width, width))
     cost, square = np.zeros(count), np.full(count, np.nan)
     valid = np.zeros(count, np.int64)
     residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
@@ -176,18 +192,18 @@ def corner_sums(
             columns.append((sign[:, 0], sign[:, 1]))
         root = np.where(image.valid, root, 0.0)
         rows = _weighted(columns, root)
-        gram[first:last] = _grams(rows, lengths)
+        sums[first:last] = rows.transpose(1, 2, 0) if single else _grams(rows, lengths)
         if offsets is not None and by_offset is not None:
             offsets.add(corners, rows, (root[:, None, None] * by_offset).transpose(2, 0, 1))
         cost[first:last] = np.bincount(which, rho, last - first)
         valid[first:last] = np.bincount(which, image.valid, last - first)
         squares = np.where(image.valid, np.einsum("ij,ij->i", off, off), 0.0)
         some = valid[first:last] > 0
-        sums = np.bincount(which, squares, last - first)
-        square[first:last][some] = sums[some] / (2 * valid[first:last][some])
+        total = np.bincount(which, squares, last - first)
+        square[first:last][some] = total[some] / (2 * valid[first:last][some])
         residual[corners], weight[corners], each[corners] = apart, robust, rho
     return CornerSums(
-        gram=gram,
+        sums=sums,
         cost=cost,
         corner_cost=each,
         mean_square=square,
@@ -253,6 +269,14 @@ def _grams(rows: Floats, lengths: Integers) -> Floats:
         part = flat[:, start:stop]
         np.dot(part, part.T, out=gram[i])
     return gram
+
+
+def _square_roots(gram: Floats) -> Floats:
+    """Return rows (e, w, w) whose products are the sums: as many rows as columns instead of two a corner."""
+    diagonal = np.einsum("nii->ni", gram)
+    w = gram.shape[1]
+    eased = gram + (1e-13 * diagonal + 1e-30)[:, :, None] * np.eye(w)
+    return np.swapaxes(np.linalg.cholesky(eased), 1, 2)
 
 
 def _turned(R_cam_target: Floats, which: Integers, points: Floats, scale: float) -> Floats:

@@ -17,7 +17,7 @@ from .alignment import Alignment, align, gyroscope_integral
 from .batch import State
 from .board import Board
 from .board_poses import BoardPoses, board_poses
-from .camera_acceleration import STEP_S, averaged, camera_accelerations
+from .camera_acceleration import averaged, camera_accelerations
 from .choices import choices, kept_or_prior, wants_k3
 from .corner_sums import Exposures
 from .inertial_data import InertialData
@@ -106,6 +106,9 @@ def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, s
             if frames.T_cam_imu is None or not len(poses):
                 raise
             alignment = _as_stated(frames, poses)
+            t_s = poses.t_s + alignment.time_shift_s
+            if not np.any((t_s >= stream.t_s[0]) & (t_s <= stream.t_s[-1])):
+                raise  # why it cannot be found says more than that what was stated is wrong, too
         else:
             stated = None if frames.T_cam_imu is None else frames.T_cam_imu[:3, :3]
             alignment = upright(alignment, poses, stream, stated)
@@ -139,8 +142,8 @@ def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated
     centre, acceleration, at_s = camera_accelerations(poses, alignment.time_shift_s)
     if len(centre) < _FEWEST_ACCELERATIONS:
         raise InitialisationError(
-            f"the rig turned about one axis only, and {len(centre)} frames have neighbours {STEP_S:g} s before and "
-            "after them, too few to tell the camera's angle about that axis. Turn about all three axes, or state "
+            f"the rig turned about one axis only, and {len(centre)} frames with the board have one just before and one "
+            "just after them, too few to tell the camera's angle about that axis. Turn about all three axes, or state "
             "T_cam_imu in camchain.yaml."
         )
     R_cam_target = poses.R_cam_target[centre]
@@ -178,10 +181,12 @@ def first_parameters(
     gravity_m_s2: float,
     options: CameraImuOptions,
     imus: Sequence[ImuParameters] = (ImuParameters.ideal(),),
+    places: Sequence[Floats] = (),
 ) -> Parameters:
     """Return the constant parameters to start from; gravity's direction follows with the trajectory.
 
-    What was stated of the cameras is taken where it shall be kept, or has a stated prior about it.
+    What was stated of the cameras is taken where it shall be kept, or has a stated prior about it. Of the others
+    `places` tells p_cam_imu (3,) [m], where given.
 
     Raises
     ------
@@ -198,12 +203,12 @@ def first_parameters(
             CameraParameters(
                 name=look.name,
                 R_cam_imu=look.alignment.R_cam_imu,
-                p_cam_imu=np.zeros(3),
+                p_cam_imu=places[i] if places else np.zeros(3),
                 time_shift_s=look.alignment.time_shift_s,
                 camera=look.frames.camera,
                 lens_covariance=look.frames.lens_covariance,
             )
-            for look in found
+            for i, look in enumerate(found)
         ),
     )
     named = [entry.with_k3() if wants_k3(entry.name, options) else entry for entry in start.cameras]

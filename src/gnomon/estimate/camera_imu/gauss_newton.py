@@ -12,8 +12,9 @@ from .layout import Layout
 
 _OVERSHOT = 0.25  # of the decrease that a step foretold: if less comes true, half of the step is tried, too
 _WORTH = 1.0  # decrease of the cost below which nothing is
-_TRIALS = ((0.0, 1.0), (0.0, 0.5), (0.0, 0.25), *((10.0**power, 1.0) for power in range(-6, 5, 2)))
-"""Damping and share of the step that are tried, one after the other, until the cost falls."""
+_SHARES = (1.0, 0.5, 0.25)
+_DAMPINGS = tuple(10.0**power for power in range(-6, 5, 2))
+"""Shares of the undamped step, then dampings, that are tried one after the other until the cost falls."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,6 +159,7 @@ def descended(
     layout: Layout,
     probing: bool,
     workspace: Workspace,
+    damped: float = 0.0,
 ) -> tuple[State, Linearisation, list[Iteration]]:
     """Take the Gauss-Newton step; a part of it, or a damped one, only if it would not lower the cost.
 
@@ -166,6 +168,7 @@ def descended(
     lin, state, step : where the step starts, and the undamped step
     layout, probing : for the linearisation after the step
     workspace : of all linearisations; `lin.system` is used up
+    damped : by which the step before was damped: only a little less than that is tried again
 
     Returns
     -------
@@ -183,7 +186,9 @@ def descended(
         return there, linearised(measurements, there, layout, noise, probing=probing, workspace=workspace)
 
     tried: list[Iteration] = []
-    for damping, share in _TRIALS:
+    least = max((damping for damping in _DAMPINGS if damping < damped), default=0.0)
+    dampings = [damping for damping in _DAMPINGS if damping >= least]
+    for damping, share in (*((0.0, share) for share in _SHARES), *((damping, 1.0) for damping in dampings)):
         taken = step.part(share)
         try:
             if damping:  # the undamped equations were overwritten by those after the step

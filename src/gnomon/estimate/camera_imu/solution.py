@@ -102,7 +102,7 @@ def solved(
     state, iterations, converged = start, list[Iteration](), False
     first, judgements, workspace = noise, 0, workspace or Workspace()
     lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
-    step, found, previous = _step(lin), noise, np.inf
+    step, found, previous, changed = _step(lin), noise, np.inf, False
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
         tell(f"iteration {done + 1}: largest step {step.largest:.2g} sigma")
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
@@ -123,7 +123,8 @@ def solved(
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
                 converged = True
                 break
-            if not (same_noise and same_frames):  # another problem from here on: costs are not comparable
+            changed = not ((same_noise and same_frames) or (changed and step.largest > previous))
+            if changed:  # another problem from here on: costs are not comparable
                 noise = noise if same_noise else proposed
                 measurements = measurements if same_frames else replace(measurements, used=kept)
                 state = moved(state, lin.layout, step)
@@ -142,6 +143,7 @@ def solved(
             layout=extended,
             probing=True,
             workspace=workspace,
+            damped=iterations[-1].damping if iterations else 0.0,
         )
         iterations += tried
         previous, step = step.largest, _step(lin, step.factor)

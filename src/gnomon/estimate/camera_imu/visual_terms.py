@@ -184,7 +184,7 @@ class VisualTerms:
     def rows(self, part: slice) -> Floats:
         """Return the rows (e, r, w) that sum up the corners of some exposures."""
         chosen = self._order[part]
-        return self._mapped(_square_roots(self.sums.gram[chosen]), chosen)
+        return self._mapped(self.sums.rows(chosen), chosen)
 
     def _mapped(self, roots: Floats, chosen: Integers) -> Floats:
         """Return the rows (e, r, w) from rows (e, r, ...) in the columns of `corner_sums`."""
@@ -222,14 +222,6 @@ def _own_columns(layout: Layout, entry: CameraParameters) -> tuple[Integers, boo
     if layout.get(f"{name}.distortion_coeffs") is not None:
         own += range(count, len(lens.parameters))
     return np.array(own, dtype=np.int64), layout.get("target.scale") is not None
-
-
-def _square_roots(gram: Floats) -> Floats:
-    """Return rows (e, w, w) whose products are the sums: as many rows as columns instead of two a corner."""
-    diagonal = np.einsum("nii->ni", gram)
-    w = gram.shape[1]
-    eased = gram + (1e-13 * diagonal + 1e-30)[:, :, None] * np.eye(w)
-    return np.swapaxes(np.linalg.cholesky(eased), 1, 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -34,6 +34,7 @@ from .model import (
 )
 from .noise_levels import ExtraVariance, estimate_extra_variance, rotation_variance, whitened_rest
 from .rotations import linear_start
+from .sampling import with_sampling_error
 
 _MOST_ITERATIONS = 30
 _NEGLIGIBLE_STEP = 1e-4  # of a sigma; Gauss-Newton's next step would be a thousand times smaller
@@ -151,6 +152,8 @@ def fit_multiposition(
     used = everything = (np.ones(len(start.u), dtype=bool), data.linked)
     whitening = _whitening(task, start, ExtraVariance(), used)
     point = _gauss_newton(task, start, linearise(data, start), whitening, _ROUGH_STEP)
+    data = with_sampling_error(data, point.state)
+    task = replace(task, data=data)
     if walk is None:
         at_rest = point.lines.gyroscope
         if g_sensitivity:

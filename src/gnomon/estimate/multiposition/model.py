@@ -43,6 +43,7 @@ class MultiPositionData:
     interval_s, rotation_s : (n,), (n - 1,) middle of each static interval and of each rotation [s]
     span_s : start of the first and end of the last static interval [s]
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
+    sampling_variance : variance of each rotation per axis by motion between samples, see sampling.py [rad^2]
     drift_at_rest, drift_in_motion : (n, j), (n - 1, j) values of the drift's hat functions; j = 0 without drift
     accelerometer_drift : (n, 1) time from -1/2 to 1/2 where the accelerometer drifts; (n, 0) where it does not
     """
@@ -58,6 +59,7 @@ class MultiPositionData:
     rotation_s: Floats
     span_s: tuple[float, float]
     earth_rate_variance: float = 0.0
+    sampling_variance: float = 0.0
     drift_at_rest: Floats | None = None
     drift_in_motion: Floats | None = None
     accelerometer_drift: Floats | None = None

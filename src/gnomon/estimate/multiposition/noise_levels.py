@@ -48,13 +48,14 @@ def whitened_rest(data: MultiPositionData, state: State, extra: ExtraVariance) -
 
 
 def rotation_variance(data: MultiPositionData, state: State) -> Floats:
-    """Return the variance of each rotation by noise and earth rate, (n - 1,), per axis [rad^2].
+    """Return the variance of each rotation by noise, earth rate and sampling, (n - 1,), per axis [rad^2].
 
     Attitudes change during a rotation, so that the gyroscope's axes share their noise evenly.
     """
     c_g = state.matrices[2]
     noise = data.rotation_variance @ (c_g**2).sum(axis=0) / 3
-    return np.maximum(noise + data.earth_rate_variance * data.segments.duration_s**2, np.finfo(float).tiny)
+    noise += data.earth_rate_variance * data.segments.duration_s**2 + data.sampling_variance
+    return np.maximum(noise, np.finfo(float).tiny)
 
 
 def estimate_extra_variance(

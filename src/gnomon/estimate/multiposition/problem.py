@@ -26,7 +26,7 @@ class TriadStream:
     rate_hz : sample rate [Hz]
     density : (3,) noise density of means at rest [unit^2 s]
     density_in_motion : (3,) noise density of integrals in motion [unit^2 s]
-    rounding : (3,) variance of a mean at rest that the converter's steps make, however long it rests [unit^2]
+    rounding : (k, 3) variance of each mean at rest that the converter's steps make, however long it rests [unit^2]
     intervals : its samples at rest
     """
 
@@ -105,7 +105,7 @@ def build_problem(
         ),
         rotation_variance=(
             segments.duration_s[:, None] * gyroscope.density_in_motion
-            + len(means_g) * gyroscope.rounding * _quiet_s(segments) ** 2
+            + len(means_g) * 0.5 * (gyroscope.rounding[:-1] + gyroscope.rounding[1:]) * _quiet_s(segments) ** 2
         )
         / scale_g.spread**2,
         linked=np.array([not reason for reason in unlinked], dtype=bool),

@@ -92,7 +92,7 @@ def trusted(
         covariance = ordinary + found.covariance - found.from_errors - found.from_prior
     biased = np.isin(paths, list(biases))
     comparison = Comparison(sums=sums, jacobian=jacobian, found=found, names=names, paths=paths)
-    spacing = float(np.median(np.diff(sums.t_s)))
+    spacing = float(np.median(np.diff(sums.t_s))) if len(sums) > 1 else 0.0  # one rest, and the rest known beforehand
     return Trusted(
         covariance=covariance,
         trust=Trust(
