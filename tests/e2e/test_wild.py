@@ -37,6 +37,7 @@ IMU = {
     60119: "one rest, and a prior that it contradicts",
     60091: "motion between samples, which the integration does not see",
     61012: "the Earth's rate, taken off by a scale that was assumed",
+    80390: "a preset whose T_init holds one sample",
 }
 """Seeds of what once was wrong."""
 

@@ -107,6 +107,9 @@ def calibrate_as_published(
     return Result(calibration=calibration, diagnostics=diagnostics)
 
 
+_FEWEST_AT_FIRST = 10  # samples that tell the noise
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Search:
     """M_inf of Algorithm 1: the threshold with the smallest residual, and all that were tried."""
@@ -146,6 +149,11 @@ def _search_threshold(
         raise DetectionError(
             f"the recording of {samples.duration_s:.1f} s is shorter than T_init = {t_init_s:g} s of this preset. "
             "State a shorter --t-init-s, or use the default preset, which needs none."
+        )
+    if first < _FEWEST_AT_FIRST:
+        raise DetectionError(
+            f"only {first} samples lie in T_init, the first {t_init_s:g} s, by which this preset finds the noise. "
+            "State a longer --t-init-s, or use the default preset, which needs none."
         )
     level = float(np.sum(np.var(values[:first], axis=0, ddof=1) ** 2))
     if not level > 0:

@@ -312,6 +312,14 @@ _OF_NUMBERS: tuple[tuple[Edit, float], ...] = (
 )
 
 
+def _stated_at_least(case: WildCase, name: str) -> float:
+    """Return a g-sensitivity that nobody can tell from less, since the bias wanders from rest to rest."""
+    gyroscope = case.imus["imu0"].gyroscope
+    if gyroscope is None or name != "gyroscope.g_sensitivity" or "imu0.gyroscope.bias" not in case.wandering:
+        return 0.0
+    return float(np.abs(gyroscope.g_sensitivity).max())
+
+
 def _with_options(case: WildCase, scenario: Scenario, rng: np.random.Generator) -> WildCase:
     chosen: dict[str, object] = {}
     imus = case.imus
@@ -347,7 +355,7 @@ def _with_options(case: WildCase, scenario: Scenario, rng: np.random.Generator) 
         chosen["frame"] = "accel-z"
     if rng.random() < 0.15:
         name = rng.choice(["accelerometer.bias", "gyroscope.bias", "gyroscope.g_sensitivity", "accelerometer"])
-        chosen["prior"] = (f"imu0.{name}={log_uniform(rng, 1e-4, 1.0):.3g}",)
+        chosen["prior"] = (f"imu0.{name}={max(log_uniform(rng, 1e-4, 1.0), _stated_at_least(case, name)):.3g}",)
     elif rng.random() < 0.05:
         chosen["fix"] = ("imu0.gyroscope.g_sensitivity",)
     case = replace(case, options=ImuOptions(**chosen), imus=imus)  # pyright: ignore[reportArgumentType]

@@ -102,7 +102,7 @@ def solved(
     state, iterations, converged = start, list[Iteration](), False
     first, judgements, workspace = noise, 0, workspace or Workspace()
     lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
-    step, found, previous, changed = _step(lin), noise, np.inf, False
+    step, found, previous, changed, since = _step(lin), noise, np.inf, False, 0  # since: the problem is the same
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
         tell(f"iteration {done + 1}: largest step {step.largest:.2g} sigma")
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
@@ -130,9 +130,9 @@ def solved(
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
                 lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
-                previous, step = step.largest, _step(lin, step.factor)
+                previous, step, since = step.largest, _step(lin, step.factor), len(iterations)
                 continue
-        if _stalled(iterations):
+        if _stalled(iterations[since:]):
             break
         state, lin, tried = descended(
             measurements,
