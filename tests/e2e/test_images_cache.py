@@ -121,6 +121,11 @@ def test_a_damaged_file_is_passed_over_and_replaced(first, again, tmp_path):
         assert all(np.array_equal(kept[name], before[name], equal_nan=kept[name].dtype.kind == "f") for name in kept)
 
 
+def _heeds_interrupts() -> None:
+    """Undo what a shell sets for its background jobs, which ignore SIGINT."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="there are no such signals")
 @pytest.mark.parametrize("stop", ["SIGINT", "SIGKILL"])
 def test_a_run_that_is_stopped_midway_leaves_nothing_half_written(walks, tmp_path, stop):
@@ -129,7 +134,12 @@ def test_a_run_that_is_stopped_midway_leaves_nothing_half_written(walks, tmp_pat
     out.mkdir()
     (out / "calibration.yaml").write_text("of an earlier run\n")
     words = map(str, ["camera-imu", walks.rendered(), *recorded.inputs(walks.rendered()), "-o", out, "--workers", 1])
-    with subprocess.Popen([sys.executable, "-m", "gnomon", *words], stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-m", "gnomon", *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=_heeds_interrupts,  # noqa: PLW1509 - there is one thread
+    ) as process:
         for line in process.stderr:
             if line.startswith("finding the board in the images of cam0:"):
                 break  # at the first of them: the sooner, the longer it still has to go

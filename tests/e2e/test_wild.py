@@ -48,6 +48,9 @@ RIG = {
     60203: "g-sensitivity estimated while the gyroscope's scale was taken for ideal",
 }
 
+LONG = {107}
+"""Those that take half a minute."""
+
 
 @pytest.mark.parametrize("seed", IMU, ids=str)
 def test_what_was_wrong_of_an_imu_stays_mended(seed):
@@ -55,7 +58,7 @@ def test_what_was_wrong_of_an_imu_stays_mended(seed):
     assert found.outcome != "bad", found
 
 
-@pytest.mark.parametrize("seed", RIG, ids=str)
+@pytest.mark.parametrize("seed", [pytest.param(seed, marks=pytest.mark.slow if seed in LONG else ()) for seed in RIG])
 def test_what_was_wrong_of_a_rig_stays_mended(seed):
     found = judged(("camera-imu", seed))
     assert found.outcome != "bad", found

@@ -91,7 +91,8 @@ def _scale_findings(gyroscope: RestingGyroscope) -> list[Finding]:
             code="gyroscope-scale-assumed",
             message=f"Rests do not show the gyroscope's scales and axes: they are what {gyroscope.unit} says, give or "
             "take 3 % and 30 mrad.",
-            consequence="Bias and g-sensitivity do not depend on them.",
+            consequence="Bias and g-sensitivity depend on them only by what a stated latitude takes off for the "
+            "Earth's rate.",
             cure="Give a calibration with --prior, or record rotations between the rests, too.",
         )
     ]
