@@ -47,7 +47,7 @@ lint: dev
 	$(BIN)/lint-imports
 
 types: dev
-	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/pyright --threads 2 --pythonpath $(BIN)/python
 
 examples: dev
 	$(BIN)/python -m pytest --doctest-modules src

@@ -163,7 +163,7 @@ def in_memory(found: list[Recorded]) -> Table:
 def clocked(seconds: dict[str, list[float]]) -> Generator[None]:
     """Note the CPU time of each call of what makes up a calibration."""
     pieces = (
-        (recipe, "_estimated"),
+        (recipe, "estimated"),
         (recipe, "chosen_model"),
         (recipe, "uncertainty"),
         (recipe, "recording_trust"),
@@ -211,7 +211,7 @@ def trust(found: list[Recorded]) -> Table:
                 with clocked(seconds):
                     result = gnomon.calibrate_camera_imu(recording, target)
                 total = time.process_time() - start
-                (base,), larger, sums = seconds["_estimated"], sum(seconds.get("solved", [])), seconds["cluster_sums"]
+                (base,), larger, sums = seconds["estimated"], sum(seconds.get("solved", [])), seconds["cluster_sums"]
                 judging = seconds["chosen_model"][0] - larger - sums[-1]
                 cr3 = sums[-1] + seconds["uncertainty"][0] + seconds["recording_trust"][0]
                 relative = 2 * total / (before + reference())
