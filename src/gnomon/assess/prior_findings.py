@@ -67,9 +67,9 @@ def cameras_disagree(
 
 
 def pulled_findings(known: Evidence, values: Floats, covariance: Floats) -> list[Finding]:
-    """Return what was taken from elsewhere, and whether an estimate that rests on it too contradicts it.
+    """Return what was taken from elsewhere, and whether an estimate that rests on it, too, contradicts it.
 
-    So do recordings that determine nothing on their own.
+    For recordings that determine too little on their own.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: I
     accelerometer_time = time_base(accelerometer, origin, options.time_base)
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
     gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
-    findings += tuple(uniform_despite_gaps(accelerometer_time, gyroscope_time))
+    findings += tuple(_uniform_despite_gaps(accelerometer_time, gyroscope_time))
     return PreparedImu(
         accelerometer=accelerometer,
         gyroscope=gyroscope,
@@ -134,7 +134,7 @@ def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: I
     )
 
 
-def uniform_despite_gaps(accelerometer: TimeBase, gyroscope: TimeBase) -> list[Finding]:
+def _uniform_despite_gaps(accelerometer: TimeBase, gyroscope: TimeBase) -> list[Finding]:
     """Warn where a uniform time base was stated although the stamps show that samples are missing."""
     missing, longest = max((base.missing, len(base.t_s)) for base in (accelerometer, gyroscope))
     if not missing:

@@ -54,9 +54,11 @@ from ..findings import Finding
 from ..geometry.so3 import inverse
 from ..intervals import StaticIntervals, interval_means
 from ..options import ImuOptions
-from ..recording import Floats, Recording
+from ..recording import Floats, Recording, TriadSamples
 from .preparation import PreparedImu, imu_calibration, local_gravity, stated_options, stream
 from .user_frame import in_stated_frame
+
+_FEWEST_AT_FIRST = 10  # samples that tell the noise
 
 
 def calibrate_as_published(
@@ -107,9 +109,6 @@ def calibrate_as_published(
     return Result(calibration=calibration, diagnostics=diagnostics)
 
 
-_FEWEST_AT_FIRST = 10  # samples that tell the noise
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Search:
     """M_inf of Algorithm 1: the threshold with the smallest residual, and all that were tried."""
@@ -142,36 +141,7 @@ def _search_threshold(
     prepared: PreparedImu, rules: TedaldiRules, gravity_m_s2: float, t_init_s: float, window_s: float
 ) -> _Search:
     samples = prepared.accelerometer
-    values, t_s = samples.values, (samples.t_ns - samples.t_ns[0]) * 1e-9
-    window = window_samples(samples, window_s)
-    first = _t_init_samples(t_s, samples.rate_hz, rules, t_init_s)
-    if len(values) < max(first, 2 * window):
-        raise DetectionError(
-            f"the recording of {samples.duration_s:.1f} s is shorter than T_init = {t_init_s:g} s of this preset. "
-            "State a shorter --t-init-s, or use the default preset, which needs none."
-        )
-    if first < _FEWEST_AT_FIRST:
-        raise DetectionError(
-            f"only {first} samples lie in T_init, the first {t_init_s:g} s, by which this preset finds the noise. "
-            "State a longer --t-init-s, or use the default preset, which needs none."
-        )
-    level = float(np.sum(np.var(values[:first], axis=0, ddof=1) ** 2))
-    if not level > 0:
-        raise DetectionError(
-            f"the accelerometer reads one number throughout the first {t_init_s:g} s: its converter is coarser than "
-            "its noise, and this preset's threshold is a multiple of the noise. Use the default preset."
-        )
-    statistic = variance_magnitude_squared(window_variances(values, window))
-    half = window // 2
-    statistic[:half], statistic[len(statistic) - half :] = np.inf, np.inf
-    if rules.leading_sample_static:
-        statistic[half - 1] = 0.0
-    relative = statistic / level
-    if np.median(relative[half:first]) > 10 or level > 100 * np.quantile(statistic[half:-half:window], 0.1):
-        raise DetectionError(
-            f"the first {t_init_s:g} s are not at rest, as this preset needs (T_init). "
-            "State a shorter --t-init-s, or use the default preset, which needs none."
-        )
+    values, relative = samples.values, _relative_variance(samples, rules, t_init_s, window_s)
     rows: list[tuple[float, ...]] = []
     best: tuple[float, StaticIntervals, Floats, MagnitudeFit] | None = None
     for multiplier in rules.multipliers:
@@ -207,6 +177,42 @@ def _search_threshold(
         candidates=np.array(rows, dtype=np.float64),
         statistic=relative,
     )
+
+
+def _relative_variance(samples: TriadSamples, rules: TedaldiRules, t_init_s: float, window_s: float) -> Floats:
+    """Return the detector's statistic of every sample over that of T_init, (n,); infinite at the ends."""
+    values, t_s = samples.values, (samples.t_ns - samples.t_ns[0]) * 1e-9
+    window = window_samples(samples, window_s)
+    first = _t_init_samples(t_s, samples.rate_hz, rules, t_init_s)
+    if len(values) < max(first, 2 * window):
+        raise DetectionError(
+            f"the recording of {samples.duration_s:.1f} s is shorter than T_init = {t_init_s:g} s of this preset. "
+            "State a shorter --t-init-s, or use the default preset, which needs none."
+        )
+    half = window // 2
+    if first < max(_FEWEST_AT_FIRST, half + 1):
+        raise DetectionError(
+            f"only {first} samples lie in T_init, the first {t_init_s:g} s, by which this preset finds the noise; it "
+            f"needs {max(_FEWEST_AT_FIRST, half + 1)}, more than half a window. State a longer --t-init-s, or use the "
+            "default preset, which needs none."
+        )
+    level = float(np.sum(np.var(values[:first], axis=0, ddof=1) ** 2))
+    if not level > 0:
+        raise DetectionError(
+            f"the accelerometer reads one number throughout the first {t_init_s:g} s: its converter is coarser than "
+            "its noise, and this preset's threshold is a multiple of the noise. Use the default preset."
+        )
+    statistic = variance_magnitude_squared(window_variances(values, window))
+    statistic[:half], statistic[len(statistic) - half :] = np.inf, np.inf
+    if rules.leading_sample_static:
+        statistic[half - 1] = 0.0
+    relative = statistic / level
+    if np.median(relative[half:first]) > 10 or level > 100 * np.quantile(statistic[half:-half:window], 0.1):
+        raise DetectionError(
+            f"the first {t_init_s:g} s are not at rest, as this preset needs (T_init). "
+            "State a shorter --t-init-s, or use the default preset, which needs none."
+        )
+    return relative
 
 
 def _t_init_samples(t_s: Floats, rate_hz: float, rules: TedaldiRules, t_init_s: float) -> int:

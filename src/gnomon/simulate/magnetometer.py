@@ -69,6 +69,7 @@ class _Motion:
 
     @classmethod
     def drawn(cls, scenario: FieldScenario, rng: np.random.Generator) -> "_Motion":
+        """Return a motion of the stated kind, with rates, swaying and start by chance."""
         rate = np.array(_RATES[scenario.motion])
         moving = (rate != 0).astype(np.float64)
         shape = (3, _SWAYS)

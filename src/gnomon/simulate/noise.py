@@ -63,6 +63,7 @@ class _Flicker:
         self._state = self._sigma * rng.standard_normal((len(self._decay), 3))
 
     def block(self, count: int) -> Floats:
+        """Return the next values (count, 3) of the bias instability, which go on from the last ones."""
         from scipy.signal import lfilter
 
         values = np.zeros((count, 3))

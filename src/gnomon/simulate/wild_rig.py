@@ -231,6 +231,7 @@ def _repeated(case: WildCase, rng: np.random.Generator) -> WildCase:
     share = log_uniform(rng, 0.01, 0.5)
 
     def stale(frames: CameraFrames) -> CameraFrames:
+        """Return frames of which a share shows what the one before showed."""
         count = len(frames.t_ns)
         if count < 2:
             return frames

@@ -88,6 +88,7 @@ def run_trial(task: Trial) -> TrialOutcome:
     force, rate = recorded(recording)
 
     def measured(method: Method) -> MethodOutcome:
+        """Return what a method makes of the recording; not numbers where it refuses."""
         try:
             calibration = calibrated(recording, method, gravity)
         except GnomonError as error:

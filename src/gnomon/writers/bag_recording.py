@@ -274,6 +274,7 @@ class _Messages:
         return self.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id, **self.counter)
 
     def image(self, t_ns: int, name: str, grey: Grey) -> Any:
+        """Return the message of an image (height, width) that was taken at t_ns."""
         height, width = grey.shape
         return self.types[_IMAGE](
             header=self._header(t_ns, name),
@@ -286,6 +287,7 @@ class _Messages:
         )
 
     def imu(self, t_ns: int, name: str, accelerometer: Floats | None, gyroscope: Floats | None) -> Any:
+        """Return the message of a sample: specific force (3,) [m/s^2], angular rate (3,) [rad/s]; None if not there."""
         return self.types[_IMU](
             header=self._header(t_ns, name),
             orientation=self.attitude,

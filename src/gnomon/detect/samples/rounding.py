@@ -17,7 +17,7 @@ from ...intervals import StaticIntervals
 from ...recording import Floats
 
 _SAMPLES = 65_536
-_ARITHMETIC = 1e-13
+_ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves
 _COARSE = 0.3  # variance from sample to sample, in squared steps; that of white noise of 0.46 of a step
 _REGULAR = 2.7  # fourth moment over squared variance: 3 for white noise, 1.5 for a tremor
 _WIDE = 4.0  # variance of a tremor that leaves no error to speak of

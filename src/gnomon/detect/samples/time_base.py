@@ -80,7 +80,7 @@ def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "st
 
 
 def _line(number: Floats, stamps: Floats) -> tuple[float, Floats]:
-    """Return slope and values of the straight line through stamps over the samples' numbers."""
+    """Return slope [s] and values (n,) [s] of the straight line through stamps (n,) [s] over numbers (n,)."""
     mean_number, mean_stamp = number.mean(), stamps.mean()
     spread = float((number - mean_number) @ (number - mean_number))
     slope = float((number - mean_number) @ (stamps - mean_stamp)) / spread if spread > 0 else 0.0
