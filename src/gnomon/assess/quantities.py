@@ -190,70 +190,59 @@ def _imu_parts(name: str, imu: ImuCalibration) -> Iterator[_Part]:
     for path, value in parameters({"": imu}):
         starts[path.removeprefix(".")] = count
         count += value.size
-    aligned = imu.accelerometer is not None  # only then two calibrations have one body frame
 
-    def placed(quantity: Quantity, **blocks: Floats) -> _Part:
+    def placed(quantity: Quantity, parameter: str, block: Floats) -> _Part:
         whole = np.zeros((len(quantity.elements), count))
-        triad = quantity.path.split(".")[1]
-        for parameter, block in blocks.items():
-            start = starts[f"{triad}.{parameter}"]
-            whole[:, start : start + block.shape[1]] = block
+        whole[:, starts[parameter] : starts[parameter] + block.shape[1]] = block
         return _Part(quantity=quantity, jacobian=whole)
 
     for triad in ("accelerometer", "gyroscope", "magnetometer"):
-        sensor = getattr(imu, triad)
-        if sensor is None:
-            continue
-        path = f"{name}.{triad}"
-        own, C = in_own_axes(sensor.sensitivity, FRAME)
-        to_own = rotation_jacobian([sensor.sensitivity], C, FRAME)
-        S = np.diag(own)
-        M = own / S[:, None]
-        si = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}.get(triad) or sensor.field_unit
-        unit = "1" if sensor.unit == si else f"{sensor.unit}/({si})"
-        by_scale = np.eye(9)[[0, 4, 8]]
-        yield placed(
-            Quantity(path=f"{path}.scale", kind="scale", elements=_AXES, unit=unit, values=S),
-            sensitivity=by_scale @ to_own,
-        )
-        by_tilt = np.array([(np.eye(9)[3 * i + j] - M[i, j] * np.eye(9)[4 * i]) / S[i] for i, j in _TILTS])
-        tilts = np.array([M[i, j] for i, j in _TILTS])
-        yield placed(
-            Quantity(path=f"{path}.misalignment", kind="misalignment", elements=_TILT_NAMES, unit="rad", values=tilts),
-            sensitivity=by_tilt @ to_own,
-        )
-        if triad != "accelerometer" and aligned:
-            turn = -C.T @ frame_turn(sensor.sensitivity, C, FRAME)  # C Exp(turn), about the body's axes
-            yield placed(
-                Quantity(
-                    path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3), rotation=C
-                ),
-                sensitivity=turn,
-            )
-        if triad == "gyroscope" and aligned:
-            unit = f"({sensor.unit})/(m/s^2)"
-            values = sensor.g_sensitivity.ravel()
-            yield placed(
-                Quantity(path=f"{path}.g_sensitivity", kind="g-sensitivity", elements=_NINE, unit=unit, values=values),
-                g_sensitivity=np.eye(9),
-            )
-        if triad == "accelerometer" and sensor.lever_arms_m is not None:
-            arms = sensor.lever_arms_m.ravel()
-            yield placed(
-                Quantity(path=f"{path}.lever_arms", kind="lever arms", elements=_NINE, unit="m", values=arms),
-                lever_arms_m=np.eye(9),
-            )
-        if triad == "accelerometer" and sensor.time_shift_s is not None:
-            yield placed(_time_shift(path, sensor.time_shift_s), time_shift=np.eye(1))
-        bias = Quantity(path=f"{path}.bias", kind="bias", elements=_AXES, unit=sensor.unit, values=sensor.bias)
-        yield placed(bias, bias=np.eye(3))
+        for quantity, parameter, block in _triad_blocks(name, imu, triad):
+            yield placed(quantity, f"{triad}.{parameter}", block)
     if imu.T_imu_body is not None:
         blocks = (*_pose(f"{name}.imu0", imu.T_imu_body), _time_shift(name, imu.time_shift_s))
         scalars = ("T_imu_body.rotation", "T_imu_body.translation", "time_shift_imu")
-        for block, path in zip(blocks, scalars, strict=True):
-            whole = np.zeros((len(block.elements), count))
-            whole[:, starts[path] : starts[path] + len(whole)] = np.eye(len(whole))
-            yield _Part(quantity=block, jacobian=whole)
+        for quantity, parameter in zip(blocks, scalars, strict=True):
+            yield placed(quantity, parameter, np.eye(len(quantity.elements)))
+
+
+def _triad_blocks(name: str, imu: ImuCalibration, triad: str) -> Iterator[tuple[Quantity, str, Floats]]:
+    """Yield the blocks of one triad, each with the parameter that it is made of and its derivative by that."""
+    sensor = getattr(imu, triad)
+    if sensor is None:
+        return
+    path = f"{name}.{triad}"
+    aligned = imu.accelerometer is not None  # only then two calibrations have one body frame
+    own, C = in_own_axes(sensor.sensitivity, FRAME)
+    to_own = rotation_jacobian([sensor.sensitivity], C, FRAME)
+    S = np.diag(own)
+    M = own / S[:, None]
+    si = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}.get(triad) or sensor.field_unit
+    unit = "1" if sensor.unit == si else f"{sensor.unit}/({si})"
+    scale = Quantity(path=f"{path}.scale", kind="scale", elements=_AXES, unit=unit, values=S)
+    yield scale, "sensitivity", np.eye(9)[[0, 4, 8]] @ to_own
+    by_tilt = np.array([(np.eye(9)[3 * i + j] - M[i, j] * np.eye(9)[4 * i]) / S[i] for i, j in _TILTS])
+    tilts = np.array([M[i, j] for i, j in _TILTS])
+    skewed = Quantity(path=f"{path}.misalignment", kind="misalignment", elements=_TILT_NAMES, unit="rad", values=tilts)
+    yield skewed, "sensitivity", by_tilt @ to_own
+    if triad != "accelerometer" and aligned:
+        turn = -C.T @ frame_turn(sensor.sensitivity, C, FRAME)  # C Exp(turn), about the body's axes
+        turned = Quantity(path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
+        yield replace(turned, rotation=C), "sensitivity", turn
+    if triad == "gyroscope" and aligned:
+        unit, values = f"({sensor.unit})/(m/s^2)", sensor.g_sensitivity.ravel()
+        by_force = Quantity(
+            path=f"{path}.g_sensitivity", kind="g-sensitivity", elements=_NINE, unit=unit, values=values
+        )
+        yield by_force, "g_sensitivity", np.eye(9)
+    if triad == "accelerometer" and sensor.lever_arms_m is not None:
+        values = sensor.lever_arms_m.ravel()
+        arms = Quantity(path=f"{path}.lever_arms", kind="lever arms", elements=_NINE, unit="m", values=values)
+        yield arms, "lever_arms_m", np.eye(9)
+    if triad == "accelerometer" and sensor.time_shift_s is not None:
+        yield _time_shift(path, sensor.time_shift_s), "time_shift", np.eye(1)
+    bias = Quantity(path=f"{path}.bias", kind="bias", elements=_AXES, unit=sensor.unit, values=sensor.bias)
+    yield bias, "bias", np.eye(3)
 
 
 def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:

@@ -77,7 +77,9 @@ Said = list[tuple[str, tuple[str, ...]]]
 
 
 def _scenario(rng: np.random.Generator) -> tuple[CameraImuScenario, Said]:
-    said: Said = []
+    """Draw what every rig has and what few have; with it, what was drawn and the findings that it may cause."""
+    chosen, width, said = _usual(rng)
+    duration, size, coeffs = chosen["duration_s"], chosen["target_size_m"], chosen["distortion_coeffs"]
 
     def odd(share: float, name: str, value: Any, codes: tuple[str, ...], **also: Any) -> None:
         if rng.random() < share:
@@ -85,6 +87,41 @@ def _scenario(rng: np.random.Generator) -> tuple[CameraImuScenario, Said]:
             chosen.update(also)
             said.append((f"{name} {value}", codes))
 
+    odd(0.15, "clock_offset_s", float(rng.normal(0, 1e4)), ())
+    odd(0.1, "distance_m", float(width * log_uniform(rng, 0.3, 6.0)), _SEEN)
+    odd(0.1, "target_scale", float(1 + 0.1 * rng.normal()), _BOARD)
+    odd(0.03, "target_scale", float(rng.choice([0.001, 0.1, 10.0, 25.4, 1000.0])), _BOARD)
+    odd(0.08, "corner_offset_m", log_uniform(rng, 1e-4, 0.05 * size), ("corners-found", "model-incomplete"))
+    odd(0.06, "board_bow_m", log_uniform(rng, 1e-4, 0.05 * width), ("board-bow", "corners-found", "model-incomplete"))
+    odd(0.1, "focal_error", float(0.05 * rng.normal()), _LENS)
+    odd(0.08, "principal_point_error_px", float(15 * rng.normal()), _LENS)
+    if coeffs:
+        odd(0.1, "distortion_error", tuple((0.3 * np.array(coeffs) * rng.normal(size=len(coeffs))).tolist()), _LENS)
+    odd(0.12, "line_delay_s", log_uniform(rng, 1e-6, 1e-4), _SHUTTER, known_line_delay=bool(rng.random() < 0.4))
+    odd(0.1, "accelerometer_arms_m", tuple((0.03 * rng.normal(size=6)).tolist()), ("lever-arms-found",))
+    odd(0.1, "scale_range", log_uniform(rng, 0.01, 0.8), ("unit",))
+    odd(0.1, "misalignment_range", log_uniform(rng, 0.01, 0.5), ())
+    odd(0.1, "gyroscope_rotation_range", log_uniform(rng, 0.01, 3.0), ("axes-differ",))
+    odd(0.1, "g_sensitivity_range", log_uniform(rng, 1e-4, 1e-2), ())
+    odd(0.1, "accelerometer_bias_range", log_uniform(rng, 0.1, 30.0), ("gravity-magnitude", "imu-bias"))
+    odd(0.1, "gyroscope_bias_range", log_uniform(rng, 0.01, 5.0), ("rate-magnitude", "imu-bias"))
+    odd(0.05, "accelerometer_range", log_uniform(rng, 10.0, 40.0), _CLIPS)
+    odd(0.05, "gyroscope_range", log_uniform(rng, 0.3, 8.0), _CLIPS)
+    odd(0.08, "dropped_samples", log_uniform(rng, 1e-3, 0.5), _GAPS)
+    odd(0.08, "imu_jitter_s", log_uniform(rng, 1e-3, 0.3) / chosen["imu_rate_hz"], ("jitter", "time-backward"))
+    odd(0.08, "imu_gaps_s", tuple((float(t), log_uniform(rng, 0.01, 1.0)) for t in rng.uniform(0, duration, 3)), _GAPS)
+    odd(0.2, "outliers", log_uniform(rng, 1e-3, 0.3), ("corners-outlying",), outlier_px=log_uniform(rng, 1.0, 50.0))
+    odd(0.08, "dropped_frames", log_uniform(rng, 1e-2, 0.9), _SEEN)
+    odd(0.08, "late_frames", log_uniform(rng, 1e-2, 0.5), ("frames-late", "frame-jitter", "frames-left-out"))
+    odd(0.08, "shifted_frames", log_uniform(rng, 1e-2, 0.5), ("frames-left-out",), shift_px=log_uniform(rng, 1, 50))
+    late_s = log_uniform(rng, 1e-4, 0.2) / chosen["camera_rate_hz"]
+    odd(0.08, "camera_jitter_s", late_s, ("frame-jitter", "frames-late"))
+    odd(0.05, "camera_gaps_s", ((float(rng.uniform(0, duration)), float(rng.uniform(0.1, duration))),), _SEEN)
+    return CameraImuScenario(**chosen), said
+
+
+def _usual(rng: np.random.Generator) -> tuple[dict[str, Any], float, Said]:
+    """Draw lens, board, motion and rates; with them, the board's width [m] and what was drawn."""
     lens = str(rng.choice(list(_LENSES), p=[0.4, 0.2, 0.1, 0.08, 0.08, 0.07, 0.07]))
     intrinsics, coeffs = _LENSES[lens]
     projection = lens if lens in INTRINSICS else "pinhole"
@@ -126,43 +163,8 @@ def _scenario(rng: np.random.Generator) -> tuple[CameraImuScenario, Said]:
         "imu": str(rng.choice(["consumer", "thesis", "ideal"])),
         "noise_factor": log_uniform(rng, 0.1, 10.0),
     }
-    said.append(
-        (
-            f"{motion}, {duration:.3g} s, {kind}, {lens}",
-            _MOTION if motion in {"translation", "one-axis", "slow", "static"} else (),
-        )
-    )
-    odd(0.15, "clock_offset_s", float(rng.normal(0, 1e4)), ())
-    odd(0.1, "distance_m", float(width * log_uniform(rng, 0.3, 6.0)), _SEEN)
-    odd(0.1, "target_scale", float(1 + 0.1 * rng.normal()), _BOARD)
-    odd(0.03, "target_scale", float(rng.choice([0.001, 0.1, 10.0, 25.4, 1000.0])), _BOARD)
-    odd(0.08, "corner_offset_m", log_uniform(rng, 1e-4, 0.05 * size), ("corners-found", "model-incomplete"))
-    odd(0.06, "board_bow_m", log_uniform(rng, 1e-4, 0.05 * width), ("board-bow", "corners-found", "model-incomplete"))
-    odd(0.1, "focal_error", float(0.05 * rng.normal()), _LENS)
-    odd(0.08, "principal_point_error_px", float(15 * rng.normal()), _LENS)
-    if coeffs:
-        odd(0.1, "distortion_error", tuple((0.3 * np.array(coeffs) * rng.normal(size=len(coeffs))).tolist()), _LENS)
-    odd(0.12, "line_delay_s", log_uniform(rng, 1e-6, 1e-4), _SHUTTER, known_line_delay=bool(rng.random() < 0.4))
-    odd(0.1, "accelerometer_arms_m", tuple((0.03 * rng.normal(size=6)).tolist()), ("lever-arms-found",))
-    odd(0.1, "scale_range", log_uniform(rng, 0.01, 0.8), ("unit",))
-    odd(0.1, "misalignment_range", log_uniform(rng, 0.01, 0.5), ())
-    odd(0.1, "gyroscope_rotation_range", log_uniform(rng, 0.01, 3.0), ("axes-differ",))
-    odd(0.1, "g_sensitivity_range", log_uniform(rng, 1e-4, 1e-2), ())
-    odd(0.1, "accelerometer_bias_range", log_uniform(rng, 0.1, 30.0), ("gravity-magnitude", "imu-bias"))
-    odd(0.1, "gyroscope_bias_range", log_uniform(rng, 0.01, 5.0), ("rate-magnitude", "imu-bias"))
-    odd(0.05, "accelerometer_range", log_uniform(rng, 10.0, 40.0), _CLIPS)
-    odd(0.05, "gyroscope_range", log_uniform(rng, 0.3, 8.0), _CLIPS)
-    odd(0.08, "dropped_samples", log_uniform(rng, 1e-3, 0.5), _GAPS)
-    odd(0.08, "imu_jitter_s", log_uniform(rng, 1e-3, 0.3) / chosen["imu_rate_hz"], ("jitter", "time-backward"))
-    odd(0.08, "imu_gaps_s", tuple((float(t), log_uniform(rng, 0.01, 1.0)) for t in rng.uniform(0, duration, 3)), _GAPS)
-    odd(0.2, "outliers", log_uniform(rng, 1e-3, 0.3), ("corners-outlying",), outlier_px=log_uniform(rng, 1.0, 50.0))
-    odd(0.08, "dropped_frames", log_uniform(rng, 1e-2, 0.9), _SEEN)
-    odd(0.08, "late_frames", log_uniform(rng, 1e-2, 0.5), ("frames-late", "frame-jitter", "frames-left-out"))
-    odd(0.08, "shifted_frames", log_uniform(rng, 1e-2, 0.5), ("frames-left-out",), shift_px=log_uniform(rng, 1, 50))
-    late_s = log_uniform(rng, 1e-4, 0.2) / chosen["camera_rate_hz"]
-    odd(0.08, "camera_jitter_s", late_s, ("frame-jitter", "frames-late"))
-    odd(0.05, "camera_gaps_s", ((float(rng.uniform(0, duration)), float(rng.uniform(0.1, duration))),), _SEEN)
-    return CameraImuScenario(**chosen), said
+    drawn = f"{motion}, {duration:.3g} s, {kind}, {lens}"
+    return chosen, width, [(drawn, _MOTION if motion in {"translation", "one-axis", "slow", "static"} else ())]
 
 
 def _imu(case: WildCase) -> ImuSamples:

@@ -69,6 +69,23 @@ class Solution:
         return self.lin.system.workspace.beside_a_factor()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Judged:
+    """What the residuals say of the noise and of the frames.
+
+    Attributes
+    ----------
+    found : levels that the residuals show
+    noise, used : levels and exposures to go on with
+    same : whether these are the ones that were used
+    """
+
+    found: Noise
+    noise: Noise
+    used: tuple[np.ndarray, ...]
+    same: bool
+
+
 def solved(
     measurements: Measurements,
     start: State,
@@ -103,32 +120,36 @@ def solved(
     first, judgements, workspace = noise, 0, workspace or Workspace()
     lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
     step, found, previous, changed, since = _step(lin), noise, np.inf, False, 0  # since: the problem is the same
+    rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
         tell(f"iteration {done + 1}: largest step {step.largest:.2g} sigma")
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
-            found = _at_least(estimated_noise(lin, step, noise), first)
-            proposed = replace(found, walks=_next_walks(found, noise, first) if estimate_walks else noise.walks)
             settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
             judgements += settled
-            kept = _gated(measurements, lin, noise) if gate and judgements <= _JUDGEMENTS else measurements.used
-            tolerance = _NOISE_AT_REST if settled else _NOISE_ROUGHLY
-            same_noise = not estimate_noise or noise_change(proposed, noise) < tolerance
-            same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
-            rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
-            if (at_rest := same_noise and same_frames and _left(step, previous) < rest) and step.factor.borrowed:
+            judged = _judged(
+                measurements,
+                lin,
+                step,
+                noise,
+                first,
+                estimate_noise=estimate_noise,
+                estimate_walks=estimate_walks,
+                gate=gate and judgements <= _JUDGEMENTS,
+                tolerance=_NOISE_AT_REST if settled else _NOISE_ROUGHLY,
+            )
+            found = judged.found
+            if (at_rest := judged.same and _left(step, previous) < rest) and step.factor.borrowed:
                 step = _exact(lin, step)
                 at_rest = _left(step, previous) < rest
-            if at_rest:
+            changed = not (judged.same or (changed and step.largest > previous))
+            if at_rest or changed:
                 state = moved(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
+            if at_rest:
                 converged = True
                 break
-            changed = not ((same_noise and same_frames) or (changed and step.largest > previous))
             if changed:  # another problem from here on: costs are not comparable
-                noise = noise if same_noise else proposed
-                measurements = measurements if same_frames else replace(measurements, used=kept)
-                state = moved(state, lin.layout, step)
-                iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
+                noise, measurements = judged.noise, replace(measurements, used=judged.used)
                 lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
                 previous, step, since = step.largest, _step(lin, step.factor), len(iterations)
                 continue
@@ -163,6 +184,32 @@ def solved(
         step=step,
         iterations=tuple(iterations),
         converged=converged,
+    )
+
+
+def _judged(
+    measurements: Measurements,
+    lin: Linearisation,
+    step: Step,
+    noise: Noise,
+    first: Noise,
+    *,
+    estimate_noise: bool,
+    estimate_walks: bool,
+    gate: bool,
+    tolerance: float,
+) -> _Judged:
+    """Judge noise levels, where they change by more than a tolerance, and frames near the minimum."""
+    found = _at_least(estimated_noise(lin, step, noise), first)
+    proposed = replace(found, walks=_next_walks(found, noise, first) if estimate_walks else noise.walks)
+    kept = _gated(measurements, lin, noise) if gate else measurements.used
+    same_noise = not estimate_noise or noise_change(proposed, noise) < tolerance
+    same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
+    return _Judged(
+        found=found,
+        noise=noise if same_noise else proposed,
+        used=measurements.used if same_frames else kept,
+        same=same_noise and same_frames,
     )
 
 
