@@ -38,6 +38,7 @@ IMU = {
     60091: "motion between samples, which the integration does not see",
     61012: "the Earth's rate, taken off by a scale that was assumed",
     80390: "a preset whose T_init holds one sample",
+    90573: "parts of a recording that determine nothing, compared all the same",
 }
 """Seeds of what once was wrong."""
 
@@ -46,6 +47,7 @@ RIG = {
     20027: "a gravity that is nowhere on Earth, unsaid",
     60044: "errors of the IMU that a basic model leaves out, by clusters of time alone",
     60203: "g-sensitivity estimated while the gyroscope's scale was taken for ideal",
+    60227: "a board that is not flat, taken for a lens in nine seconds",
 }
 
 LONG = {107}

@@ -11,19 +11,22 @@ _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
 
 
-def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters) -> list[Finding]:
+def added_findings(
+    added: tuple[str, ...], start: Parameters, found: Parameters, *, board_told: bool = True
+) -> list[Finding]:
     """Say what was added to the model.
 
     Parameters
     ----------
     added : steps of the model choice that are in the model
     start, found : parameters as they were stated and as they were estimated
+    board_told : whether the recording is long enough to tell whether corners of the board lie off their places
     """
     findings: list[Finding] = []
     if "lever arms" in added:
         findings += [_lever_arms(f"imu{i}", imu.places) for i, imu in enumerate(found.imus)]
     if "intrinsics" in added:
-        findings += [_lens(*pair) for pair in zip(start.cameras, found.cameras, strict=True)]
+        findings += [_lens(*pair, board_told) for pair in zip(start.cameras, found.cameras, strict=True)]
     if "board" in added and found.board is not None:
         findings.append(_board(found.board.offsets))
     return findings
@@ -67,22 +70,27 @@ def _lever_arms(name: str, places: Floats) -> Finding:
     )
 
 
-def _lens(stated: CameraParameters, found: CameraParameters) -> Finding:
+def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -> Finding:
     before, after = stated.camera.intrinsics[-4:], found.camera.intrinsics[-4:]
     focal = float(np.mean(after[:2] / before[:2]) - 1)
     moved = float(np.linalg.norm(after[2:] - before[2:]))
     doubtful = abs(focal) > _FOCAL_WARN or moved > _PRINCIPAL_WARN_PX
     k3 = found.camera.distortion_coeffs[4] if found.camera.distortion == "radtan5" else 0.0
     bent = f"; k3 is {k3:.3g}" if k3 else ""
+    consequence = "The lens was estimated along; with the stated one, translations and the IMU's scales would bend."
+    cure = "Use the lens of this result, or calibrate the camera anew."
+    if doubtful:
+        cure = "Check that camchain.yaml is of this camera, lens and resolution."
+    elif not board_told:
+        consequence = "A board that is not flat looks the same in so short a recording: either may be wrong."
+        cure = "See that the board is flat, or record for 20 s: that tells the two apart."
     return Finding(
-        severity="warning" if doubtful else "info",
+        severity="warning" if doubtful or not board_told else "info",
         code="lens-found",
         message=f"The lens of {found.name} is not as stated: focal length {100 * focal:+.2g} %, principal point "
         f"{moved:.2g} px away{bent}.",
-        consequence="The lens was estimated along; with the stated one, translations and the IMU's scales would bend.",
-        cure="Check that camchain.yaml is of this camera, lens and resolution."
-        if doubtful
-        else "Use the lens of this result, or calibrate the camera anew.",
+        consequence=consequence,
+        cure=cure,
     )
 
 

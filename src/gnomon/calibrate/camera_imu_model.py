@@ -49,6 +49,7 @@ class Chosen:
     steps : what each block brings
     added : steps beyond the model of the options that are in it
     tries : blocks on which the recording decided
+    board_told : whether it was long enough to tell whether corners of the board lie off their places
     """
 
     solution: Solution
@@ -56,6 +57,7 @@ class Chosen:
     steps: tuple[ModelStep, ...]
     added: tuple[str, ...] = ()
     tries: int = 0
+    board_told: bool = True
 
 
 def considered(start: Parameters) -> tuple[str, ...]:
@@ -103,7 +105,13 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
         for step in steps.values()
     ]
     told.sort(key=lambda step: (*LADDER, _BOARD).index(step.name))
-    return replace(judged, steps=tuple(told), added=inside, tries=len(steps.keys() - stated.keys()))
+    return replace(
+        judged,
+        steps=tuple(told),
+        added=inside,
+        tries=len(steps.keys() - stated.keys()),
+        board_told=_BOARD in stated or steps[_BOARD].gain_sigma > 0,
+    )
 
 
 def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool]) -> tuple[str, ...]:

@@ -92,7 +92,12 @@ def _scenario(rng: np.random.Generator) -> tuple[CameraImuScenario, Said]:
     odd(0.1, "target_scale", float(1 + 0.1 * rng.normal()), _BOARD)
     odd(0.03, "target_scale", float(rng.choice([0.001, 0.1, 10.0, 25.4, 1000.0])), _BOARD)
     odd(0.08, "corner_offset_m", log_uniform(rng, 1e-4, 0.05 * size), ("corners-found", "model-incomplete"))
-    odd(0.06, "board_bow_m", log_uniform(rng, 1e-4, 0.05 * width), ("board-bow", "corners-found", "model-incomplete"))
+    odd(
+        0.06,
+        "board_bow_m",
+        log_uniform(rng, 1e-4, 0.05 * width),
+        ("board-bow", "corners-found", "model-incomplete", "lens-found"),
+    )
     odd(0.1, "focal_error", float(0.05 * rng.normal()), _LENS)
     odd(0.08, "principal_point_error_px", float(15 * rng.normal()), _LENS)
     if coeffs:

@@ -18,6 +18,7 @@ from .clusters import ClusterSums, part_estimates
 from .robust import Robust
 
 _CHANCE_SIGMA = 2.326  # of a normal deviate that one of a hundred exceeds
+_ROUNDING_ERRORS = 100.0  # that a variance must be above; it is as a rule above 1e4 of them, or below one
 _MOST_PRIOR = 0.3  # of a difference's variance; beyond, it tells more of what was assumed than of the parts
 
 
@@ -89,15 +90,19 @@ def differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits: Sequ
     scalar = np.concatenate([pair[0] for pair in pairs])
     where = [pair[4] for pair in pairs for _ in pair[0]]
     own, assumed = np.diag(by_errors), np.diag(by_prior)
-    ordinary = np.sqrt(own + assumed)
-    told = (ordinary > 0) & (assumed <= _MOST_PRIOR * ordinary**2)  # what nothing moves is held by the model
+    rounding = np.finfo(np.float64).eps * np.einsum(
+        "dcp,cpq,dcq->d", np.abs(arms), np.abs(sums.information), np.abs(arms), optimize=True
+    )
+    ordinary = np.sqrt(np.maximum(own + assumed, 0.0))
+    # What nothing moves is held by the model; and a part that determines nothing has sums of rounding errors.
+    told = (own > _ROUNDING_ERRORS * rounding) & (assumed <= _MOST_PRIOR * ordinary**2)
     size = np.where(ordinary > 0, ordinary, 1.0)
     correlation = (by_errors + by_prior) / np.outer(size, size)
     return Differences(
         scalar=scalar[told],
         where=tuple(np.array(where, dtype=object)[told]),
         value=np.concatenate([pair[1] for pair in pairs])[told],
-        sigma=np.sqrt(wider.factor[scalar] * own + assumed)[told],
+        sigma=np.sqrt((wider.factor[scalar] * own + assumed)[told]),
         ordinary_sigma=ordinary[told],
         correlation=correlation[np.ix_(told, told)],
     )

@@ -1,0 +1,41 @@
+"""What the model took up by itself is told, and where something else may look the same."""
+
+import numpy as np
+import pytest
+
+from gnomon.assess.added_findings import added_findings
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.models.camera import Camera
+
+
+def parameters(focal_px: float) -> Parameters:
+    camera = Camera(
+        projection="pinhole",
+        intrinsics=np.array([focal_px, focal_px, 320.0, 240.0]),
+        distortion="radtan",
+        distortion_coeffs=np.array([-0.28, 0.07, 0.0, 0.0]),
+        resolution=(640, 480),
+    )
+    entry = CameraParameters(name="cam0", R_cam_imu=np.eye(3), p_cam_imu=np.zeros(3), time_shift_s=0.0, camera=camera)
+    return Parameters(
+        gravity_axes=gravity_axes(np.array([0.0, -1.0, 0.1])),
+        gravity_m_s2=9.81,
+        target_scale=1.0,
+        imus=(ImuParameters.ideal(),),
+        cameras=(entry,),
+    )
+
+
+@pytest.mark.parametrize(
+    ("focal_px", "board_told", "severity", "cure"),
+    [
+        (462.0, True, "info", "Use the lens of this result"),
+        (462.0, False, "warning", "See that the board is flat"),
+        (500.0, True, "warning", "Check that camchain.yaml is of this camera"),
+        (500.0, False, "warning", "Check that camchain.yaml is of this camera"),
+    ],
+)
+def test_a_lens_is_sure_only_where_the_board_can_be_told_from_it(focal_px, board_told, severity, cure):
+    (finding,) = added_findings(("intrinsics",), parameters(460.0), parameters(focal_px), board_told=board_told)
+    assert (finding.code, finding.severity) == ("lens-found", severity)
+    assert cure in finding.cure
