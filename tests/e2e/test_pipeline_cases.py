@@ -381,7 +381,7 @@ def repeated():
     def noisy():
         return with_samples(recording, lambda name, t, v: (t, v + NOISE[name] * rng.normal(size=v.shape)))
 
-    return recording, truth, [noisy() for _ in range(30)]
+    return recording, truth, [noisy() for _ in range(20)]
 
 
 @pytest.fixture(scope="module")
