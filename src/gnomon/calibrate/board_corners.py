@@ -32,7 +32,7 @@ Progress = Callable[[str], None]
 Processes = SimpleQueue[BoardProcess]
 
 _RUN = 8  # consecutive frames that one worker takes; bounds the memory
-_MANY_IMAGES = 200  # from which on it pays to start processes
+_MANY_IMAGES = 80  # from which on it pays to start processes, which takes as long as some fifty images
 _WAITING = 2  # runs for each worker that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show
 _TOLD = 10  # times that progress is told
@@ -86,8 +86,8 @@ def detect_corners(
     ----------
     images : of the camera
     target : the board
-    workers : how many look at once, in processes of their own where there are many images; as many as there are cores
-        where not given
+    workers : how many look at once, each in a process of its own, where there are many images; as many as there are
+        cores where not given
     progress : called with a sentence from time to time
 
     Raises
@@ -118,7 +118,8 @@ def detect_corners(
 def _all_frames(source: Iterator[Frame], target: Target, workers: int, count: int) -> Iterator[_Seen]:
     """Yield what every frame shows, in the order of the recording."""
     waiting: deque[Future[list[_Seen]]] = deque()
-    with _one_thread_each(), _processes(target, workers if count >= _MANY_IMAGES else 1) as processes:
+    workers = workers if count >= _MANY_IMAGES else 1  # threads alone only wait for each other
+    with _one_thread_each(), _processes(target, workers) as processes:
         pool = ThreadPoolExecutor(workers, thread_name_prefix="gnomon-board")
         try:
             while True:
@@ -133,10 +134,7 @@ def _all_frames(source: Iterator[Frame], target: Target, workers: int, count: in
 
 @contextmanager
 def _processes(target: Target, workers: int) -> Generator[Processes]:
-    """Give processes that find the board, of which each run of frames borrows one; none for a single worker.
-
-    Threads alone would take turns, as the detectors are Python for the most part.
-    """
+    """Give processes that find the board, of which each run of frames borrows one; none for a single worker."""
     free: Processes = SimpleQueue()
     started: list[BoardProcess] = []
     try:
