@@ -262,9 +262,14 @@ def _decoded(data: Buffer, where: str) -> NDArray[Any]:
 @cache
 def _hush() -> None:
     """Keep OpenCV from saying on the terminal, in its own words, what is wrong with a picture."""
-    from cv2.utils import logging
+    import cv2
 
-    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    silence = getattr(cv2, "setLogLevel", None)  # OpenCV 4; 5 has it elsewhere
+    if silence is None:
+        from cv2.utils import logging
+
+        silence = logging.setLogLevel
+    silence(0)
 
 
 def _fault(data: memoryview) -> str:
