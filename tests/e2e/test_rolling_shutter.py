@@ -49,3 +49,20 @@ def test_a_global_shutter_stays_one(motion):
     assert not shutters(found)
     assert found.cameras["cam0"].camera.line_delay_s == 0
     assert np.isclose(float(found.sigma("cam0.line_delay")), 0)
+
+
+def test_a_line_delay_that_is_stated_rightly_is_not_warned_of():
+    simulation, found = calibrated(25e-6, line_delay=25e-6)
+    assert not shutters(found)
+    assert found.cameras["cam0"].camera.line_delay_s == 25e-6
+    shift = simulation.truth.cameras["cam0"].time_shift_cam_imu
+    assert abs(found.cameras["cam0"].time_shift_cam_imu - shift) < 5 * float(found.sigma("cam0.time_shift_cam_imu"))
+
+
+def test_a_line_delay_that_is_stated_of_a_global_shutter_is_warned_of():
+    _, found = calibrated(0.0, line_delay=10e-6)
+    (finding,) = shutters(found)
+    assert finding.severity == "warning"
+    assert "cam0 has a global shutter" in finding.message
+    assert "10 us a row were stated" in finding.message
+    assert "--free cam0.line_delay" in finding.cure

@@ -33,7 +33,7 @@ from .camera_imu_estimation import Rig, basic_model, estimated
 from .camera_imu_model import chosen_model, considered
 from .camera_imu_preparation import prepare_camera_imu, suspected, with_looks
 from .camera_imu_prior import cameras_moved, evidence_of_imu, known_imu
-from .camera_imu_shutter import LINE_DELAY, shutters_estimated, with_line_delays
+from .camera_imu_shutter import LINE_DELAY, shutters_estimated, with_line_delays, with_stated_shutters
 from .preparation import local_gravity, stated_options
 
 Progress = Callable[[str], None]
@@ -78,6 +78,7 @@ def _calibrated(
     recording: Recording, target: Target, options: CameraImuOptions, tell: Progress, prior: Priors
 ) -> Result:
     tell("checking the recording")
+    recording = with_stated_shutters(recording, options)
     prepared = prepare_camera_imu(recording, target, options)
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]

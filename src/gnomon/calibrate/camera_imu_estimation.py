@@ -119,7 +119,7 @@ def _first_parameters(
             for i, (imu, samples) in enumerate(zip(parameters.imus, recorded, strict=True))
         ]
         parameters = replace(parameters, imus=tuple(placed))
-    return replace(_with_line_delay(parameters, options), rig=rig.recording.rig)
+    return replace(parameters, rig=rig.recording.rig)
 
 
 def _delay(rig: Rig, number: int) -> float:
@@ -149,15 +149,6 @@ def _largest_move(one: Parameters, other: Parameters) -> float:
 def _with_gravity(start: Parameters, state: Parameters) -> Parameters:
     """Return start values with gravity's direction as the trajectory has it."""
     return replace(start, gravity_axes=state.gravity_axes)
-
-
-def _with_line_delay(parameters: Parameters, options: CameraImuOptions) -> Parameters:
-    if options.line_delay is None:
-        return parameters
-    cameras = tuple(
-        replace(entry, camera=replace(entry.camera, line_delay_s=options.line_delay)) for entry in parameters.cameras
-    )
-    return replace(parameters, cameras=cameras)
 
 
 def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dict[str, Status]) -> Measurements:

@@ -1,7 +1,7 @@
 """Rolling shutters that nobody stated: the corners prove them, and the line delay is estimated along.
 
 Every frame's pose is free in that proof (`assess.rig_lens`), so that no error of IMU or clock can pass for a shutter:
-six standard deviations, and 2 ms from the first row to the last, below which it does little harm.
+six standard deviations, and 1 ms from the first row to the last, below which an error of the lens may look the same.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,23 @@ from ..calibration import CameraCalibration, Covariance
 from ..estimate.camera_imu.first_guess import Look
 from ..findings import Finding
 from ..options import CameraImuOptions
+from ..recording import Recording
 
 _CODE = "rolling-shutter"
 LINE_DELAY = "line delay"
 """What is added to the model."""
+
+
+def with_stated_shutters(recording: Recording, options: CameraImuOptions) -> Recording:
+    """Return the recording, its cameras with the line delay that the options state."""
+    delay_s = options.line_delay
+    if delay_s is None:
+        return recording
+    cameras = {
+        name: replace(frames, camera=replace(frames.camera, line_delay_s=delay_s))
+        for name, frames in recording.cameras.items()
+    }
+    return replace(recording, cameras=cameras)
 
 
 def with_line_delays(

@@ -24,10 +24,14 @@ _SEEN = ("board-rare", "board-small", "frames-few", "stream-short", "image-cover
 _MOTION = ("rotation-one-axis", "motion-slow", "imu-still", "not-observable", "imprecise", "hardly-observable")
 _IMU_RATE = ("imu-rate", "vibration", "knots")
 _SHUTTER = ("rolling-shutter",)
+_RARE = ("frame-rate",)
 _CLIPS = ("saturation",)
 _GAPS = ("gaps", "trajectory-cut", "frame-gaps", "frames-left-out")
 
 _GRAVITY_WRONG = 0.01  # m/s^2
+_RARE_HZ = 4.0  # frames a second, below which a motion by hand is not followed
+_LINE_DELAYS_S = 5e-6, 1e-4
+"""Shorter ones shift the time by up to a millisecond, and too short or noisy a recording does not show them."""
 _LENSES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "radtan": ((460.0, 458.5, 322.4, 237.1), (-0.28, 0.075, 0.0002, -0.00015)),
     "equidistant": ((300.0, 299.4, 318.0, 243.0), (-0.01, 0.02, -0.015, 0.003)),
@@ -102,7 +106,7 @@ def _scenario(rng: np.random.Generator) -> tuple[CameraImuScenario, Said]:
     odd(0.08, "principal_point_error_px", float(15 * rng.normal()), _LENS)
     if coeffs:
         odd(0.1, "distortion_error", tuple((0.3 * np.array(coeffs) * rng.normal(size=len(coeffs))).tolist()), _LENS)
-    odd(0.12, "line_delay_s", log_uniform(rng, 1e-6, 1e-4), _SHUTTER, known_line_delay=bool(rng.random() < 0.4))
+    odd(0.12, "line_delay_s", log_uniform(rng, *_LINE_DELAYS_S), _SHUTTER, known_line_delay=bool(rng.random() < 0.4))
     odd(0.1, "accelerometer_arms_m", tuple((0.03 * rng.normal(size=6)).tolist()), ("lever-arms-found",))
     odd(0.1, "scale_range", log_uniform(rng, 0.01, 0.8), ("unit",))
     odd(0.1, "misalignment_range", log_uniform(rng, 0.01, 0.5), ())
@@ -169,7 +173,8 @@ def _usual(rng: np.random.Generator) -> tuple[dict[str, Any], float, Said]:
         "noise_factor": log_uniform(rng, 0.1, 10.0),
     }
     drawn = f"{motion}, {duration:.3g} s, {kind}, {lens}"
-    return chosen, width, [(drawn, _MOTION if motion in {"translation", "one-axis", "slow", "static"} else ())]
+    codes = _MOTION if motion in {"translation", "one-axis", "slow", "static"} else ()
+    return chosen, width, [(drawn, (*codes, *(_RARE if chosen["camera_rate_hz"] < _RARE_HZ else ())))]
 
 
 def _imu(case: WildCase) -> ImuSamples:
@@ -374,7 +379,7 @@ def _with_options(case: WildCase, scenario: CameraImuScenario, rng: np.random.Ge
     if rng.random() < 0.08:
         chosen["robust"] = False
     if rng.random() < 0.05:
-        chosen["line_delay"] = log_uniform(rng, 1e-6, 1e-4)
+        chosen["line_delay"] = log_uniform(rng, *_LINE_DELAYS_S)
     if rng.random() < 0.05:
         chosen["max_iterations"] = int(rng.integers(1, 10))
     if "gravity" in chosen:
@@ -385,5 +390,5 @@ def _with_options(case: WildCase, scenario: CameraImuScenario, rng: np.random.Ge
             decisive=wrong,
         )
     case = replace(case, options=CameraImuOptions(**chosen))
-    codes = ("prior-disagrees", "model-too-simple")
+    codes = ("prior-disagrees", "model-too-simple", *(_SHUTTER if "line_delay" in chosen else ()))
     return case.with_oddity(f"options {chosen}", *codes) if chosen else case

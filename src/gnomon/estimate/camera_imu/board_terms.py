@@ -110,6 +110,8 @@ def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[
 
 def multiplied(blocks: Floats, products: PoseProducts) -> PoseProducts:
     """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6)."""
+    if not len(blocks):
+        return products
     if isinstance(products, np.ndarray):
         return np.matmul(blocks, products.reshape(len(blocks), POSE, -1)).reshape(products.shape)
     every = np.arange(len(blocks) + 1)
