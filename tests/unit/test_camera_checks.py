@@ -341,7 +341,7 @@ def test_other_units_are_understood() -> None:
 
 def test_words_fit_a_recording_without_rests() -> None:
     gaps = bad(samples=changed(t_ns=T_NS + 10**9 * (np.arange(len(T_NS)) > 4000)))["gaps"]
-    assert gaps.consequence == "There the trajectory rests on the camera alone."
+    assert gaps.consequence == "There the trajectory rests on the other sensors alone."
     clipped = bad(samples=changed(gyroscope={"values": np.clip(RATE, -0.7, 0.7)}))["saturation"]
     assert clipped.consequence == "They are masked."
     for samples in (changed(gyroscope={"values": 0 * RATE}), changed(t_ns=np.full(len(T_NS), EPOCH))):

@@ -20,7 +20,7 @@ _STILL_RAD_S, _SLOWEST_RAD_S = 0.05, 0.1
 _SWING_S = 0.3
 
 _RETOLD = {
-    "gaps": ("There the trajectory rests on the camera alone.", "Record with a faster link or a lower rate."),
+    "gaps": ("There the trajectory rests on the other sensors alone.", "Record with a faster link or a lower rate."),
     "time-constant": ("Nothing can be integrated.", "Write the time of each sample, in nanoseconds."),
     "time-repeated": (
         "Only the first sample of each stamp tells its time.",
