@@ -11,6 +11,7 @@ from gnomon.errors import OptionError, RecordingError, SolveError
 from gnomon.study.records import Records
 from gnomon.study.runs import Workers, carry_out, seeds
 from gnomon.study.tedaldi_trial import SCENARIO, run_trial, trial
+from repeatable import to_the_last_digit
 from study_work import Task, drawn, lost, process, product, refused
 
 
@@ -44,6 +45,7 @@ def test_seeds_differ_and_begin_alike():
     assert seeds(1, 10) != many[:10]
 
 
+@to_the_last_digit
 def test_results_do_not_depend_on_the_number_of_processes():
     tasks = seeds(3, 9)
     alone = carry_out(product, tasks)
