@@ -24,12 +24,12 @@ HOME = str(Path(gnomon.__file__).parent)
 INPUTS = (
     "simulate -o imu.npz",
     "simulate-turntable -o turns",
-    "simulate-platter-video --duration-s 10 -o platter.mp4",
+    "simulate-platter-video --duration-s 15 -o platter.mp4",
     "simulate-magnetometer -o field.npz",
     "simulate-noise --duration-s 3600 -o rest.npz",
     "simulate-cameras -o views",
     "simulate-camera-imu -o rig",
-    "simulate-camera-imu --duration-s 4 --images -o images",
+    "simulate-camera-imu --duration-s 16 --camera-rate-hz 5 --images -o images",
     "simulate-poses -o poses.csv",
 )
 COMMANDS = (
@@ -38,7 +38,7 @@ COMMANDS = (
     "imu imu.npz -o of-imu",
     "imu poses.csv -o of-poses",
     "turntable turns --rate 16rpm -o of-turns",
-    "rate platter.mp4 -o of-platter",
+    "rate platter.mp4",
     "magnetometer field.npz -o of-field",
     "noise rest.npz -o of-rest",
     "camera views -o of-views",
