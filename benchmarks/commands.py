@@ -1,6 +1,6 @@
 """Every command on a small job: its CPU time, how much of that is the start of the program, and where the rest goes.
 
-    python benchmarks/commands.py             about two minutes
+    python benchmarks/commands.py             about six minutes
     python benchmarks/commands.py --write     keep the table in benchmarks/results-commands.md
 
 Times are CPU seconds of whole processes, medians of three runs. The costliest place is the function that has the most
