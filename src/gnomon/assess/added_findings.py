@@ -11,9 +11,7 @@ _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
 
 
-def added_findings(
-    added: tuple[str, ...], start: Parameters, found: Parameters, *, board_told: bool = True
-) -> list[Finding]:
+def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters, *, board_told: bool) -> list[Finding]:
     """Say what was added to the model.
 
     Parameters

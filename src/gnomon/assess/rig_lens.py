@@ -113,7 +113,7 @@ def _shutter(name: str, fit: LensFit, camera: Camera) -> list[Finding]:
         message = f"{name} has a rolling shutter: its rows are exposed {1e6 * found:.3g} us after each other {readout}"
         consequence = (
             "Corners of one frame are of different instants; in a turn they are off by pixels, and the time shift by "
-            "half of a frame's length."
+            "half of the time from the first row to the last."
         )
         cure = f"State it, --line-delay {found:.3g}, and let it be estimated: --free {name}.line_delay."
     else:

@@ -172,8 +172,6 @@ def solved(
         lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)
         found = estimated_noise(lin, step, noise)
-    if step.factor.borrowed:
-        step = _exact(lin, step)
     return Solution(
         state=state,
         measurements=measurements,
@@ -181,7 +179,7 @@ def solved(
         noise_found=found,
         layout=lin.layout,
         lin=lin,
-        step=step,
+        step=_exact(lin, step) if step.factor.borrowed else step,
         iterations=tuple(iterations),
         converged=converged,
     )
