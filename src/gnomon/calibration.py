@@ -5,13 +5,13 @@ The sensors themselves are described in `sensors`, the names of their scalars in
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Self
 
 import numpy as np
 
 from .errors import FormatError, OptionError
 from .findings import Finding
+from .frozen import FrozenMapping
 from .models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from .parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from .recording import Floats, Source, frozen_array
@@ -241,8 +241,8 @@ class Calibration:
     cameras: Mapping[str, CameraCalibration] = field(default_factory=dict[str, CameraCalibration])
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))
-        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
+        object.__setattr__(self, "imus", FrozenMapping(self.imus))
+        object.__setattr__(self, "cameras", FrozenMapping(self.cameras))
 
     @property
     def verdict(self) -> Verdict:

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .frozen import FrozenMapping
 from .models.camera import Camera
 from .recording import Floats, ImuSamples, Integers, Source, frozen_array
 
@@ -95,4 +95,4 @@ class ImageRecording:
 
     def __post_init__(self) -> None:
         for name in ("imus", "streams", "imu_arrivals"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+            object.__setattr__(self, name, FrozenMapping(getattr(self, name)))

@@ -7,18 +7,18 @@ by its rotation vector; its covariance is that of a small rotation on the right 
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 
 from .errors import OptionError
+from .frozen import FrozenMapping
 from .geometry.rotation_vector import rotvec_from_rotation
 from .geometry.so3 import skew
 from .models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
 from .recording import Floats
 from .sensors import CameraCalibration, ImuCalibration, rotated, rotated_camera
 
-_NO_CAMERAS: Mapping[str, CameraCalibration] = MappingProxyType({})
+_NO_CAMERAS: Mapping[str, CameraCalibration] = FrozenMapping({})
 
 
 def parameters(

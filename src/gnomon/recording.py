@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import RecordingError
 from .findings import Finding
+from .frozen import FrozenMapping
 from .models.camera import Camera
 from .models.noise import ImuNoise
 from .units import Units
@@ -145,7 +145,7 @@ class FrameQuality:
     def __post_init__(self) -> None:
         for name in ("blur_px", "black", "white"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
-        object.__setattr__(self, "dropped", MappingProxyType(dict(self.dropped)))
+        object.__setattr__(self, "dropped", FrozenMapping(self.dropped))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -244,7 +244,7 @@ class KnownRig:
 
     def __post_init__(self) -> None:
         poses = {name: frozen_array(T) for name, T in self.T_cam_cam0.items()}
-        object.__setattr__(self, "T_cam_cam0", MappingProxyType(poses))
+        object.__setattr__(self, "T_cam_cam0", FrozenMapping(poses))
         object.__setattr__(self, "covariance", frozen_array(self.covariance))
 
     def of(self, cameras: Collection[str]) -> "KnownRig":
@@ -358,8 +358,8 @@ class Recording:
     rig: KnownRig | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "imus", MappingProxyType(dict(self.imus)))
-        object.__setattr__(self, "cameras", MappingProxyType(dict(self.cameras)))
+        object.__setattr__(self, "imus", FrozenMapping(self.imus))
+        object.__setattr__(self, "cameras", FrozenMapping(self.cameras))
 
     @classmethod
     def from_arrays(cls, t_s: ArrayLike, gyro: ArrayLike, accel: ArrayLike, units: str | Units = "si") -> Self:

@@ -9,9 +9,9 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite, pi
-from types import MappingProxyType
 
 from .errors import OptionError
+from .frozen import FrozenMapping
 
 _DEG = pi / 180
 _G = 9.80665
@@ -53,7 +53,7 @@ class Quantity:
         return _UNITS[self.kind][self.unit]
 
 
-QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
+QUANTITIES: Mapping[str, Quantity] = FrozenMapping(
     {
         name: Quantity(name=name, words=words, kind=kind)
         for name, words, kind in (
@@ -93,7 +93,7 @@ class Use:
     fails_at: float = 3.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "needs", MappingProxyType(dict(self.needs)))
+        object.__setattr__(self, "needs", FrozenMapping(self.needs))
 
 
 def _use(name: str, words: str, fails_at: float = 3.0, **needs: str) -> Use:
@@ -133,7 +133,7 @@ def stated(name: str, text: str) -> float:
     return value * units[unit.strip()]
 
 
-USES: Mapping[str, Use] = MappingProxyType(
+USES: Mapping[str, Use] = FrozenMapping(
     {
         use.name: use
         for use in (

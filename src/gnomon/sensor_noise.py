@@ -11,7 +11,6 @@ noise sampled at a rate f has a standard deviation of N sqrt(f) a sample.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import log, nan, pi, sqrt
-from types import MappingProxyType
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from .calibration import Provenance, Verdict
 from .diagnostics import SignalEnvelope
 from .errors import OptionError
 from .findings import Finding
+from .frozen import FrozenMapping
 from .models.noise import ImuNoise
 from .recording import Floats
 
@@ -241,5 +241,5 @@ class NoiseResult:
     topic: str = "/imu0"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "curves", MappingProxyType(dict(self.curves)))
-        object.__setattr__(self, "signals", MappingProxyType(dict(self.signals)))
+        object.__setattr__(self, "curves", FrozenMapping(self.curves))
+        object.__setattr__(self, "signals", FrozenMapping(self.signals))

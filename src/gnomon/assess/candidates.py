@@ -8,13 +8,13 @@ the derivatives of all of it.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Literal, Self, cast
 
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
 from ..errors import OptionError
+from ..frozen import FrozenMapping
 from ..models.camera import Camera
 from ..parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from ..readers.projects.foreign import FOREIGN_METHOD, ForeignCalibration
@@ -67,7 +67,7 @@ class Candidate:
 
     def __post_init__(self) -> None:
         for name in ("imus", "cameras", "lenses"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+            object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
 
     @classmethod
     def of(cls, name: str, found: Calibration | ForeignCalibration) -> Self:

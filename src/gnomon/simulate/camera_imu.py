@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from types import MappingProxyType
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
+from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
@@ -151,10 +151,10 @@ def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSim
         recording=Recording(imus={name: imu.samples for name, imu in imus.items()}, cameras=recorded),
         target=target,
         truth=_truth(scenario, seed, calibrations, cameras, frames),
-        truth_parameters=MappingProxyType(parameters),
+        truth_parameters=FrozenMapping(parameters),
         gravity_target=gravity,
-        imus=MappingProxyType(imus),
-        frames=MappingProxyType(frames),
+        imus=FrozenMapping(imus),
+        frames=FrozenMapping(frames),
         statistics=_statistics(imus["imu0"].trajectory, frames),
     )
 
@@ -218,7 +218,7 @@ def _statistics(trajectory: TrueTrajectory, frames: Mapping[str, CameraTruth]) -
         max_rate_rad_s=float(rate.max()),
         mean_acceleration_m_s2=float(acceleration.mean()),
         max_acceleration_m_s2=float(acceleration.max()),
-        visible=MappingProxyType({name: truth.visible for name, truth in frames.items()}),
+        visible=FrozenMapping({name: truth.visible for name, truth in frames.items()}),
     )
 
 

@@ -6,7 +6,6 @@ what is true of lenses, poses and board is in `CamerasSimulation`, so that image
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from ..calibration import (
     covariance_names,
 )
 from ..errors import OptionError
+from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.camera import Booleans, Camera
 from ..models.target import Target
@@ -153,7 +153,7 @@ def simulate_cameras(scenario: CamerasScenario | None = None, seed: int = 0) -> 
         t_ns=t_ns,
         R_cam0_target=R,
         p_cam0_target=p,
-        corners=MappingProxyType(corners),
+        corners=FrozenMapping(corners),
         blurred=blurred,
         resized=resized,
     )

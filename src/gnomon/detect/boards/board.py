@@ -3,10 +3,10 @@
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 
+from ...frozen import FrozenMapping
 from ...recording import Floats, Integers, frozen_array
 
 NOT_WITH_NEIGHBOURS = "not where its neighbours say"
@@ -42,7 +42,7 @@ class BoardView:
         object.__setattr__(self, "point", frozen_array(self.point, np.int64))
         object.__setattr__(self, "pixels", frozen_array(self.pixels))
         object.__setattr__(self, "sigma_px", frozen_array(self.sigma_px))
-        object.__setattr__(self, "dropped", MappingProxyType(dict(self.dropped)))
+        object.__setattr__(self, "dropped", FrozenMapping(self.dropped))
 
     def __len__(self) -> int:
         return len(self.point)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Self
 
 import numpy as np
@@ -14,6 +13,7 @@ from ...calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
+from ...frozen import FrozenMapping
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...models.target import Target
@@ -115,7 +115,7 @@ class ForeignCalibration:
 
     def __post_init__(self) -> None:
         for name in ("imus", "sigmas", "cameras", "lenses", "imu_data", "residuals"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+            object.__setattr__(self, name, FrozenMapping(getattr(self, name)))
         if self.gravity_target is not None:
             object.__setattr__(self, "gravity_target", frozen_array(self.gravity_target))
 
