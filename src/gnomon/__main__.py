@@ -1,8 +1,12 @@
 """The program `gnomon`, also `python -m gnomon`."""
 
+import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path:
+    del sys.path[0]  # python -m puts the working directory there, and with it whatever modules a recording comes with
+
 import os
 import signal
-import sys
 from contextlib import suppress
 from types import FrameType
 
@@ -12,6 +16,7 @@ _ENDING = ("SIGTERM", "SIGHUP")
 
 def main() -> None:
     """Run the command line and leave with its exit code."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # of every process that is started from here, by whatever library
     # One BLAS thread, before NumPy is there to start more: the problems are small, and threads cost start-up time.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -61,13 +61,14 @@ def test_another_study_or_gnomon_begins_anew_and_says_so(tmp_path, capsys, monke
     keep(tmp_path, {"a": "1"})
     assert capsys.readouterr().out == ""
     assert kept(tmp_path, study="other") == {}
-    assert "begins anew" in capsys.readouterr().out
+    assert "kept as runs.old1.journal, and the study begins anew" in capsys.readouterr().out
     for name, value in (("__version__", "9.9"), ("version", lambda library: f"9.9 of {library}")):
         keep(tmp_path, {"a": "1"})
         with monkeypatch.context() as patch:
             patch.setattr(module, name, value)
             assert kept(tmp_path) == {}
-    keep(tmp_path, {"a": "1"})
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"runs.old{number}.journal" for number in (1, 2, 3)]
+    (tmp_path / "runs.old2.journal").rename(tmp_path / JOURNAL)  # it is as it was, and can be taken up again
     assert kept(tmp_path) == {"a": "1"}
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
+from itertools import count
 from pathlib import Path
 from typing import IO
 
@@ -67,8 +68,8 @@ class FileJournal:
 def study_journal(folder: Path, study: str, tell: Callable[[str], None]) -> Generator[FileJournal]:
     """Open the journal in the folder of a study; without outcomes in the end, the file goes.
 
-    What another version of gnomon, other sources of it, or another NumPy or SciPy made is not taken over, and `tell`
-    is told so.
+    What another version of gnomon, other sources of it, or another NumPy or SciPy made is not taken over: its file gets
+    another name, which `tell` is told.
 
     Raises
     ------
@@ -78,9 +79,10 @@ def study_journal(folder: Path, study: str, tell: Callable[[str], None]) -> Gene
     path = folder / JOURNAL
     head = f"{_MARK.decode()} {study} {_made_by()}"
     try:
+        _put_aside(path, head, tell)
         with path.open("a+b") as stream:
             _lock(stream, path)
-            journal = FileJournal(stream, _read(stream, head, path, tell))
+            journal = FileJournal(stream, _read(stream, head, path))
             try:
                 yield journal
             finally:
@@ -91,15 +93,30 @@ def study_journal(folder: Path, study: str, tell: Callable[[str], None]) -> Gene
         raise OutputError(f"{path}: the journal of the study cannot be written ({error.strerror or error}).") from error
 
 
-def _read(stream: IO[bytes], head: str, path: Path, tell: Callable[[str], None]) -> dict[str, str]:
+def _put_aside(path: Path, head: str, tell: Callable[[str], None]) -> None:
+    """Give the journal of another study, or of another gnomon, a name that nothing else has."""
+    if not path.exists():
+        return
+    with path.open("r+b") as stream:
+        _lock(stream, path)
+        first = stream.readline()
+    if not _is_ours(first):
+        raise OutputError(f"{path}: this is no journal of gnomon. Move it away, or choose another folder with -o.")
+    if not first.endswith(b"\n") or _content(first) == head:
+        return
+    names = (path.with_name(f"runs.old{number}.journal") for number in count(1))
+    kept = next(name for name in names if not name.exists())
+    path.rename(kept)
+    tell(f"{path.name} is of another study or another gnomon; it is kept as {kept.name}, and the study begins anew")
+
+
+def _read(stream: IO[bytes], head: str, path: Path) -> dict[str, str]:
     """Return the records of the file by their keys, and cut off what is behind the last whole line."""
     stream.seek(0)
     first = stream.readline()
-    if not _is_ours(first):
-        raise OutputError(f"{path}: this is no journal of gnomon. Move it away, or choose another folder with -o.")
     if _content(first) != head:
-        if first:
-            tell(f"{path.name} is of another study or another gnomon; the study begins anew")
+        if first.endswith(b"\n"):
+            raise OutputError(f"{path}: another process began a study in this folder. Choose another folder with -o.")
         stream.truncate(0)
         stream.write(_line(head))
         stream.flush()

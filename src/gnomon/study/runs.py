@@ -19,6 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..errors import OptionError, SolveError
+from ..processes import safe_path
 from .records import Records
 
 Progress = Callable[[str], None]
@@ -196,9 +197,11 @@ def _here(work: Callable[[Task], Outcome], tasks: Sequence[Task]) -> Generator[t
 
 
 def _pooled(work: Callable[[Task], Outcome], tasks: Sequence[Task], jobs: int) -> Generator[tuple[int, Outcome]]:
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_alone)
+    with safe_path():  # multiprocessing starts one of its own for its locks
+        pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_alone)
     try:
-        places = {pool.submit(work, task): place for place, task in enumerate(tasks)}
+        with safe_path():  # submitting starts the processes
+            places = {pool.submit(work, task): place for place, task in enumerate(tasks)}
         for future in as_completed(places):
             yield places[future], future.result()
     except BrokenProcessPool as error:

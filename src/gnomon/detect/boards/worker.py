@@ -1,6 +1,6 @@
 """A process of its own that finds boards in images: Python lets threads of one process take turns only.
 
-It is started with `python -m gnomon.detect.boards.worker` and speaks over its standard input and output: in come the
+It is started with `python -P -m gnomon.detect.boards.worker` and speaks over its standard input and output: in come the
 target, then runs of images; for each run the views go out. `BoardProcess` is the other end.
 """
 
@@ -14,6 +14,7 @@ from typing import Any
 
 from ...images import Grey
 from ...models.target import Target
+from ...processes import python_command, python_environment
 from .board import BoardView
 
 Detector = Callable[[Grey], BoardView]
@@ -34,14 +35,13 @@ class BoardProcess:
     """
 
     def __init__(self, target: Target) -> None:
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "gnomon.detect.boards.worker"],
+                python_command("gnomon.detect.boards.worker"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                env=environment,
+                env=python_environment(),
             )
             self._send(_stated(target))
         except (OSError, ValueError) as error:
