@@ -1,5 +1,7 @@
 """What the model took up because the recording proved it to be there, with its size and what to do about it."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from ..estimate.camera_imu.layout import Layout
@@ -28,6 +30,30 @@ def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters,
     if "board" in added and found.board is not None:
         findings.append(_board(found.board.offsets))
     return findings
+
+
+def steps_left_out(failed: Mapping[str, str]) -> list[Finding]:
+    """Say which steps the recording asks for, but could not be estimated: step -> reason."""
+    return [
+        Finding(
+            severity="warning",
+            code="step-left-out",
+            message=f"The recording asks for {name} in the model, but with it the estimation failed: {reason}",
+            consequence="The result is that of the model without it, which leaves something out.",
+            cure="State what is known of it (--prior, --fix), or record for longer, about and along all three axes.",
+        )
+        for name, reason in failed.items()
+    ]
+
+
+def comparison_left_out(what: str, reason: str) -> Finding:
+    """Say that something could not be estimated that would only have been compared with the result."""
+    return Finding(
+        severity="info",
+        code="comparison-left-out",
+        message=f"There is no comparison with {what}, which could not be estimated: {reason}",
+        consequence="The result does not depend on it.",
+    )
 
 
 def out_of_order(columns: Layout, found: Parameters) -> list[Finding]:

@@ -4,13 +4,14 @@ Aspect and bow are judged by what they bring to views that an estimate has not s
 residuals that stay with a corner from view to view (B16, as in a camera-IMU calibration).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
 from ..camera_options import CameraOptions
+from ..errors import GnomonError
 from ..estimate.camera_imu.residual_patterns import along_board, common_pattern
 from ..estimate.cameras.rig import RigSolution
 from ..estimate.cameras.solution import solved
@@ -37,12 +38,14 @@ class BoardChoice:
     estimated : what of the board is in it, of "aspect", "bow" and "corners"
     added : the same where the views asked for it, not the options
     steps : what each brings
+    failed : why the board could not be looked at, or ""
     """
 
     solution: RigSolution
     estimated: tuple[str, ...]
     added: tuple[str, ...]
     steps: tuple[ModelStep, ...]
+    failed: str = ""
 
 
 def with_board(solution: RigSolution, options: CameraOptions) -> BoardChoice:
@@ -63,6 +66,14 @@ def with_board(solution: RigSolution, options: CameraOptions) -> BoardChoice:
         stated = _ALONG[options.board]
         found = along(solution, stated) if stated else solution
         return BoardChoice(solution=found, estimated=stated, added=(), steps=())
+    try:
+        return _by_evidence(solution, along)
+    except (GnomonError, np.linalg.LinAlgError) as error:  # a look at the board must not cost the cameras
+        return BoardChoice(solution=solution, estimated=(), added=(), steps=(), failed=str(error))
+
+
+def _by_evidence(solution: RigSolution, along: Callable[[RigSolution, tuple[str, ...]], RigSolution]) -> BoardChoice:
+    """Return the solution with what the views prove of the board."""
     wider = along(solution, ("aspect", "bow"))
     steps = _shape_steps(wider)
     added = tuple(step.name for step in steps if step.used)

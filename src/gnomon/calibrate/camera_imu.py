@@ -9,7 +9,7 @@ from dataclasses import replace
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.added_findings import added_findings, out_of_order
+from ..assess.added_findings import added_findings, out_of_order, steps_left_out
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
 from ..assess.likely_missing import likely_missing
@@ -101,7 +101,7 @@ def _calibrated(
     chosen = chosen_model(estimated(rig, gravity, options, [known_imu(one) for one in known], tell), options, tell)
     solution, start = chosen.solution, chosen.solution.layout.start
     certain = uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None)
-    basic = basic_model(start, solution, options, tell) if options.compare and options.model != "basic" else None
+    basic, uncompared = basic_model(start, solution, options, tell)
     tell("assessing the result")
     result = published(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
     evidence = CameraImuEvidence(
@@ -126,6 +126,8 @@ def _calibrated(
     doubts = (
         *cameras_moved(solution, certain),
         *took_up,
+        *steps_left_out(chosen.failed),
+        *uncompared,
         *out_of_order(solution.layout, solution.state.parameters),
         *model_incomplete(trust, likely),
         *parts_disagree(trust.splits),

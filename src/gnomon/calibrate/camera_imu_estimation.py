@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..assess.added_findings import comparison_left_out
 from ..calibration import Gravity
+from ..errors import SolveError
 from ..estimate.camera_imu.accelerometer_delay import accelerometer_delay
 from ..estimate.camera_imu.batch import Measurements, State
 from ..estimate.camera_imu.choices import choices, lens_prior
@@ -20,6 +22,7 @@ from ..estimate.camera_imu.parameters import ImuParameters, Parameters
 from ..estimate.camera_imu.solution import GATE, Solution, solved
 from ..estimate.camera_imu.trajectory import Grid
 from ..estimate.camera_imu.visual_terms import VisualData
+from ..findings import Finding
 from ..options import CameraImuOptions
 from ..recording import Recording
 from .camera_imu_model import considered
@@ -187,21 +190,32 @@ def _on_trajectory(
         yield well_inside(grid, one, imu, MARGIN_S / 2) if moves else one
 
 
-def basic_model(start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress) -> State:
-    """Return the basic model's estimate on the same measurements (Figs. 5.6 and 5.7 of document B)."""
+def basic_model(
+    start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress
+) -> tuple[State | None, list[Finding]]:
+    """Return the basic model's estimate on the same measurements (Figs. 5.6 and 5.7 of document B).
+
+    It is there for comparison alone: where it cannot be made, None and a finding that says so.
+    """
+    if not options.compare or options.model == "basic":
+        return None, []
     tell("estimating the basic model for comparison")
     chosen = choices(start, replace(options, fix=(), free=(), prior=()), model="basic")
     parameters = solution.state.parameters
     ideal = replace(parameters, imus=tuple(imu.without_errors() for imu in parameters.imus))
     columns = layout(solution.layout.start, chosen.status, chosen.prior_sigma)
-    return solved(
-        solution.measurements,
-        State(trajectory=solution.state.trajectory, parameters=ideal),
-        columns,
-        columns,
-        solution.noise,
-        estimate_noise=False,
-        gate=False,
-        max_iterations=options.max_iterations,
-        workspace=solution.spare_workspace(),
-    ).state
+    try:
+        found = solved(
+            solution.measurements,
+            State(trajectory=solution.state.trajectory, parameters=ideal),
+            columns,
+            columns,
+            solution.noise,
+            estimate_noise=False,
+            gate=False,
+            max_iterations=options.max_iterations,
+            workspace=solution.spare_workspace(),
+        )
+    except SolveError as error:
+        return None, [comparison_left_out("the basic model", str(error))]
+    return found.state, []

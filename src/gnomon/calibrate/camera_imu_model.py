@@ -7,11 +7,12 @@ taken out again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 
 import numpy as np
 
+from ..errors import SolveError
 from ..estimate.camera_imu.batch import State, linearised
 from ..estimate.camera_imu.choices import choices, imu_blocks, lens_prior
 from ..estimate.camera_imu.cluster_sums import cluster_sums
@@ -50,6 +51,7 @@ class Chosen:
     added : steps beyond the model of the options that are in it
     tries : blocks on which the recording decided
     board_told : whether it was long enough to tell whether corners of the board lie off their places
+    failed : steps that proved themselves, but without which the estimation had to do, with the reason
     """
 
     solution: Solution
@@ -58,6 +60,7 @@ class Chosen:
     added: tuple[str, ...] = ()
     tries: int = 0
     board_told: bool = True
+    failed: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 def considered(start: Parameters) -> tuple[str, ...]:
@@ -91,13 +94,18 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
         steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated).steps}
         asked = _asked(steps, stated)
     inside: tuple[str, ...] = ()
-    for _ in range(_ROUNDS):
-        if asked == inside:
-            break
+    failed: dict[str, str] = {}
+    rounds = _ROUNDS
+    while rounds and asked != inside:
         tell(f"estimating along: {', '.join(asked) or 'none of them'}")
-        judged = _judged(_estimated_along(solution, asked, options, tell), stated) if asked else base
-        steps |= {step.name: step for step in judged.steps}
-        asked, inside = _asked(steps, stated), asked
+        try:
+            judged = _judged(_estimated_along(solution, asked, options, tell), stated) if asked else base
+        except SolveError as error:
+            failed[_least(steps, asked)] = str(error)
+        else:
+            rounds, inside = rounds - 1, asked
+            steps |= {step.name: step for step in judged.steps}
+        asked = tuple(name for name in _asked(steps, stated) if name not in failed)
     told = [
         replace(step, forced=options.model != "auto" or step.name not in LADDER or step.name in EXTRAS)
         if step.name in stated
@@ -111,7 +119,13 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
         added=inside,
         tries=len(steps.keys() - stated.keys()),
         board_told=_BOARD in stated or steps[_BOARD].gain_sigma > 0,
+        failed=failed,
     )
+
+
+def _least(steps: Mapping[str, ModelStep], asked: Sequence[str]) -> str:
+    """Return the step that proves itself least."""
+    return min(asked, key=lambda name: steps[name].gain - steps[name].needed)
 
 
 def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool]) -> tuple[str, ...]:
@@ -194,10 +208,16 @@ def _with_k3(solution: Solution) -> tuple[State, Parameters]:
 
 
 def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraImuOptions, tell: Progress) -> Solution:
-    """Return the solution with further blocks, from one without them."""
+    """Return the solution with further blocks, from one without them.
+
+    Raises
+    ------
+    SolveError
+        If it finds no minimum, or does not come to rest where the one without them did.
+    """
     state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
     chosen = choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
-    return solved(
+    found = solved(
         solution.measurements,
         state,
         layout(origin, chosen.status, chosen.prior_sigma),
@@ -210,3 +230,6 @@ def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraIm
         tell=tell,
         workspace=solution.spare_workspace(),
     )
+    if solution.converged and not found.converged:
+        raise SolveError("it did not come to rest.")
+    return found

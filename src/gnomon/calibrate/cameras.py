@@ -6,9 +6,11 @@ check -> choose the lens models -> first rig -> choose views -> estimate -> boar
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
+from ..assess.added_findings import comparison_left_out
 from ..assess.cameras_checks import check_views
 from ..assess.cameras_tables import CamerasEvidence, LensOpinion, describe
 from ..assess.cameras_verdict import assess
@@ -16,15 +18,15 @@ from ..assess.trust_findings import trust_note
 from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
 from ..camera_options import CameraOptions
 from ..diagnostics import Result
-from ..errors import DetectionError, RecordingError
+from ..errors import DetectionError, GnomonError, RecordingError
 from ..estimate.cameras.solution import solved
 from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
 from ..recording import Recording
-from .camera_board import with_board
+from .camera_board import BoardChoice, with_board
 from .camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
-from .camera_views import misfits, other_size, started, unseen, unused, views_of
+from .camera_views import Unseen, misfits, other_size, rms_of, started, unseen, unused, views_of
 from .cameras_published import check_baseline, published
 from .preparation import assumed, stated_options
 
@@ -87,7 +89,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     board = with_board(first, options if all(lens.fits for lens in lenses) else replace(options, board="stated"))
     solution = board.solution
     tell("testing it on views that it has not seen")
-    left_out = unseen(solution, time_clusters(solution), board.estimated, options.max_iterations)
+    left_out, uncompared = _tested(board, options)
     others = unused(start.every, solution)
     bad = misfits(solution, others)
     mixed = other_size(start.every, solution, bad)
@@ -117,7 +119,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
         trust=replace(result.trust, models=board.steps),
     )
     diagnostics = describe(evidence)
-    assessment = assess(noticed, evidence, diagnostics)
+    assessment = assess((*noticed, *uncompared), evidence, diagnostics)
     note = trust_note(evidence.trust)
     calibration = Calibration(
         imus={},
@@ -134,6 +136,18 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
         ),
     )
     return Result(calibration=calibration, diagnostics=diagnostics)
+
+
+def _tested(board: BoardChoice, options: CameraOptions) -> tuple[Unseen, list[Finding]]:
+    """Return how well views that were left out are predicted, and what of such comparisons could not be made."""
+    solution = board.solution
+    uncompared = [comparison_left_out("another shape of the board", board.failed)] if board.failed else []
+    try:
+        return unseen(solution, time_clusters(solution), board.estimated, options.max_iterations), uncompared
+    except (GnomonError, np.linalg.LinAlgError) as error:
+        uncompared.append(comparison_left_out("views that were left out", str(error)))
+        used = {name: rms_of(seen) for name, seen in solution.corners.items()}
+        return Unseen(rms_px=dict.fromkeys(used, float("nan")), rms_used_px=used), uncompared
 
 
 def _checked(recording: Recording, target: Target) -> tuple[Finding, ...]:

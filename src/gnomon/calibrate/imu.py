@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .._version import __version__
+from ..assess.added_findings import comparison_left_out
 from ..assess.imu_tables import ImuEvidence, describe
 from ..assess.imu_verdict import assess
 from ..assess.prior_findings import prior_findings
@@ -23,7 +24,7 @@ from ..calibration import (
 )
 from ..detect.samples.static import static_statistic, window_samples
 from ..diagnostics import Result
-from ..errors import DetectionError
+from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscaled
@@ -245,7 +246,10 @@ def _agreement(problem: MultiPositionProblem, known: Evidence, gravity: Gravity,
     """Say what was known beforehand, and whether this recording on its own agrees."""
     if not known:
         return []
-    alone = _in_units(fit_multiposition(problem.data, g_sensitivity=True), problem, gravity, options)
+    try:
+        alone = _in_units(fit_multiposition(problem.data, g_sensitivity=True), problem, gravity, options)
+    except SolveError as error:
+        return [comparison_left_out("what was known beforehand", str(error))]
     return prior_findings(known, alone.values, alone.covariance)
 
 

@@ -24,7 +24,7 @@ from ..calibration import (
     covariance_names,
 )
 from ..diagnostics import Result
-from ..errors import DetectionError, InitialisationError, OptionError
+from ..errors import DetectionError, InitialisationError, OptionError, SolveError
 from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
 from ..estimate.turntable.parts import TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, reassign
@@ -220,7 +220,7 @@ def _choose_model(
     rivals = {"basic": fitted(g_sensitivity=False)}
     try:
         rivals["g-sensitivity"] = fitted(g_sensitivity=True)
-    except InitialisationError:
+    except (InitialisationError, SolveError):
         return rivals["basic"], rivals
     if rivals["g-sensitivity"].fit.held_by_prior.any():
         return rivals["basic"], rivals

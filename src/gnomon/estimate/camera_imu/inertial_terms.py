@@ -202,7 +202,7 @@ class InertialTerms:
                 rows[:, i, start + i] = share * weight
         whitened = residual * weighted
         self._chi2[kind] += float(np.vdot(whitened, whitened))
-        np.negative(whitened, out=rows[:, :, columns.side])
+        rows[:, :, columns.side] = -whitened
         if self._probe is not None:
             signs = self._rng.integers(0, 2, (n, TRIAD)) * 2.0 - 1.0
             rows[:, :, columns.side + self._probe + kind] = signs * (weighted > 0)

@@ -206,7 +206,7 @@ class VisualTerms:
         for column, index in self._maps.own:
             rows[:, :, start + column] = roots[:, :, TWIST + index]
         residual = TWIST + len(self._maps.own)
-        np.negative(roots[:, :, residual], out=rows[:, :, columns.side])
+        rows[:, :, columns.side] = -roots[:, :, residual]  # np.negative(x, out=y) errs where x has a stride of 64 bytes
         if self._probe is not None:
             rows[:, :, columns.side + self._probe] = roots[:, :, residual + 1]
         return rows
