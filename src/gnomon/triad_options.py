@@ -84,8 +84,14 @@ class MagnetometerOptions:
     field: float | None = None
     """Strength of the local magnetic field in uT, where you know it; otherwise it is the unit of the result."""
 
+    dip: float | None = None
+    """Angle of the local field below the horizontal in degrees, below zero where it points up; checks handedness."""
+
+    latitude: float | None = None
+    """Latitude in degrees: which way the field dips there checks the handedness of the axes."""
+
     model: Literal["auto", "hard-iron", "full"] = "auto"
-    """Offset and one scale (hard-iron), every entry of the sensitivity (full), or chosen by hold-out (auto)."""
+    """Every entry of the sensitivity (full, auto), or offset and one scale (hard-iron), soft iron left out."""
 
     fix: tuple[str, ...] = ()
     """Parameters that keep their prior value, such as imu0.magnetometer.bias."""

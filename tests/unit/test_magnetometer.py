@@ -107,16 +107,48 @@ def test_alignment_to_the_accelerometer_and_dip_south_of_the_equator() -> None:
     assert len(dip.dip_rad) > 50
 
 
-def test_model_is_chosen_by_hold_out() -> None:
+def test_soft_iron_is_estimated_with_the_sphere_beside_it() -> None:
     round_one = errors(FieldScenario(accelerometer=False, soft_iron=0.0, duration_s=60.0), 3)[2]
     bent_one = errors(FieldScenario(accelerometer=False, soft_iron=0.1, duration_s=60.0), 3)[2]
-    assert bent_one.calibration.assessment.model == "full"
     trials = {trial.model: trial for trial in round_one.diagnostics.trials}
     assert set(trials) == {"full", "hard-iron"}
-    chosen = round_one.calibration.assessment.model
-    assert trials[chosen].chosen
-    assert trials[chosen].holdout_rms <= 1.01 * min(trial.holdout_rms for trial in trials.values())
+    assert trials["full"].chosen
+    assert bent_one.calibration.assessment.model == round_one.calibration.assessment.model == "full"
     assert bent_one.calibration.assessment.holdout.field_rms < 0.01
+
+
+@pytest.mark.parametrize("soft_iron", [0.0, 0.02])
+def test_soft_iron_that_is_left_out_keeps_the_sigma_that_the_data_allow(soft_iron) -> None:
+    scenario = FieldScenario(accelerometer=False, soft_iron=soft_iron, inhomogeneity=0.3)
+    full = errors(scenario, 5)[2].calibration
+    scaled, _, result = errors(scenario, 5, replace(IN_UT, model="hard-iron"))
+    sphere = result.calibration
+    assert np.abs(scaled).max() < 4.0
+    for name in NAMES:
+        assert np.all(sphere.sigma(name) >= 0.99 * full.sigma(name))
+    codes = {finding.code for finding in sphere.assessment.findings if finding.severity == "warning"}
+    assert ("soft-iron-left-out" in codes) == (soft_iron > 0)
+    if soft_iron:
+        assert sphere.verdict != "pass"
+
+
+@pytest.mark.parametrize("stated", [{"dip": 64.0}, {"latitude": 48.0}])
+@pytest.mark.parametrize("swap", [[0, 1, 2], [1, 0, 2]])
+def test_axes_that_are_not_right_handed_show_in_the_sign_of_the_dip(stated, swap) -> None:
+    recording, _ = simulate_magnetometer(FieldScenario(rests=6, duration_s=60.0), 4)
+    imu = recording.imus["imu0"]
+    swapped = replace(imu, magnetometer=replace(imu.magnetometer, values=imu.magnetometer.values[:, swap]))
+    result = calibrate_magnetometer(Recording(imus={"imu0": swapped}), replace(IN_UT, **stated))
+    found = {f.code: f.severity for f in result.calibration.assessment.findings}
+    assert found["magnetometer-handedness"] == ("good" if swap == [0, 1, 2] else "problem")
+
+
+@pytest.mark.parametrize("latitude", [None, 5.0])
+def test_handedness_that_was_not_checked_is_said(latitude) -> None:
+    recording, _ = simulate_magnetometer(FieldScenario(rests=6, duration_s=60.0), 4)
+    result = calibrate_magnetometer(recording, replace(IN_UT, latitude=latitude))
+    found = {f.code: f.severity for f in result.calibration.assessment.findings}
+    assert found["magnetometer-handedness"] == "info"
 
 
 def test_hard_iron_model_has_one_scale() -> None:
@@ -207,6 +239,8 @@ def test_what_cannot_be_calibrated_is_refused_in_words() -> None:
     [
         (MagnetometerOptions(field=48_000.0), "nowhere on Earth"),
         (MagnetometerOptions(magnetometer_range=-1.0), "greater than zero"),
+        (MagnetometerOptions(dip=100.0), "not between -90 and 90"),
+        (MagnetometerOptions(latitude=-91.0), "not between -90 and 90"),
         (MagnetometerOptions(fix=("imu0.magnetometer.sensitivity",)), "--field"),
         (MagnetometerOptions(fix=("imu0.magnetometer.bios",)), "Did you mean"),
         (MagnetometerOptions(prior=("imu0.magnetometer.bias=1",), model="hard-iron"), "takes no prior"),

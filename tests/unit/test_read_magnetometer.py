@@ -122,3 +122,10 @@ def test_the_unit_shows_in_the_field(radius, unit) -> None:
     assert magnetometer_unit(values + 1.5 * radius).unit == unit
     assert magnetometer_unit(np.rint(field())).unit == "count"
     assert magnetometer_unit(1e6 * field()).unit == "count"
+
+
+@pytest.mark.parametrize("offset", [0.0, 30.0, 230.0, 2000.0])
+@pytest.mark.parametrize(("unit", "factor"), [("uT", 1.0), ("gauss", 0.01), ("mgauss", 10.0), ("nT", 1000.0)])
+def test_the_unit_follows_from_the_radius_whatever_hard_iron_is(offset, unit, factor) -> None:
+    values = (field(2000, 48.0) * [1.0, 0.9, 1.1] + offset * np.array([0.6, -0.7, 0.4])) * factor + 1e-3
+    assert magnetometer_unit(values).unit == unit

@@ -31,6 +31,7 @@ class FieldEvidence:
     t_s, values, usable : samples, their instants [s], and whether they are not clipped
     unit : of the samples
     field : strength of the field as stated [uT], or None
+    stated_dip_deg, latitude_deg : as stated [deg], or None
     poses, fit : what was fitted, and the fit
     rivals : model -> fit
     up, dip : the accelerometer along, and how the magnetometer stands to it; None where that cannot be told
@@ -46,6 +47,8 @@ class FieldEvidence:
     usable: Booleans
     unit: str
     field: float | None
+    stated_dip_deg: float | None
+    latitude_deg: float | None
     poses: FieldPoses
     fit: MagnetometerFit
     rivals: dict[str, MagnetometerFit]

@@ -10,6 +10,7 @@ from ..recording import Floats
 from ..units import MAGNETOMETER_UNITS_UT
 from .bias_findings import bias_findings
 from .imu_verdict import convergence_findings
+from .magnetometer_handedness import handedness_findings
 from .magnetometer_tables import FieldEvidence, Strays, strays
 from .prior_findings import prior_findings
 from .trust_findings import parts_disagree, trust_note
@@ -23,6 +24,7 @@ _ALIGNED_WARN_RAD = 0.02
 _EARTH_UT = (22.0, 67.0)
 _STRAY_WARN = 0.1
 _MOST_NAMED = 5
+_SIGNIFICANT = 4.0  # sigmas of a sum of squares
 
 
 def assess_field(
@@ -48,6 +50,8 @@ def assess_field(
         *_correlation_findings(evidence),
         *_strength_findings(evidence),
         *_alignment_findings(evidence, beside_accelerometer),
+        *handedness_findings(evidence),
+        *_left_out_findings(evidence),
         *_held_findings(evidence),
         *_prior_findings(evidence, known),
         *parts_disagree(evidence.trust.trust.splits),
@@ -273,8 +277,6 @@ def _alignment_findings(evidence: FieldEvidence, beside_accelerometer: bool) -> 
             severity=severity,
             code="magnetometer-alignment",
             message=f"{words} (1 sigma).",
-            consequence="Both sensors are taken as right-handed. If the field dips the other way where you are, an "
-            "axis of one of them has the wrong sign, or the accelerometer shows -1 g up.",
             cure="Pause in each attitude for a second or two, or give the accelerometer's calibration with --prior, to "
             "know it more closely.",
         )
@@ -288,6 +290,32 @@ def _alignment_sigma(evidence: FieldEvidence) -> float:
     rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
     by_axis = np.sqrt(np.diag(evidence.covariance)[-12:-3]).reshape(3, 3) / rows[:, None]
     return float((by_axis * ~np.eye(3, dtype=bool)).max())
+
+
+def _left_out_findings(evidence: FieldEvidence) -> list[Finding]:
+    """Say how much soft iron the hard-iron model leaves out, where that is no chance."""
+    fit, full = evidence.fit, evidence.rivals.get("full")
+    if fit.model == "full" or full is None:
+        return []
+    count = int(np.any(full.iron.basis[:9] != 0, axis=0).sum())
+    # The common scale belongs to both models.
+    scale = np.linalg.norm(fit.iron.sensitivity) / np.sqrt(3)
+    shape = (full.iron.basis[:9] @ fit.left_out).reshape(3, 3) / scale
+    shape = shape - np.trace(shape) / 3 * np.eye(3)
+    inverse = np.linalg.pinv(full.covariance[:count, :count], rcond=1e-10, hermitian=True)
+    chi_squared = float(fit.left_out[:count] @ inverse @ fit.left_out[:count])
+    if chi_squared < count + _SIGNIFICANT * np.sqrt(2 * count):
+        return []
+    return [
+        Finding(
+            severity="warning",
+            code="soft-iron-left-out",
+            message=f"The hard-iron model leaves out soft iron of up to {100 * np.abs(shape).max():.2g} %, which the "
+            "recording shows.",
+            consequence="All sigmas are widened by that.",
+            cure="Leave --model out: the full model estimates them.",
+        )
+    ]
 
 
 def _held(evidence: FieldEvidence) -> tuple[str, ...]:

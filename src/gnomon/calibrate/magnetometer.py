@@ -1,6 +1,6 @@
 """A magnetometer turned by hand through all attitudes; with an accelerometer beside it, in that one's frame.
 
-prepare -> poses -> fit -> choose the model -> up, and the dip -> assess -> Result
+prepare -> poses -> fit -> up, and the dip -> assess -> Result
 """
 
 from collections.abc import Callable
@@ -27,7 +27,12 @@ from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
 from ..estimate.triads.field_poses import FieldPoses, field_poses, sample_noise
 from ..estimate.triads.field_trust import field_trust
 from ..estimate.triads.gravity_along import GravityFit, fit_gravity, force_at
-from ..estimate.triads.magnetometer import MagnetometerFit, fit_magnetometer, stray_samples
+from ..estimate.triads.magnetometer import (
+    MagnetometerFit,
+    fit_magnetometer,
+    stray_samples,
+    with_soft_iron_unknown,
+)
 from ..evidence import Evidence, Priors, known_beforehand
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions
@@ -75,7 +80,7 @@ def calibrate_magnetometer(
     prepared = prepare_field(recording, options)
     known = _known(prepared, options, prior)
     tell(f"fitting the ellipsoid of {len(prepared.magnetometer)} samples")
-    poses, fit, rivals = _choose_model(prepared, options, known)
+    poses, fit, rivals = _fit_models(prepared, options, known)
     tell("relating the magnetometer to the accelerometer")
     gravity = local_gravity(ImuOptions())
     up, dip = _beside_accelerometer(prepared, poses, fit, known, gravity.value)
@@ -87,6 +92,8 @@ def calibrate_magnetometer(
         usable=prepared.usable,
         unit=prepared.magnetometer.unit,
         field=options.field,
+        stated_dip_deg=options.dip,
+        latitude_deg=options.latitude,
         poses=poses,
         fit=fit,
         rivals=rivals,
@@ -97,7 +104,7 @@ def calibrate_magnetometer(
         imu=imu,
         covariance=covariance,
         gravity=gravity,
-        trust=field_trust(fit, poses.t_s),
+        trust=field_trust(rivals["full"], poses.t_s),
     )
     imus = {"imu0": imu}
     calibration = Calibration(
@@ -123,10 +130,13 @@ def _known(prepared: PreparedField, options: MagnetometerOptions, prior: Priors)
     return known_beforehand(prior, options, units, free=options.free)
 
 
-def _choose_model(
+def _fit_models(
     prepared: PreparedField, options: MagnetometerOptions, known: Evidence
 ) -> tuple[FieldPoses, MagnetometerFit, dict[str, MagnetometerFit]]:
-    """Fit one scale and a full sensitivity, and keep what predicts blocks that were left out better."""
+    """Fit a full sensitivity, and beside it, or where it is wanted instead, one scale.
+
+    Soft iron that is not significant is no more certain for being left out, so that only an option leaves it out.
+    """
     shape, usual, field = prepared.shape, prepared.usual, options.field or 1.0
     prior = known.triad_prior("magnetometer", own_frame=True)
     if prior is not None and options.model == "hard-iron":
@@ -143,12 +153,8 @@ def _choose_model(
     rivals: dict[str, MagnetometerFit] = {"full": fit}
     if options.model != "full" and prior is None:
         rivals["hard-iron"] = fit_magnetometer(poses, shape, usual, field=field, model="hard-iron")
-        both = fit.used & rivals["hard-iron"].used
-        # In the sensor's unit: relative to its radius a larger sphere would always seem to fit better.
-        scale = {name: float(np.abs(np.linalg.det(one.iron.sensitivity))) ** (1 / 3) for name, one in rivals.items()}
-        errors = {name: scale[name] * float(np.linalg.norm(one.error_holdout[both])) for name, one in rivals.items()}
-        if options.model == "hard-iron" or errors["hard-iron"] < errors["full"]:
-            fit = rivals["hard-iron"]
+        if options.model == "hard-iron":
+            fit = rivals["hard-iron"] = with_soft_iron_unknown(rivals["hard-iron"], rivals["full"])
     return poses, fit, rivals
 
 
@@ -198,6 +204,7 @@ def _calibrated(
     slowest = max(memory_s(t_s[at], stage.residual[at]) for stage in stages if (at := stage.residual != 0).any())
     blocks = Blocks.of(t_s, max(slowest, fit.blocks.memory_s))
     joint = block_covariance(stages, blocks, left_out(stages, blocks.block))
+    joint += _by_what_was_left_out(fit, up, dip)
     sigma = np.sqrt(np.diag(joint))
     dip_sigma = float(sigma[-1] / max(np.cos(dip.dip_rad), 1e-3))
     if iron.in_own_frame and not sigma[-4:-1].max() < _LEAST_KNOWN_RAD:
@@ -217,6 +224,13 @@ def _calibrated(
         magnetometer=replace(magnetometer, sensitivity=body),
     )
     return imu, by @ joint @ by.T, dip_sigma
+
+
+def _by_what_was_left_out(fit: MagnetometerFit, up: GravityFit, dip: DipFit) -> Floats:
+    """Return what soft iron that was left out adds to the joint covariance, the dip's own parameters included."""
+    turned = -dip.stage.covariance @ (dip.stage.jacobian.T @ (dip.stage.earlier[0] @ fit.left_out))
+    shift = np.concatenate([fit.left_out, np.zeros(len(up.stage.covariance)), turned])
+    return np.outer(shift, shift)
 
 
 def _in_own_frame(sensor: MagnetometerCalibration, covariance: Floats) -> tuple[ImuCalibration, Floats]:

@@ -158,13 +158,17 @@ def check_field_options(prior: Priors, options: MagnetometerOptions) -> None:
     Raises
     ------
     OptionError
-        If the field or the range is none, or a prior calibration's or a stated sensitivity is in the other unit.
+        If the field, the place or the range is none, or a prior's or a stated sensitivity is in the other unit.
     """
     if options.field is not None and not _FIELDS_UT[0] < options.field < _FIELDS_UT[1]:
         raise OptionError(
             f"field {options.field:g} uT is found nowhere on Earth (22 to 67 uT). Give the local strength in "
             "microtesla, or leave it out."
         )
+    if options.dip is not None and not -90 <= options.dip <= 90:
+        raise OptionError(f"dip {options.dip:g} deg is not between -90 and 90.")
+    if options.latitude is not None and not -90 <= options.latitude <= 90:
+        raise OptionError(f"latitude {options.latitude:g} deg is not between -90 and 90.")
     if options.magnetometer_range is not None and not options.magnetometer_range > 0:
         raise OptionError(f"magnetometer_range {options.magnetometer_range:g} must be greater than zero.")
     here = "local field" if options.field is None else "uT"

@@ -82,7 +82,7 @@ def _origin(trust: Trust) -> Prose:
     if not wide:
         return Prose(lines=(f"{text}: the model explains the recording.",))
     names = ", ".join(f"{ratio.block} ({number(ratio.ratio, 2)} times)" for ratio in wide)
-    return Prose(lines=(f"{text}. Most: {names}. There the model lacks something that the recording shows.",))
+    return Prose(lines=(f"{text}. Most: {names}. There errors last, or the model leaves something out.",))
 
 
 def _splits(splits: Splits) -> list[Block]:

@@ -77,6 +77,7 @@ class MagnetometerFit:
     covariance : (p, p) of what is free, from the blocks
     direction : (n, 3) unit vectors of the field
     by_parameters : (n, 3, p) their derivatives by what is free
+    left_out : (p,) what is free less what the full model finds for it; zero unless parts of that were left out
     sigma_factor : how much larger the sigmas are than for independent errors
     """
 
@@ -91,6 +92,7 @@ class MagnetometerFit:
     covariance: Floats
     direction: Floats
     by_parameters: Floats
+    left_out: Floats
     sigma_factor: float
 
     @property
@@ -255,7 +257,38 @@ def _with_blocks(poses: FieldPoses, iron: Iron, field: float, model: Magnetomete
         covariance=covariance,
         direction=x / length[:, None],
         by_parameters=by_direction(x, correction) @ iron.basis,
+        left_out=np.zeros(iron.basis.shape[1]),
         sigma_factor=float(np.sqrt(np.mean(np.diag(covariance) / np.maximum(np.diag(iron.covariance), 1e-300)))),
+    )
+
+
+def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> MagnetometerFit:
+    """Return a hard-iron fit whose sigmas count the soft iron that it leaves out.
+
+    What the sphere sets to zero errs by what the full model finds there and by how well that is known: the covariance
+    is that of the full model with the square of the difference.
+    """
+    basis = full.iron.basis
+    left_out = basis.T @ np.concatenate([
+        (sphere.iron.sensitivity - full.iron.sensitivity).ravel(), sphere.iron.bias - full.iron.bias
+    ])  # fmt: skip
+    square = np.outer(left_out, left_out)
+    correction = inverse(sphere.iron.sensitivity)
+    x = sphere.direction * (sphere.field + sphere.error)[:, None]
+    return replace(
+        sphere,
+        iron=replace(
+            sphere.iron,
+            basis=basis,
+            covariance=full.iron.covariance + square,
+            held_by_prior=full.iron.held_by_prior,
+        ),
+        stage=full.stage,
+        blocks=full.blocks,
+        covariance=full.covariance + square,
+        by_parameters=by_direction(x, correction) @ basis,
+        left_out=left_out,
+        sigma_factor=full.sigma_factor,
     )
 
 

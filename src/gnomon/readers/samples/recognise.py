@@ -13,6 +13,9 @@ _WINDOW = 50  # samples; half a second at usual rates
 _LIKE_GRAVITY = (0.8, 1.2)  # an uncalibrated accelerometer reads gravity within 20 %
 _LIKE_GRAVITY_IN_MOTION = (0.5, 2.0)
 _RATES_IN_MOTION = (("rad/s", 10.0), ("deg/s", 2000.0), ("mdeg/s", np.inf))  # largest rms of a hand that waves a sensor
+_SOME = 20_000  # samples that are enough for a sphere
+_ROUND = 0.25  # scatter of its radius; soft iron bends it
+_WIDEST = 3.0  # radius in units of the range: a small cap tells none
 _LIKE_EARTH_UT = (14.2, 142.0)  # the earth's field is 22 to 67 uT; an uncalibrated scale may be off
 _DECISIVE = 10.0  # ratio of the scatters of the two triads between rests
 
@@ -127,19 +130,40 @@ def gyroscope_unit_in_motion(values: Floats, t_ns: Integers, accelerometer: Floa
 def magnetometer_unit(values: Floats) -> Unit:
     """Recognise the unit of a magnetometer from the earth's field, (n, 3).
 
-    Where the sensor was turned, half the range of an axis is the field whatever the offset is; else its magnitude is
-    all there is.
+    Where the sensor was turned, the radius of the sphere that it measured is the field whatever the offset is; else its
+    magnitude is all there is.
     """
     if _whole_numbers(values):
         return Unit(unit="count", reason="whole numbers")
-    low, high = np.quantile(values, (0.005, 0.995), axis=0)
-    half = float((high - low).max()) / 2
     magnitude = float(np.median(np.linalg.norm(values, axis=1)))
-    field = half if half > 0.3 * magnitude else magnitude
+    field = _radius(values) or magnitude
     for unit, factor in MAGNETOMETER_UNITS_UT.items():
         if factor is not None and _LIKE_EARTH_UT[0] < field * factor < _LIKE_EARTH_UT[1]:
             return Unit(unit=unit, reason=f"the field is {field:.4g}")
     return Unit(unit="count", reason=f"the field, {field:.4g}, is that of the earth in no known unit")
+
+
+def _radius(values: Floats) -> float | None:
+    """Return the radius of the sphere of least squares through samples (n, 3); None where they surround none.
+
+    |m|^2 = 2 b'm + (r^2 - |b|^2) is linear in the centre b; samples far outside of most of them are left out.
+    """
+    low, high = np.quantile(values, (0.005, 0.995), axis=0)
+    width = float((high - low).max())
+    if not width > 0:
+        return None
+    some = values[:: max(1, len(values) // _SOME)]
+    some = some[((some >= low - 0.1 * width) & (some <= high + 0.1 * width)).all(axis=1)]
+    middle = 0.5 * (low + high)
+    m = (some - middle) / width
+    rows = np.column_stack([2 * m, np.ones(len(m))])
+    found, _, rank, _ = np.linalg.lstsq(rows, np.sum(m**2, axis=1), rcond=1e-3)
+    square = float(found[3] + found[:3] @ found[:3])
+    if rank < 4 or not square > 0:
+        return None
+    radius = float(np.sqrt(square))
+    distance = np.linalg.norm(m - found[:3], axis=1)
+    return radius * width if float(np.std(distance)) < _ROUND * radius and radius < _WIDEST else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
