@@ -51,7 +51,7 @@ def made(views):
     """The folder of a result, made once, and what was on the screen."""
     with contextlib.redirect_stdout(io.StringIO()) as screen:
         assert main(["camera", str(views), "--resolution", "752", "480", *QUICK, "--no-report"]) == 0
-    folder = views.with_name("views-gnomon")
+    folder = views.with_name("views-camera")
     assert {path.name for path in folder.iterdir()} == FILES
     return folder, screen.getvalue()
 
@@ -109,7 +109,7 @@ def test_the_document(views, capsys, tmp_path):
     assert set(map(Path, document["files"].values())) == {tmp_path / "out" / name for name in FILES}
     assert document["calibration"]["schema"] == "gnomon/1.4"
     assert {trial["camera"] for trial in document["trials"] if trial["chosen"]} == {"cam0", "cam1"}
-    assert document["next"].startswith("gnomon camera-imu RECORDING")
+    assert document["next"][0].startswith("gnomon camera-imu RECORDING")
 
 
 @pytest.mark.parametrize(
@@ -134,7 +134,7 @@ def test_too_few_views(capsys, tmp_path):
     found, document, _ = run(capsys, "camera", tmp_path / "few", "--resolution", 752, 480)
     assert found == 3
     assert "views" in document["error"]["message"] or "images" in document["error"]["message"]
-    assert not (tmp_path / "few-gnomon").exists()
+    assert not (tmp_path / "few-camera").exists()
 
 
 def test_missing_target(capsys, tmp_path, simulation):

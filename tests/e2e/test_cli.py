@@ -27,8 +27,8 @@ def calibrated(tmp_path_factory, good_table, run, write_table):
 
 
 def test_imu_writes_one_folder_and_says_the_verdict(calibrated, recording, run, names):
-    assert names(calibrated) == ["recording-gnomon", "recording.csv"]
-    assert names(calibrated / "recording-gnomon") == RESULT
+    assert names(calibrated) == ["recording-imu", "recording.csv"]
+    assert names(calibrated / "recording-imu") == RESULT
     code, out, err = run("imu", recording, "--no-report", "-o", recording.parent / "here", "--gravity", "9.80665")
     assert code == 0
     assert re.match(r"understood|pass|warn", out)
@@ -42,14 +42,14 @@ def test_imu_writes_one_folder_and_says_the_verdict(calibrated, recording, run, 
 
 @to_the_last_digit
 def test_a_second_run_gives_the_same_bytes_and_touches_nothing_else(calibrated, recording, run, names):
-    folder = recording.parent / "recording-gnomon"
+    folder = recording.parent / "recording-imu"
     folder.mkdir()
     (folder / "notes.txt").write_text("mine")
     for _ in range(2):
         assert run("imu", recording, "--gravity", "9.80665")[0] == 0
         assert names(folder) == sorted([*RESULT, "notes.txt"])
         for name in RESULT:
-            assert (folder / name).read_bytes() == (calibrated / "recording-gnomon" / name).read_bytes(), name
+            assert (folder / name).read_bytes() == (calibrated / "recording-imu" / name).read_bytes(), name
 
 
 def test_imu_json_is_one_document(recording, run):
@@ -64,7 +64,7 @@ def test_imu_json_is_one_document(recording, run):
 
 
 def test_diagnostics_are_plain_arrays(calibrated):
-    with np.load(calibrated / "recording-gnomon" / "diagnostics.npz", allow_pickle=False) as arrays:
+    with np.load(calibrated / "recording-imu" / "diagnostics.npz", allow_pickle=False) as arrays:
         assert {"intervals.start_s", "rotations.error_holdout", "detector.multiplier", "trials.model"} <= set(arrays)
         assert arrays["intervals.direction"].shape == (len(arrays["intervals.start_s"]), 3)
         assert arrays["intervals.used"].dtype == bool
@@ -81,7 +81,7 @@ def test_check_says_what_a_recording_holds(recording, run, good_table):
 
 @pytest.mark.parametrize("form", ["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"])
 def test_show_prints_tables_with_sigmas(calibrated, form, run):
-    code, out, _ = run("show", calibrated / "recording-gnomon" / "calibration.yaml", "--form", form)
+    code, out, _ = run("show", calibrated / "recording-imu" / "calibration.yaml", "--form", form)
     assert code == 0
     assert "imu0 accelerometer" in out
     assert "imu0 gyroscope" in out
@@ -89,14 +89,14 @@ def test_show_prints_tables_with_sigmas(calibrated, form, run):
 
 
 def test_show_json_is_the_file(calibrated, run):
-    path = calibrated / "recording-gnomon" / "calibration.yaml"
+    path = calibrated / "recording-imu" / "calibration.yaml"
     document = json.loads(run("show", path, "--json")[1])
     sensitivity = document["imus"]["imu0"]["accelerometer"]["sensitivity"]
     np.testing.assert_array_equal(sensitivity, gnomon.load(path).parameter("imu0.accelerometer.sensitivity"))
 
 
 def test_apply_does_what_the_api_does(calibrated, tmp_path, run):
-    path = calibrated / "recording-gnomon" / "calibration.yaml"
+    path = calibrated / "recording-imu" / "calibration.yaml"
     target = tmp_path / "calibrated.csv"
     code, _, err = run("apply", path, calibrated / "recording.csv", "-o", target)
     assert code == 0, err
@@ -109,7 +109,7 @@ def test_apply_does_what_the_api_does(calibrated, tmp_path, run):
 
 @pytest.mark.parametrize("to", ["imu_tk", "kalibr", "imucal", "c-header", "csv"])
 def test_convert_writes_files_and_states_losses(calibrated, tmp_path, to, run):
-    path = calibrated / "recording-gnomon" / "calibration.yaml"
+    path = calibrated / "recording-imu" / "calibration.yaml"
     code, out, _ = run("convert", path, "--to", to, "-o", tmp_path / "out", "--json")
     document = json.loads(out)
     assert code == 0
@@ -231,7 +231,7 @@ def test_the_program_runs_and_reports_its_exit_code(tmp_path):
 
 
 def test_output_that_nobody_reads_is_no_error(calibrated):
-    command = [sys.executable, "-m", "gnomon", "show", str(calibrated / "recording-gnomon" / "calibration.yaml")]
+    command = [sys.executable, "-m", "gnomon", "show", str(calibrated / "recording-imu" / "calibration.yaml")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr.read() == b""

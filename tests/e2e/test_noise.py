@@ -44,7 +44,7 @@ def write_npz(path, table, **more):
 
 def test_the_whole_way(simulated, run, names):
     code, out, _ = run("noise", simulated)
-    folder = simulated.with_name("rest-gnomon")
+    folder = simulated.with_name("rest-noise")
     assert code == 0
     assert names(folder) == FILES
     noise = load_noise(folder / "noise.yaml")
@@ -80,7 +80,7 @@ def test_files_of_any_kind_give_the_same(table, simulated, run, tmp_path, write_
     for name in ("t.csv", "n.npz"):
         code, _, err = run("noise", tmp_path / name, "--no-report")
         assert code == 0, err
-        results.append(load_noise(tmp_path / f"{name[0]}-gnomon" / "noise.yaml"))
+        results.append(load_noise(tmp_path / f"{name[0]}-noise" / "noise.yaml"))
     for one, other in zip(results[0].gyroscope.axes, results[1].gyroscope.axes, strict=True):
         assert one.white_noise.value == pytest.approx(other.white_noise.value, rel=1e-6)
     memory = gnomon.Recording.from_arrays(short[:, 0], short[:, 4:], short[:, 1:4])
@@ -100,7 +100,7 @@ def test_what_moved_at_the_start_can_be_left_out(table, run, tmp_path):
     assert "--start-s" in err
     code, _, err = run("noise", path, "--start-s", 50, "--stop-s", 1700)
     assert code == 0, err
-    noise = load_noise(tmp_path / "moved-gnomon" / "noise.yaml")
+    noise = load_noise(tmp_path / "moved-noise" / "noise.yaml")
     assert noise.accelerometer.duration_s == pytest.approx(1650, abs=0.1)
     assert noise.provenance.options == {"start_s": "50.0", "stop_s": "1700.0"}
 
@@ -114,7 +114,7 @@ def test_two_accounts_of_one_noise_agree(table, run, tmp_path):
     write_npz(tmp_path / "si.npz", table)
     for name, more in (("other.npz", ("--units", "g deg/s")), ("si.npz", ())):
         assert run("noise", tmp_path / name, "--no-report", *more)[0] == 0
-    found = [load_noise(tmp_path / f"{name}-gnomon" / "noise.yaml").imu_noise() for name in ("other", "si")]
+    found = [load_noise(tmp_path / f"{name}-noise" / "noise.yaml").imu_noise() for name in ("other", "si")]
     assert found[0].gyroscope_noise_density == pytest.approx(found[1].gyroscope_noise_density, rel=1e-6)
     assert found[0].accelerometer_random_walk == pytest.approx(found[1].accelerometer_random_walk, rel=1e-4)
 
@@ -228,7 +228,7 @@ def test_lost_samples_are_told(table, run, tmp_path):
     code, out, err = run("noise", path, "--no-report")
     assert code == 0, err
     assert "samples lost" in out
-    noise = load_noise(tmp_path / "gaps-gnomon" / "noise.yaml")
+    noise = load_noise(tmp_path / "gaps-noise" / "noise.yaml")
     assert noise.gyroscope.rate_hz == pytest.approx(RATE_HZ, rel=1e-6)
     assert noise.gyroscope.noise_density == pytest.approx(2e-4, rel=0.01)
 
@@ -237,4 +237,4 @@ def test_an_accelerometer_alone(table, run, tmp_path, names):
     np.savez(tmp_path / "a.npz", accelerometer=table[:, 1:4], rate_hz=RATE_HZ, unit_accelerometer="m/s^2")
     code, _, err = run("noise", tmp_path / "a.npz")
     assert code == 0, err
-    assert names(tmp_path / "a-gnomon") == ["allan.csv", "noise.yaml", "report.html"]
+    assert names(tmp_path / "a-noise") == ["allan.csv", "noise.yaml", "report.html"]

@@ -139,7 +139,7 @@ def test_the_command_calibrates(run, names, folder):
     assert code == 0
     assert "speed" in out
     assert "16rpm: 1.67552 +- 0.0017 rad/s in 18 parts" in out
-    assert names(folder / "recording-gnomon") == ["calibration.yaml", "diagnostics.npz"]
+    assert names(folder / "recording-turntable") == ["calibration.yaml", "diagnostics.npz"]
 
 
 @pytest.mark.parametrize(

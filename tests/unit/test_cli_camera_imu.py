@@ -90,7 +90,7 @@ def options_of(solver):
 def test_the_default_folder_lies_beside_the_recording(simulated, solver):
     code, out, _ = run("camera-imu", simulated, "--no-report", "--json")
     assert code == 0
-    folder = simulated.parent / "walk-gnomon"
+    folder = simulated.parent / "walk-camera-imu"
     assert json.loads(out)["files"]["camchain-imucam"] == str(folder / "camchain-imucam.yaml")
     assert "calibration.yaml" in names(folder)
 
@@ -250,6 +250,7 @@ def test_a_failure_leaves_nothing(simulated, tmp_path, monkeypatch):
 
 
 def test_other_files_in_the_folder_stay(simulated, tmp_path, solver):
+    assert run("camera-imu", simulated, "-o", tmp_path, "--no-report")[0] == 0
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "report.html").write_text("of an earlier result")
     assert run("camera-imu", simulated, "-o", tmp_path, "--no-report")[0] == 0

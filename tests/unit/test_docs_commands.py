@@ -85,7 +85,7 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
     for block in PYTHON.findall(page.read_text(encoding="utf-8")):
         with contextlib.redirect_stdout(io.StringIO()):
             exec(compile(block, "README.md", "exec"), {})
-    for report in ("report.html", "rig-gnomon/report.html"):
+    for report in ("report.html", "rig-camera-imu/report.html"):
         assert (tmp_path / report).exists()
 
 
@@ -131,7 +131,7 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
 def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
-    commands = [words for words in commands if "photographs-gnomon/calibration.yaml" not in words]  # with the cameras
+    commands = [words for words in commands if "photographs-camera/calibration.yaml" not in words]  # with the cameras
     assert len(commands) > 5
     run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     chain = yaml.safe_load(Path("rig/camchain.yaml").read_text(encoding="utf-8"))
@@ -140,8 +140,8 @@ def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     Path("rig/camchain.yaml").write_text(kalibr_yaml(chain), encoding="utf-8")  # what --fix and --prior hold
     run(SIX)
     run(["imu", "six.npz", "--model", "static"])
-    Path("rest-gnomon").mkdir()
-    for name in ("rest-gnomon/imu.yaml", "first.yaml", "second.yaml"):
+    Path("rest-noise").mkdir()
+    for name in ("rest-noise/imu.yaml", "first.yaml", "second.yaml"):
         shutil.copy("rig/imu.yaml", name)
     make_two_imus("pair")
     for number, words in enumerate(commands):
@@ -191,12 +191,12 @@ def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
     run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
     run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     run(["camera-imu", "rig", "--no-report"])
-    shutil.copytree("rig-gnomon", "monday-gnomon")
+    shutil.copytree("rig-camera-imu", "monday-camera-imu")
     for day in ("tuesday", "wednesday"):
-        shutil.copytree("rig-gnomon", f"{day}-gnomon")
+        shutil.copytree("rig-camera-imu", f"{day}-camera-imu")
     for name in ("camchain-imucam", "imu"):
-        shutil.copy(f"rig-gnomon/{name}.yaml", f"run-{name}.yaml")
-    run(["convert", "rig-gnomon/calibration.yaml", "--to", "basalt", "-o", "."])
+        shutil.copy(f"rig-camera-imu/{name}.yaml", f"run-{name}.yaml")
+    run(["convert", "rig-camera-imu/calibration.yaml", "--to", "basalt", "-o", "."])
     for name in ("camchain", "imu", "target"):
         shutil.copy(f"rig/{name}.yaml", f"{name}.yaml")
     commands = [words for words in shell_commands(tmp_path / "section.md") if words[1:2] != ["rig.bag"]]

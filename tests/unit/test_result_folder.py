@@ -77,21 +77,21 @@ def test_a_recording_with_another_ending_is_refused_under_its_own_name(tmp_path,
 @pytest.mark.parametrize(
     ("paths", "expected"),
     [
-        (["a/flight.csv"], "a/flight-gnomon"),
-        (["flight.csv.gz"], "flight-gnomon"),
-        (["xsens_acc.mat.gz", "xsens_gyro.mat.gz"], "xsens-gnomon"),
-        (["acc.csv", "gyro.csv"], "acc-gnomon"),
-        (["noextension"], "noextension-gnomon"),
-        ([".hidden"], ".hidden-gnomon"),
+        (["a/flight.csv"], "a/flight-imu"),
+        (["flight.csv.gz"], "flight-imu"),
+        (["xsens_acc.mat.gz", "xsens_gyro.mat.gz"], "xsens-imu"),
+        (["acc.csv", "gyro.csv"], "acc-imu"),
+        (["noextension"], "noextension-imu"),
+        ([".hidden"], ".hidden-imu"),
     ],
 )
 def test_default_folder_is_named_after_the_recording(paths, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert default_folder(tuple(map(Path, paths))) == tmp_path / expected
+    assert default_folder(tuple(map(Path, paths)), "imu") == tmp_path / expected
 
 
 def test_default_folder_of_a_folder_keeps_its_whole_name(tmp_path, monkeypatch):
     (tmp_path / "run.2024").mkdir()
     monkeypatch.chdir(tmp_path / "run.2024")
-    assert default_folder((Path(),)) == tmp_path / "run.2024-gnomon"
-    assert default_folder((tmp_path / "run.2024/",)) == tmp_path / "run.2024-gnomon"
+    assert default_folder((Path(),), "imu") == tmp_path / "run.2024-imu"
+    assert default_folder((tmp_path / "run.2024/",), "imu") == tmp_path / "run.2024-imu"

@@ -88,7 +88,7 @@ def _check_number(candidates: Sequence[Candidate]) -> None:
     if len(candidates) < 2:
         raise OptionError(
             f"found {len(candidates)} calibration, expected at least two to compare. Name another one of the same rig, "
-            "such as gnomon compare first-gnomon second-gnomon; files of one calibration are joined by +."
+            "such as gnomon compare first-imu second-imu; files of one calibration are joined by +."
         )
     names = [candidate.name for candidate in candidates]
     for name in names:

@@ -44,7 +44,7 @@ def compare(
 
     Examples
     --------
-    >>> found = gnomon.compare("monday-gnomon", "tuesday-gnomon", "kalibr")  # doctest: +SKIP
+    >>> found = gnomon.compare("monday-imu", "tuesday-imu", "kalibr")  # doctest: +SKIP
     >>> found.headline, found.outside, found.z_rms  # doctest: +SKIP
     """
     called = _names(calibrations, names)

@@ -17,7 +17,7 @@ from .compare_actions import compare
 from .convert_actions import convert
 from .magnetometer_actions import magnetometer, simulate_magnetometer
 from .noise_actions import noise, show_noise, simulate_noise
-from .places import RESULT_FILES, default_folder, finish_moves, result_folder
+from .places import DEMO_RECORDING, RESULT_FILES, TRUTH, default_folder, finish_moves, result_folder
 from .plan_actions import plan
 from .platter_actions import rate, simulate_platter_video
 from .poses_actions import simulate_poses
@@ -26,6 +26,7 @@ from .results import (
     USABLE,
     calibration_document,
     exit_code,
+    propose_apply,
     result_document,
     say_assumptions,
     say_needs,
@@ -33,7 +34,7 @@ from .results import (
     write_result,
 )
 from .simulate_cameras_actions import simulate_cameras
-from .simulated import TRUTH, write_simulated
+from .simulated import write_simulated
 from .study_actions import study
 from .target_actions import print_target
 from .terminal import WIDTH, Terminal
@@ -44,16 +45,14 @@ if TYPE_CHECKING:
     from ..recording import Recording
     from ..writers.tables import Table
 
-DEMO_RECORDING = "recording.npz"
-
 
 def _imu(command: commands.Imu, terminal: Terminal) -> int:
     from ..calibrate import calibrate_imu
     from . import summary
 
-    folder = command.output or default_folder(command.recording.paths)
+    folder = command.output or default_folder(command.recording.paths, "imu")
     use = read_use_option(command.use)
-    with result_folder(folder) as staging:
+    with result_folder(folder, "imu") as staging:
         terminal.progress("reading the recording")
         known = read_priors(command.options.prior)
         recording = known.known_of(_read(command.recording))
@@ -65,6 +64,7 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     say_result(result.calibration, summary.facts(result.calibration), folder, terminal)
+    propose_apply(result.calibration, folder, command.recording, terminal)
     terminal.document(result_document(result.calibration, folder, recording.assumptions))
     return exit_code(result.calibration)
 
@@ -132,7 +132,7 @@ def _say_tables(tables: "Sequence[Table]", terminal: Terminal) -> None:
 def _simulate(command: commands.Simulate, terminal: Terminal) -> int:
     from ..simulate import simulate
 
-    return write_simulated(*simulate(command.scenario, command.seed), command.output, terminal)
+    return write_simulated(*simulate(command.scenario, command.seed), command.output, terminal, then="imu")
 
 
 def _demo(command: commands.Demo, terminal: Terminal) -> int:
@@ -145,7 +145,7 @@ def _demo(command: commands.Demo, terminal: Terminal) -> int:
     from . import summary
     from .comparison import comparison_document, comparison_sentence, comparison_table
 
-    with result_folder(command.output, own=(*RESULT_FILES, DEMO_RECORDING, TRUTH)) as staging:
+    with result_folder(command.output, "demo", own=(*RESULT_FILES, DEMO_RECORDING, TRUTH)) as staging:
         terminal.progress("simulating a recording")
         simulated, truth = simulate(command.scenario, command.seed)
         save_recording(simulated, staging / DEMO_RECORDING)

@@ -1,6 +1,5 @@
 """What the command for cameras alone does."""
 
-import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,10 +24,10 @@ def camera(command: CameraCommand, terminal: Terminal) -> int:
     from ..calibrate.cameras import calibrate_cameras
     from ..writers.camera_files import save_camera_files
 
-    folder = command.output or default_folder((command.recording,))
+    folder = command.output or default_folder((command.recording,), "camera")
     target, taken = _target(command)
     refuse_overwriting(folder, command.recording, {"cam": command.cam, "target": target}, CAMERA_FILES)
-    with result_folder(folder, own=CAMERA_FILES) as staging:
+    with result_folder(folder, "camera", own=CAMERA_FILES) as staging:
         terminal.progress("reading the recording")
         recording, board = read_camera_views(
             command.recording,
@@ -49,9 +48,12 @@ def camera(command: CameraCommand, terminal: Terminal) -> int:
         save_camera_files(result, board, staging)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
-    _say_result(result, folder, target, terminal)
+    _say_result(result, folder, terminal)
     document = result_document(result.calibration, folder, recording.assumptions, CAMERA_FILES)
-    terminal.document({**document, **_lenses(result), "next": _next(folder, target)})
+    if result.calibration.verdict != "fail":
+        terminal.say("")
+        _propose(command, folder, target, terminal)
+    terminal.document({**document, **_lenses(result)})
     return exit_code(result.calibration)
 
 
@@ -68,7 +70,7 @@ def _target(command: CameraCommand) -> tuple[Path, tuple[str, ...]]:
     raise OptionError(NO_TARGET.format(folder=folder))
 
 
-def _say_result(result: "Result", folder: Path, target: Path, terminal: Terminal) -> None:
+def _say_result(result: "Result", folder: Path, terminal: Terminal) -> None:
     from .camera_summary import baseline_lines, facts, parameter_table, trial_table
     from .summary import held_facts, trust_facts
 
@@ -83,14 +85,16 @@ def _say_result(result: "Result", folder: Path, target: Path, terminal: Terminal
     if lines := list(baseline_lines(calibration)):
         terminal.say("\n" + "\n".join(lines))
     say_files(folder, terminal, CAMERA_FILES)
-    if calibration.verdict != "fail":
-        terminal.say(f"\nnext         {_next(folder, target)}")
 
 
-def _next(folder: Path, target: Path) -> str:
-    """Return the command that goes on from here."""
-    board, lens = (shlex.quote(str(file)) for file in (target, folder / "calibration.yaml"))
-    return f"gnomon camera-imu RECORDING --target {board} --cam {lens}"
+def _propose(command: CameraCommand, folder: Path, target: Path, terminal: Terminal) -> None:
+    """Say how to go on: with the IMU of this recording where it has one, else with that of another."""
+    from ..readers.images.image_recording import holds_imu
+
+    here = holds_imu(command.recording)
+    stated = ["--topics", *command.topics] if here and command.topics else []
+    words = ("--target", target, "--cam", folder / "calibration.yaml", *stated)
+    terminal.propose("camera-imu", command.recording if here else "RECORDING", *words)
 
 
 def _lenses(result: "Result") -> dict[str, Any]:

@@ -41,7 +41,7 @@ class CameraCommand:
     """Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept there."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz and Kalibr's camchain.yaml and results-cam.txt
-    (default: the recording's name with -gnomon)."""
+    (default: NAME-camera beside the recording)."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False

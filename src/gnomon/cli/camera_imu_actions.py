@@ -47,11 +47,11 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
     from ..calibrate import calibrate_camera_imu, read_camera_imu
     from ..writers.camera_imu_files import save_camera_imu_files
 
-    folder = command.output or default_folder((command.recording,))
+    folder = command.output or default_folder((command.recording,), "camera-imu")
     known, use = read_priors(command.options.prior), read_use_option(command.use)
     inputs, taken = kalibr_inputs(command)
     refuse_overwriting(folder, command.recording, inputs)
-    with result_folder(folder, own=CAMERA_IMU_FILES) as staging:
+    with result_folder(folder, "camera-imu", own=CAMERA_IMU_FILES) as staging:
         terminal.progress("reading the recording")
         recording, target = read_camera_imu(
             command.recording,
@@ -184,6 +184,7 @@ def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal)
     samples = ", ".join(f"{len(imu.gyroscope)} samples of {name}" for name, imu in simulation.recording.imus.items())
     contents = f"{command.options.duration_s:g} s, {frames}, {samples}; {simulation.target.describe()}"
     say_folder(folder, contents, terminal, replaced=replaced)
+    terminal.propose("camera-imu", folder)
     statistics = {item.name: getattr(simulation.statistics, item.name) for item in fields(simulation.statistics)}
     terminal.document(folder_document(folder, names) | {"statistics": statistics})
     return USABLE

@@ -55,7 +55,7 @@ class Imu:
 
     recording: Annotated[PosesInput, Flat]
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
+    """Folder for calibration.yaml, report.html and diagnostics.npz (default: NAME-imu beside the recording)."""
     use: UseOption = None
     """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
     use."""
@@ -98,7 +98,7 @@ class CameraImu:
     """Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept there."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz, trajectory.txt and Kalibr's camchain-imucam.yaml,
-    imu.yaml and results-imucam.txt (default: the recording's name with -gnomon)."""
+    imu.yaml and results-imucam.txt (default: NAME-camera-imu beside the recording)."""
     use: UseOption = None
     """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
     use."""

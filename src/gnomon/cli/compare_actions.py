@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .compare_command import Compare, renames_of, sources_of
-from .places import result_folder
+from .places import default_folder, owner_of, result_folder
 from .results import UNUSABLE, USABLE, result_files
 from .terminal import Terminal
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ..assess.comparison import Comparison, Repeatability
 
 PAGE, TABLE = "report.html", "comparison.csv"
-_DEFAULT = Path("gnomon-compare")
 _STYLES = {"pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
 
 
@@ -28,7 +27,7 @@ def compare(command: Compare, terminal: Terminal) -> int:
     guessed = source_names([paths for _, paths in sources])
     names = [name or guess for (name, _), guess in zip(sources, guessed, strict=True)]
     found = compare_calibrations(*(paths for _, paths in sources), names=names, rename=renames_of(command.rename))
-    folder = command.output or _DEFAULT
+    folder = command.output or default_folder((_place(sources[0][1][0]),), "compare")
     if command.report:
         _write(found, folder, terminal)
     terminal.close()
@@ -43,12 +42,17 @@ def compare(command: Compare, terminal: Terminal) -> int:
     return code
 
 
+def _place(path: Path) -> Path:
+    """Return the folder of the result that a file is in, or the path as it is."""
+    return path.parent if path.is_file() and owner_of(path.parent.absolute()) else path
+
+
 def _write(found: "Comparison", folder: Path, terminal: Terminal) -> None:
     from ..output import write_whole
     from ..report.comparison import write_comparison_report
     from ..writers.comparison_table import comparison_csv
 
-    with result_folder(folder, own=(PAGE, TABLE)) as staging:
+    with result_folder(folder, "compare", own=(PAGE, TABLE)) as staging:
         terminal.progress("drawing the report")
         write_comparison_report(found, staging / PAGE)
         write_whole(staging / TABLE, comparison_csv(found))

@@ -26,7 +26,7 @@ class Compare:
     rename: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME.OLD=NEW ...", help_behavior_hint="")] = ()
     """Sensors that are called otherwise in one of them, such as kalibr.cam1=cam0; else they are matched by name."""
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for report.html and comparison.csv (default: gnomon-compare)."""
+    """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""
     report: Annotated[bool, Switch] = True
     """Do not make the report, nor the table."""
     json: Annotated[bool, Switch] = False
@@ -69,7 +69,7 @@ def sources_of(texts: tuple[str, ...]) -> list[tuple[str, list[Path]]]:
         if Path(text).exists() or not equals or "/" in name:
             name, rest = "", text
         if not rest:
-            raise OptionError(f"{text}: expected a path behind the name, such as first=monday-gnomon.")
+            raise OptionError(f"{text}: expected a path behind the name, such as first=monday-imu.")
         parts = [rest] if Path(rest).exists() else [part for part in rest.split("+") if part]
         found.append((name, [Path(part) for part in parts]))
     return found

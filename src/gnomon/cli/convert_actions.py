@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast, get_args
 from ..errors import GnomonError, OptionError, OutputError
 from ..findings import listed
 from . import commands
-from .places import check_folder
+from .places import ALL_RESULT_FILES, check_folder, owner_of
 from .results import USABLE, say_assumptions
 from .terminal import Terminal
 from .topics import topics_of
@@ -75,7 +75,15 @@ def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
 
 
 def _spare_inputs(command: commands.Convert, paths: list[Path]) -> None:
-    """Refuse to write over what is converted."""
+    """Refuse to write over what is converted, and over files of a command's result, which would no longer be one."""
+    folder = paths[0].parent
+    if owner := owner_of(folder):
+        taken = [path.name for path in paths if path.name in ALL_RESULT_FILES and path.exists()]
+        if taken:
+            raise OutputError(
+                f"{folder}: this folder holds a result of gnomon {owner}, whose {', '.join(taken)} would be replaced. "
+                f"Choose another folder with -o, such as {folder / command.to}."
+            )
     inputs = {path.resolve() for path in command.paths}
     for path in paths:
         if path.resolve() in inputs:

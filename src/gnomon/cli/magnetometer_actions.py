@@ -7,6 +7,7 @@ from .places import default_folder, result_folder
 from .prior_files import read_priors
 from .results import (
     exit_code,
+    propose_apply,
     result_document,
     say_assumptions,
     say_result,
@@ -25,9 +26,9 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
     from .magnetometer_summary import facts
 
     source = command.recording
-    folder = command.output or default_folder(source.paths)
+    folder = command.output or default_folder(source.paths, "magnetometer")
     use = read_use_option(command.use)
-    with result_folder(folder) as staging:
+    with result_folder(folder, "magnetometer") as staging:
         terminal.progress("reading the recording")
         known = read_priors(command.options.prior)
         recording = read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
@@ -41,6 +42,7 @@ def magnetometer(command: Magnetometer, terminal: Terminal) -> int:
     terminal.close()
     assert isinstance(result.diagnostics, TriadDiagnostics)
     say_result(result.calibration, facts(result.calibration, result.diagnostics), folder, terminal)
+    propose_apply(result.calibration, folder, source, terminal)
     terminal.document(result_document(result.calibration, folder, recording.assumptions))
     return exit_code(result.calibration)
 
@@ -49,4 +51,4 @@ def simulate_magnetometer(command: SimulateMagnetometer, terminal: Terminal) -> 
     """Simulate a recording, write it and its truth, and return the exit code."""
     from ..simulate import simulate_magnetometer as simulated
 
-    return write_simulated(*simulated(command.scenario, command.seed), command.output, terminal)
+    return write_simulated(*simulated(command.scenario, command.seed), command.output, terminal, then="magnetometer")

@@ -20,7 +20,8 @@ class Magnetometer:
 
     recording: Annotated[Input, Flat]
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for calibration.yaml, report.html and diagnostics.npz (default: the recording's name with -gnomon)."""
+    """Folder for calibration.yaml, report.html and diagnostics.npz (default: NAME-magnetometer beside the
+    recording)."""
     use: UseOption = None
     """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
     use."""

@@ -6,15 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError
 from . import noise_command
-from .places import default_folder, result_folder
+from .places import NOISE_FILES, default_folder, result_folder
 from .results import UNUSABLE, USABLE, result_files, say_assumptions, say_files
 from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..sensor_noise import Coefficient, SensorNoise, TriadNoise
-
-NOISE_FILES = ("noise.yaml", "imu.yaml", "allan.csv", "report.html")
-"""The files of a result."""
 
 _LEGEND = """\
 N white noise, B bias instability (floor of the curve: 0.664 B), K random walk,
@@ -33,8 +30,8 @@ def noise(command: noise_command.Noise, terminal: Terminal) -> int:
     from ..writers.noise_file import noise_document, save_noise_files
 
     source = command.recording
-    folder = command.output or default_folder(source.paths)
-    with result_folder(folder, own=NOISE_FILES) as staging:
+    folder = command.output or default_folder(source.paths, "noise")
+    with result_folder(folder, "noise", own=NOISE_FILES) as staging:
         result = identify_noise(
             source.paths,
             command.options,
@@ -54,6 +51,9 @@ def noise(command: noise_command.Noise, terminal: Terminal) -> int:
     say_assumptions(assumptions, terminal)
     _say(found, terminal)
     say_files(folder, terminal, NOISE_FILES)
+    if code == USABLE:
+        terminal.say("")
+        terminal.propose("camera-imu", "RECORDING", "--imu", folder / "imu.yaml")
     terminal.document(
         {
             "verdict": found.verdict,
@@ -129,6 +129,7 @@ def simulate_noise(command: noise_command.SimulateNoise, terminal: Terminal) -> 
     with result_folder(command.output.parent, own=()) as staging:
         save_blocks(staging / command.output.name, sensors, samples=scenario.samples, rate_hz=scenario.rate_hz)
     terminal.say(f"recording    {command.output}")
+    terminal.propose("noise", command.output)
     truth = {sensor: scenario.of(sensor) for sensor in SENSOR_UNITS}
     terminal.document({"recording": str(command.output), "samples": scenario.samples, "truth": truth})
     return USABLE

@@ -18,8 +18,8 @@ class Noise:
 
     recording: Annotated[Input, Flat]
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for noise.yaml, Kalibr's imu.yaml, allan.csv and report.html (default: the recording's name with
-    -gnomon)."""
+    """Folder for noise.yaml, Kalibr's imu.yaml, allan.csv and report.html (default: NAME-noise beside the
+    recording)."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False

@@ -1,7 +1,8 @@
 """Where results go: the folder of a result, replaced as a whole."""
 
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import fields, is_dataclass
 from itertools import takewhile
@@ -19,29 +20,46 @@ CAMERA_FILES = (*RESULT_FILES, "camchain.yaml", "results-cam.txt")
 CAMERA_IMU_FILES = (*RESULT_FILES, "trajectory.txt", "camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
 """The same of a camera-IMU calibration; the last three are Kalibr's."""
 
+NOISE_FILES = ("noise.yaml", "imu.yaml", "allan.csv", "report.html")
+"""The same of noise that was identified."""
+
+ALL_RESULT_FILES = frozenset((*CAMERA_FILES, *CAMERA_IMU_FILES, *NOISE_FILES))
+
+DEMO_RECORDING = "recording.npz"
+
+_TELLING = {"comparison.csv": "compare", "study.html": "study"}
+"""File -> the command that alone makes it in the folder of a result."""
+
+_RESULTS = ("calibration.yaml", "noise.yaml")
+_METHOD = re.compile(r"(?m)^provenance:\n(?:[ #].*\n)*? +method: *['\"]?([a-z][a-z-]*)")
+_COMMANDS = {"cameras": "camera"}
+"""Method in a result's provenance -> its command, where that is called otherwise."""
+
+SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
+
 _FILES = (".yaml", ".yml", ".json", ".html", ".csv", ".txt", ".npz", ".pdf", ".zip")
 """Endings that nobody gives to a folder."""
 
 
-def default_folder(paths: tuple[Path, ...]) -> Path:
-    """Return the folder for the result of a recording: its name with -gnomon, beside it.
+def default_folder(paths: Sequence[Path], command: str) -> Path:
+    """Return the folder for what a command makes of a recording: its name with that of the command, beside it.
 
     Examples
     --------
-    >>> default_folder((Path("flight.csv"),)).name
-    'flight-gnomon'
-    >>> default_folder((Path("xsens_acc.mat.gz"), Path("xsens_gyro.mat.gz"))).name
-    'xsens-gnomon'
-    >>> default_folder(tuple(Path(f"pose{k}.csv") for k in range(1, 4))).name
-    'pose-gnomon'
+    >>> default_folder((Path("flight.csv"),), "imu").name
+    'flight-imu'
+    >>> default_folder((Path("xsens_acc.mat.gz"), Path("xsens_gyro.mat.gz")), "noise").name
+    'xsens-noise'
+    >>> default_folder(tuple(Path(f"pose{k}.csv") for k in range(1, 4)), "imu").name
+    'pose-imu'
     """
     first = Path(os.path.abspath(paths[0]))  # noqa: PTH100 - without following links: beside what was named
     names = [first.name if path.is_dir() else _stem(path.name) for path in paths]
     common = _common_start(names) if len(names) > 1 else ""
     shared = common.rstrip("-_. ")  # a word of its own, not the first letter of accelerometer and angular rate
     if len(names) > 2:  # one file a pose
-        return first.with_name(f"{shared.rstrip('0') or 'poses'}-gnomon")
-    return first.with_name(f"{shared if shared != common and shared else names[0]}-gnomon")
+        return first.with_name(f"{shared.rstrip('0') or 'poses'}-{command}")
+    return first.with_name(f"{shared if shared != common and shared else names[0]}-{command}")
 
 
 def _stem(name: str) -> str:
@@ -54,16 +72,76 @@ def _common_start(names: list[str]) -> str:
     return "".join(shared)
 
 
-def result_folder(folder: Path, own: tuple[str, ...] = RESULT_FILES) -> AbstractContextManager[Path]:
+def result_folder(folder: Path, command: str = "", own: tuple[str, ...] = RESULT_FILES) -> AbstractContextManager[Path]:
     """Give an empty folder to write a result into, which is moved to `folder` at the end; see `files_together`.
+
+    Parameters
+    ----------
+    command : whose result it is, such as "camera-imu"; "" for what is no result, such as a simulated recording
+    own : files of a result, which take the place of those of an earlier one
 
     Raises
     ------
     OutputError
-        If a file is where the folder should be, besides what `files_together` raises.
+        If a file is where the folder should be, or it holds the result of another command, besides what
+        `files_together` raises.
     """
     check_folder(folder)
+    if command:
+        _check_owner(folder, command, own)
     return files_together(folder, own)
+
+
+def _check_owner(folder: Path, command: str, own: tuple[str, ...]) -> None:
+    """Refuse a folder whose result is of another command, or in which a file of nobody's would be replaced."""
+    owner = owner_of(folder)
+    if command == "demo" and owner == "imu" and (folder / TRUTH).is_file():
+        owner = command  # gnomon imu keeps no truth beside its result
+    other = default_folder((folder,), command)
+    if owner not in ("", command):
+        raise OutputError(
+            f"{folder}: this folder holds a result of gnomon {owner}, and one folder holds the result of one command. "
+            f"Choose another folder with -o, such as {other.name}."
+        )
+    there = [name for name in own if (folder / name).exists()]
+    if there and not owner:
+        raise OutputError(
+            f"{folder}: the result would replace {', '.join(there)}, which gnomon {command} did not make as far as can "
+            f"be told. Choose another folder with -o, such as {other.name}, or remove {_them(there)} first."
+        )
+
+
+def truth_name(folder: Path, recordings: Sequence[str]) -> str:
+    """Return what the truth of simulated recordings is called in a folder, in which another one's truth may lie.
+
+    Parameters
+    ----------
+    recordings : names of their files; the first one names the truth where another one's is there
+
+    Examples
+    --------
+    >>> truth_name(Path("nowhere"), ["recording.npz"])
+    'truth.yaml'
+    """
+    own = f"{_stem(recordings[0])}-{TRUTH}"
+    again = any((folder / name).exists() for name in recordings) and not (folder / own).exists()
+    return TRUTH if again or not (folder / TRUTH).exists() else own
+
+
+def _them(names: list[str]) -> str:
+    return "it" if len(names) == 1 else "them"
+
+
+def owner_of(folder: Path) -> str:
+    """Return the command whose result a folder holds, "" where it holds none that can be told."""
+    for name, command in _TELLING.items():
+        if (folder / name).is_file():
+            return command
+    for name in _RESULTS:
+        if (folder / name).is_file():
+            found = _METHOD.search((folder / name).read_text(encoding="utf-8", errors="replace"))
+            return _COMMANDS.get(found[1], found[1]) if found else ""
+    return ""
 
 
 def check_folder(folder: Path) -> None:

@@ -2,10 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from .places import result_folder
+from .places import result_folder, truth_name
 from .poses_command import SimulatePoses
 from .results import USABLE
-from .simulated import TRUTH
 from .terminal import Terminal
 
 if TYPE_CHECKING:
@@ -32,10 +31,12 @@ def simulate_poses(command: SimulatePoses, terminal: Terminal) -> int:
             files = [path.with_name(file.name) for file in save_recording(joined(simulation), staging / path.name)]
         else:
             files = [path / file.name for file in save_pose_files(simulation.poses, staging)]
-        save(simulation.truth, staging / TRUTH)
+        true = truth_name(folder, [file.name for file in files])
+        save(simulation.truth, staging / true)
     terminal.say(f"poses        {len(simulation.poses)} in {path}")
-    terminal.say(f"truth        {folder / TRUTH}")
-    terminal.document({"poses": [str(file) for file in files], "truth": str(folder / TRUTH)})
+    terminal.say(f"truth        {folder / true}")
+    terminal.propose("imu", path)
+    terminal.document({"poses": [str(file) for file in files], "truth": str(folder / true)})
     return USABLE
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .command_parts import TableOptions
 from .places import RESULT_FILES
 from .terminal import Terminal
 
@@ -98,6 +99,16 @@ def say_files(folder: Path, terminal: Terminal, names: Sequence[str] = RESULT_FI
     width = max(map(len, there), default=0)
     for stem, path in there.items():
         terminal.say(f"{stem:<{max(width, 12)}} {path}")
+
+
+def propose_apply(calibration: "Calibration", folder: Path, source: TableOptions, terminal: Terminal) -> None:
+    """Say how recordings of the sensor are corrected; with how its columns had to be stated, which they all need."""
+    if calibration.verdict == "fail":
+        return
+    stated = {"--columns": source.columns, "--rate": source.rate, "--units": source.units}
+    options = [word for name, value in stated.items() if value is not None for word in (name, str(value))]
+    terminal.say("")
+    terminal.propose("apply", folder / "calibration.yaml", "RECORDING", *options, "-o", "corrected.csv")
 
 
 def result_files(folder: Path, names: Sequence[str] = RESULT_FILES) -> dict[str, str]:

@@ -26,5 +26,6 @@ def simulate_cameras(command: SimulateCameras, terminal: Terminal) -> int:
     cameras = ", ".join(simulation.truth.cameras)
     contents = f"{len(simulation.t_ns)} views by {cameras}; {simulation.target.describe()}"
     say_folder(folder, contents, terminal, replaced=replaced)
+    terminal.propose("camera", folder)
     terminal.document(folder_document(folder, names))
     return USABLE

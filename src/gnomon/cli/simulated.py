@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError, OutputError
-from .places import result_folder
+from .places import SCENARIO, TRUTH, result_folder, truth_name
 from .results import USABLE
 from .terminal import Terminal
 
@@ -12,26 +12,28 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..recording import Recording
 
-SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
 
+def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal, *, then: str) -> int:
+    """Write the recording of one sensor as `path`, its truth beside it, and return the exit code.
 
-def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal) -> int:
-    """Write the recording of one sensor as `path`, its truth beside it, and return the exit code."""
+    Parameters
+    ----------
+    then : the command that calibrates from it
+    """
     from ..writers import save
     from ..writers.recording_file import check_suffix, save_recording
 
     check_suffix(path)
     folder = path.parent
-    replaced = (folder / TRUTH).exists() and not path.exists()
+    true = truth_name(folder, [path.name])
     with result_folder(folder, own=()) as staging:
         names = [file.name for file in save_recording(recording, staging / path.name)]
-        save(truth, staging / TRUTH)
+        save(truth, staging / true)
     for name in names:
         terminal.say(f"recording    {folder / name}")
-    terminal.say(f"truth        {folder / TRUTH}")
-    if replaced:
-        terminal.say("             the truth of another recording was there; give each recording a folder of its own")
-    terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / TRUTH)})
+    terminal.say(f"truth        {folder / true}")
+    terminal.propose(then, *(folder / name for name in names))
+    terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / true)})
     return USABLE
 
 

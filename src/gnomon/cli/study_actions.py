@@ -30,7 +30,7 @@ def study(command: Study, terminal: Terminal) -> int:
     entry = STUDIES[command.name]
     folder = command.output or Path(f"gnomon-study-{command.name}")
     every = {f"{table}.csv" for known in STUDIES.values() for table in known.tables}
-    with result_folder(folder, own=(PAGE, _OLD_JOURNAL, *every)) as staging:
+    with result_folder(folder, "study", own=(PAGE, _OLD_JOURNAL, *every)) as staging:
         parts = entry.load()
         with study_journal(folder, command.name, terminal.progress) as journal:
             found = _carried_out(command, parts, entry, journal, terminal)

@@ -3,8 +3,10 @@
 import json
 import logging
 import math
+import shlex
 import sys
 from collections.abc import Mapping
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 from ..findings import printable
@@ -29,6 +31,7 @@ class Terminal:
     def __init__(self, *, as_json: bool) -> None:
         self.as_json = as_json
         self._status: Status | None = None
+        self.next_lines: list[str] = []
         logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="gnomon: %(message)s")
 
     def say(self, text: str, style: str = "") -> None:
@@ -52,9 +55,20 @@ class Terminal:
             # Names of files, sensors and topics are text, whatever brackets they hold; rich drops control characters.
             Console(file=sys.stdout, width=None if terminal else WIDTH, highlight=False, markup=False).print(thing)
 
+    def propose(self, *words: str | PathLike[str]) -> None:
+        """Say which command goes on from here, and keep it for the document.
+
+        Parameters
+        ----------
+        words : behind gnomon; one in capitals, such as RECORDING, stands for what the user has yet to name
+        """
+        self.next_lines.append(shlex.join(["gnomon", *map(str, words)]))
+        self.say(f"{'next' if len(self.next_lines) == 1 else '':<12} {self.next_lines[-1]}")
+
     def document(self, content: Mapping[str, Any]) -> None:
-        """Print the JSON document, where it was asked for."""
+        """Print the JSON document, where it was asked for, with the commands that go on from here."""
         if self.as_json:
+            content = {**content, "next": self.next_lines} if self.next_lines else content
             utf8 = (sys.stdout.encoding or "utf-8").lower() == "utf-8"  # elsewhere, as on Windows, letters are escaped
             sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=not utf8, allow_nan=False) + "\n")
 

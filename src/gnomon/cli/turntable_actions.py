@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError
-from .places import default_folder, result_folder
+from .places import default_folder, result_folder, truth_name
 from .prior_files import read_priors
 from .results import (
     USABLE,
@@ -16,7 +16,6 @@ from .results import (
     say_result,
     write_result,
 )
-from .simulated import TRUTH
 from .terminal import Terminal
 from .turntable_command import SimulateTurntable, Turntable
 from .use_option import judged_result, read_use_option
@@ -36,9 +35,9 @@ def turntable(command: Turntable, terminal: Terminal) -> int:
     from ..readers.samples.turntable_files import turntable_files
 
     groups = turntable_files(command.recordings)
-    folder = command.output or default_folder(tuple(command.recordings[:1]))
+    folder = command.output or default_folder(command.recordings[:1], "turntable")
     use = read_use_option(command.use)
-    with result_folder(folder) as staging:
+    with result_folder(folder, "turntable") as staging:
         known = read_priors(command.options.prior)
         rates, rate_of, videos, noticed = _rates(command, groups, terminal)
         recordings = [known.noted_in(recording) for recording in _read(command, groups, terminal)]
@@ -164,27 +163,29 @@ def simulate_turntable(command: SimulateTurntable, terminal: Terminal) -> int:
     from ..writers.recording_file import save_recording
 
     scenario, folder = command.scenario, command.output
-    with result_folder(folder, own=(TRUTH,)) as staging:
+    with result_folder(folder, own=()) as staging:
         terminal.progress("simulating")
         simulation = simulated_turntable(scenario, command.seed)
         names: list[str] = []
         for k, recording in enumerate(simulation.recordings):
             name = "recording.npz" if len(simulation.recordings) == 1 else f"pose{k + 1:02d}.npz"
             names += [path.name for path in save_recording(recording, staging / name)]
-        save(simulation.truth, staging / TRUTH)
+        true = truth_name(folder, names)
+        save(simulation.truth, staging / true)
         videos = _save_videos(command, simulation.rates, staging, terminal) if command.video else []
     terminal.close()
     rates = " ".join(f"{rpm:g}rpm" for rpm in scenario.rpm)
     terminal.say(f"recordings   {folder}: {len(names)} at {rates}, {scenario.poses} orientations")
     for name in videos:
         terminal.say(f"video        {folder / name}")
-    terminal.say(f"truth        {folder / TRUTH}")
+    terminal.say(f"truth        {folder / true}")
+    terminal.propose("turntable", *(folder / name for name in names), "--rate", *rates.split())
     terminal.document(
         {
             "recordings": [str(folder / name) for name in names],
             "videos": [str(folder / name) for name in videos],
             "rates_rad_s": list(simulation.rates),
-            "truth": str(folder / TRUTH),
+            "truth": str(folder / true),
         }
     )
     return USABLE

@@ -34,8 +34,8 @@ class Turntable:
     units: str | None = None
     """Units of the recordings: "si", "raw" (counts), or a list such as "g deg/s us"; recognised where not given."""
     output: Annotated[Path | None, output_option("DIR")] = None
-    """Folder for calibration.yaml, report.html and diagnostics.npz (default: the first recording's name with
-    -gnomon)."""
+    """Folder for calibration.yaml, report.html and diagnostics.npz (default: NAME-turntable beside the first
+    recording)."""
     use: UseOption = None
     """What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed; the verdict is then for that
     use."""

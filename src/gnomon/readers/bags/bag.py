@@ -102,6 +102,14 @@ def open_bag(
             raise RecordingError(f"{path}: cannot be read ({error.strerror or error}). Copy it again.") from None
 
 
+def bag_holds_imu(path: str | PathLike[str]) -> bool:
+    """Tell by its list of topics whether a bag has samples of an IMU; False for one that has lost its list."""
+    try:
+        return bool(imu_candidates(indexed(bag_parts(Path(path), [])), {}))
+    except BrokenBagError:
+        return False
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Order:
     """What is wanted of a bag."""

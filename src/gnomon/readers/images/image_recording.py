@@ -15,6 +15,7 @@ from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
 from ..read_log import ReadLog
 from ..rig.camera_folder import holds_corners
+from ..rig.camera_folder import holds_imu as corners_with_imu
 from ..rig.imu_places import EXPECTED as EXPECTED_IMU
 from ..rig.imu_places import imu_tables, imu_tables_beside
 from ..rig.imu_stream import read_imu
@@ -39,6 +40,23 @@ def holds_images(path: str | PathLike[str]) -> bool:
     except RecordingError:  # several bags: there are images, and opening them says what is wrong
         return True
     except OSError:
+        return False
+
+
+def holds_imu(path: str | PathLike[str]) -> bool:
+    """Tell whether a recording of cameras, images or corners, has samples of an IMU, too, without reading them."""
+    place = Path(path)
+    try:
+        bag = _bag_of(place)
+        if bag is not None:
+            from ..bags.bag import bag_holds_imu
+
+            return bag_holds_imu(bag)
+        if not place.is_dir():
+            return is_video(place) and bool(_tables_of(place, video_place(place)))
+        root = _root(place)
+        return corners_with_imu(root) if holds_corners(root) else bool(_tables_in(root, camera_places(root, [])))
+    except (RecordingError, OSError):  # it was read, but for its IMU, of which nothing is clear
         return False
 
 

@@ -1,5 +1,6 @@
 """A calibration wherever it lies: a file of gnomon's or of another project, several of them, or a result's folder."""
 
+import re
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -102,17 +103,23 @@ def _readable(path: Path) -> bool:
     return bool(found.imus or found.cameras or found.lenses)
 
 
+_RESULT_OF = re.compile(r"-(gnomon|imu|camera|camera-imu|turntable|magnetometer|noise)$")
+"""How the folder of a result ends that is named after its recording and its command."""
+
+
 def source_names(sources: Sequence[Sequence[AnyPath]]) -> list[str]:
     """Return a short name for each source, by where their paths differ.
 
     Examples
     --------
-    >>> source_names([["run1-gnomon/calibration.yaml"], ["kalibr/scale-misalignment"]])
+    >>> source_names([["run1-camera-imu/calibration.yaml"], ["kalibr/scale-misalignment"]])
     ['run1', 'scale-misalignment']
     >>> source_names([["a/kalibr"], ["b/kalibr"]])
     ['a', 'b']
     """
-    parts = [_telling_parts(Path(source[0])) for source in sources]
+    whole = [_telling_parts(Path(source[0])) for source in sources]
+    short = [[*parts[:-1], _RESULT_OF.sub("", parts[-1]) or parts[-1]] for parts in whole]
+    parts = short if len(set(map(tuple, short))) == len(set(map(tuple, whole))) else whole
     names = ["" for _ in parts]
     for i, own in enumerate(parts):
         for length in range(1, len(own) + 1):
@@ -129,4 +136,4 @@ def _telling_parts(path: Path) -> list[str]:
     parts = [part for part in path.parts if part not in {"/", "\\", ".", ".."}] or [path.absolute().name]
     if len(parts) > 1 and parts[-1] == OWN_FILE:
         parts = parts[:-1]
-    return [*parts[:-1], parts[-1].removesuffix("-gnomon") or parts[-1]]
+    return parts
