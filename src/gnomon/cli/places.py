@@ -27,7 +27,7 @@ ALL_RESULT_FILES = frozenset((*CAMERA_FILES, *CAMERA_IMU_FILES, *NOISE_FILES))
 
 DEMO_RECORDING = "recording.npz"
 
-_TELLING = {"comparison.csv": "compare", "study.html": "study"}
+_TELLING = {"comparison.csv": "compare", "study.html": "study", "runs.journal": "study"}
 """File -> the command that alone makes it in the folder of a result."""
 
 _RESULTS = ("calibration.yaml", "noise.yaml")
