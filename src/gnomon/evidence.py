@@ -246,7 +246,9 @@ def _from_calibration(prior: Calibration, units: Mapping[str, str], gravity: Gra
             if ".bias" not in path:
                 places.append(i)
                 rows.append(column[f"{path}[{element}"])
-    matrix = prior.uncertainty.matrix - _shared_gravity(prior, column, name, gravity)
+    matrix = prior.uncertainty.matrix
+    if gravity is not None and gravity.source == prior.gravity.source and prior.provenance.method == "imu":
+        matrix = matrix - gravity_part(prior)  # the same error is made again
     covariance[np.ix_(places, places)] = matrix[np.ix_(rows, rows)] * np.outer(factor[places], factor[places])
     return value, covariance
 
@@ -263,18 +265,16 @@ def _unit_ratio(triad: str, unit: str, wanted: str) -> float:
     return one / other
 
 
-def _shared_gravity(prior: Calibration, column: dict[str, int], name: str, gravity: Gravity | None) -> Floats:
-    """Return the part of the covariance that an error of gravity makes, where the same error is made again."""
-    shared = np.zeros_like(prior.uncertainty.matrix)
-    if gravity is None or gravity.source != prior.gravity.source or prior.provenance.method != "imu":
-        return shared
-    by_gravity = np.zeros(len(shared))
-    for path in (f"{name}.accelerometer.sensitivity", f"{name}.gyroscope.g_sensitivity"):
-        for scalar, i in column.items():
-            if scalar.startswith(path):
-                entry = tuple(map(int, scalar.partition("[")[2].rstrip("]").split(",")))
-                by_gravity[i] = -prior.parameter(path)[entry] / prior.gravity.value
-    return prior.gravity.sigma**2 * np.outer(by_gravity, by_gravity)
+def gravity_part(calibration: Calibration) -> Floats:
+    """Return the part of the covariance (n, n) that an error of gravity makes, of an IMU calibrated by it."""
+    by_gravity = np.zeros(len(calibration.uncertainty.names))
+    name = next(iter(calibration.imus))
+    for i, scalar in enumerate(calibration.uncertainty.names):
+        path, _, element = scalar.partition("[")
+        if path in (f"{name}.accelerometer.sensitivity", f"{name}.gyroscope.g_sensitivity"):
+            entry = tuple(map(int, element.rstrip("]").split(",")))
+            by_gravity[i] = -calibration.parameter(path)[entry] / calibration.gravity.value
+    return calibration.gravity.sigma**2 * np.outer(by_gravity, by_gravity)
 
 
 def _parts(value: Floats, covariance: Floats, own: str) -> tuple[Known, ...]:

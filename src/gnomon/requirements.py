@@ -2,7 +2,8 @@
 
 Numbers follow from what an error does in that use; where a document states one, it is named. Gravity's own uncertainty
 is not counted: it is common to all axes of the accelerometer, and whoever uses the calibration takes the same gravity.
-A bias is judged as it was during the recording: at the next power-up it is another one.
+A bias is judged as it was during the recording: at the next switching-on it is another one, by about what
+`BETWEEN_RECORDINGS` says, and whoever uses the calibration has to follow it.
 """
 
 import difflib
@@ -256,3 +257,26 @@ def known_use(name: str) -> Use:
         f"no use {name!r} is known.{hint} Known: {', '.join(USES)}; or name a YAML file with lines such as "
         "camera_rotation: 0.1 deg."
     )
+
+
+BETWEEN_RECORDINGS: Mapping[str, float] = FrozenMapping(
+    {
+        # REML over eight MPU-9150 on six occasions (MIMU4444: Carlsson, Skog and Jalden 2021), in one laboratory:
+        # 0.0137 %, 0.19 mrad, 5.3e-6 rad/s per m/s^2.
+        "accelerometer_scale": stated("accelerometer_scale", "0.015 %"),
+        "accelerometer_misalignment": stated("accelerometer_misalignment", "0.0002 rad"),
+        "gyroscope_g_sensitivity": stated("gyroscope_g_sensitivity", "0.0000055 rad/s/(m/s^2)"),
+        # There the gyroscope's axes changed by less than could be told: as the accelerometer's. Its scale: data sheets
+        # of consumer sensors state 0.01 to 0.03 % a kelvin, over the 3 K between two days in one room.
+        "gyroscope_scale": stated("gyroscope_scale", "0.05 %"),
+        "gyroscope_misalignment": stated("gyroscope_misalignment", "0.0002 rad"),
+        # Data sheets of consumer sensors: 1 mg and 0.05 deg/s a kelvin, over 5 K. MIMU4444: 28 mm/s^2, 0.10 deg/s.
+        "accelerometer_bias": stated("accelerometer_bias", "50 mm/s^2"),
+        "gyroscope_bias": stated("gyroscope_bias", "0.25 deg/s"),
+    }
+)
+"""By how much one sensor differs from recording to recording, standard deviation [SI]: switched on anew, at another
+temperature, mounted anew in its box. One recording cannot tell; several, joined, measure it."""
+
+TURN_ON = ("accelerometer_bias", "gyroscope_bias")
+"""What every use has to follow by itself, since it is another one after each switching-on."""

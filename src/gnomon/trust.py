@@ -11,6 +11,7 @@ from typing import Literal
 from .recording import Floats
 
 Verdict = Literal["pass", "warn", "fail"]
+CovarianceKind = Literal["cluster-robust", "ordinary", "between-recordings"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,6 +181,8 @@ class Need:
     unit : such as "deg", "mm", "ms", "%"
     verdict : "pass"; "warn" beyond what is needed; "fail" far beyond
     cure : the next action, where it does not pass
+    floor : standard deviation by which the sensor itself differs on another occasion, which one recording cannot know
+        and `sigma` therefore does not hold [unit]; 0 where `sigma` holds it, as of several recordings
     """
 
     block: str
@@ -188,6 +191,7 @@ class Need:
     unit: str
     verdict: Verdict
     cure: str = ""
+    floor: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,7 +200,8 @@ class TrustNote:
 
     Attributes
     ----------
-    covariance : "cluster-robust" or "ordinary"
+    covariance : "cluster-robust" or "ordinary"; of several recordings "between-recordings": that of the sensor as it is
+        on another occasion, about the mean
     clusters, cluster_s : number and length [s] of the clusters; 0 for the ordinary covariance
     sigma_ratio : block -> published sigmas over those for independent errors
     split_z : pooled z rms of halves and thirds; nan where the recording was not cut
@@ -204,9 +209,12 @@ class TrustNote:
     tries : number of models that were compared
     use : what it was judged for, such as "vio"; "" where for no special use
     needs : what that use needs
+    recordings : how many recordings of one sensor were joined; 0 of a single one
+    between : quantity, such as "accelerometer_scale" -> standard deviation from recording to recording [SI], part of
+        the covariance; empty of a single recording
     """
 
-    covariance: Literal["cluster-robust", "ordinary"] = "ordinary"
+    covariance: CovarianceKind = "ordinary"
     clusters: int = 0
     cluster_s: float = 0.0
     sigma_ratio: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -215,3 +223,5 @@ class TrustNote:
     tries: int = 0
     use: str = ""
     needs: tuple[Need, ...] = ()
+    recordings: int = 0
+    between: Mapping[str, float] = field(default_factory=dict[str, float])

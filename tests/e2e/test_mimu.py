@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 import gnomon
+from gnomon.assess.joined_recordings import refuse_other_sensors, standing_out_findings
+from gnomon.calibrate.several_recordings import scalars_of
+from gnomon.errors import RecordingError
 
 OCCASIONS, SENSORS = 6, 8
 TICKS_HZ = 64e6
@@ -124,6 +127,34 @@ def test_rests_alone_say_the_same_of_the_g_sensitivity(real_data, calibrations):
             z.append(difference / sigma)
     print(f"\ng-sensitivity from rests alone and with rotations differ by {rms(z):.2f} combined sigmas rms")
     assert rms(z) < 1.0
+
+
+def test_joined_recordings_foretell_the_one_left_out(calibrations):
+    # Each occasion against what the five others foretell of it, the scatter between recordings included.
+    names = [f"occasion {i + 1}" for i in range(OCCASIONS)]
+    z: dict[str, list[float]] = {}
+    for k in range(SENSORS):
+        scalars = scalars_of([row[k] for row in calibrations], names)
+        for quantity, column in zip(scalars.quantity, scalars.foretold().T, strict=True):
+            z.setdefault(quantity, []).extend(column[np.isfinite(column)])
+    print()
+    for quantity, values in z.items():
+        print(f"{quantity:28} left out: z rms {rms(values):.2f} of {len(values)}, largest {np.abs(values).max():.1f}")
+    for values in z.values():
+        assert 0.5 < rms(values) < 1.2
+
+
+def test_recordings_of_another_chip_are_named(calibrations):
+    for k in range(SENSORS):
+        several = [calibrations[0][k], calibrations[1][k], calibrations[2][(k + 1) % SENSORS]]
+        scalars = scalars_of(several, ["a", "b", "other"])
+        try:
+            refuse_other_sensors(scalars, ["a", "b", "other"])
+        except RecordingError:
+            continue
+        assert "recording-stands-out" in [
+            finding.code for finding in standing_out_findings(scalars, ["a", "b", "other"])
+        ]
 
 
 def test_turn_on_biases_are_another_matter(repeatability):

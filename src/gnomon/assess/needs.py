@@ -8,7 +8,7 @@ import numpy as np
 from ..calibration import Assessment, Calibration
 from ..findings import Finding, Severity
 from ..recording import Floats
-from ..requirements import GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
+from ..requirements import BETWEEN_RECORDINGS, GENERAL, GENERAL_IMU, GENERAL_RIG, QUANTITIES, TURN_ON, Use
 from ..trust import Need
 from .directions import Kind, Part, amount, cure, one_direction, parts, relative
 from .observability import LIMITS
@@ -18,7 +18,7 @@ from .weak_findings import PLACES_AND_CLOCKS
 _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
 """Findings of the general verdict on standard deviations, in whose place those on a stated use stand."""
 
-_USE = ("use-imprecise", "use-not-estimated", "use-verdict")
+_USE = ("use-imprecise", "use-not-estimated", "use-turn-on", "use-verdict")
 _DIP = np.radians(60.0)
 _FIELD_UT = 48.0
 """A usual field of the Earth, where the calibration does not state its own."""
@@ -210,9 +210,23 @@ def _asked(calibration: Calibration, use: Use) -> list[Offer]:
     return [offer for offer in offers(calibration) if offer.quantity in use.needs]
 
 
+_ROUNDING = 1.05
+"""A triad's axes have not quite the same scale, by whose mean the scatter between recordings is stated."""
+_MEASURE_IT = (
+    "Join several recordings of this sensor (gnomon imu A B C): then what it changes between them is measured, and "
+    "takes the place of what is usual."
+)
+_SAME_CONDITIONS = (
+    "What the sensor itself changes between recordings is too much: calibrate in its box and at the temperature of the "
+    "use; more recordings tell the scatter better."
+)
+
+
 def _need(calibration: Calibration, offer: Offer, use: Use) -> Need:
     quantity, needed = QUANTITIES[offer.quantity], use.needs[offer.quantity]
-    grade = "problem" if offer.held else graded(offer.sigma, needed, use.fails_at * needed)
+    floor = _floor(calibration, offer.quantity, use)
+    counted = _within(calibration, offer) if offer.quantity in TURN_ON else float(np.hypot(offer.sigma, floor))
+    grade = "problem" if offer.held else graded(counted, needed, use.fails_at * needed)
     return Need(
         block=offer.words,
         sigma=_rounded(offer.sigma / quantity.size),
@@ -220,11 +234,27 @@ def _need(calibration: Calibration, offer: Offer, use: Use) -> Need:
         unit=quantity.unit,
         verdict="fail" if grade == "problem" else "warn" if grade == "warning" else "pass",
         cure="" if grade == "good" else _cure(calibration, offer, needed),
+        floor=_rounded(floor / quantity.size),
     )
+
+
+def _floor(calibration: Calibration, quantity: str, use: Use) -> float:
+    """Return what one recording cannot know of a quantity; nothing where several tell, and for general use."""
+    of_several = bool(calibration.assessment.trust.recordings)
+    return 0.0 if of_several or use.name == GENERAL else BETWEEN_RECORDINGS.get(quantity, 0.0)
+
+
+def _within(calibration: Calibration, offer: Offer) -> float:
+    """Return the sigma without what changes from recording to recording, in the next one and in the mean of all."""
+    trust = calibration.assessment.trust
+    between = trust.between.get(offer.quantity, 0.0) ** 2 * (1 + 1 / max(trust.recordings, 1))
+    return float(np.sqrt(max(offer.sigma**2 - _ROUNDING * between, 0.0)))
 
 
 def _cure(calibration: Calibration, offer: Offer, needed: float) -> str:
     fit, part = calibration.assessment.camera_imu, offer.part
+    if not offer.held and min(offer.sigma, _within(calibration, offer)) < needed:
+        return _MEASURE_IT if offer.sigma <= needed else _SAME_CONDITIONS
     if offer.quantity == "heading":
         return "Turn the sensor over the whole sphere, slowly, far from iron."
     if fit is None and (part is None or not one_direction(part)):
@@ -271,7 +301,9 @@ def judged(calibration: Calibration, use: Use | None) -> Calibration:
     asked = _asked(calibration, use)
     serious = any(offer.held for offer in asked) or any(need.verdict == "fail" for need in found)
     kept = [_regraded(f, "problem" if serious else "info") for f in general.findings if f.code not in _PRECISION]
-    findings = worst_first([*kept, *_imprecise(found, use), *_not_estimated(asked, use)])
+    findings = worst_first(
+        [*kept, *_imprecise(found, use), *_not_estimated(asked, use), *_turn_on(calibration, asked, use)]
+    )
     verdict = verdict_of(findings)
     if verdict != general.verdict:
         findings = worst_first([*findings, _why(general, verdict, use)])
@@ -299,6 +331,7 @@ def _imprecise(found: tuple[Need, ...], use: Use) -> Iterator[Finding]:
     for verdict, action in cures:
         parts_of_it = [
             f"the {need.block} to {number_words(need.needed)} {need.unit}, and has {number_words(need.sigma)}"
+            f"{_with_floor(need)}"
             for need in found
             if (need.verdict, need.cure) == (verdict, action)
         ]
@@ -307,6 +340,35 @@ def _imprecise(found: tuple[Need, ...], use: Use) -> Iterator[Finding]:
             code="use-imprecise",
             message=f"{use.name} needs {'; '.join(parts_of_it)} (one sigma).",
             cure=action,
+        )
+
+
+def _with_floor(need: Need) -> str:
+    """Return what comes on top of a sigma that would do by itself."""
+    if not need.floor or need.sigma > need.needed:
+        return ""
+    both = number_words(float(np.hypot(need.sigma, need.floor)))
+    return f", with the {number_words(need.floor)} that one recording cannot know {both}"
+
+
+def _turn_on(calibration: Calibration, asked: list[Offer], use: Use) -> Iterator[Finding]:
+    """Say which biases are known less well at the next switching-on than a use needs; it has to follow them."""
+    trust = calibration.assessment.trust
+    parts_of_it: list[str] = []
+    for offer in asked:
+        usual = trust.between.get(offer.quantity, BETWEEN_RECORDINGS.get(offer.quantity, 0.0))
+        if offer.quantity in TURN_ON and offer.sigma > 0 and usual > use.needs[offer.quantity]:
+            quantity = QUANTITIES[offer.quantity]
+            parts_of_it.append(f"the {offer.words} by {number_words(usual / quantity.size)} {quantity.unit}")
+    if parts_of_it:
+        source = f"as measured in {trust.recordings} recordings" if trust.recordings else "as is usual"
+        yield Finding(
+            severity="info",
+            code="use-turn-on",
+            message=f"{use.name} is judged by the biases while it was recorded. At the next switching-on and at "
+            f"another temperature they are others, {source}: {', '.join(parts_of_it)} (one sigma).",
+            cure="Let whatever uses it follow the biases, or rest for some seconds after switching on and take them "
+            "anew.",
         )
 
 
@@ -351,8 +413,7 @@ def _general(calibration: Calibration) -> Assessment:
         for finding in assessment.findings
         if finding.code not in _USE
     ]
-    use = GENERAL_RIG if calibration.cameras else GENERAL_IMU
-    findings = worst_first([*kept, *(f for f in _general_precision(calibration, use))])
+    findings = worst_first([*kept, *general_precision(calibration)])
     return replace(
         assessment,
         verdict=verdict_of(findings),
@@ -361,8 +422,9 @@ def _general(calibration: Calibration) -> Assessment:
     )
 
 
-def _general_precision(calibration: Calibration, use: Use) -> Iterator[Finding]:
-    for need in needs(calibration, use):
+def general_precision(calibration: Calibration) -> Iterator[Finding]:
+    """Yield what is known worse than general use asks."""
+    for need in needs(calibration, GENERAL_RIG if calibration.cameras else GENERAL_IMU):
         if need.verdict != "pass":
             yield Finding(
                 severity="problem" if need.verdict == "fail" else "warning",

@@ -3,7 +3,7 @@
 prepare -> static intervals -> problem -> fit -> choose the model -> hold out -> assess -> Result
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,6 +50,7 @@ from .preparation import (
 )
 from .prior_knowledge import refuse_evidence, with_fixed
 from .published import calibrate_as_published
+from .several_recordings import calibrate_several
 from .user_frame import in_stated_frame
 
 Progress = Callable[[str], None]
@@ -58,16 +59,19 @@ _BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
 
 
 def calibrate_imu(
-    recording: Recording,
+    recording: Recording | Sequence[Recording],
     options: ImuOptions | None = None,
     progress: Progress | None = None,
     prior: Priors = None,
 ) -> Result:
     """Calibrate an IMU from a recording in which it was turned by hand and held still, some forty times.
 
+    Several recordings of one sensor are calibrated one by one and joined: the parameters are means, and the covariance
+    is that of the sensor on another occasion, the scatter between the recordings included.
+
     Parameters
     ----------
-    recording : of one IMU
+    recording : of one IMU, or several of the same
     options : see ImuOptions
     progress : called with a sentence at each step
     prior : other calibrations of the same sensor, which count as evidence; see `gnomon.evidence`
@@ -83,6 +87,10 @@ def calibrate_imu(
     """
     options = options or ImuOptions()
     tell = progress or (lambda _: None)
+    if not isinstance(recording, Recording):
+        if len(recording) != 1:
+            return calibrate_several(recording, options, tell, prior, calibrate_imu)
+        (recording,) = recording
     if by_rests(recording, options):
         return calibrate_poses(recording, options, progress, prior)
     tell("checking the recording")

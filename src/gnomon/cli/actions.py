@@ -17,7 +17,16 @@ from .compare_actions import compare
 from .convert_actions import convert
 from .magnetometer_actions import magnetometer, simulate_magnetometer
 from .noise_actions import noise, show_noise, simulate_noise
-from .places import DEMO_RECORDING, RESULT_FILES, TRUTH, default_folder, finish_moves, result_folder
+from .places import (
+    DEMO_RECORDING,
+    RESULT_FILES,
+    TRUTH,
+    check_folder,
+    default_folder,
+    finish_moves,
+    joined_folder,
+    result_folder,
+)
 from .plan_actions import plan
 from .platter_actions import rate, simulate_platter_video
 from .poses_actions import simulate_poses
@@ -50,29 +59,47 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
     from ..calibrate import calibrate_imu
     from . import summary
 
-    folder = command.output or default_folder(command.recording.paths, "imu")
+    check_folder(command.output or default_folder(command.recording.paths, "imu"))  # before the work
     use = read_use_option(command.use)
+    terminal.progress("reading the recording")
+    known = read_priors(command.options.prior)
+    recordings = [known.known_of(recording) for recording in _read(command.recording)]
+    terminal.close()
+    assumptions = _assumptions(recordings)
+    say_assumptions(assumptions, terminal)  # before anything fails: they often explain why
+    paths = command.recording.paths
+    folder = command.output or (default_folder(paths, "imu") if len(recordings) == 1 else joined_folder(paths, "imu"))
     with result_folder(folder, "imu") as staging:
-        terminal.progress("reading the recording")
-        known = read_priors(command.options.prior)
-        recording = known.known_of(_read(command.recording))
-        terminal.close()
-        say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
         options = replace(command.options, prior=known.stated)
-        result = calibrate_imu(recording, options, progress=terminal.progress, prior=known.calibrations)
+        result = calibrate_imu(recordings, options, progress=terminal.progress, prior=known.calibrations)
         result = judged_result(result, use)
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     say_result(result.calibration, summary.facts(result.calibration), folder, terminal)
-    propose_apply(result.calibration, folder, command.recording, terminal)
-    terminal.document(result_document(result.calibration, folder, recording.assumptions))
+    if len(recordings) == 1:
+        propose_apply(result.calibration, folder, command.recording, terminal)
+    terminal.document(result_document(result.calibration, folder, assumptions))
     return exit_code(result.calibration)
 
 
-def _read(source: PosesInput) -> "Recording":
-    from ..readers import read
+def _read(source: PosesInput) -> "tuple[Recording, ...]":
+    from ..readers.several_recordings import read_several
 
-    return read(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
+    return read_several(*source.paths, columns=source.columns, rate_hz=source.rate, units=source.units)
+
+
+def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
+    """Return what had to be assumed; of several recordings each once, with those of which it was."""
+    from ..calibrate.several_recordings import recording_names
+
+    if len(recordings) == 1:
+        return list(recordings[0].assumptions)
+    of: dict[str, list[str]] = {}
+    for name, recording in zip(recording_names(recordings), recordings, strict=True):
+        for sentence in recording.assumptions:
+            of.setdefault(sentence.removeprefix(f"{name}: "), []).append(name)
+    words = ["all recordings" if len(names) == len(recordings) else ", ".join(names) for names in of.values()]
+    return [f"{who}: {sentence}" for who, sentence in zip(words, of, strict=True)]
 
 
 def _show(command: commands.Show, terminal: Terminal) -> int:

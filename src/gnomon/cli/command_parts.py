@@ -93,8 +93,9 @@ class PosesInput(TableOptions):
     paths: Annotated[
         tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
     ]
-    """A file or a folder; with two files, that of the accelerometer and that of the gyroscope; with three or more, or a
-    folder of them, one static pose each. A short table without time holds averaged poses."""
+    """A file or a folder; several recordings of one sensor, each a file with both triads, or a folder; two files of one
+    triad each, accelerometer and gyroscope; three or more of one static pose each, or a folder of them. A short table
+    without time holds averaged poses."""
 
     def __post_init__(self) -> None:
         TableOptions.__post_init__(self)

@@ -47,10 +47,11 @@ RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
 
 @dataclass(frozen=True, kw_only=True)
 class Imu:
-    """Calibrate accelerometer and gyroscope from one hand-held recording, or an accelerometer alone from static poses.
+    """Calibrate accelerometer and gyroscope from hand-held recordings, or an accelerometer alone from static poses.
 
     Let the sensor rest for about 50 s, then turn it by hand into many different attitudes and let it rest for a few
-    seconds in each.
+    seconds in each. Several recordings of one sensor, such as of several days, join as recordings: what the sensor
+    itself changes from one to the next (turn-on bias, temperature) is estimated, and is in the sigmas.
     """
 
     recording: Annotated[PosesInput, Flat]

@@ -62,6 +62,21 @@ def default_folder(paths: Sequence[Path], command: str) -> Path:
     return first.with_name(f"{shared if shared != common and shared else names[0]}-{command}")
 
 
+def joined_folder(paths: Sequence[Path], command: str) -> Path:
+    """Return the folder for the result of several recordings, which is not that of any one of them.
+
+    Examples
+    --------
+    >>> joined_folder((Path("run_1.csv"), Path("run_2.csv")), "imu").name
+    'run-joined-imu'
+    >>> joined_folder((Path("mon"), Path("tue")), "imu").name
+    'mon-joined-imu'
+    """
+    first = Path(os.path.abspath(paths[0]))  # noqa: PTH100 - as above
+    names = [first.name if path.is_dir() else _stem(path.name) for path in paths]
+    return first.with_name(f"{_common_start(names).rstrip('-_. 0') or names[0]}-joined-{command}")
+
+
 def _stem(name: str) -> str:
     stem = name.removesuffix(".gz")
     return stem.rsplit(".", 1)[0] or stem

@@ -60,10 +60,17 @@ def say_needs(calibration: "Calibration", terminal: Terminal) -> None:
         return
     from ..assess.needs import number_words
 
-    terminal.say(f"\n{f'known, needed for {trust.use}':<40}{'sigma':>12}{'needed':>10}")
+    floors = any(need.floor for need in trust.needs)
+    terminal.say(f"\n{f'known, needed for {trust.use}':<40}{'sigma':>9}{'between*' if floors else '':>10}{'needed':>8}")
     for need in trust.needs:
         limit = f"{number_words(need.needed)} {need.unit}"
-        terminal.say(f"  {need.block:<38}{number_words(need.sigma):>12}{limit:>18}  {need.verdict}")
+        floor = number_words(need.floor) if need.floor else ""
+        terminal.say(f"  {need.block:<38}{number_words(need.sigma):>9}{floor:>10}{limit:>15}  {need.verdict}")
+    if floors:
+        terminal.say(
+            "  * from one recording to the next, as is usual (turn-on, temperature, mounting): one\n"
+            "    recording cannot know it. It counts, but for biases, which every use has to follow."
+        )
     terminal.say("")
 
 

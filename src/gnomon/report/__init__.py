@@ -7,7 +7,7 @@ calibration from known magnitudes does.
 
 from pathlib import Path
 
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, Result
+from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, JoinedDiagnostics, Result
 from ..output import write_whole
 from ..triad_diagnostics import TriadDiagnostics
 
@@ -42,6 +42,10 @@ def write_report(result: Result, path: str | Path) -> None:
         from .triads import triad_page
 
         page = triad_page(calibration, diagnostics)
+    elif isinstance(diagnostics, JoinedDiagnostics):
+        from .joined import joined_page
+
+        page = joined_page(calibration, diagnostics)
     else:
         from .imu import imu_page
 

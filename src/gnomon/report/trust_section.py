@@ -45,16 +45,31 @@ def trust_section(assessment: Assessment, trust: Trust | None) -> Section | None
 
 
 def _needs(use: str, needs: tuple[Need, ...]) -> Table:
+    floors = any(need.floor for need in needs)
+
+    def floor(need: Need) -> tuple[str, ...]:
+        return ((_amount(need.floor, need.unit) if need.floor else MISSING),) if floors else ()
+
     rows = tuple(
-        (need.block, *(_amount(x, need.unit) for x in (need.sigma, need.needed)), _VERDICTS[need.verdict])
+        (
+            need.block,
+            _amount(need.sigma, need.unit),
+            *floor(need),
+            _amount(need.needed, need.unit),
+            _VERDICTS[need.verdict],
+        )
         for need in needs
+    )
+    said = (
+        " Between recordings: what is usual from one to the next (turn-on, temperature, mounting), which one recording "
+        "cannot know. It counts, but for biases, which every use has to follow."
     )
     return Table(
         title=f"What {use} needs" if use else "What is needed",
-        head=("", "σ of this calibration", "needed", "verdict"),
+        head=("", "σ of this calibration", *(("between recordings",) if floors else ()), "needed", "verdict"),
         rows=rows,
         faint=frozenset(i for i, need in enumerate(needs) if need.verdict == "pass"),
-        caption="What to do about those that are not enough stands at the top.",
+        caption="What to do about those that are not enough stands at the top." + (said if floors else ""),
     )
 
 

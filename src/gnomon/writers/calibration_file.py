@@ -174,6 +174,8 @@ def _document(calibration: Calibration) -> dict[str, Any]:
 def _minor(calibration: Calibration) -> int:
     """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
+    if _tells_of_occasions(calibration.assessment.trust):
+        return 6
     if not calibration.imus:
         return 4
     if any(imu.T_imu_body is not None for imu in imus) or _with_shifted_accelerometer(calibration):
@@ -198,6 +200,11 @@ def _with_lever_arms(calibration: Calibration) -> bool:
 def _with_shifted_accelerometer(calibration: Calibration) -> bool:
     sensors = [imu.accelerometer for imu in calibration.imus.values()]
     return any(sensor is not None and sensor.time_shift_s is not None for sensor in sensors)
+
+
+def _tells_of_occasions(trust: TrustNote) -> bool:
+    """Tell whether a note says how a sensor changes from recording to recording."""
+    return trust.recordings > 0 or any(need.floor for need in trust.needs)
 
 
 def _tells(trust: TrustNote) -> bool:
@@ -291,12 +298,13 @@ def _trust(trust: TrustNote) -> dict[str, Any]:
         "tries": int(trust.tries),
         "use": trust.use,
         "needs": [_need(need) for need in trust.needs],
+        **({"recordings": trust.recordings, "between": dict(trust.between)} if trust.recordings else {}),
     }
 
 
 def _need(need: Need) -> dict[str, Any]:
     entry = asdict(need) | {"sigma": float(need.sigma), "needed": float(need.needed)}
-    return {key: value for key, value in entry.items() if value != "" or key != "cure"}
+    return {key: value for key, value in entry.items() if key not in ("cure", "floor") or value}
 
 
 def finding_document(finding: Finding) -> dict[str, str]:

@@ -21,6 +21,7 @@ from ..diagnostics import (
     CamerasDiagnostics,
     CornerFit,
     ImuDiagnostics,
+    JoinedDiagnostics,
     SignalFit,
     TrajectoryTrack,
 )
@@ -42,7 +43,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 
 
 def save_diagnostics(
-    diagnostics: ImuDiagnostics | CameraImuDiagnostics | CamerasDiagnostics | TriadDiagnostics,
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics | CamerasDiagnostics | TriadDiagnostics | JoinedDiagnostics,
     path: str | PathLike[str],
 ) -> None:
     """Write diagnostics to a compressed NPZ file; `numpy.load` reads it without pickle.

@@ -1,4 +1,4 @@
-"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.5"; `writers.calibration_file` writes it.
+"""gnomon's own calibration file, schemas "gnomon/1" to "gnomon/1.6"; `writers.calibration_file` writes it.
 
 A later minor of the schema may only add keys that an earlier file does without, so that older files stay readable; a
 newer minor than this version knows is refused, since its keys may matter. "gnomon/1.1" added cameras, and
@@ -6,7 +6,8 @@ assessment.camera_imu, which stands there in place of the counts of a multi-posi
 magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
 "gnomon/1.3" added lever arms of accelerometers, and assessment.trust. "gnomon/1.4" added cameras without an IMU: body
 frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras. "gnomon/1.5" added poses and time shifts
-of IMUs beside the first, and time shifts of accelerometers.
+of IMUs beside the first, and time shifts of accelerometers. "gnomon/1.6" added what changes between recordings:
+assessment.trust.recordings and between, and the floor of a need.
 """
 
 import re
@@ -41,7 +42,7 @@ from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry, cameras
 from .own_root import read_own
 
 SCHEMA_MAJOR = 1
-SCHEMA_MINOR = 5
+SCHEMA_MINOR = 6
 
 _ALWAYS = ("schema", "verdict", "body_frame", "cameras", "assessment", "provenance", "covariance")
 _OF_IMUS = ("gravity", "imus")
@@ -49,6 +50,7 @@ FIELD_UNITS = ("uT", "local field")
 """Units of a calibrated magnetic field."""
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 _VERDICTS = ("pass", "warn", "fail")
+_COVARIANCES = ("cluster-robust", "ordinary", "between-recordings")
 _FRAMES = {
     "accel-x": ("accelerometer", "accel-x"),
     "accel-z": ("accelerometer", "accel-z"),
@@ -309,10 +311,11 @@ def _common_assessment(keys: dict[str, Node]) -> Assessment:
 
 def _trust(node: Node) -> TrustNote:
     keys = node.mapping(
-        ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs")
+        ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs"),
+        ("recordings", "between"),
     )
     return TrustNote(
-        covariance=keys["covariance"].text(("cluster-robust", "ordinary")),  # pyright: ignore[reportArgumentType]
+        covariance=keys["covariance"].text(_COVARIANCES),  # pyright: ignore[reportArgumentType]
         clusters=keys["clusters"].integer(),
         cluster_s=keys["cluster_s"].number(),
         sigma_ratio={item.key: item.number(finite=False) for item in keys["sigma_ratio"].entries()},
@@ -321,11 +324,13 @@ def _trust(node: Node) -> TrustNote:
         tries=keys["tries"].integer(),
         use=keys["use"].text(),
         needs=tuple(_need(item) for item in keys["needs"].items()),
+        recordings=keys["recordings"].integer() if "recordings" in keys else 0,
+        between={item.key: item.number() for item in keys["between"].entries()} if "between" in keys else {},
     )
 
 
 def _need(node: Node) -> Need:
-    keys = node.mapping(("block", "sigma", "needed", "unit", "verdict"), ("cure",))
+    keys = node.mapping(("block", "sigma", "needed", "unit", "verdict"), ("cure", "floor"))
     return Need(
         block=keys["block"].text(),
         sigma=keys["sigma"].number(finite=False),
@@ -333,6 +338,7 @@ def _need(node: Node) -> Need:
         unit=keys["unit"].text(),
         verdict=keys["verdict"].text(_VERDICTS),  # pyright: ignore[reportArgumentType]
         cure=keys["cure"].text() if "cure" in keys else "",
+        floor=keys["floor"].number() if "floor" in keys else 0.0,
     )
 
 
