@@ -76,8 +76,7 @@ def _imu(command: commands.Imu, terminal: Terminal) -> int:
         write_result(result, staging, report=command.report, terminal=terminal)
     terminal.close()
     say_result(result.calibration, summary.facts(result.calibration), folder, terminal)
-    if len(recordings) == 1:
-        propose_apply(result.calibration, folder, command.recording, terminal)
+    propose_apply(result.calibration, folder, command.recording, terminal)
     terminal.document(result_document(result.calibration, folder, assumptions))
     return exit_code(result.calibration)
 
