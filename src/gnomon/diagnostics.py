@@ -142,11 +142,32 @@ class ModelTrial:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BiasSegments:
+    """A triad's bias in the parts of a recording between which it stepped.
+
+    Attributes
+    ----------
+    triad : "accelerometer" or "gyroscope"
+    start_s, stop_s : (k,) from the first to the last static interval of each part [s from the start of the recording]
+    bias, sigma : (k, 3) [unit of the recording]
+    published : index of the part whose bias the calibration states
+    """
+
+    triad: str
+    start_s: Floats
+    stop_s: Floats
+    bias: Floats
+    sigma: Floats
+    published: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuDiagnostics:
     """How an IMU calibration came about.
 
     Attributes
     ----------
+    bias_segments : of each triad whose bias stepped
     noise : name -> value: "accelerometer.density" [m/s^2/sqrt(Hz)], "gyroscope.density" [rad/s/sqrt(Hz)], and the like
     trust : what the recording tells of its own calibration's uncertainty
     """
@@ -160,6 +181,7 @@ class ImuDiagnostics:
     trials: tuple[ModelTrial, ...]
     noise: dict[str, float]
     trust: Trust | None = None
+    bias_segments: tuple[BiasSegments, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

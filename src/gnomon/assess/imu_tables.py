@@ -7,6 +7,7 @@ import numpy as np
 from ..detect.samples.noise import allan_deviation, averaging_time
 from ..diagnostics import (
     AllanCurve,
+    BiasSegments,
     DetectorTrace,
     ImuDiagnostics,
     IntervalTable,
@@ -16,6 +17,7 @@ from ..diagnostics import (
 )
 from ..estimate.multiposition.fit import MultiPositionFit
 from ..estimate.multiposition.leave_one_out import HeldOut
+from ..estimate.multiposition.model import B_, BG_, PARAMETERS
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream
 from ..estimate.multiposition.rotations import MotionSegments, integrate, propagate
 from ..estimate.multiposition.scaling import ImuEstimate
@@ -96,6 +98,7 @@ def describe(evidence: ImuEvidence) -> ImuDiagnostics:
         ),
         noise=_noise(evidence),
         trust=evidence.trust,
+        bias_segments=_bias_segments(evidence),
     )
 
 
@@ -244,6 +247,44 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
         used=fit.rotation_used,
         reason=tuple(reason),
     )
+
+
+def _bias_segments(evidence: ImuEvidence) -> tuple[BiasSegments, ...]:
+    """Return the bias of each part of the recording, of each triad whose bias stepped."""
+    fit, problem = evidence.fit, evidence.problem
+    covariance = np.zeros((len(fit.free),) * 2)
+    covariance[np.ix_(fit.free, fit.free)] = fit.arrow.corner_covariance
+    still, t_s = evidence.accelerometer.intervals, evidence.accelerometer.t_s
+    found: list[BiasSegments] = []
+    first = PARAMETERS
+    for triad, functions, bias, scaling in (
+        ("gyroscope", fit.data.of_gyroscope, BG_, problem.gyroscope),
+        ("accelerometer", fit.data.of_accelerometer, B_, problem.accelerometer),
+    ):
+        columns = first + 3 * np.flatnonzero(functions.of_kind("step"))[:, None] + np.arange(3)
+        first += 3 * len(functions.kind)
+        if not len(columns):
+            continue
+        member = functions.at_rest[:, functions.of_kind("step")].T > 0
+        member = np.concatenate([member, ~member.any(axis=0, keepdims=True)])  # the last one has no step of its own
+        own = np.arange(bias.start, bias.stop)
+        values, sigmas = [fit.state.theta[own]], [np.diag(covariance[np.ix_(own, own)])]
+        for step in reversed(columns):
+            both = covariance[np.ix_(np.r_[own, step], np.r_[own, step])]
+            values.insert(0, fit.state.theta[own] + fit.state.theta[step])
+            sigmas.insert(0, np.diag(both)[:3] + np.diag(both)[3:] + 2 * np.diag(both[:3, 3:]))
+        rests = [np.flatnonzero(one) for one in member]
+        found.append(
+            BiasSegments(
+                triad=triad,
+                start_s=np.array([t_s[still.start[one[0]]] for one in rests]),
+                stop_s=np.array([t_s[still.stop[one[-1]] - 1] for one in rests]),
+                bias=np.array(values) * scaling.spread + scaling.centre,
+                sigma=np.sqrt(np.maximum(sigmas, 0.0)) * scaling.spread,
+                published=len(rests) - 1,
+            )
+        )
+    return tuple(found)
 
 
 def _why_not_used(neighbours_used: bool) -> str:

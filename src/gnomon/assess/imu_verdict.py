@@ -12,6 +12,7 @@ from ..findings import Finding
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .bias_findings import bias_findings
+from .bias_steps import changes_in_model, drift_findings, step_findings
 from .imu_tables import ImuEvidence, interval_numbers
 from .touched_intervals import touched_findings
 from .trust_findings import model_incomplete, parts_disagree, trust_note
@@ -54,7 +55,8 @@ def assess(
         *touched_findings(evidence),
         *gravity_findings(gravity),
         *_model_findings(evidence, diagnostics),
-        *_drift_findings(evidence),
+        *drift_findings(evidence),
+        *step_findings(evidence, diagnostics),
         *bias_findings(evidence.instabilities, _unit_per_si(evidence.estimate)),
         *model_incomplete(evidence.trust),
         *parts_disagree(evidence.trust.splits),
@@ -62,7 +64,6 @@ def assess(
         *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
     ]
     ordered = worst_first(findings)
-    drifts = (("drift", evidence.fit.drift), ("accelerometer drift", evidence.fit.accelerometer_drift))
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,
@@ -75,7 +76,7 @@ def assess(
         held_by_prior=_held_names(evidence.fit.held_by_prior),
         trust=replace(
             trust_note(evidence.trust),
-            added=tuple(name for name, drift in drifts if drift.any()),
+            added=changes_in_model(evidence),
             tries=len(evidence.trust.models),
         ),
     )
@@ -347,31 +348,6 @@ def _model_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[
             f"{1e3 * basic.rotation_rms:.2f} mrad without.",
         )
     ]
-
-
-def _drift_findings(evidence: ImuEvidence) -> list[Finding]:
-    """Say how far the biases wandered, where they did."""
-    estimate, fit, problem = evidence.estimate, evidence.fit, evidence.problem
-    findings: list[Finding] = []
-    rates = np.abs(fit.drift * problem.gyroscope.spread / np.linalg.norm(estimate.gyroscope_sensitivity, axis=1))
-    forces = fit.accelerometer_drift * problem.accelerometer.spread
-    forces = np.abs(forces / np.linalg.norm(estimate.accelerometer_sensitivity, axis=1))
-    shown = (
-        ("gyroscope", rates.max(), f"{1e3 * rates.max():.2g} mrad/s ({np.degrees(rates.max()):.2g} deg/s)"),
-        ("accelerometer", forces.max(), f"{1e3 * forces.max():.2g} mm/s^2"),
-    )
-    for triad, size, words in shown:
-        if size > 0:
-            findings.append(
-                Finding(
-                    severity="info",
-                    code=f"{triad}-drift",
-                    message=f"The {triad}'s bias wandered by up to {words} during the recording.",
-                    consequence="The wandering is part of the model; the bias given is its mean over time.",
-                    cure="Let the sensor warm up before it is used or calibrated.",
-                )
-            )
-    return findings
 
 
 def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:

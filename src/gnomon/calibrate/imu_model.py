@@ -51,8 +51,11 @@ def choose_model(
     """Fit with g-sensitivity, and keep it where clusters of time that were left out prove it or somebody says so."""
     beforehand = knowledge(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
 
-    def fitted(*, g_sensitivity: bool) -> MultiPositionFit:
-        return fit_multiposition(problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk)
+    def fitted(*, g_sensitivity: bool, before: MultiPositionFit | None = None) -> MultiPositionFit:
+        changes = None if before is None else before.changes
+        return fit_multiposition(
+            problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk, changes=changes
+        )
 
     if known.fixed[_G].all() and not known.value[_G].any():
         fit = fitted(g_sensitivity=False)
@@ -69,7 +72,7 @@ def choose_model(
     }
     taken = "g-sensitivity" if next(step.used for step in steps if step.name == "g-sensitivity") else "basic"
     if taken == "basic":
-        fit = fitted(g_sensitivity=False)
+        fit = fitted(g_sensitivity=False, before=fit)
         rivals["basic"] = leave_one_out(fit)
     return ChosenModel(fit=fit, heldout=rivals[taken], rivals=rivals, steps=steps)
 
@@ -88,8 +91,8 @@ def _steps(
     jacobian = free_jacobian(fit, jacobian)
     sums = stretch_sums(fit)
     clusters = clustered(sums, memory(sums, jacobian, np.repeat(np.arange(5), [9, 3, 9, 3, 9])))[0][0]
-    nominal, drifts = _nominal(problem, units, gravity_m_s2), bool(fit.accelerometer_drift.any())
-    steps = imu_models(clusters, fit.state, nominal, g_sensitivity=stated, accelerometer_drifts=drifts)
+    nominal, functions = _nominal(problem, units, gravity_m_s2), (fit.data.of_gyroscope, fit.data.of_accelerometer)
+    steps = imu_models(clusters, fit.state, nominal, g_sensitivity=stated, functions=functions)
     return as_table(steps, jacobian, blocks_of_scalars(values), forced=stated is not None)
 
 

@@ -4,6 +4,7 @@ The bias is its mean plus hat functions of time, whose values at the knots follo
 how fast, is read from the residuals at rest.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from statistics import NormalDist
 
@@ -12,7 +13,7 @@ import numpy as np
 from ...geometry.so3 import inverse
 from ...intervals import Booleans
 from ...recording import Floats
-from .model import MultiPositionData
+from .model import BiasFunctions, MultiPositionData
 
 _MOST_KNOTS = 30
 _INTERVALS_PER_KNOT = 1.5
@@ -22,6 +23,8 @@ _FEWEST_FOR_DRIFT = 18
 _STEADY = 2.5  # sigmas of a straight line in time that is no chance
 _FARTHEST = 60  # intervals between two that are compared
 _LEAST_VARIANCE = 1e-14
+_NODES = 7  # of the quadrature over a static interval
+_DRIFT_SIGMA = 0.1  # of what gravity shows: the accelerometer's bias over the recording
 _ZERO_MEAN_WEIGHT = 1e6  # of the walk's own precision: the mean over time belongs to the bias
 
 
@@ -87,6 +90,18 @@ def with_trend(t_s: Floats, measured: Floats, residual: Floats, u: Floats, used:
     return np.where(steady, left + time[:, None] * found[-1], residual)
 
 
+def without_functions(data: MultiPositionData, residual: Floats) -> Floats:
+    """Return the gyroscope's residuals at rest (n, 3) without what its functions of time explain of them."""
+    weight = 1 / np.sqrt(data.gyroscope_variance)
+    design = np.column_stack([np.ones(len(residual)), data.drift[0]])
+    left = np.empty_like(residual)
+    for axis in range(3):
+        w = weight[:, axis]
+        found = np.linalg.lstsq(design * w[:, None], residual[:, axis] * w, rcond=1e-9)[0]
+        left[:, axis] = residual[:, axis] - design @ found
+    return left
+
+
 def accelerometer_drifts(t_s: Floats, measured: Floats, sensitivity: Floats, bias: Floats, used: Booleans) -> bool:
     """Return whether the accelerometer's bias drifts steadily, by the magnitude of gravity in its attitudes.
 
@@ -139,11 +154,18 @@ def _unit_time(t_s: Floats) -> Floats:
 def with_accelerometer_drift(data: MultiPositionData) -> MultiPositionData:
     """Return the data with a straight line in time, of mean zero over the recording, in the accelerometer's bias."""
     start, stop = data.span_s
-    return replace(data, accelerometer_drift=((data.interval_s - 0.5 * (start + stop)) / (stop - start))[:, None])
+    middle, length = 0.5 * (start + stop), stop - start
+    line = BiasFunctions(
+        at_rest=((data.interval_s - middle) / length)[:, None],
+        in_motion=((data.rotation_s - middle) / length)[:, None],
+        kind=("line",),
+        sigma=np.full((1, 3), _DRIFT_SIGMA),
+    )
+    return replace(data, accelerometer_functions=line.beside(data.of_accelerometer))
 
 
 def with_drift(data: MultiPositionData) -> MultiPositionData:
-    """Return the data with hat functions over the time of the recording."""
+    """Return the data with hat functions over the time of the recording in the gyroscope's bias."""
     count = int(np.clip(len(data.interval_s) // _INTERVALS_PER_KNOT, 3, _MOST_KNOTS))
     knots = np.linspace(*data.span_s, count)
     spacing = knots[1] - knots[0]
@@ -151,12 +173,27 @@ def with_drift(data: MultiPositionData) -> MultiPositionData:
     def hats(t_s: Floats) -> Floats:
         return np.clip(1 - np.abs(t_s[:, None] - knots) / spacing, 0.0, None)
 
-    return replace(data, drift_at_rest=hats(data.interval_s), drift_in_motion=hats(data.rotation_s))
+    walk = BiasFunctions(
+        at_rest=mean_at_rest(data, hats),
+        in_motion=hats(data.rotation_s),
+        kind=("walk",) * count,
+        sigma=np.full((count, 3), np.nan),
+    )
+    return replace(data, gyroscope_functions=walk.beside(data.of_gyroscope))
+
+
+def mean_at_rest(data: MultiPositionData, function: Callable[[Floats], Floats]) -> Floats:
+    """Return means of functions of time over the static intervals, (n, j), by Gauss and Legendre."""
+    if data.half_s is None:
+        return function(data.interval_s)
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    values = [0.5 * w * function(data.interval_s + x * data.half_s) for x, w in zip(nodes, weights, strict=True)]
+    return np.asarray(np.sum(values, axis=0), dtype=np.float64)
 
 
 def walk_precision(data: MultiPositionData, density: Floats) -> Floats:
     """Return the precision (3 j, 3 j) of the knots' values: a random walk with a mean of zero over time."""
-    count = data.drift[0].shape[1]
+    count = int(data.of_gyroscope.of_kind("walk").sum())
     spacing = (data.span_s[1] - data.span_s[0]) / (count - 1)
     difference = np.diff(np.eye(count), axis=0)
     mean = np.full(count, 1 / (count - 1))

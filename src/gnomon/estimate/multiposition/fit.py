@@ -15,7 +15,17 @@ from ...intervals import Booleans
 from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...solve.arrow import ArrowSolution, solve_arrow
-from .drift import accelerometer_drifts, walk_density, walk_precision, with_accelerometer_drift, with_drift, with_trend
+from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
+from .bias_segments import with_bias_segments, with_warm_up, without_rates
+from .drift import (
+    accelerometer_drifts,
+    walk_density,
+    walk_precision,
+    with_accelerometer_drift,
+    with_drift,
+    with_trend,
+    without_functions,
+)
 from .magnitude import fit_magnitude
 from .model import (
     B_,
@@ -43,7 +53,6 @@ _GATE_SIGMA = 5.0
 _REWEIGHTINGS = 8
 _SUSPICIOUS = 3.5  # times the median size; the largest of forty is 2.3 times as large
 _FEWEST_INTERVALS = 9
-_DRIFT_SIGMA = 0.1  # of what gravity shows: the accelerometer's bias over the recording
 _HELD = 0.3  # posterior sigma over prior sigma beyond which a parameter is the prior's
 
 
@@ -100,8 +109,9 @@ class MultiPositionFit:
     lines, whitening, arrow, free : the last linearisation, for leave-one-out
     from_prior : (30 + 3 j,) theta minus the mean of what was known beforehand
     extra : variances beyond the noise at rest
-    drift, accelerometer_drift : (n, 3) bias of gyroscope and accelerometer in each interval minus its mean, scaled
-        units; zero where none was found
+    drift, accelerometer_drift : (n, 3) bias of gyroscope and accelerometer in each interval minus the one of the
+        state, scaled units; zero where it was constant
+    changes : evidence for steps and a warm-up of the gyroscope's and of the accelerometer's bias
     iterations : Gauss-Newton steps
     converged : whether the last step was negligible
     interval_used, rotation_used : (n,), (n - 1,) bool, not gated as outliers
@@ -119,6 +129,7 @@ class MultiPositionFit:
     extra: ExtraVariance
     drift: Floats
     accelerometer_drift: Floats
+    changes: tuple[BiasChanges, BiasChanges]
     iterations: int
     converged: bool
     interval_used: Booleans
@@ -126,7 +137,12 @@ class MultiPositionFit:
 
 
 def fit_multiposition(
-    data: MultiPositionData, *, g_sensitivity: bool, known: Knowledge | None = None, walk: Floats | None = None
+    data: MultiPositionData,
+    *,
+    g_sensitivity: bool,
+    known: Knowledge | None = None,
+    walk: Floats | None = None,
+    changes: tuple[BiasChanges, BiasChanges] | None = None,
 ) -> MultiPositionFit:
     """Fit the multi-position model.
 
@@ -139,6 +155,7 @@ def fit_multiposition(
     g_sensitivity : whether the gyroscope's bias may depend on the specific force
     known : what is known beforehand
     walk : (3,) random walk of the gyroscope's bias, where it is known [unit^2/s]; otherwise the residuals tell
+    changes : steps and warm-up of the gyroscope's and the accelerometer's bias, where another fit has found them
 
     Raises
     ------
@@ -151,23 +168,27 @@ def fit_multiposition(
     task = _task(data, start, None, known, g_sensitivity=g_sensitivity)
     used = everything = (np.ones(len(start.u), dtype=bool), data.linked)
     whitening = _whitening(task, start, ExtraVariance(), used)
-    point = _gauss_newton(task, start, linearise(data, start), whitening, _ROUGH_STEP)
+    state = _with_zeros(start, task)
+    point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
     data = with_sampling_error(data, point.state)
     task = replace(task, data=data)
+    data, changes = _with_changes(data, point.state, changes)
     if walk is None:
         at_rest = point.lines.gyroscope
+        if data.drifting:
+            at_rest = without_functions(data, at_rest)
         if g_sensitivity:
             at_rest = with_trend(data.interval_s, data.gyroscope, at_rest, point.state.u, used[0])
         walk = walk_density(data.interval_s, at_rest, used[0])
     s, b, *_ = point.state.matrices
-    drifting = accelerometer_drifts(data.interval_s, data.accelerometer, s, b, used[0])
-    if drifting:
+    if not changes[1] and accelerometer_drifts(data.interval_s, data.accelerometer, s, b, used[0]):
         data = with_accelerometer_drift(data)
     if walk is not None:
         data = with_drift(data)
-    if walk is not None or drifting:
+    used = everything = (used[0], data.linked)
+    if data.drifting:
         task = _task(data, start, walk, known, g_sensitivity=g_sensitivity)
-        state = State(theta=np.append(point.state.theta, np.zeros(len(task.free) - PARAMETERS)), u=point.state.u)
+        state = _with_zeros(point.state, task)
         whitening = _whitening(task, state, ExtraVariance(), used)
         point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
     task = _knowing(task, point.state)
@@ -185,7 +206,39 @@ def fit_multiposition(
         used, extra = still_used, _settled_variance(task, second, still_used, extra)
     whitening = _whitening(task, second.state, extra, used)
     last = _gauss_newton(task, second.state, second.lines, whitening, _NEGLIGIBLE_STEP)
-    return _finished(task, last, extra, used, point.iterations + second.iterations + last.iterations)
+    iterations = point.iterations + second.iterations + last.iterations
+    return _finished(task, replace(last, iterations=iterations), extra, used, changes)
+
+
+def _with_zeros(state: State, task: Task) -> State:
+    """Return the state with zeros for the functions of time in the biases."""
+    zeros = np.zeros(len(task.free) - PARAMETERS)
+    return State(theta=np.append(state.theta[:PARAMETERS], zeros), u=state.u)
+
+
+def _with_changes(
+    data: MultiPositionData, state: State, changes: tuple[BiasChanges, BiasChanges] | None
+) -> tuple[MultiPositionData, tuple[BiasChanges, BiasChanges]]:
+    """Return the data with the steps and the warm-up of the biases for which the rests speak.
+
+    Where segments were given, the biases of other instants are not looked for.
+    """
+    if data.drifting or data.half_s is None:
+        return data, (BiasChanges(), BiasChanges())
+    n, t_s, half_s = len(data.interval_s), data.interval_s, data.half_s
+    floor = data.earth_rate_variance / np.sum(state.matrices[2] ** 2, axis=0)
+    of_gyroscope, of_accelerometer = changes or (
+        gyroscope_changes(t_s, half_s, data.gyroscope, data.gyroscope_variance + floor, state.u),
+        accelerometer_changes(t_s, half_s, data.accelerometer, data.accelerometer_variance),
+    )
+    data = with_bias_segments(
+        data,
+        gyroscope=of_gyroscope.segments(n) if of_gyroscope.steps else None,
+        accelerometer=of_accelerometer.segments(n) if of_accelerometer.steps else None,
+    )
+    data = without_rates(data, of_gyroscope.outlying)
+    data = with_warm_up(data, gyroscope_s=of_gyroscope.warm_up_s, accelerometer_s=of_accelerometer.warm_up_s)
+    return data, (of_gyroscope, of_accelerometer)
 
 
 def _task(
@@ -195,13 +248,12 @@ def _task(
     knots = data.drifting
     free = np.ones(PARAMETERS + 3 * knots, dtype=bool)
     free[G_] = g_sensitivity
-    precision = np.zeros((len(free), len(free)))
-    precision[:PARAMETERS, :PARAMETERS] = np.diag(1 / sigma**2)
+    functions = (data.of_gyroscope, data.of_accelerometer)
+    beforehand = np.concatenate([sigma, *(one.sigma.ravel() for one in functions)])
+    precision = np.diag(np.where(np.isnan(beforehand), 0.0, 1 / beforehand**2))
     if walk is not None:
-        tail = slice(PARAMETERS, PARAMETERS + 3 * data.drift[0].shape[1])
+        tail = slice(PARAMETERS, PARAMETERS + 3 * int(data.of_gyroscope.of_kind("walk").sum()))
         precision[tail, tail] = walk_precision(data, walk)
-    accelerometer = np.arange(len(free) - 3 * data.trend.shape[1], len(free))
-    precision[accelerometer, accelerometer] = 1 / _DRIFT_SIGMA**2
     task = Task(
         data=data,
         start=start,
@@ -229,7 +281,11 @@ def _knowing(task: Task, state: State) -> Task:
 
 
 def _finished(
-    task: Task, point: Point, extra: ExtraVariance, used: tuple[Booleans, Booleans], iterations: int
+    task: Task,
+    point: Point,
+    extra: ExtraVariance,
+    used: tuple[Booleans, Booleans],
+    changes: tuple[BiasChanges, BiasChanges],
 ) -> MultiPositionFit:
     hats, _ = task.data.drift
     covariance = np.zeros((len(task.free),) * 2)
@@ -248,7 +304,8 @@ def _finished(
         extra=extra,
         drift=hats @ point.state.knots[: hats.shape[1]],
         accelerometer_drift=task.data.trend @ point.state.knots[hats.shape[1] :],
-        iterations=iterations,
+        changes=changes,
+        iterations=point.iterations,
         converged=point.converged,
         interval_used=used[0],
         rotation_used=used[1],

@@ -9,8 +9,9 @@ depends on the specific force as in document B, chapter 3. In units of gravity f
     gyroscope in motion      omega = C_g (y - b_g - G f),  f = inv(S) (x - b)
     rotation k               u_{k+1} = R_k' u_k,  R_k integrated from omega
 
-A gyroscope's bias that wanders is b_g plus hat functions of time with a random walk for their prior; b_g is then its
-mean. An accelerometer's that drifts is b plus a straight line in time, which matters at rest alone.
+A bias that changes is b, or b_g, plus functions of time: hat functions with a random walk for their prior (b_g is then
+the mean), a straight line, an exponential as of a sensor that warms up, and steps between segments of the recording (b
+is then that of one segment). What an accelerometer's bias does matters at rest alone.
 """
 
 from dataclasses import dataclass
@@ -30,6 +31,42 @@ S_, B_, CG_, BG_, G_ = slice(0, 6), slice(6, 9), slice(9, 18), slice(18, 21), sl
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BiasFunctions:
+    """Functions of time that a bias follows beside its constant; each has three coefficients.
+
+    Attributes
+    ----------
+    at_rest : (n, j) their means over the static intervals
+    in_motion : (n - 1, j) their values in the rotations
+    kind : (j,) of each: "walk" (hat functions, which come first), "line", "warm-up", "step", or "single" (one interval)
+    sigma : (j, 3) standard deviation of the coefficients beforehand, scaled units; not used for a walk
+    """
+
+    at_rest: Floats
+    in_motion: Floats
+    kind: tuple[str, ...]
+    sigma: Floats
+
+    @classmethod
+    def none(cls, n: int) -> "BiasFunctions":
+        """Return no function, for n static intervals."""
+        return cls(at_rest=np.empty((n, 0)), in_motion=np.empty((max(n - 1, 0), 0)), kind=(), sigma=np.empty((0, 3)))
+
+    def beside(self, other: "BiasFunctions") -> "BiasFunctions":
+        """Return these functions and others behind them."""
+        return BiasFunctions(
+            at_rest=np.concatenate([self.at_rest, other.at_rest], axis=1),
+            in_motion=np.concatenate([self.in_motion, other.in_motion], axis=1),
+            kind=self.kind + other.kind,
+            sigma=np.concatenate([self.sigma, other.sigma]),
+        )
+
+    def of_kind(self, *kinds: str) -> np.ndarray:
+        """Return which functions are of some kinds, (j,)."""
+        return np.array([kind in kinds for kind in self.kind], dtype=bool)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MultiPositionData:
     """Means of n static intervals and samples of the n - 1 rotations between them, in scaled sensor units.
 
@@ -44,8 +81,8 @@ class MultiPositionData:
     span_s : start of the first and end of the last static interval [s]
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
     sampling_variance : variance of each rotation per axis by motion between samples, see sampling.py [rad^2]
-    drift_at_rest, drift_in_motion : (n, j), (n - 1, j) values of the drift's hat functions; j = 0 without drift
-    accelerometer_drift : (n, 1) time from -1/2 to 1/2 where the accelerometer drifts; (n, 0) where it does not
+    half_s : (n,) half of the length of each static interval [s], or None
+    gyroscope_functions, accelerometer_functions : what the biases follow in time; None where they are constant
     """
 
     accelerometer: Floats
@@ -60,22 +97,29 @@ class MultiPositionData:
     span_s: tuple[float, float]
     earth_rate_variance: float = 0.0
     sampling_variance: float = 0.0
-    drift_at_rest: Floats | None = None
-    drift_in_motion: Floats | None = None
-    accelerometer_drift: Floats | None = None
+    half_s: Floats | None = None
+    gyroscope_functions: BiasFunctions | None = None
+    accelerometer_functions: BiasFunctions | None = None
+
+    @property
+    def of_gyroscope(self) -> BiasFunctions:
+        """What the gyroscope's bias follows in time."""
+        return self.gyroscope_functions or BiasFunctions.none(len(self.accelerometer))
+
+    @property
+    def of_accelerometer(self) -> BiasFunctions:
+        """What the accelerometer's bias follows in time."""
+        return self.accelerometer_functions or BiasFunctions.none(len(self.accelerometer))
 
     @property
     def drift(self) -> tuple[Floats, Floats]:
-        """Values of the hat functions at rest and in motion, (n, j) and (n - 1, j)."""
-        if self.drift_at_rest is None or self.drift_in_motion is None:
-            n = len(self.accelerometer)
-            return np.empty((n, 0)), np.empty((n - 1, 0))
-        return self.drift_at_rest, self.drift_in_motion
+        """Values of the gyroscope's functions of time at rest and in motion, (n, j) and (n - 1, j)."""
+        return self.of_gyroscope.at_rest, self.of_gyroscope.in_motion
 
     @property
     def trend(self) -> Floats:
-        """Values of the accelerometer's drift function at rest, (n, q), q = 1 or 0."""
-        return np.empty((len(self.accelerometer), 0)) if self.accelerometer_drift is None else self.accelerometer_drift
+        """Values of the accelerometer's functions of time at rest, (n, q)."""
+        return self.of_accelerometer.at_rest
 
     @property
     def drifting(self) -> int:

@@ -110,6 +110,7 @@ def build_problem(
         / scale_g.spread**2,
         linked=np.array([not reason for reason in unlinked], dtype=bool),
         interval_s=0.5 * (accelerometer.t_s[still.start] + accelerometer.t_s[still.stop - 1]),
+        half_s=0.5 * (accelerometer.t_s[still.stop - 1] - accelerometer.t_s[still.start]),
         rotation_s=0.5 * (start_s + stop_s),
         span_s=(float(accelerometer.t_s[still.start[0]]), float(accelerometer.t_s[still.stop[-1] - 1])),
         earth_rate_variance=earth_rate_variance,

@@ -8,7 +8,7 @@ from ...recording import Floats
 from ...trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
 from ..trust.model_choice import Candidate, Step, model_steps
-from .model import B_, BG_, CG_, G_, PARAMETERS, S_, State
+from .model import B_, BG_, CG_, G_, PARAMETERS, S_, BiasFunctions, State
 
 _SCALES = np.array([S_.start, S_.start + 2, S_.start + 5, CG_.start, CG_.start + 4, CG_.start + 8])
 _ANGLES = np.setdiff1d(np.r_[S_, CG_], _SCALES)
@@ -16,7 +16,12 @@ _OFFSETS = np.r_[B_, BG_]
 
 
 def imu_models(
-    sums: ClusterSums, state: State, scales: Floats | None, *, g_sensitivity: bool | None, accelerometer_drifts: bool
+    sums: ClusterSums,
+    state: State,
+    scales: Floats | None,
+    *,
+    g_sensitivity: bool | None,
+    functions: tuple[BiasFunctions, BiasFunctions],
 ) -> tuple[Step, ...]:
     """Return what each step of the model brings, by predicting clusters of time that were left out.
 
@@ -30,7 +35,7 @@ def imu_models(
     scales : (6,) scaled parameters of a sensor with nominal scales, accelerometer first; None where a count means
         nothing without a calibration
     g_sensitivity : whether it is in the model; None where the recording decides
-    accelerometer_drifts : whether the last parameters are the accelerometer's drift
+    functions : of time that the gyroscope's and the accelerometer's bias follow, whose coefficients come last
     """
     theta = state.theta
     steps = [
@@ -42,10 +47,14 @@ def imu_models(
         always = np.sort(np.r_[_OFFSETS, _SCALES])
     else:
         steps.insert(0, Candidate(name="scale", columns=_SCALES, away=scales - theta[_SCALES], forced=True))
-    edge = len(theta) - 3 * accelerometer_drifts
-    for name, columns in (("drift", np.arange(PARAMETERS, edge)), ("accelerometer drift", np.arange(edge, len(theta)))):
-        if len(columns):
-            steps.append(Candidate(name=name, columns=columns, away=-theta[columns], forced=True))
+    first = PARAMETERS
+    for function, triad in zip(functions, ("", "accelerometer "), strict=True):
+        columns = np.arange(first, first + 3 * len(function.kind))
+        first += len(columns)
+        stepping = np.repeat(function.of_kind("step", "single"), 3)
+        for name, own in (("drift", columns[~stepping]), ("bias steps", columns[stepping])):
+            if len(own):
+                steps.append(Candidate(name=triad + name, columns=own, away=-theta[own], forced=True))
     return model_steps(sums, always, steps)
 
 

@@ -1,0 +1,312 @@
+"""Whether a bias stepped or warmed up while a recording lasted, and when, by the evidence of the rests.
+
+Each mean at rest is the constant model plus white noise, an unknown extra scatter, and an unknown random walk; the
+likelihood is that of the best of a grid of both. Steps between two rests, an exponential decay, and single rests that
+stand out are added one by one, the one that raises the likelihood most first, while the gain exceeds what one more set
+of parameters, and the number of places that were looked at, let expect (Schwarz 1978, with the choice of the place as
+in the two-part codes of Rissanen 1983). A bias that wanders is therefore not taken for many steps, and a step not for
+wander.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...errors import InitialisationError
+from ...geometry.so3 import inverse
+from ...recording import Floats, Integers
+from .magnitude import fit_magnitude
+
+_MARGIN = 5.0  # of log-likelihood beyond the length of the description: one false alarm in some hundred recordings
+_MOST = 8  # changes
+_EXTRA = (0.0, 1.0, 10.0, 100.0, 1e4)  # variance of the scatter, in units of the white noise
+_WALK = (0.0, 0.3, 3.0, 30.0, 300.0, 3e4)  # variance that a walk reaches over the recording, in the same unit
+_FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
+_DECAYS = (0.04, 0.08, 0.15, 0.3, 0.6)  # time constants over the length of the recording
+_LEAST_SCALE = 0.3  # of the white noise that is known: less is chance
+_FEWEST = 12  # rests
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BiasChanges:
+    """How the bias of one triad changed.
+
+    Attributes
+    ----------
+    steps : indices k of static intervals, ascending: the bias stepped between k - 1 and k
+    warm_up_s : time constant of an exponential decay [s]; 0 without
+    outlying : indices of static intervals that alone stand out
+    gain : log-likelihood of all changes together
+    """
+
+    steps: tuple[int, ...] = ()
+    warm_up_s: float = 0.0
+    outlying: tuple[int, ...] = ()
+    gain: float = 0.0
+
+    def __bool__(self) -> bool:
+        return bool(self.steps or self.warm_up_s)
+
+    def segments(self, n: int) -> Integers:
+        """Return the number of the segment of each of n static intervals, (n,)."""
+        return np.searchsorted(np.array(self.steps, dtype=np.int64), np.arange(n), side="right")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Series:
+    """Series of measurements with one design.
+
+    Attributes
+    ----------
+    y : (n, a)
+    design : (n, p) of what the constant model leaves open
+    variance : (n, a) white noise
+    pull : (n, d) of the bias' elements on each y
+    """
+
+    y: Floats
+    design: Floats
+    variance: Floats
+    pull: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Candidates:
+    """What may be added: functions of time (n, c), how many places they were chosen from, and what they are."""
+
+    values: Floats
+    places: Floats
+    kind: tuple[str, ...]
+    at: Floats
+    single: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
+
+
+def gyroscope_changes(t_s: Floats, half_s: Floats, means: Floats, variance: Floats, u: Floats) -> BiasChanges:
+    """Return how a gyroscope's bias changed.
+
+    Parameters
+    ----------
+    t_s, half_s : (n,) middle and half of the length of each static interval [s]
+    means, variance : (n, 3) of the gyroscope
+    u : (n, 3) directions of gravity, which the bias may depend on
+    """
+    n = len(t_s)
+    if n < _FEWEST:
+        return BiasChanges()
+    design = np.column_stack([np.ones(n), u]) if n > _FEWEST + 4 else np.ones((n, 1))
+    series = _Series(y=means, design=design, variance=variance, pull=np.ones((n, 1)))
+    return _search(t_s, half_s, lambda _: series, shortest=2)
+
+
+def accelerometer_changes(t_s: Floats, half_s: Floats, means: Floats, variance: Floats) -> BiasChanges:
+    """Return how an accelerometer's bias changed, by the magnitude of gravity alone.
+
+    Parameters
+    ----------
+    t_s, half_s : (n,) middle and half of the length of each static interval [s]
+    means, variance : (n, 3) of the accelerometer
+    """
+    n = len(t_s)
+    if n < _FEWEST + 6:
+        return BiasChanges()
+    try:
+        start = fit_magnitude(means, 1.0)
+    except InitialisationError:
+        return BiasChanges()
+    sensitivity = inverse(start.correction)
+
+    def magnitudes(moved: Floats) -> _Series:
+        """Return |f| - 1 about the bias (n, 3) of each rest as far as it is known."""
+        correction = inverse(sensitivity)
+        force = (means - start.bias - moved) @ correction.T
+        length = np.linalg.norm(force, axis=1)
+        u = force / length[:, None]
+        pull = u @ correction
+        rows = (pull[:, :, None] * u[:, None, :]).reshape(n, 9)[:, [0, 3, 4, 6, 7, 8]]
+        total = np.einsum("ni,ni->n", pull, moved)  # what was taken off goes to the columns of the steps again
+        return _Series(
+            y=(length - 1 + total)[:, None],
+            design=np.concatenate([rows, pull], axis=1),
+            variance=np.sum(pull**2 * variance, axis=1)[:, None],
+            pull=pull,
+        )
+
+    return _search(t_s, half_s, magnitudes, shortest=4)
+
+
+def _search(t_s: Floats, half_s: Floats, series: Callable[[Floats], _Series], shortest: int) -> BiasChanges:
+    """Take one change after the other.
+
+    Parameters
+    ----------
+    series : measurements about a bias (n, 3) that is known so far
+    shortest : static intervals in a segment
+    """
+    n = len(t_s)
+    candidates = _candidates(t_s, half_s, shortest)
+    taken: list[int] = []
+    total = 0.0
+    whitened = _whitened(t_s, series(np.zeros((n, 3))), candidates)
+    for _ in range(_MOST):
+        gains = _gains(whitened, candidates, taken) - _price(candidates, n, taken, shortest)
+        best = int(np.argmax(gains))
+        if gains[best] <= 0:
+            break
+        taken.append(best)
+        total += float(gains[best])
+        if whitened[0].pulls > 1:  # the magnitude is not linear in the bias
+            moved = _moved(series(np.zeros((n, 3))), candidates, taken)
+            whitened = _whitened(t_s, series(moved), candidates)
+    kinds = [candidates.kind[k] for k in taken]
+    at = [float(candidates.at[k]) for k in taken]
+    return BiasChanges(
+        steps=tuple(sorted(int(a) for kind, a in zip(kinds, at, strict=True) if kind == "step")),
+        warm_up_s=next((a for kind, a in zip(kinds, at, strict=True) if kind == "warm-up"), 0.0),
+        outlying=tuple(sorted(int(a) for kind, a in zip(kinds, at, strict=True) if kind == "single")),
+        gain=total,
+    )
+
+
+def _candidates(t_s: Floats, half_s: Floats, shortest: int) -> _Candidates:
+    n = len(t_s)
+    span = max(float(t_s[-1] - t_s[0]), 1e-9)
+    at = np.arange(shortest, n - shortest + 1)
+    steps = (np.arange(n)[:, None] < at).astype(np.float64)
+    tau = np.array(_DECAYS) * span
+    ratio = np.maximum(half_s[:, None] / tau, 1e-9)
+    decays = np.exp(-(t_s[:, None] - t_s[0]) / tau) * np.sinh(ratio) / ratio  # the mean over each rest
+    return _Candidates(
+        values=np.concatenate([steps, decays, np.eye(n)], axis=1),
+        places=np.concatenate([np.full(len(at), len(at)), np.full(len(tau), len(tau)), np.full(n, n)]).astype(float),
+        kind=("step",) * len(at) + ("warm-up",) * len(tau) + ("single",) * n,
+        at=np.concatenate([at, tau, np.arange(n)]).astype(float),
+        single=np.arange(len(at) + len(tau) + n) >= len(at) + len(tau),
+    )
+
+
+def _price(candidates: _Candidates, n: int, taken: Sequence[int], shortest: int) -> Floats:
+    """Return what the log-likelihood must gain; infinite where a candidate does not go with what was taken."""
+    price = np.log(candidates.places) + 1.5 * np.log(n) + _MARGIN
+    price[candidates.single] += _MARGIN
+    price[list(taken)] = np.inf
+    kinds = np.array(candidates.kind)
+    if sum(kinds[k] == "single" for k in taken) >= n // 10:
+        price[candidates.single] = np.inf
+    if any(kinds[k] == "warm-up" for k in taken):
+        price[kinds == "warm-up"] = np.inf
+    for k in taken:
+        if kinds[k] == "step":
+            price[(kinds == "step") & (np.abs(candidates.at - candidates.at[k]) < shortest)] = np.inf
+    return price
+
+
+def _blocks(series: _Series, candidates: _Candidates) -> Floats:
+    """Return the columns of all candidates, (n, c, d); one that stands out needs no more than one."""
+    blocks = candidates.values[:, :, None] * series.pull[:, None, :]
+    blocks[:, candidates.single, 1:] = 0.0
+    blocks[:, candidates.single, 0] = candidates.values[:, candidates.single]
+    return blocks
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Whitened:
+    """Series and candidates divided by the root of one kind of noise.
+
+    Attributes
+    ----------
+    y, design : (n, a), (n, p)
+    columns : (n, c d) of the candidates
+    pulls : d
+    typical : (a,) variance of white noise
+    logdet : of the noise over `typical`
+    """
+
+    y: Floats
+    design: Floats
+    columns: Floats
+    pulls: int
+    typical: Floats
+    logdet: float
+
+
+def _whitened(t_s: Floats, series: _Series, candidates: _Candidates) -> list[_Whitened]:
+    """Return the series by each kind of noise on the grid."""
+    n, d = series.pull.shape
+    typical = np.median(series.variance, axis=0)
+    white = np.mean(series.variance / typical, axis=1)
+    since = (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9)
+    walk = np.minimum(since[:, None], since) * (series.pull @ series.pull.T) / np.mean(series.pull**2) / d
+    blocks = _blocks(series, candidates).reshape(n, -1)
+    extra, walks = (_EXTRA, _WALK) if n <= _MANY else (_FEW_EXTRA, _FEW_WALK)
+    found: list[_Whitened] = []
+    for a in extra:
+        for b in walks:
+            factor = np.linalg.cholesky(np.diag(white + a) + b * walk)
+            root = np.linalg.inv(factor)
+            found.append(
+                _Whitened(
+                    y=root @ series.y,
+                    design=root @ series.design,
+                    columns=root @ blocks,
+                    pulls=d,
+                    typical=typical,
+                    logdet=2 * float(np.sum(np.log(np.diag(factor)))),
+                )
+            )
+    return found
+
+
+def _likelihood(squares: Floats, freedom: int, one: _Whitened) -> Floats:
+    """Return log-likelihoods by sums of squares (..., a), the scale the best one that is not below the known noise."""
+    relative = squares / one.typical
+    scale = np.maximum(relative / freedom, _LEAST_SCALE)
+    return np.asarray(-0.5 * (relative / scale + freedom * np.log(scale) + one.logdet), dtype=np.float64)
+
+
+def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequence[int]) -> Floats:
+    """Return by how much each candidate raises the log-likelihood, (c,)."""
+    n, axes = whitened[0].y.shape
+    d = whitened[0].pulls
+    base, raised = np.full(axes, -np.inf), np.full((len(candidates.kind), axes), -np.inf)
+    own = (d * np.array(taken, dtype=np.int64)[:, None] + np.arange(d)).ravel()
+    for one in whitened:
+        q = _orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1))
+        left = one.y - q @ (q.T @ one.y)
+        columns = one.columns - q @ (q.T @ one.columns)
+        size = np.sum(one.columns**2, axis=0).reshape(-1, d)
+        cross = (columns.T @ left).reshape(-1, d, axes)
+        columns = columns.reshape(n, -1, d)
+        gram = np.stack([[np.sum(columns[:, :, i] * columns[:, :, j], axis=0) for i in range(d)] for j in range(d)])
+        gram = np.moveaxis(gram, 2, 0).copy()
+        # What the design explains already, or nothing moves, is no candidate.
+        told = np.einsum("cdd->cd", gram) > 1e-6 * size
+        gram += np.where(told, 1e-9 * size + 1e-300, np.maximum(size, 1.0) * 1e12)[:, :, None] * np.eye(d)
+        explained = np.sum(cross * np.linalg.solve(gram, cross), axis=1)
+        squares, freedom = np.sum(left**2, axis=0), max(n - q.shape[1], 1)
+        base = np.maximum(base, _likelihood(squares, freedom, one))
+        raised = np.maximum(raised, _likelihood(np.maximum(squares - explained, 0.0), freedom, one))
+    return np.asarray(np.sum(raised - base, axis=1), dtype=np.float64)
+
+
+def _orthonormal(design: Floats) -> Floats:
+    """Return an orthonormal basis of what the columns span."""
+    size = np.linalg.norm(design, axis=0)
+    u, s, _ = np.linalg.svd(design[:, size > 0] / size[size > 0], full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * s.max(initial=0.0)], dtype=np.float64)
+
+
+def _moved(series: _Series, candidates: _Candidates, taken: Sequence[int]) -> Floats:
+    """Return the bias (n, 3) that steps and a warm-up add, by least squares."""
+    n, d = series.pull.shape
+    changes = [k for k in taken if candidates.kind[k] != "single"]
+    alone = [k for k in taken if candidates.kind[k] == "single"]
+    blocks = _blocks(series, candidates)[:, changes].reshape(n, -1)
+    root = 1 / np.sqrt(series.variance)
+    design = np.concatenate([series.design, blocks, candidates.values[:, alone]], axis=1) * root
+    size = np.linalg.norm(design, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    found = np.linalg.lstsq(design / size, (series.y * root)[:, 0], rcond=1e-9)[0] / size
+    first = series.design.shape[1]
+    steps = found[first : first + d * len(changes)].reshape(len(changes), d)
+    return np.asarray(candidates.values[:, changes] @ steps, dtype=np.float64)
