@@ -1,10 +1,11 @@
 """The map from a board to one image, through any lens that is nearly the same all around its axis.
 
-A pixel at the distance r from the axis sees along (x, y, g(r)), g a polynomial of r^2, which pinholes with
-distortion, fisheyes and mirrors follow; the board's points are seen along H (X, Y, 1). The first guess is linear: the
-angle around the axis tells two rows of H whatever the lens is, and these tell the third row and g. Then all of it, and
-where the axis is, is fitted to the pixels. One view does not tell lens from pose: the numbers mean nothing by
-themselves, but the map is smooth, and right between and around the points.
+A pixel (x, y) at the distance r from the axis at c sees along (x - c_x, y - c_y, g(r)), g a polynomial of r^2 with
+g(0) = 1, which pinholes with distortion, fisheyes and mirrors follow; the board's points are seen along
+(h_1 - c_x h_3, h_2 - c_y h_3, h_3), h = H (X, Y, 1), so that c does not matter where the lens does not bend. The first
+guess is linear: the angle around the axis tells two rows of H whatever the lens is, and these tell the third row and g;
+or the lens is taken from another image. Then all of it, and c, is fitted to the pixels. One view does not tell lens
+from pose: the numbers mean nothing by themselves, but the map is smooth, and right between and around the points.
 """
 
 from dataclasses import dataclass
@@ -12,14 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...recording import Floats
+from .tag_places import homography
 
-_TERMS, _MORE_TERMS, _MANY = 4, 5, 36  # of g, and of many points; more of them go astray beyond the points
-_ITERATIONS = 8
+_TERMS = ((36, 5), (20, 4), (0, 3))  # of g, for so many points; more of them go astray beyond the points
+_ITERATIONS = 12
 _SETTLED_PX = 0.002
 _NEWTON = 3
-_STEP = 1e-6
-_FIRST_DAMPING = 1e-4  # where an undamped step leads astray
+_FIRST_DAMPING = 1e-4  # far from the best map, where an undamped step leads astray
 _DAMPING, _AXIS = 1e-7, 1e-4  # of all parameters, and of the axis, which is near the middle of the image
+_LEAST_G = 0.05  # where the lens is a first guess
 _NEAR_AXIS = 0.05  # weights of equations do not grow further there
 
 
@@ -29,7 +31,7 @@ class PlaneMap:
 
     Attributes
     ----------
-    parameters : (m,) H row by row, the coefficients of g, and the axis, in the units below
+    parameters : (m,) H row by row, the coefficients of g from r^2 on, and the axis, in the units below
     origin, scale : (2,) and of the points on the board
     middle_px, scale_px : (2,) and of the pixels
     radius : (n,) of the points' pixels from the axis, in these units
@@ -47,17 +49,18 @@ class PlaneMap:
     def pixels(self, points: Floats, beside: int) -> Floats:
         """Return where points (n, k, 2) of the board are in the image, (n, k, 2) [px], k beside each one fitted to."""
         plane = (points.reshape(-1, 2) - self.origin) / self.scale
-        seen, _ = _projected(self.parameters[None], plane, np.repeat(self.radius, beside)[None])
+        seen = _seen(self.parameters, plane, _radius(self.parameters, plane, np.repeat(self.radius, beside)))
         return self.middle_px + self.scale_px * seen.reshape(points.shape)
 
     def away_px(self, points: Floats, pixels: Floats) -> Floats:
         """Return how far pixels (m, 2) are from where points (m, 2) are seen, (m,) [px]."""
         radius = np.hypot(*((pixels - self.middle_px) / self.scale_px - self.parameters[-2:]).T)
-        seen, _ = _projected(self.parameters[None], (points - self.origin) / self.scale, radius[None])
-        return np.linalg.norm(self.middle_px + self.scale_px * seen[0] - pixels, axis=1)
+        plane = (points - self.origin) / self.scale
+        seen = _seen(self.parameters, plane, _radius(self.parameters, plane, radius))
+        return np.linalg.norm(self.middle_px + self.scale_px * seen - pixels, axis=1)
 
 
-def plane_map(points: Floats, pixels: Floats, size: tuple[int, int]) -> PlaneMap:
+def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: PlaneMap | None = None) -> PlaneMap:
     """Return the map that goes best through points.
 
     Parameters
@@ -65,30 +68,32 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int]) -> PlaneMap
     points : (n, 2) on the board, 12 or more
     pixels : (n, 2) in the image [px]
     size : width and height of the image [px]
+    near : of another image of the same camera and size, whose lens is the first guess
     """
     origin, middle = points.mean(axis=0), (np.array(size) - 1) / 2
     scale, scale_px = float(np.abs(points - origin).max()), max(size) / 2
     plane, seen = (points - origin) / scale, (pixels - middle) / scale_px
-    parameters, radius = _first(plane, seen), np.hypot(*seen.T)
-    fitted, radius = _projected(parameters[None], plane, radius[None])
-    fitted, radius = fitted[0], radius[0]
-    damping = _DAMPING
+    if near is None:
+        parameters, damping = _first(plane, seen), _FIRST_DAMPING
+    else:
+        parameters, damping = _through_lens(near.parameters, plane, seen), _DAMPING
+    radius = _radius(parameters, plane, np.hypot(*(seen - parameters[-2:]).T))
+    fitted = _seen(parameters, plane, radius)
     for _ in range(_ITERATIONS):
-        trials = parameters + _STEP * np.eye(len(parameters))
-        by_trial, _ = _projected(trials, plane, np.broadcast_to(radius, (len(trials), len(radius))))
-        J = ((by_trial - fitted) / _STEP).reshape(len(trials), -1)
+        J = _jacobian(parameters, plane, radius)
         normal, slope = J @ J.T, J @ (seen - fitted).ravel()
         normal[-2:, -2:] += _AXIS * np.eye(2)
         slope[-2:] -= _AXIS * parameters[-2:]
         step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), slope)
-        moved, at = _projected((parameters + step)[None], plane, radius[None])
-        if np.square(seen - moved[0]).sum() < np.square(seen - fitted).sum():
-            small = np.abs(moved[0] - fitted).max() < _SETTLED_PX / scale_px
-            parameters, fitted, radius, damping = parameters + step, moved[0], at[0], max(damping / 10, _DAMPING)
-            if small:
-                break
+        at = _radius(parameters + step, plane, radius)
+        moved = _seen(parameters + step, plane, at)
+        settled = np.abs(moved - fitted).max() < _SETTLED_PX / scale_px
+        if np.square(seen - moved).sum() < np.square(seen - fitted).sum():
+            parameters, fitted, radius, damping = parameters + step, moved, at, max(damping / 10, _DAMPING)
         else:
-            damping = max(100 * damping, _FIRST_DAMPING)
+            damping = max(10 * damping, _FIRST_DAMPING)
+        if settled:
+            break
     return PlaneMap(
         parameters=parameters,
         origin=origin,
@@ -98,6 +103,15 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int]) -> PlaneMap
         radius=radius,
         residual_px=scale_px * (seen - fitted),
     )
+
+
+def _through_lens(known: Floats, plane: Floats, seen: Floats) -> Floats:
+    """Return parameters with the lens of others, and the H that maps points to where they are seen through it."""
+    axis = known[-2:]
+    g, _ = _polynomial(known[9:-2], np.square(seen - axis).sum(axis=1))
+    g = np.maximum(g, _LEAST_G)[:, None]
+    H = homography(plane, axis + (seen - axis) / g)
+    return np.concatenate([(H / np.linalg.norm(H) * np.sign(H[2, 2])).ravel(), known[9:]])
 
 
 def _first(plane: Floats, seen: Floats) -> Floats:
@@ -110,7 +124,7 @@ def _first(plane: Floats, seen: Floats) -> Floats:
     if outwards.sum() < 0:
         rows, outwards = -rows, -outwards
     squares = x * x + y * y
-    terms = _TERMS if len(plane) < _MANY else _MORE_TERMS
+    terms = next(terms for fewest, terms in _TERMS if len(plane) >= fewest)
     powers = np.stack([squares**k for k in range(terms)], axis=1)
     along = np.hstack([powers * outwards[:, None], -squares[:, None] * X]) / radius[:, None]
     size = np.linalg.norm(along, axis=0)
@@ -119,29 +133,77 @@ def _first(plane: Floats, seen: Floats) -> Floats:
         found = -found
     found /= np.linalg.norm(found[terms:])
     rows /= np.linalg.norm(rows)
-    # the third row and g may be of any common size
-    return np.concatenate([rows.ravel(), found[terms:], found[:terms], [0.0, 0.0]])
+    # of any common size are the third row and g, which is 1 on the axis
+    on_axis = found[0] if abs(found[0]) > _LEAST_G else _LEAST_G
+    return np.concatenate([rows.ravel(), found[terms:] / on_axis, found[1:terms] / on_axis, [0.0, 0.0]])
 
 
 def _null(equations: Floats) -> Floats:
     return np.linalg.svd(equations, full_matrices=False)[2][-1]
 
 
-def _projected(parameters: Floats, plane: Floats, radius: Floats) -> tuple[Floats, Floats]:
-    """Return where points (n, 2) are seen by maps (k, m), (k, n, 2), and how far from the axis, (k, n).
+def _rays(parameters: Floats, plane: Floats) -> tuple[Floats, Floats]:
+    """Return rays to points (n, 2), (3, n), and how far across the axis these reach, (n,)."""
+    H, axis = parameters[:9].reshape(3, 3), parameters[-2:, None]
+    rays = H[:, :2] @ plane.T + H[:, 2:]
+    rays[:2] -= axis * rays[2]
+    return rays, np.maximum(np.hypot(rays[0], rays[1]), 1e-12)
 
-    `radius` (k, n) is from where the latter is sought.
-    """
-    H, a, axis = parameters[:, :9].reshape(-1, 3, 3), parameters[:, 9:-2, None], parameters[:, None, -2:]
-    rays = np.einsum("kij,nj->kin", H, np.column_stack([plane, np.ones(len(plane))]))
-    across = np.maximum(np.hypot(rays[:, 0], rays[:, 1]), 1e-12)
-    r = radius
+
+def _polynomial(coefficients: Floats, s: Floats) -> tuple[Floats, Floats]:
+    """Return g, whose constant term is 1, and its derivative at squares of radii (n,)."""
+    g, slope = np.zeros_like(s), np.zeros_like(s)
+    for a in (*coefficients[::-1].tolist(), 1.0):
+        slope = slope * s + g
+        g = g * s + a
+    return g, slope
+
+
+def _radius(parameters: Floats, plane: Floats, radius: Floats) -> Floats:
+    """Return how far from the axis points (n, 2) are seen, g(r^2) across = r z, sought from `radius` (n,)."""
+    rays, across = _rays(parameters, plane)
     for _ in range(_NEWTON):
-        s = r * r
-        g, slope = np.zeros_like(r), np.zeros_like(r)
-        for k in range(a.shape[1] - 1, -1, -1):  # g and its derivative by s
-            slope = slope * s + g
-            g = g * s + a[:, k]
-        bottom = 2 * r * slope * across - rays[:, 2]
-        r = r - (g * across - r * rays[:, 2]) / np.where(np.abs(bottom) < 1e-9, 1e-9, bottom)
-    return axis + (r / across)[..., None] * np.moveaxis(rays[:, :2], 1, 2), r
+        g, slope = _polynomial(parameters[9:-2], radius * radius)
+        radius = radius - (g * across - radius * rays[2]) / _bottom(rays, across, radius, slope)
+    return radius
+
+
+def _bottom(rays: Floats, across: Floats, radius: Floats, slope: Floats) -> Floats:
+    """Return the derivative of g(r^2) across - r z by r, (n,)."""
+    bottom = 2 * radius * slope * across - rays[2]
+    return np.where(np.abs(bottom) < 1e-9, 1e-9, bottom)
+
+
+def _seen(parameters: Floats, plane: Floats, radius: Floats) -> Floats:
+    """Return where points (n, 2) are seen that are so far from the axis, (n, 2)."""
+    rays, across = _rays(parameters, plane)
+    return parameters[-2:] + ((radius / across) * rays[:2]).T
+
+
+def _jacobian(parameters: Floats, plane: Floats, radius: Floats) -> Floats:
+    """Return the derivatives of `_seen` by the parameters, (m, 2 n), those of r from g(r^2) across = r z."""
+    rays, across = _rays(parameters, plane)
+    coefficients = parameters[9:-2]
+    s = radius * radius
+    g, slope = _polynomial(coefficients, s)
+    bottom = _bottom(rays, across, radius, slope)
+    along = rays[:2] / across  # towards where the point is seen from the axis
+    outwards, aside = -g / bottom, radius / across
+    n = len(plane)
+    J = np.zeros((len(parameters), n, 2))
+    power = -across / bottom
+    for k in range(len(coefficients)):
+        power = power * s
+        J[9 + k] = (power * along).T
+    # by the ray: its first two entries move the pixel towards and around the axis, the third towards it
+    by_first_two = (outwards - aside) * along[:, None] * along  # (ray, pixel, n)
+    by_first_two[0, 0] += aside
+    by_first_two[1, 1] += aside
+    by_ray = np.concatenate([by_first_two, ((radius / bottom) * along)[None]])
+    J[-2:] = -np.moveaxis(by_ray[:2] * rays[2], 2, 1)
+    J[-2, :, 0] += 1
+    J[-1, :, 1] += 1
+    by_ray[2] -= np.tensordot(parameters[-2:], by_ray[:2], 1)
+    points = np.stack([plane[:, 0], plane[:, 1], np.ones(n)])
+    J[:9] = np.einsum("rpn,cn->rcnp", by_ray, points).reshape(9, n, 2)
+    return J.reshape(len(parameters), -1)
