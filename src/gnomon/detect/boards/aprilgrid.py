@@ -19,6 +19,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ..corners.corner_fit import CornerKind, fit_corners
 from ..corners.fitted_corners import CornerFits, joined
+from ..corners.straight import LensGuess
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .marked import (
     BORDER_PX,
@@ -71,7 +72,37 @@ def detect_aprilgrid(image: Grey, target: Target) -> BoardView:
     image : (h, w)
     target : the board, an aprilgrid
     """
-    image = np.ascontiguousarray(image)
+    return search_tags(np.ascontiguousarray(image), target).view()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TagSearch:
+    """What was found in an image.
+
+    Attributes
+    ----------
+    grid : the board; None where it was not found
+    tags : all that were read; None where there are none
+    """
+
+    grid: "TagGrid | None"
+    tags: Tags | None
+
+    @property
+    def strangers(self) -> int:
+        """Number of tags of the board that were read beside it."""
+        if self.tags is None:
+            return 0
+        return len(self.tags) if self.grid is None else int(np.count_nonzero(self.grid.is_beside(self.tags)))
+
+    def view(self, lens: LensGuess | None = None) -> BoardView:
+        """Return the corners, without those that are doubtful."""
+        dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 4 * self.strangers})
+        return nothing_seen(+dropped) if self.grid is None else self.grid.view(dropped, lens)
+
+
+def search_tags(image: Grey, target: Target) -> TagSearch:
+    """Look for the board in the whole image, (h, w) and contiguous."""
     best, tags = None, None
     for search, tags in _searched(image, target):
         found = _largest(image, target, tags)
@@ -79,10 +110,7 @@ def detect_aprilgrid(image: Grey, target: Target) -> BoardView:
             best = found
         if best is not None and best.is_whole(doubts=0.0 if search == "coarse" else _DOUBTS):
             break
-    if best is None or tags is None:
-        strangers = 4 * (len(tags) if tags is not None else 0)
-        return nothing_seen({NOT_WITH_NEIGHBOURS: strangers} if strangers else None)
-    return best.view(tags)
+    return TagSearch(grid=best, tags=tags)
 
 
 def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
@@ -106,12 +134,12 @@ def _read(image: Grey, quads: Floats, target: Target) -> Tags:
     return Tags(number=tags.number[kept] - target.first_tag, corners=tags.corners[kept], likeness=tags.likeness[kept])
 
 
-def _largest(image: Grey, target: Target, tags: Tags) -> "_Board | None":
+def _largest(image: Grey, target: Target, tags: Tags) -> "TagGrid | None":
     """Return the board that most tags make up; None where there are only single tags."""
     if not len(tags):
         return None
     for members in groups(target, tags.number, tags.corners, _MOST_STARTS):
-        board = _Board(image, target, tags.number[members], tags.corners[members])
+        board = TagGrid.grown(image, target, tags.number[members], tags.corners[members])
         if board.is_one:
             return board
     return None
@@ -153,19 +181,59 @@ class _Seen:
         return self.fits.good.reshape(-1, 4)
 
 
-class _Board:
-    """A board in an image, as it is found from some of its tags."""
+class TagGrid:
+    """A board in an image.
 
-    def __init__(self, image: Grey, target: Target, number: Integers, corners: Floats) -> None:
+    Parameters
+    ----------
+    image : (h, w), contiguous
+    target : the board
+    kind : of its corners
+    """
+
+    def __init__(self, image: Grey, target: Target, kind: CornerKind) -> None:
         self._image, self._target = image, target
-        self._kind: CornerKind = _kind(image, corners, target)
-        fits = self._fit(corners)
-        # a corner that could not be fitted is where the quadrilateral has it
-        pixels = np.where(fits.good[:, None], fits.pixels, corners.reshape(-1, 2))
-        self.seen = _Seen(number=number, fits=replace(fits, pixels=pixels))
+        self.kind: CornerKind = kind
+        self.seen = _Seen(number=np.empty(0, np.int64), fits=self._fit(np.empty((0, 4, 2))))
         self._expected = np.zeros(target.tags, dtype=bool)  # tags that should be inside the image as a whole
         self._parts: dict[int, tuple[float, CornerFits]] = {}  # tags that are not sure: likeness, and corners
-        self._grow()
+
+    @classmethod
+    def grown(cls, image: Grey, target: Target, number: Integers, corners: Floats) -> "TagGrid":
+        """Return the board that is found from some of its tags (k,), read at corners (k, 4, 2) [px]."""
+        grid = cls(image, target, _kind(image, corners, target))
+        fits = grid._fit(corners)
+        # a corner that could not be fitted is where the quadrilateral has it
+        pixels = np.where(fits.good[:, None], fits.pixels, corners.reshape(-1, 2))
+        grid.seen = _Seen(number=number, fits=replace(fits, pixels=pixels))
+        grid._grow()
+        return grid
+
+    @classmethod
+    def at(cls, image: Grey, target: Target, kind: CornerKind, places: Floats, contrast: float) -> "TagGrid":
+        """Return the board whose tags are near places (n, 4, 2) [px], with this contrast in the image before."""
+        grid = cls(image, target, kind)
+        within = inside(image, places, BORDER_PX)
+        number = np.flatnonzero(within.any(axis=1))
+        grid._expected = within.all(axis=1)
+        grid.seen = grid._confirmed(number, places[number], np.full(len(number), contrast)) or grid.seen
+        return grid
+
+    def places(self) -> Floats:
+        """Return where all tags of the board are, (n, 4, 2) [px], also those that were not found."""
+        seen, every = self.seen, np.arange(self._target.tags)
+        places = np.empty((len(every), 4, 2))
+        places[seen.number] = seen.corners
+        others = np.flatnonzero(~_within(seen.number, len(every)))
+        if len(others):
+            places[others] = self._charted(others)
+        return places
+
+    def _charted(self, number: Integers) -> Floats:
+        """Return where tags are by the corners around them, (k, 4, 2) [px]."""
+        seen, points = self.seen, self._target.points[:, :2]
+        found = points[self._points(seen.number)[seen.fits.good]]
+        return charted(found, seen.fits.pixels[seen.fits.good], points[self._points(number)]).reshape(-1, 4, 2)
 
     @property
     def is_one(self) -> bool:
@@ -176,8 +244,7 @@ class _Board:
     def is_whole(self, doubts: float) -> bool:
         """Return whether there are enough tags, and hardly others where some should be, `doubts` over those found."""
         found = len(self.seen.number)
-        missed = np.count_nonzero(self._expected) - np.count_nonzero(self._expected[self.seen.number])
-        return found >= min(_ENOUGH, self._target.tags) and bool(missed <= doubts * found)
+        return found >= min(_ENOUGH, self._target.tags) and bool(self.missing.sum() <= doubts * found)
 
     def _fit(self, corners: Floats, chosen: Booleans | None = None) -> CornerFits:
         """Return the fits (4 k,) of the corners of tags (k, 4, 2), or of some of these (k, 4)."""
@@ -191,7 +258,7 @@ class _Board:
         sine = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
         shortest = length.min(axis=1)
         free = WINDOW * min(_border(self._target), self._target.tag_spacing)
-        return fit_corners(self._image, guess, edges, free * shortest * sine, self._kind, arm=_ARM * shortest)
+        return fit_corners(self._image, guess, edges, free * shortest * sine, self.kind, arm=_ARM * shortest)
 
     def _grow(self) -> None:
         """Look for more tags next to those that were found, until there are none."""
@@ -214,10 +281,7 @@ class _Board:
             return None
         asked[missing[chosen]] = tellers[chosen]
         if len(seen.number) >= _FEWEST_FOR_CHART:
-            points = self._target.points[:, :2]
-            found = points[self._points(seen.number)[seen.fits.good]]
-            expected = charted(found, seen.fits.pixels[seen.fits.good], points[self._points(missing[chosen])])
-            expected = expected.reshape(-1, 4, 2)
+            expected = self._charted(missing[chosen])
         else:
             places = predictions(self._target, seen.number, seen.corners, missing[chosen], TAG)
             expected = np.einsum("kn,knij->nij", near[:, chosen] / tellers[chosen], places)
@@ -249,19 +313,29 @@ class _Board:
             return None
         return _Seen(number=number[there], fits=kept.only(np.repeat(there, 4)))
 
-    def view(self, tags: Tags) -> BoardView:
+    @property
+    def missing(self) -> Booleans:
+        """Which tags (n,) should be inside the image as a whole and were not found."""
+        missing = self._expected.copy()
+        missing[self.seen.number] = False
+        return missing
+
+    def is_beside(self, tags: Tags) -> Booleans:
+        """Return which of the tags that were read are not where the board has them, (k,)."""
+        at = np.full((self._target.tags, 4, 2), np.inf)
+        at[self.seen.number] = self.seen.corners
+        away = np.linalg.norm(at[tags.number] - tags.corners, axis=2).min(axis=1)
+        return away > shortest_side(tags.corners) / 2
+
+    def view(self, dropped: Counter[str], lens: LensGuess | None = None) -> BoardView:
         """Return the corners, without those that are doubtful.
 
         Parameters
         ----------
-        tags : all that were read
+        dropped : reason -> number of corners that were left out; what is left out here is added
+        lens : from the image before
         """
-        seen, dropped = self.seen, Counter[str]()
-        at = np.full((self._target.tags, 4, 2), np.inf)
-        at[seen.number] = seen.corners
-        away = np.linalg.norm(at[tags.number] - tags.corners, axis=2).min(axis=1)
-        strange = away > shortest_side(tags.corners) / 2
-        dropped[NOT_WITH_NEIGHBOURS] += 4 * int(np.count_nonzero(strange))
+        seen = self.seen
         near_border = (
             seen.fits.good
             & ~inside(self._image, seen.fits.pixels, BORDER_PX)
@@ -282,7 +356,7 @@ class _Board:
             kept = added(board[point], fits.pixels, fits.sigma_px, len(single), most)
             dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
             point, fits = point[kept], fits.only(kept)
-        return self._as_view(point, fits, dropped)
+        return self._as_view(point, fits, dropped, lens)
 
     def _alike(self, fits: CornerFits, others: CornerFits) -> Booleans:
         """Return which corners look like a corner as much as the others do, and are told as well."""
@@ -333,9 +407,10 @@ class _Board:
         bright = found.white - found.black > CONTRAST * middle_of(fits.white - fits.black)
         return corners[missing.ravel()], replace(found, good=found.good & near & bright)
 
-    def _as_view(self, point: Integers, fits: CornerFits, dropped: Counter[str]) -> BoardView:
+    def _as_view(self, point: Integers, fits: CornerFits, dropped: Counter[str], lens: LensGuess | None) -> BoardView:
         kept = inside(self._image, fits.pixels, BORDER_PX)
-        return view_of(self._image, point[kept], self._target.points[point[kept], :2], fits.only(kept), dropped)
+        places = self._target.points[point[kept], :2]
+        return view_of(self._image, point[kept], places, fits.only(kept), dropped, lens=lens)
 
 
 def _within(numbers: Integers, count: int) -> Booleans:

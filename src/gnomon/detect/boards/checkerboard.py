@@ -20,7 +20,7 @@ from ...images import Grey
 from ...models.target import Target
 from ...recording import Floats
 from ..corners.corner_fit import fit_corners
-from ..corners.straight import corrected
+from ..corners.straight import LensGuess, corrected
 from .board import BoardView, nothing_seen
 from .checkerboard_grid import Board, board_at, boards_in, completed, middle, steps
 from .lattice import Lattice, find_lattices
@@ -136,13 +136,14 @@ def _square_heights(grid: Floats) -> Floats:
     return area / np.maximum(longest, 1e-9)
 
 
-def measured(image: Grey, board: Board) -> BoardView:
+def measured(image: Grey, board: Board, lens: LensGuess | None = None) -> BoardView:
     """Measure the corners to sub-pixel accuracy, and leave out those that cannot be trusted.
 
     Parameters
     ----------
     image : (h, w)
     board : its corners to a pixel
+    lens : from the image before
     """
     grid = board.grid
     along_rows, along_cols = steps(grid)
@@ -170,7 +171,7 @@ def measured(image: Grey, board: Board) -> BoardView:
         return nothing_seen(+dropped)
     return BoardView(
         point=numbers[good],
-        pixels=corrected(np.stack([cols, rows], axis=1)[good], chosen, image.shape[::-1]),
+        pixels=corrected(np.stack([cols, rows], axis=1)[good], chosen, image.shape[::-1], lens),
         sigma_px=chosen.sigma_px,
         blur_px=middle(chosen.blur_px),
         black=middle(chosen.black),
@@ -194,6 +195,7 @@ class CheckerboardTracker:
         self._target = target
         self._small: Grey | None = None
         self._board: Board | None = None
+        self._lens = LensGuess()
         self._move: Floats | float = 0.0
         self._since_search = 0
 
@@ -206,7 +208,7 @@ class CheckerboardTracker:
             board = self._searched(image, board)
         self._move = 0.0 if board is None or before is None else board.grid - before.grid
         self._small, self._board = small, board
-        return nothing_seen() if board is None else measured(image, board)
+        return nothing_seen() if board is None else measured(image, board, self._lens)
 
     def _searched(self, image: Grey, followed: Board | None) -> Board | None:
         """Return the board as a search finds it, numbered as the one that was followed where both agree."""

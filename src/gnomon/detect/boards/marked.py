@@ -8,7 +8,7 @@ import numpy as np
 from ...images import Grey
 from ...recording import Floats, Integers
 from ..corners.fitted_corners import CornerFits
-from ..corners.straight import corrected
+from ..corners.straight import LensGuess, corrected
 from .board import BoardView, nothing_seen
 from .quads import LARGE_IMAGE_PX, Search, black_quads
 from .tag_places import Booleans
@@ -65,7 +65,15 @@ def as_good_as(fits: CornerFits, misfit: float, sigma_px: float) -> Booleans:
     return (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma_px)
 
 
-def view_of(image: Grey, point: Integers, places: Floats, fits: CornerFits, dropped: Counter[str]) -> BoardView:
+def view_of(
+    image: Grey,
+    point: Integers,
+    places: Floats,
+    fits: CornerFits,
+    dropped: Counter[str],
+    *,
+    lens: LensGuess | None = None,
+) -> BoardView:
     """Return what is seen of a board.
 
     Parameters
@@ -75,6 +83,7 @@ def view_of(image: Grey, point: Integers, places: Floats, fits: CornerFits, drop
     places : (m, 2) of them on the board
     fits : of them
     dropped : reason -> number of corners that were left out
+    lens : from the image before
     """
     order = np.argsort(point)
     if not len(order):
@@ -82,7 +91,7 @@ def view_of(image: Grey, point: Integers, places: Floats, fits: CornerFits, drop
     fits = fits.only(order)
     return BoardView(
         point=point[order],
-        pixels=corrected(places[order], fits, image.shape[::-1]),
+        pixels=corrected(places[order], fits, image.shape[::-1], lens),
         sigma_px=fits.sigma_px,
         blur_px=middle_of(fits.blur_px),
         black=middle_of(fits.black),

@@ -18,6 +18,7 @@ from .tag_places import homography
 _TERMS = ((36, 5), (20, 4), (0, 3))  # of g, for so many points; more of them go astray beyond the points
 _ITERATIONS = 12
 _SETTLED_PX = 0.002
+_AS_GOOD = 2.0  # mean square of residuals over that of the image whose lens is taken
 _NEWTON = 3
 _FIRST_DAMPING = 1e-4  # far from the best map, where an undamped step leads astray
 _DAMPING, _AXIS = 1e-7, 1e-4  # of all parameters, and of the axis, which is near the middle of the image
@@ -46,6 +47,15 @@ class PlaneMap:
     radius: Floats
     residual_px: Floats
 
+    @property
+    def mean_square_px(self) -> float:
+        """Mean square of the residuals [px^2]."""
+        return float(np.square(self.residual_px).mean())
+
+    def has_lens_of(self, other: "PlaneMap") -> bool:
+        """Return whether both have the same lens."""
+        return np.array_equal(self.parameters[9:], other.parameters[9:])
+
     def pixels(self, points: Floats, beside: int) -> Floats:
         """Return where points (n, k, 2) of the board are in the image, (n, k, 2) [px], k beside each one fitted to."""
         plane = (points.reshape(-1, 2) - self.origin) / self.scale
@@ -68,7 +78,7 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: Plane
     points : (n, 2) on the board, 12 or more
     pixels : (n, 2) in the image [px]
     size : width and height of the image [px]
-    near : of another image of the same camera and size, whose lens is the first guess
+    near : of another image of the same camera and size, whose lens is taken, or else the first guess
     """
     origin, middle = points.mean(axis=0), (np.array(size) - 1) / 2
     scale, scale_px = float(np.abs(points - origin).max()), max(size) / 2
@@ -79,7 +89,8 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: Plane
         parameters, damping = _through_lens(near.parameters, plane, seen), _DAMPING
     radius = _radius(parameters, plane, np.hypot(*(seen - parameters[-2:]).T))
     fitted = _seen(parameters, plane, radius)
-    for _ in range(_ITERATIONS):
+    good_enough = near is not None and np.square(scale_px * (seen - fitted)).mean() < _AS_GOOD * near.mean_square_px
+    for _ in range(0 if good_enough else _ITERATIONS):
         J = _jacobian(parameters, plane, radius)
         normal, slope = J @ J.T, J @ (seen - fitted).ravel()
         normal[-2:, -2:] += _AXIS * np.eye(2)

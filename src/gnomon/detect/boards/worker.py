@@ -82,9 +82,9 @@ def detector(target: Target) -> Detector:
     target : the board
     """
     if target.kind == "aprilgrid":
-        from .aprilgrid import detect_aprilgrid
+        from .aprilgrid_tracker import AprilGridTracker
 
-        return lambda image: detect_aprilgrid(image, target)
+        return AprilGridTracker(target).detect
     if target.kind == "charuco":
         from .charuco import detect_charuco
 

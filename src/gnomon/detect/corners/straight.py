@@ -11,7 +11,7 @@ its slope is that of a paraboloid through the grey levels of all corners.
 import numpy as np
 
 from ...recording import Floats
-from ..boards.plane_map import plane_map
+from ..boards.plane_map import PlaneMap, plane_map
 from .fitted_corners import CornerFits
 
 _FEWEST = 16  # corners that tell how the lens bends the board
@@ -20,7 +20,24 @@ _ASTRAY_PX = 1.0  # a map that is so far from half of the corners tells nothing
 _MOST_PX = 0.1  # that a corner is moved
 
 
-def corrected(points: Floats, fits: CornerFits, size: tuple[int, int]) -> Floats:
+class LensGuess:
+    """What an image told of the lens: a first guess for the next image of the same camera."""
+
+    def __init__(self) -> None:
+        self._last: PlaneMap | None = None
+
+    def plane_map(self, points: Floats, pixels: Floats, size: tuple[int, int]) -> PlaneMap | None:
+        """Return the map through points as `plane_map` does; None where it goes astray."""
+        for near in dict.fromkeys((self._last, None)):
+            found = plane_map(points, pixels, size, near)
+            if np.median(np.abs(found.residual_px)) < _ASTRAY_PX:
+                if near is None or not found.has_lens_of(near):
+                    self._last = found
+                return found
+        return None
+
+
+def corrected(points: Floats, fits: CornerFits, size: tuple[int, int], lens: LensGuess | None = None) -> Floats:
     """Return where the corners are, (m, 2) [px], without what bent edges and uneven light did to their fits.
 
     Parameters
@@ -28,12 +45,13 @@ def corrected(points: Floats, fits: CornerFits, size: tuple[int, int]) -> Floats
     points : (m, 2) on the board, whose edges are along both axes
     fits : of the corners, all of them good
     size : width and height of the image [px]
+    lens : from the image before
     """
     spans = np.ptp(points, axis=0) if len(points) else np.zeros(2)
     if len(points) < _FEWEST or spans.min() <= 0:
         return fits.pixels
-    seen = plane_map(points, fits.pixels, size)
-    if not np.median(np.abs(seen.residual_px)) < _ASTRAY_PX:
+    seen = (lens or LensGuess()).plane_map(points, fits.pixels, size)
+    if seen is None:
         return fits.pixels
     step = _STEP * float(spans.max())
     offsets = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])

@@ -1,0 +1,146 @@
+"""A grid of AprilTags in the images of one camera, one after the other.
+
+optical flow carries the tags of the image before -> fit their corners -> keep those with their code
+
+Where that finds less than a search of the image might, the image is searched. Corners are measured afresh in every
+image, by the same fit as after a search.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...images import Grey
+from ...models.target import Target
+from ...recording import Floats
+from ..corners.corner_fit import CornerKind
+from ..corners.straight import LensGuess
+from .aprilgrid import TagGrid, TagSearch, search_tags
+from .board import BoardView
+from .checkerboard import reduced, search_scale
+from .marked import middle_of
+from .tag_places import Booleans, homography, through
+
+_FLOW_WINDOW, _FLOW_LEVELS, _FLOW_STEPS, _FLOW_STEP_PX = 13, 2, 10, 0.05
+_SHIFT_SCALE = 2  # of the reduced image
+_FEWEST_TAGS = 6  # that are followed; fewer tell little of where the others are
+_CARRIED = 0.7  # share of the corners that the flow must carry
+_ASTRAY_PX, _ASTRAY = 1.0, 4.0  # from where the others say: px, typical distances
+_AS_MANY = 0.95  # of the share of corners that could be fitted in the image before
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Before:
+    """What is known from the image before.
+
+    Attributes
+    ----------
+    small : the image, reduced
+    places : (n, 4, 2) of all tags of the board [px]
+    seen : (n,) which of them were found
+    missing : (n,) which of them even a search does not find though they should be inside the image
+    good : share of the corners that could be fitted
+    kind, contrast : of the corners
+    """
+
+    small: Grey
+    places: Floats
+    seen: Booleans
+    missing: Booleans
+    good: float
+    kind: CornerKind
+    contrast: float
+
+
+class AprilGridTracker:
+    """Finds a grid of AprilTags in the images of one camera, in the order in which they were taken.
+
+    Parameters
+    ----------
+    target : the board, an aprilgrid
+    """
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+        self._lens = LensGuess()
+        self._before: _Before | None = None
+
+    def detect(self, image: Grey) -> BoardView:
+        """Return the corners in the next image, (h, w) grey levels."""
+        image = np.ascontiguousarray(image)
+        small = reduced(image, search_scale(image))
+        grid = self._followed(image, small)
+        if grid is not None and self._before is not None:
+            self._before = self._known(grid, small, self._before.missing)
+            return TagSearch(grid=grid, tags=None).view(self._lens)
+        found = search_tags(image, self._target)
+        doubtful = found.grid is None or found.strangers or len(found.grid.seen.number) < _FEWEST_TAGS
+        self._before = None if doubtful or found.grid is None else self._known(found.grid, small, found.grid.missing)
+        return found.view(self._lens)
+
+    def _known(self, grid: TagGrid, small: Grey, missing: Booleans) -> _Before:
+        fits, places = grid.seen.fits, grid.places()
+        seen = np.zeros(self._target.tags, dtype=bool)
+        seen[grid.seen.number] = True
+        return _Before(
+            small=small,
+            places=places,
+            seen=seen,
+            missing=missing,
+            good=float(fits.good.mean()),
+            kind=grid.kind,
+            contrast=middle_of(fits.white - fits.black),
+        )
+
+    def _followed(self, image: Grey, small: Grey) -> TagGrid | None:
+        """Return the board of the image before where it is now; None where a search might find more."""
+        before = self._before
+        if before is None or before.small.shape != small.shape:
+            return None
+        places = _carried(before, small, search_scale(image))
+        if places is None:
+            return None
+        grid = TagGrid.at(image, self._target, before.kind, places, before.contrast)
+        lost = (grid.missing & ~before.missing).any()
+        if lost or len(grid.seen.number) < _FEWEST_TAGS or grid.seen.fits.good.mean() < _AS_MANY * before.good:
+            return None
+        return grid
+
+
+def _shift(before: Grey, now: Grey) -> NDArray[np.float32]:
+    """Return how far most of the picture moved, (2,) [px]: neighbouring tags look too much alike for the flow alone."""
+    first, second = (reduced(image, _SHIFT_SCALE).astype(np.float32) for image in (before, now))
+    height, width = first.shape
+    shift, _ = cv2.phaseCorrelate(first, second, cv2.createHanningWindow((width, height), cv2.CV_32F))
+    return _SHIFT_SCALE * np.array(shift, np.float32)
+
+
+def _carried(before: _Before, small: Grey, scale: int) -> Floats | None:
+    """Return where the tags are by the optical flow, (n, 4, 2) [px]; None where it is lost."""
+    corners = before.places[before.seen].reshape(-1, 2)
+    start = ((corners - (scale - 1) / 2) / scale).reshape(-1, 1, 2).astype(np.float32)
+    guess = start + _shift(before.small, small)
+    moved, status, _ = cv2.calcOpticalFlowPyrLK(
+        before.small,
+        small,
+        start,
+        guess,
+        winSize=(_FLOW_WINDOW, _FLOW_WINDOW),
+        maxLevel=_FLOW_LEVELS,
+        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, _FLOW_STEPS, _FLOW_STEP_PX),
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )
+    now = moved.reshape(-1, 2).astype(np.float64) * scale + (scale - 1) / 2
+    known = status.ravel() == 1
+    if known.sum() < _CARRIED * len(known):
+        return None
+    away = np.linalg.norm(through(homography(corners[known], now[known])[None], corners)[0] - now, axis=1)
+    known &= away < _ASTRAY_PX + _ASTRAY * middle_of(away[known])
+    if known.sum() < _CARRIED * len(known):
+        return None
+    H = homography(corners[known], now[known])  # without what went astray
+    places = through(H[None], before.places.reshape(-1, 2))[0].reshape(before.places.shape)
+    places[before.seen] = np.where(known[:, None], now, places[before.seen].reshape(-1, 2)).reshape(-1, 4, 2)
+    return places
