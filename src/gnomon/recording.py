@@ -332,6 +332,14 @@ class Source:
     sha256: str
 
 
+_SETTINGS = (".yaml", ".yml")
+
+
+def recorded_hashes(sources: Collection[Source]) -> frozenset[str]:
+    """Return the hashes of the files that hold what was measured; settings are the same in many recordings."""
+    return frozenset(source.sha256 for source in sources if not source.name.lower().endswith(_SETTINGS))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
     """What was measured in one go.

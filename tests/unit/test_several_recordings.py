@@ -11,7 +11,7 @@ from gnomon.errors import OptionError, RecordingError
 from gnomon.estimate.trust.between_recordings import Block, join_estimates
 from gnomon.readers.own.calibration_file import load
 from gnomon.readers.several_recordings import read_several
-from gnomon.recording import ImuSamples, Recording, TriadSamples
+from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.report import write_report
 from gnomon.requirements import BETWEEN_RECORDINGS, USES
 from gnomon.writers import save
@@ -187,3 +187,25 @@ def test_files_are_told_apart_by_content(recordings, tmp_path):
         np.savetxt(poses[-1], table, delimiter=",", header="t,ax,ay,az,gx,gy,gz", comments="", fmt="%.7f")
     (of_poses,) = read_several(*poses)
     assert len(of_poses.pieces) == 4
+
+
+def test_a_comparison_of_different_recordings_counts_what_the_sensor_changes(recordings):
+    def of(recording, *hashes):
+        sources = tuple(Source(name=f"{h}.csv", sha256=h * 64) for h in hashes)
+        settings = Source(name="imu.yaml", sha256="0" * 64)  # the same of all: no recording
+        return gnomon.calibrate_imu(replace(recording, sources=(*sources, settings)), OPTIONS).calibration
+
+    first, again, other = of(recordings[0], "a"), of(recordings[0], "a"), of(recordings[1], "b")
+    apart, same = gnomon.compare(first, other), gnomon.compare(first, again)
+    assert [one.one_occasion for one in apart.calibrations] == [True, True]
+    assert not any(one.one_occasion for one in same.calibrations)
+    for path, usual in (("accelerometer.scale", "accelerometer_scale"), ("gyroscope.bias", "gyroscope_bias")):
+        (wide,) = [item for item in apart.differences if item.path == f"imu0.{path}"]
+        (narrow,) = [item for item in same.differences if item.path == f"imu0.{path}"]
+        floor = np.sqrt(2) * BETWEEN_RECORDINGS[usual]
+        assert (wide.sigmas > 0.99 * floor).all()
+        assert (narrow.sigmas < 0.9 * floor).all()
+    codes = [finding.code for finding in apart.findings]
+    assert "different-recordings" in codes
+    assert "same-recording" not in codes
+    assert "same-recording" in [finding.code for finding in same.findings]

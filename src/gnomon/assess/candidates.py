@@ -49,6 +49,7 @@ class Candidate:
     gravity : what it took for gravity; None where that is not known
     inputs : files of the recording that it was made from, with their hashes; empty where that is not known
     verdict : of gnomon's own calibrations, else ""
+    recordings : from how many recordings, where the scatter between them is part of its covariance; 0 of a single one
     notes : sentences on what was taken for what the files do not say
     """
 
@@ -63,6 +64,7 @@ class Candidate:
     gravity: Gravity | None = None
     inputs: tuple[Source, ...] = ()
     verdict: str = ""
+    recordings: int = 0
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -86,6 +88,7 @@ class Candidate:
                 gravity=found.gravity if own and found.imus else None,
                 inputs=found.provenance.inputs,
                 verdict=found.verdict if own else "",
+                recordings=found.assessment.trust.recordings,
             )
         kalibrs = found.format.startswith("Kalibr") and any(imu.accelerometer for imu in found.imus.values())
         return cls(

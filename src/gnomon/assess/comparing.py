@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import FormatError, OptionError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from ..recording import Floats, Integers, frozen_array
+from ..recording import Floats, Integers, frozen_array, recorded_hashes
 from .candidates import FRAME, Candidate, in_common_frame
 from .comparison import (
     UNJUDGED,
@@ -22,7 +22,7 @@ from .comparison import (
 )
 from .comparison_findings import with_words
 from .lens_difference import LensDifference, lens_difference
-from .quantities import Quantity, Statement, statement_of
+from .quantities import Quantity, Statement, statement_of, with_scatter_between_recordings
 
 _MIXED_UNITS = 1.5
 _LEAST_VARIANCE = 1e-6  # that is left when what is shared was taken off, of all of it
@@ -44,6 +44,8 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
     common = [in_common_frame(candidate) for candidate in candidates]
     references = frozenset(body for candidate in common for body in candidate.bodies if body != "imu0")
     statements = {candidate.name: statement_of(candidate, references) for candidate in common}
+    single = _of_one_occasion(common)
+    statements |= {name: with_scatter_between_recordings(statements[name]) for name in single}
     shared = _same_gravity(common)
     _check_units(statements, notes)
     blocks: list[Repeatability] = []
@@ -64,7 +66,7 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
     both = [item for item in differences if {item.first, item.second} <= {*there.get(item.path, ())}]
     count = sum(int(np.isfinite(item.z).sum()) for item in both)
     comparison = Comparison(
-        calibrations=tuple(_described(candidate) for candidate in candidates),
+        calibrations=tuple(_described(candidate, candidate.name in single) for candidate in candidates),
         frame=_frame(common),
         blocks=tuple(blocks),
         differences=tuple(differences),
@@ -96,7 +98,18 @@ def _check_number(candidates: Sequence[Candidate]) -> None:
             raise OptionError(f'two calibrations are called "{name}". Name them: first=PATH second=PATH.')
 
 
-def _described(candidate: Candidate) -> ComparedCalibration:
+def _of_one_occasion(candidates: Sequence[Candidate]) -> frozenset[str]:
+    """Return those that are of one recording each, and share it with none of the others."""
+    hashes = {one.name: recorded_hashes(one.inputs) for one in candidates if one.imus and not one.exact}
+    known = {name: found for name, found in hashes.items() if found}
+    alone = {
+        name for name, found in known.items() if not any(found & other for who, other in known.items() if who != name)
+    }
+    single = {one.name for one in candidates if one.name in alone and not one.recordings and one.covariance is not None}
+    return frozenset(single) if len(known) > 1 else frozenset()
+
+
+def _described(candidate: Candidate, one_occasion: bool) -> ComparedCalibration:
     gravity = candidate.gravity
     spread = f" +- {gravity.sigma:.2g}" if gravity is not None and gravity.sigma > 0 else ""
     return ComparedCalibration(
@@ -110,6 +123,7 @@ def _described(candidate: Candidate) -> ComparedCalibration:
         verdict=candidate.verdict,
         sensors=(*candidate.imus, *candidate.cameras, *candidate.lenses),
         notes=candidate.notes,
+        one_occasion=one_occasion,
     )
 
 

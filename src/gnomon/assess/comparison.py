@@ -39,6 +39,8 @@ class ComparedCalibration:
     verdict : its own, or ""
     sensors : IMUs and cameras, such as ("imu0", "cam0")
     notes : what was taken for what its files do not say
+    one_occasion : whether it is of one recording and others are of others, so that its sigmas were widened by what the
+        sensor itself changes from recording to recording, as is usual
     """
 
     name: str
@@ -51,6 +53,7 @@ class ComparedCalibration:
     verdict: str
     sensors: tuple[str, ...]
     notes: tuple[str, ...]
+    one_occasion: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,12 +7,15 @@ from itertools import combinations
 import numpy as np
 
 from ..findings import Finding
+from ..recording import recorded_hashes
+from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ..sensors import ImuCalibration
 from ..trust import Verdict
 from .candidates import Candidate
 from .comparison import Comparison, Difference, standing_out
 from .comparison_poses import pose_findings
 from .comparison_words import block_words, listed, sigma_text, size_text
+from .needs import number_words
 from .verdict import worst_first
 
 _KALIBRS_SIGMAS = (
@@ -51,6 +54,7 @@ def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: S
         *_sensors_in_some(comparison),
         *_gravities(candidates),
         *_knowledge(comparison),
+        *_occasions(comparison),
         *_own_axes(comparison),
         *_biases(comparison),
         *(Finding(severity="info", code="restated", message=note) for note in notes),
@@ -349,11 +353,11 @@ def _knowledge(comparison: Comparison) -> Iterator[Finding]:
             code="sigmas-not-stated",
             message=f"{listed(silent)} {verb} no standard deviations: where {part} part, {rest}.",
         )
-    groups: dict[frozenset[str], list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for one in comparison.calibrations:
-        if one.inputs:
-            groups.setdefault(frozenset(source.sha256 for source in one.inputs), []).append(one.name)
-    for names in groups.values():
+        for shared in recorded_hashes(one.inputs):
+            groups.setdefault(shared, []).append(one.name)
+    for names in dict.fromkeys(map(tuple, groups.values())):
         if len(names) > 1:
             yield Finding(
                 severity="info",
@@ -373,6 +377,29 @@ def _own_axes(comparison: Comparison) -> Iterator[Finding]:
             message=f"{listed(named)} {'states' if len(named) == 1 else 'state'} axes of the user's own.",
             consequence=f"All was compared in body frame {comparison.frame}; how those axes lie to the sensor was not.",
         )
+
+
+def _occasions(comparison: Comparison) -> Iterator[Finding]:
+    """Say that sigmas of one recording were widened by what a sensor itself changes to the next one."""
+    names = [one.name for one in comparison.calibrations if one.one_occasion]
+    if names:
+        yield Finding(
+            severity="info",
+            code="different-recordings",
+            message=f"{listed(names)} {'is' if len(names) == 1 else 'are'} of one recording each: their sigmas of "
+            "scale, axes, g-sensitivity and bias are widened by what a sensor itself changes from one recording to the "
+            f"next (turn-on, temperature, mounting), as is usual: {_usual()}.",
+            consequence="How a camera is mounted was taken as unchanged: nothing is added to poses and time shifts.",
+            cure="Join recordings of one sensor (gnomon imu A B C) to measure it instead.",
+        )
+
+
+def _usual() -> str:
+    """Return what is usual of each quantity, in words."""
+    return ", ".join(
+        f"{QUANTITIES[name].words} {number_words(value / QUANTITIES[name].size)} {QUANTITIES[name].unit}"
+        for name, value in BETWEEN_RECORDINGS.items()
+    )
 
 
 def _biases(comparison: Comparison) -> Iterator[Finding]:

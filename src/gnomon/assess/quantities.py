@@ -12,6 +12,7 @@ from ..models.forms import in_own_axes
 from ..models.frames import frame_turn, rotation_jacobian
 from ..parameters import covariance_names, parameters
 from ..recording import Floats, frozen_array
+from ..requirements import BETWEEN_RECORDINGS
 from .candidates import FRAME, Candidate
 
 Kind = Literal[
@@ -132,6 +133,37 @@ def statement_of(candidate: Candidate, references: frozenset[str] = frozenset())
         covariance=None if covariance is None else frozen_array(covariance),
         by_gravity=frozen_array(pull),
     )
+
+
+_BETWEEN: Mapping[tuple[str, str], str] = {
+    (triad, kind): f"{triad}_{name}"
+    for triad in ("accelerometer", "gyroscope")
+    for kind, name in (
+        ("scale", "scale"),
+        ("misalignment", "misalignment"),
+        ("rotation", "misalignment"),
+        ("g-sensitivity", "g_sensitivity"),
+        ("bias", "bias"),
+    )
+    if (triad, kind) != ("accelerometer", "g-sensitivity")
+}
+"""Triad and kind of a block -> the quantity whose scatter between recordings it has."""
+
+
+def with_scatter_between_recordings(statement: Statement) -> Statement:
+    """Return the statement of one recording with what the sensor itself changes to the next one, as is usual."""
+    if statement.covariance is None:
+        return statement
+    covariance = statement.covariance.copy()
+    for path, quantity in statement.quantities.items():
+        sensor, _, triad = path.rpartition(".")[0].partition(".")
+        usual = BETWEEN_RECORDINGS.get(_BETWEEN.get((triad, quantity.kind), ""), 0.0)
+        scale = statement.quantities.get(f"{sensor}.{triad}.scale")
+        if usual and scale is not None and quantity.estimated:
+            size = 1.0 if quantity.unit == "rad" else float(np.cbrt(abs(np.prod(scale.values))))
+            at = np.arange(quantity.rows.start, quantity.rows.stop)
+            covariance[at, at] += np.where(covariance[at, at] > 0, (usual * size) ** 2, 0.0)
+    return replace(statement, covariance=frozen_array(covariance))
 
 
 def _carried(jacobian: Floats, matrix: Floats) -> Floats:
