@@ -10,7 +10,6 @@ import yaml
 
 import gnomon
 from gnomon.calibration import Assessment, Calibration, Covariance, Gravity, Provenance
-from gnomon.errors import OptionError
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.parameters import covariance_names
@@ -18,6 +17,7 @@ from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.writers.basalt import basalt_text
 from gnomon.writers.conversion import exported
 from gnomon.writers.kalibr import StatedImu
+from gnomon.writers.lens_formats import formats_of
 from gnomon.writers.openvins import imu_chain_text
 
 NOISE = ImuNoise(
@@ -233,22 +233,6 @@ def test_a_fold_of_radtan_is_told_to_basalt(rig, coeffs, limit):
     assert document["intrinsics"][0]["intrinsics"]["rpmax"] == pytest.approx(limit, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("to", "lenses"), [("openvins", ("ds", "eucm", "omni", "fov")), ("basalt", ("fov", "bent ds"))]
-)
-def test_lenses_that_a_project_does_not_know(rig, tmp_path, to, lenses):
-    others = {
-        "fov": replace(WIDE, distortion="fov", distortion_coeffs=[0.9]),
-        "bent ds": replace(LENSES["ds"], distortion="radtan", distortion_coeffs=[0.1, 0, 0, 0]),
-    }
-    for lens in lenses:
-        calibration = rig(0, "radtan", units=SI)
-        cameras = {"cam0": replace(calibration.cameras["cam0"], camera=others.get(lens) or LENSES[lens])}
-        with pytest.raises(OptionError, match=r"cam0 is .*knows pinhole.*or convert to "):
-            gnomon.convert(calibration_of(calibration.imus, cameras), to, tmp_path / lens)
-        assert not (tmp_path / lens).exists()
-
-
 BENT = {"radtan": [0.1, 0, 0, 0], "radtan5": [0.1, 0, 0, 0, 0.01], "equidistant": [0.1, 0, 0, 0], "fov": [0.9]}
 
 
@@ -256,22 +240,17 @@ def test_the_formats_that_are_advised_for_a_lens_can_hold_it(rig):
     shapes = [LENSES[name] for name in ("none", "ds", "eucm", "omni")]
     shapes.append(replace(LENSES["omni"], intrinsics=[-0.2, 540.5, 536.25, 321.0, 239.0]))
     bent = [replace(lens, distortion=name, distortion_coeffs=c) for name, c in BENT.items() for lens in shapes]
-    advised = set()
-    for lens in shapes + bent:
+    advised = {lens: formats_of([lens]) for lens in shapes + bent}
+    for lens, formats in advised.items():
         calibration = rig(0, "radtan", units=SI)
         cameras = {"cam0": replace(calibration.cameras["cam0"], camera=lens)}
         calibration = calibration_of(calibration.imus, cameras)
-        for to in ("orb-slam3", "ros2", "vins-fusion", "openvins", "okvis", "basalt"):
-            try:
-                exported(calibration, to, imu={"imu0": STATED})
-            except OptionError as error:
-                formats = re.split(", | or ", re.search(r"or convert to (.*)\.$", str(error))[1])
-                advised |= {(lens.model, name) for name in formats}
-                for name in formats:
-                    exported(calibration, name, imu={"imu0": STATED})
-    assert {name for model, name in advised if model == "pinhole-fov"} == {"kalibr"}
-    assert {name for model, name in advised if model == "ds-none"} == {"kalibr", "basalt"}
-    assert {name for model, name in advised if model == "ds-radtan"} == {"json", "csv"}  # Kalibr reads ds without
+        for name in formats:
+            assert "lens of cam0" not in said(exported(calibration, name, imu={"imu0": STATED}).losses)
+    by_model = {lens.model: set(formats) for lens, formats in advised.items()}
+    assert by_model["pinhole-fov"] == {"kalibr"}
+    assert by_model["ds-none"] == {"kalibr", "basalt"}
+    assert by_model["ds-radtan"] == {"json", "csv"}  # Kalibr reads ds without
     flight = exported(calibration, "px4").losses
     assert "Use json or csv to write them too" in said(flight)
 

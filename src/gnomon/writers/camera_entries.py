@@ -32,8 +32,9 @@ Known = tuple[Entry, float]
 
 
 def camera_equation(calibration: Calibration) -> str:
-    """Return what the names of a calibration's cameras mean."""
-    return EQUATION if calibration.imus else EQUATION_ALONE
+    """Return what the names of a calibration's cameras mean: of other projects' rigs no IMU's errors need be known."""
+    on_body = any(camera.body == "imu0" for camera in calibration.cameras.values())
+    return EQUATION if on_body else EQUATION_ALONE
 
 
 def camera_entries(calibration: Calibration, name: str) -> Iterator[Known]:

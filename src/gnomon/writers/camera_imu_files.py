@@ -15,7 +15,7 @@ from ..output import write_together
 from ..parameters import parameters
 from ..readers.projects.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
-from .context import Context, StatedImu, remarks
+from .context import Context, StatedImu, remarks, sentences
 from .kalibr import IMU_FILE, imu_text
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
 from .kalibr_results import RESULTS_FILE, KalibrResults
@@ -65,7 +65,7 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
         imus=imus,
         notes=tuple(_notes(calibration, diagnostics)),
     )
-    said = Context(remarks=remarks(calibration)).comment()
+    said = Context(remarks=(*remarks(calibration), *sentences(ignored_values(calibration, "kalibr")))).comment()
     return {
         CAMCHAIN_FILE: camchain_text(calibration, said),
         IMU_FILE: imu_text(calibration, imus, said),

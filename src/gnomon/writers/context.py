@@ -1,6 +1,6 @@
 """What a conversion knows besides the calibration: the IMU's noise, and what every file has to say of the result."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby
 from textwrap import wrap
@@ -61,8 +61,14 @@ class Context:
 
 def remarks(calibration: Calibration, *, cameras: bool = True) -> tuple[str, ...]:
     """Return the sentences that every file of a calibration has to carry; see `remark_losses`."""
-    losses = remark_losses(calibration, cameras=cameras)
-    return tuple(f"{loss.what[0].upper()}{loss.what[1:]}: {loss.why}" for loss in losses)
+    return sentences(remark_losses(calibration, cameras=cameras))
+
+
+def sentences(losses: Iterable[Loss]) -> tuple[str, ...]:
+    """Return losses as sentences for the comments of a file."""
+    return tuple(
+        f"{loss.what[0].upper()}{loss.what[1:]}: {loss.why}{f' ({loss.size})' if loss.size else ''}" for loss in losses
+    )
 
 
 def remark_losses(calibration: Calibration, *, cameras: bool = True) -> Iterator[Loss]:

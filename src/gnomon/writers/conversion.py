@@ -7,12 +7,14 @@ from pathlib import Path
 
 from ..calibration import Calibration
 from ..errors import OptionError
+from ..models.lens_programs import PROGRAMS
 from ..output import write_together
 from ..readers.projects.foreign import ForeignCalibration
 from ..readers.projects.foreign_calibration import as_calibration
 from ..readers.rig.imu_noise import read_imu_noise
-from .context import Context, StatedImu, remark_losses, remarks
+from .context import Context, StatedImu, remark_losses, sentences
 from .export import Export, Loss
+from .ignored_values import ignored_values
 
 FORMATS = {
     "imu_tk": "imu_tk",
@@ -97,10 +99,15 @@ def exported(calibration: Calibration | ForeignCalibration, to: str, *, imu: Sta
     if imu is not None:
         stated |= imu if isinstance(imu, Mapping) else stated_imus(imu)
     module = import_module(f".{FORMATS[to]}", __package__)
-    cameras = to not in _WITHOUT_CAMERAS
-    context = Context(stated=stated, remarks=remarks(calibration, cameras=cameras))
-    export: Export = module.export(calibration, context)
-    return Export(files=export.files, losses=(*remark_losses(calibration, cameras=cameras), *export.losses))
+    losses = tuple(remark_losses(calibration, cameras=to not in _WITHOUT_CAMERAS))
+    if to in PROGRAMS:
+        from .lens_refit import with_known_lenses
+
+        calibration, refits = with_known_lenses(calibration, to)
+        losses += refits
+    losses += tuple(ignored_values(calibration, to))
+    export: Export = module.export(calibration, Context(stated=stated, remarks=sentences(losses)))
+    return Export(files=export.files, losses=(*losses, *export.losses))
 
 
 def stated_imus(path: str | PathLike[str]) -> dict[str, StatedImu]:

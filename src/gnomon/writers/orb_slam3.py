@@ -114,6 +114,10 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
     rig: dict[str, Any] = {"File.version": "1.0", "Camera.type": types.pop()}
     for number, camera in enumerate(cameras.values(), start=1):
         rig |= {f"Camera{number}.{key}": value for key, value in _lens(camera.camera).items()}
+    if len(cameras) > 1 and rig["Camera.type"] == "KannalaBrandt8":  # else ORB-SLAM3 ends at once
+        last = first.camera.resolution[0] - 1
+        for number in range(1, len(cameras) + 1):
+            rig |= {f"Camera{number}.overlappingBegin": 0, f"Camera{number}.overlappingEnd": last}
     rig |= {"Camera.width": first.camera.resolution[0], "Camera.height": first.camera.resolution[1]}
     parts = [_HEAD, _IDEAL, shifts, context.comment(), comments, _joined(opencv_lines(rig))]
     if others:

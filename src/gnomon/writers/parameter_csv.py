@@ -15,6 +15,11 @@ _EQUATION = (
     "axes, columns: body axes; body frame {frame}: {words}"
 )
 
+_ROTATION = (
+    "every ...rotation[0..2] is a rotation vector: axis times angle [rad], R = exp of its cross-product matrix; its "
+    "sigmas are about the axes of the frame on the right of the name"
+)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `calibration.csv`: a row for every scalar of every IMU and camera, for gravity, body frame and lenses."""
@@ -23,6 +28,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     equation = _EQUATION.format(frame=frame, words=FRAMES.get(frame, FRAMES["user"]))
     rows += [f"comment,{_text(equation)},,"] if calibration.imus else []
     rows += [f"comment,{_text(camera_equation(calibration))},,"] if calibration.cameras else []
+    posed = [path for path, _ in parameters(calibration.imus, calibration.cameras) if path.endswith(".rotation")]
+    rows += [f"comment,{_text(_ROTATION)},,"] if posed else []
     placed = any(imu.T_imu_body is not None for imu in calibration.imus.values())
     rows += [f"comment,{_text(IMU_EQUATION)},,"] if placed else []
     rows += [f"comment,{_text(remark)},," for remark in context.remarks]

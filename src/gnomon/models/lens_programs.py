@@ -1,0 +1,51 @@
+"""Which lens models the programs know that take a calibration of cameras."""
+
+from collections.abc import Mapping
+
+from .camera import Camera
+from .lens_names import DistortionName, ProjectionName
+
+_PLAIN = ("none",)
+_LENSES: Mapping[str, Mapping[ProjectionName, tuple[DistortionName, ...]]] = {
+    "kalibr": {
+        "pinhole": ("none", "radtan", "radtan5", "equidistant", "fov"),
+        "omni": ("none", "radtan"),
+        "eucm": _PLAIN,
+        "ds": _PLAIN,
+    },
+    "openvins": {"pinhole": ("none", "radtan", "radtan5", "equidistant")},
+    "vins-fusion": {"pinhole": ("none", "radtan", "radtan5", "equidistant"), "omni": ("none", "radtan")},
+    "orb-slam3": {"pinhole": ("none", "radtan", "radtan5", "equidistant")},
+    "basalt": {
+        "pinhole": ("none", "radtan", "radtan5", "equidistant"),
+        "omni": _PLAIN,
+        "eucm": _PLAIN,
+        "ds": _PLAIN,
+    },
+    "okvis": {"pinhole": ("none", "radtan", "radtan5", "equidistant")},
+    "ros2": {"pinhole": ("none", "radtan", "radtan5", "equidistant")},
+}
+"""What the programs read; radtan5 as the nearest radtan where they know no k3."""
+
+_WITH_K3 = ("orb-slam3", "basalt", "okvis", "ros2")
+
+PROGRAMS = tuple(_LENSES)
+"""Formats that describe cameras to a program, which knows some lenses and not others."""
+
+
+def models_of(name: str) -> tuple[str, ...]:
+    """Return the lens models that a program knows, such as "pinhole-radtan"."""
+    return tuple(f"{projection}-{bent}" for projection, all_bent in _LENSES[name].items() for bent in all_bent)
+
+
+def knows(name: str, camera: Camera) -> bool:
+    """Return whether a program knows the model of a lens."""
+    if name == "basalt" and camera.projection == "omni" and float(camera.intrinsics[0]) < 0:
+        return False  # its ucm has alpha = xi / (1 + xi) of 0 to 1
+    return camera.distortion in _LENSES[name].get(camera.projection, ())
+
+
+def refit_models(name: str) -> tuple[str, ...]:
+    """Return the models that a program knows in full and that bend, of which the nearest to another lens is sought."""
+    plain = {"pinhole-none", *(() if name in _WITH_K3 else ("pinhole-radtan5",))}
+    return tuple(model for model in models_of(name) if model not in plain)
