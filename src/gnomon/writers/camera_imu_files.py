@@ -16,6 +16,7 @@ from ..parameters import parameters
 from ..readers.projects.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
 from .context import Context, StatedImu, remarks, sentences
+from .ignored_values import ignored_values
 from .kalibr import IMU_FILE, imu_text
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
 from .kalibr_results import RESULTS_FILE, KalibrResults
