@@ -142,8 +142,8 @@ def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
 
     def look_at(name, _poses, _alignment, camera, _target, *, imu, **_):
         lenses.append(camera)
-        told = [("triads-apart", f"accelerometer of {imu} late"), ("board-moved", f"{name}: board moved")]
-        return [Finding(severity="warning", code=code, message=message) for code, message in told]
+        told = [("triads-apart", f"accelerometer of {imu} late"), ("frames-late", f"{name}: frames late")]
+        return [Finding(severity="warning", code=code, message=message) for code, message in told], None
 
     monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.check_look", look_at)
     aligned = SimpleNamespace(score=1.0)
@@ -151,6 +151,6 @@ def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
     look = Look(name="cam0", frames=frames, poses=None, alignment=aligned, target=simulation.target)
     beside = Beside(name="imu1", look=look, alignment=aligned, R_imu_body=np.eye(3), time_shift_s=0.0)
     found = with_looks(prepared, [look], simulation.target, [None, None], [beside]).findings
-    told = [finding.message for finding in found if finding.code in {"triads-apart", "board-moved"}]
-    assert told == ["accelerometer of imu0 late", "cam0: board moved", "accelerometer of imu1 late"]
+    told = [finding.message for finding in found if finding.code in {"triads-apart", "frames-late"}]
+    assert told == ["accelerometer of imu0 late", "cam0: frames late", "accelerometer of imu1 late"]
     assert lenses == [frames.camera, None]

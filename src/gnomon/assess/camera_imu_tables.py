@@ -36,6 +36,9 @@ from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import CameraFrames, Floats, Recording
 
+MISFIT = "fits badly as a whole"
+"""Why a frame that has corners enough and lies on the trajectory was left out."""
+
 _TRIADS = ("gyroscope", "accelerometer")
 _UNITS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
 
@@ -248,7 +251,7 @@ def _reasons(
 ) -> tuple[str, ...]:
     """Return why each frame was not used."""
     reasons = np.full(len(frames.t_ns), "", dtype=object)
-    reasons[~used] = "fits badly as a whole"
+    reasons[~used] = MISFIT
     reasons[~inside] = "outside of the trajectory"
     reasons[~gathered] = "too few corners"
     reasons[corners == 0] = "no board found"

@@ -8,7 +8,7 @@ from ..estimate.camera_imu.first_guess import imu_stream
 from ..estimate.camera_imu.model_ladder import LADDER
 from ..findings import Finding
 from ..geometry.rotation_vector import rotvec_from_rotation
-from .camera_imu_tables import CameraImuEvidence
+from .camera_imu_tables import MISFIT, CameraImuEvidence
 from .clock_drift import check_drift
 from .rig_precision import precision_findings
 from .rig_residuals import cut_findings, residual_findings
@@ -223,7 +223,7 @@ def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Findin
 
 def _plainly(reason: str) -> str:
     return {
-        "fits badly as a whole": "fit badly as a whole (blurred, late or misdetected)",
+        MISFIT: "fit badly as a whole (blurred, late or misdetected)",
         "outside of the trajectory": "lie outside of the trajectory",
         "too few corners": "have too few corners",
     }.get(reason, reason)

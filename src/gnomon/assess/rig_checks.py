@@ -16,6 +16,7 @@ from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, ImuSamples, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from .board_turn import BoardTurns, board_move, moved_finding
 from .causes import causes_first
 from .clock_drift import look_at_drift
 from .imu_verdict import axis_findings
@@ -30,7 +31,6 @@ _DELAY_S, _SIGMAS = 3e-3, 5.0
 _CERTAIN_S, _LATE_S, _LATE_SIGMAS = 3e-3, 4e-3, 5.0
 _LATE_SHARE, _FEWEST_LATE, _FEWEST_FRAMES = 0.04, 8, 60
 _JUMP_S, _JUMP_GAIN = 4e-3, 0.5
-_MOVED_RAD, _MOVED_TIMES = 0.015, 6.0
 _SHIFT_S = 0.1
 _CORNERS = 12
 _SCATTERED = 3.0  # times the usual scatter of a frame's corners about its pose
@@ -40,7 +40,7 @@ _SLOW_RAD_S = 0.15
 def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at all cameras beside the first IMU, and at the first one beside the others; samples are in order of time.
 
-    Codes: those of `check_look`, clock or clock-drift, and not-aligned.
+    Codes: those of `check_look`, board-moved, clock or clock-drift, and not-aligned.
     """
     (first, samples), *others = recording.imus.items()
     findings = _beside(first, samples, recording.cameras, target)
@@ -72,6 +72,7 @@ def _beside(
     integral = gyroscope_integral(stream.t_s, stream.rate)
     origin = int(samples.gyroscope.t_ns[0])
     findings: list[Finding] = []
+    turns: dict[str, BoardTurns] = {}
     for name, frames in cameras.items():
         poses = board_poses(frames, target, np.asarray((frames.t_ns - origin) * 1e-9, dtype=np.float64))
         try:
@@ -80,9 +81,12 @@ def _beside(
             findings.append(Finding(severity="problem", code="not-aligned", message=str(error)))
             continue
         camera = frames.camera if lens else None
-        findings += check_look(name, poses, alignment, camera, target, stream=stream, imu=imu, unusable=clipped)
+        found, seen = check_look(name, poses, alignment, camera, target, stream=stream, imu=imu, unusable=clipped)
+        findings += found
+        turns |= {} if seen is None else {name: seen}
         findings += look_at_drift(name, poses, stream, alignment.time_shift_s, imu)
-    return findings
+    move = board_move(turns)
+    return findings if move is None else [*findings, moved_finding(move)]
 
 
 def _stream(samples: ImuSamples) -> tuple[ImuStream | None, Booleans | None]:
@@ -111,11 +115,11 @@ def check_look(
     stream: ImuStream,
     imu: str,
     unusable: Booleans | None = None,
-) -> list[Finding]:
-    """Return findings on one camera beside the IMU.
+) -> tuple[list[Finding], BoardTurns | None]:
+    """Return findings on one camera beside the IMU, and by how much it saw the board turn, where that can be told.
 
-    Codes: axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion, clock-jump, frames-late, board-moved,
-    triads-apart, time-shift, motion-slow.
+    Codes: axes-differ, axes-mirrored, tag-spacing, rolling-shutter, distortion, clock-jump, frames-late, triads-apart,
+    time-shift, motion-slow.
 
     Parameters
     ----------
@@ -132,21 +136,20 @@ def check_look(
     poses = poses.where(certain)
     gyroscope = gyroscope_axes(poses, stream, shift)
     if gyroscope is None:
-        return findings
+        return findings, None
     findings += _slow(name, alignment)
     accelerometer = accelerometer_axes(poses, stream, shift)
     findings = [*(_axes(name, gyroscope, accelerometer) or _hand(name, gyroscope, alignment)), *findings]
     if gyroscope.explained < _GYRO_EXPLAINED or gyroscope.hand == 0:
-        return findings
+        return findings, None
     times = frame_times(poses, stream, shift, gyroscope, unusable)
     jump: list[Finding] = []
     if times is not None:
         jump = _jump(name, imu, times)
         findings += jump or _late(name, times)
-        findings += _moved(name, times)
     if not jump and accelerometer is not None and accelerometer.explained > _EXPLAINED:
         findings += _apart(imu, gyroscope, accelerometer)
-    return [*findings, *_shift(name, imu, shift)]
+    return [*findings, *_shift(name, imu, shift)], None if times is None else times.turns
 
 
 def _slow(name: str, alignment: Alignment) -> list[Finding]:
@@ -281,25 +284,6 @@ def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
 
 def _two_levels(late: Floats, k: int) -> float:
     return float(np.abs(late[:k] - np.median(late[:k])).sum() + np.abs(late[k:] - np.median(late[k:])).sum())
-
-
-def _moved(name: str, times: FrameTimes) -> list[Finding]:
-    largest = float(times.moved_rad.max())
-    if largest < max(_MOVED_RAD, _MOVED_TIMES * times.moved_usual_rad):
-        return []
-    # The turn is seen from a window before to a window after it: its middle is the time.
-    near = times.moved_rad > 0.8 * largest
-    at_s = float(times.t_s[near].mean())
-    return [
-        Finding(
-            severity="problem",
-            code="board-moved",
-            message=f"The board turned by {np.degrees(largest):.2g} deg, {at_s:.0f} s after {name} first saw it: the "
-            "camera saw a turn that the gyroscope did not feel.",
-            consequence="Gravity has another direction in the board's frame afterwards, and no trajectory fits.",
-            cure="Fix the board to a wall or a heavy table. Cut the recording there and use the longer part.",
-        )
-    ]
 
 
 def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding]:

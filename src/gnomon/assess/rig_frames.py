@@ -1,4 +1,4 @@
-"""Frame by frame against the gyroscope: stamps that are late, a clock that jumped, a board that was moved.
+"""Frame by frame against the gyroscope: stamps that are late, a clock that jumped, a board that was turned.
 
 From one frame to the next the camera turned by what its poses say, and the gyroscope by what it read. A frame that was
 stamped late by tau differs by omega tau on one side of it and by minus that on the other; a board that was moved
@@ -17,6 +17,7 @@ from ..geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..intervals import Booleans
 from ..recording import Floats
+from .board_turn import BoardTurns, board_turns
 from .rig_axes import AxesFit
 
 _LONGEST_S = 0.2
@@ -24,7 +25,6 @@ _FEWEST = 60
 _PRIOR_S = 0.03
 _NEIGHBOURS = 11
 _TURNING_RAD_S = 0.3
-_WINDOW = 6  # frames on each side of a moved board
 _ITERATIONS = 4
 _GAP_PERIODS = 3.5
 
@@ -39,8 +39,7 @@ class FrameTimes:
     late_s : (n,) by which each stamp is late, less the median [s]
     alone_s : (n,) the same, less that of its neighbours [s]
     sigma_s : (n,) its standard deviation; large where the camera hardly turned [s]
-    moved_rad : (n,) turn of the board that happened about each frame, by a window of frames [rad]
-    moved_usual_rad : how large that usually is [rad]
+    turns : of the board, about each frame
     differs_rad : (n - 1, 3) rotation between frames that the gyroscope read and the camera did not see
     change_rad_s : (n - 1, 3) by which the rate changed meanwhile; zero where the frames are not compared
     """
@@ -49,8 +48,7 @@ class FrameTimes:
     late_s: Floats
     alone_s: Floats
     sigma_s: Floats
-    moved_rad: Floats
-    moved_usual_rad: float
+    turns: BoardTurns
     differs_rad: Floats
     change_rad_s: Floats
 
@@ -81,25 +79,25 @@ def frame_times(
     """
     t_s = poses.t_s + time_shift_s + axes.delay_s
     inside = (t_s > stream.t_s[0]) & (t_s < stream.t_s[-1])
-    t_s, R = t_s[inside], poses.R_cam_target[inside]
-    close = (np.diff(t_s) < _LONGEST_S) & ~_broken(stream, unusable, t_s)
+    t_s, poses = t_s[inside], poses.where(inside)
+    R, compared = poses.R_cam_target, ~_broken(stream, unusable, t_s)
+    close = (np.diff(t_s) < _LONGEST_S) & compared
     if close.sum() < _FEWEST:
         return None
     in_camera = (stream.rate - axes.offset) @ np.linalg.inv(axes.matrix).T
     rate, read = _turned(stream.t_s, in_camera, t_s)
     seen = R[:-1] @ np.swapaxes(R[1:], 1, 2)
-    differs = np.where(close[:, None], rotvec_from_rotation(np.swapaxes(seen, 1, 2) @ read), 0.0)
+    apart = rotvec_from_rotation(np.swapaxes(seen, 1, 2) @ read)
+    differs = np.where(close[:, None], apart, 0.0)
     sigma = _noise(differs[close], 0.5 * (rate[1:] + rate[:-1])[close])
     late, sigma_s = _lateness(differs, rate, close, sigma)
-    moved = _moved(differs, R, close)
     ends = np.pad(late, _NEIGHBOURS // 2, mode="edge")
     return FrameTimes(
         t_s=t_s - t_s[0],
         late_s=late - np.median(late),
         alone_s=late - np.median(sliding_window_view(ends, _NEIGHBOURS), axis=1),
         sigma_s=sigma_s,
-        moved_rad=moved,
-        moved_usual_rad=float(np.median(moved[moved > 0])) if moved.any() else 0.0,
+        turns=board_turns(t_s - axes.delay_s, poses, apart - _felt(stream, t_s, rate, apart, close), compared),
         differs_rad=differs,
         change_rad_s=np.diff(rate, axis=0) * close[:, None],
     )
@@ -160,18 +158,19 @@ def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) ->
     return late, 1 / np.sqrt(diagonal)
 
 
-def _moved(left: Floats, R_cam_target: Floats, close: Booleans) -> Floats:
-    """Return how far the board turned for good about each frame, (n,) [rad]: before against after, by medians.
+def _felt(stream: ImuStream, t_s: Floats, rate: Floats, differs: Floats, close: Booleans) -> Floats:
+    """Return the part of what differs (n - 1, 3) that errors of the gyroscope and of the clock explain.
 
-    Errors of poses cancel in sums over frames that follow each other, and only there; zero elsewhere.
+    They are linear in the specific force, the rate, the time and the change of the rate.
     """
-    broken = np.concatenate([[0], np.cumsum(~close)])
-    in_target = np.einsum("nji,nj->ni", R_cam_target[1:], left)
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(in_target, axis=0)])
-    moved = np.zeros(len(total))
-    for k in range(_WINDOW, len(total) - _WINDOW):
-        if broken[k + _WINDOW - 1] > broken[k - _WINDOW]:
-            continue
-        step = np.median(total[k : k + _WINDOW], axis=0) - np.median(total[k - _WINDOW : k], axis=0)
-        moved[k] = float(np.linalg.norm(step))
-    return moved
+    middle, length = 0.5 * (t_s[1:] + t_s[:-1]), np.diff(t_s)
+    force = np.stack([np.interp(middle, stream.t_s, stream.force[:, i]) for i in range(3)], axis=1)
+    turned = 0.5 * (rate[1:] + rate[:-1])
+    steady = np.column_stack([force, turned, np.ones(len(force))]) * length[:, None]
+    design = np.column_stack([steady, np.diff(rate, axis=0)])
+    weight, solution = close.copy(), np.zeros((design.shape[1], 3))
+    for _ in range(_ITERATIONS):
+        solution = np.linalg.lstsq(design[weight], differs[weight], rcond=None)[0]
+        rest = np.linalg.norm(differs - design @ solution, axis=1)
+        weight = close & (rest <= 4 * float(np.median(rest[close])))
+    return design @ solution

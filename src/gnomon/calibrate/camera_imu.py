@@ -12,13 +12,14 @@ from .._version import __version__
 from ..assess.added_findings import added_findings, out_of_order, steps_left_out
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
+from ..assess.early_findings import judged_again
 from ..assess.likely_missing import likely_missing
 from ..assess.prior_findings import prior_used
 from ..assess.trust_findings import incomplete, model_incomplete, parts_disagree, trust_note
 from ..assess.weak_findings import camera_imu_weak
 from ..calibration import Calibration, Covariance, Provenance, covariance_names
 from ..diagnostics import Result
-from ..errors import InitialisationError
+from ..errors import InitialisationError, SolveError
 from ..estimate.camera_imu.first_guess import imu_stream, looks
 from ..estimate.camera_imu.other_imus import aligned_beside
 from ..estimate.camera_imu.publish import published
@@ -98,7 +99,11 @@ def _calibrated(
     options, rolling = with_line_delays(options, found, prepared.findings)
     tell("estimating")
     rig = Rig(recording=recording, prepared=prepared, looks=found, beside=beside, streams=tuple(streams))
-    chosen = chosen_model(estimated(rig, gravity, options, [known_imu(one) for one in known], tell), options, tell)
+    try:
+        first = estimated(rig, gravity, options, [known_imu(one) for one in known], tell)
+    except SolveError as error:
+        raise SolveError(f"{error}{suspected(prepared.findings, prepared.move)}") from error
+    chosen = chosen_model(first, options, tell)
     solution, start = chosen.solution, chosen.solution.layout.start
     certain = uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None)
     basic, uncompared = basic_model(start, solution, options, tell)
@@ -133,7 +138,12 @@ def _calibrated(
         *parts_disagree(trust.splits),
     )
     uncertain = Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance)
-    noticed = shutters_estimated(prepared.findings, result.cameras, uncertain)
+    noticed = judged_again(
+        shutters_estimated(prepared.findings, result.cameras, uncertain),
+        prepared.move,
+        diagnostics,
+        converged=solution.converged,
+    )
     assessment = assess((*noticed, *doubts), evidence, diagnostics)
     added, tries = (*chosen.added, *((LINE_DELAY,) if rolling else ())), chosen.tries + rolling
     calibration = Calibration(

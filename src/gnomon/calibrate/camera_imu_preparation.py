@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..assess.board_turn import BoardMove, BoardTurns, board_move, moved_finding
 from ..assess.camera_checks import check_cameras
 from ..assess.rig_checks import about, check_look
 from ..detect.samples.repair import repaired
@@ -39,11 +40,13 @@ class PreparedCameraImu:
     inertial : of all IMUs, each in seconds of its own clock
     imus : what is known of each
     findings : what the data doctor noticed
+    move : where the board seems to have been moved, or None; the estimation tells whether it was
     """
 
     inertial: tuple[InertialData, ...]
     imus: tuple[ImuBeforehand, ...]
     findings: tuple[Finding, ...]
+    move: BoardMove | None = None
 
     @property
     def origin_ns(self) -> int:
@@ -102,8 +105,10 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     return PreparedCameraImu(inertial=tuple(inertial), imus=tuple(imus), findings=tuple(findings))
 
 
-def suspected(findings: Sequence[Finding]) -> str:
+def suspected(findings: Sequence[Finding], move: BoardMove | None = None) -> str:
     """Return, as a sentence, what was noticed that most likely keeps the same rotation from being seen; or nothing."""
+    if move is not None:
+        return f" Noticed: {moved_finding(move).message}"
     found = [one.message for code in _SUSPECTS for one in findings if one.code == code and one.severity == "warning"]
     return f" Noticed: {found[0]}" if found else ""
 
@@ -123,23 +128,28 @@ def with_looks(
         If their axes contradict each other, so that nothing could be estimated.
     """
     findings: list[Finding] = []
+    turns: dict[str, BoardTurns] = {}
     for look in found:
-        findings += _looked(prepared, look, target, streams[0], 0)
+        own, seen = _looked(prepared, look, target, streams[0], 0)
+        findings += own
+        turns |= {} if seen is None else {look.name: seen}
     known = {finding.code for finding in findings}
     for number, one in enumerate(beside, 1):
         look = replace(one.look, alignment=one.alignment)
-        own = _looked(prepared, look, target, streams[number], number)
+        own, _ = _looked(prepared, look, target, streams[number], number)
         findings += [about(one.name, found) for found in own if found.code not in known or found.code == _OF_ONE_IMU]
     for finding in findings:
         if finding.code in _CONTRADICTIONS:
             raise RecordingError(str(finding))
-    return replace(prepared, findings=(*prepared.findings, *findings))
+    return replace(prepared, findings=(*prepared.findings, *findings), move=board_move(turns))
 
 
-def _looked(prepared: PreparedCameraImu, look: Look, target: Target, stream: ImuStream, number: int) -> list[Finding]:
+def _looked(
+    prepared: PreparedCameraImu, look: Look, target: Target, stream: ImuStream, number: int
+) -> tuple[list[Finding], BoardTurns | None]:
     """Return what a camera and an IMU say of each other."""
     if look.alignment.score == 0:
-        return []  # taken as stated, since nothing tells it
+        return [], None  # taken as stated, since nothing tells it
     gyroscope = next(data.gyroscope for data in prepared.inertial if data.imu == number and data.gyroscope is not None)
     return check_look(
         look.name,

@@ -37,6 +37,7 @@ class BoardPoses:
     t_s : (n,) stamps of the frames [s]
     R_cam_target : (n, 3, 3)
     p_cam_target : (n, 3) origin of the target in the camera's frame [m]
+    rotation_covariance : (n, 3, 3) of R_cam_target, turned on the left, about the camera's axes [rad^2]
     scatter_px : (n,) scatter of the frame's corners about its pose, per axis, wrong corners apart
     sigma_px : robust scatter of the corners about the poses, per axis
     """
@@ -45,6 +46,7 @@ class BoardPoses:
     t_s: Floats
     R_cam_target: Floats
     p_cam_target: Floats
+    rotation_covariance: Floats
     scatter_px: Floats
     sigma_px: float
 
@@ -58,6 +60,7 @@ class BoardPoses:
             t_s=self.t_s[kept],
             R_cam_target=self.R_cam_target[kept],
             p_cam_target=self.p_cam_target[kept],
+            rotation_covariance=self.rotation_covariance[kept],
             scatter_px=self.scatter_px[kept],
         )
 
@@ -124,6 +127,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
             t_s=np.empty(0),
             R_cam_target=np.empty((0, 3, 3)),
             p_cam_target=np.empty((0, 3)),
+            rotation_covariance=np.empty((0, 3, 3)),
             scatter_px=np.empty(0),
             sigma_px=float("nan"),
         )
@@ -149,6 +153,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
         t_s=t_s[exposures.frame],
         R_cam_target=rotation,
         p_cam_target=p,
+        rotation_covariance=_rotation_covariance(sums.gram[:, :TWIST, :TWIST] * (noise.sigma_px / sigma_px) ** 2),
         scatter_px=np.maximum(np.sqrt(np.nan_to_num(scatter, nan=np.inf)), SMALLEST_PX),  # infinite: no pose at all
         sigma_px=sigma_px,
     )
@@ -165,6 +170,13 @@ def _spread(frames: CameraFrames, every: Exposures, sigma_px: float) -> Floats |
     own = np.square(frames.sigma_px[np.isin(frames.frame, every.frame)])
     variance = own + max(sigma_px**2 - float(np.median(own)), 0.0)
     return np.sqrt(variance / np.median(variance))
+
+
+def _rotation_covariance(information: Floats) -> Floats:
+    """Return the covariance (n, 3, 3) of rotations, by the information (n, 6, 6) on rotation and translation."""
+    size = 1 / np.sqrt(np.maximum(np.einsum("nii->ni", information), 1e-12))
+    scaled = information * size[:, :, None] * size[:, None, :] + 1e-9 * np.eye(TWIST)
+    return (np.linalg.inv(scaled) * size[:, :, None] * size[:, None, :])[:, :3, :3]
 
 
 def _freedom(valid: Integers) -> float:
