@@ -18,6 +18,10 @@ class CameraOptions:
     """Lens model of every camera, such as pinhole-radtan, or of each, cam0=pinhole-radtan cam1=ds-none; chosen by
     hold-out where it is not given."""
 
+    among: tuple[str, ...] = ()
+    """Lens models to choose from, such as pinhole-radtan pinhole-equidistant; the usual ones where not given, of which
+    one that every program reads is taken where it predicts unseen views within 3 % of the best."""
+
     board: BoardModel = "auto"
     """What of the board is estimated: nothing (stated), its scale along y over that along x (aspect), how it bends too
     (bow), the place of every corner (corners), or what the views prove to be there (auto)."""
@@ -45,6 +49,10 @@ class CameraOptions:
     def __post_init__(self) -> None:
         if isinstance(self.model, str):  # one name, as people write it in Python
             object.__setattr__(self, "model", (self.model,))
+        if isinstance(self.among, str):
+            object.__setattr__(self, "among", (self.among,))
+        if self.model and self.among:
+            raise OptionError("model states the lens, and among from which it is chosen. Leave out one of them.")
         for name, known in (("board", BOARDS), ("covariance", COVARIANCES)):
             if getattr(self, name) not in known:
                 raise OptionError(f"{name} {getattr(self, name)!r} must be one of {', '.join(known)}.")

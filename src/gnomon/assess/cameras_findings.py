@@ -64,7 +64,7 @@ def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Findi
         consequence="What the model cannot bend goes into focal length, poses and board."
         if grade != "good"
         else "The difference is certain, and too small to matter.",
-        cure=f"Give --model {opinion.camera}={opinion.better}, or leave --model out and have it chosen."
+        cure=f"Give --model {opinion.camera}={opinion.better}, or have it chosen without --model, --among and --for."
         if grade != "good"
         else "",
     )

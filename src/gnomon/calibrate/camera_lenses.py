@@ -24,6 +24,7 @@ from ..estimate.trust.clusters import held_out_costs
 from ..estimate.trust.robust import clustered, memory
 from ..models.camera import Camera
 from ..models.distortions import DISTORTIONS
+from ..models.lens_programs import read_everywhere
 from ..models.projections import PROJECTIONS
 from ..recording import Floats, Integers
 
@@ -95,18 +96,34 @@ def stated_models(stated: Sequence[str], cameras: Sequence[str]) -> dict[str, st
         camera, equals, model = text.rpartition("=")
         if equals and camera not in cameras:
             raise OptionError(f"model {text}: there is no {camera} in this recording, which has {', '.join(cameras)}.")
-        if model not in _PARAMETERS:
-            close = difflib.get_close_matches(model, _PARAMETERS, n=1, cutoff=0.4)
-            hint = f" Did you mean {close[0]}?" if close else ""
-            raise OptionError(f"model {model}: there is no such lens.{hint} Usual ones: {', '.join(CANDIDATES)}.")
+        check_model(model)
         for name in [camera] if equals else cameras:
             if found.setdefault(name, model) != model:
                 raise OptionError(f"model: {name} is stated to be {found[name]} and {model}. Keep one of them.")
     return found
 
 
+def check_model(model: str) -> None:
+    """Check that there is a lens model.
+
+    Raises
+    ------
+    OptionError
+        If there is none of this name.
+    """
+    if model not in _PARAMETERS:
+        close = difflib.get_close_matches(model, _PARAMETERS, n=1, cutoff=0.4)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise OptionError(f"model {model}: there is no such lens.{hint} Usual ones: {', '.join(CANDIDATES)}.")
+
+
 def chosen_lenses(
-    views: Mapping[str, Views], stated: Mapping[str, str], *, robust: bool, most_iterations: int
+    views: Mapping[str, Views],
+    stated: Mapping[str, str],
+    *,
+    among: Sequence[str] = (),
+    robust: bool,
+    most_iterations: int,
 ) -> list[LensChoice]:
     """Return the lens model of every camera; those with images of the same size get the same one.
 
@@ -114,6 +131,8 @@ def chosen_lenses(
     ----------
     views : "cam0", ... -> views of this camera alone
     stated : its model, where one was stated; the others are tried nevertheless
+    among : models to choose from; others are tried, too. Empty for the usual ones, of which one that every program
+        reads (`lens_programs.read_everywhere`) is taken where its error on unseen views is within 3 % of the best
     robust, most_iterations : of the estimation
 
     Raises
@@ -123,11 +142,13 @@ def chosen_lenses(
     SolveError
         If a stated model cannot be estimated from the views.
     """
+    for model in among:
+        check_model(model)
     tried = [
-        _tried(name, one, stated.get(name), robust=robust, most_iterations=most_iterations)
+        _tried(name, one, stated.get(name), among, robust=robust, most_iterations=most_iterations)
         for name, one in views.items()
     ]
-    return [one.choice(_agreed(one, tried)) for one in tried]
+    return [one.choice(_agreed(one, tried, among), restricted=bool(among)) for one in tried]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -149,11 +170,16 @@ class _Tried:
     fits: Mapping[str, RigSolution | GnomonError]
     costs: Mapping[str, Floats]
 
-    def choice(self, model: str) -> LensChoice:
-        """Return what follows where a model is taken."""
+    def holdout_ratio(self, model: str) -> float:
+        """Return the error of a model on unseen views over that of the best."""
+        px = {one: rms_px(fit, self.name)[1] for one, fit in self.fits.items() if isinstance(fit, RigSolution)}
+        return px[model] / min(px[one] for one in self.costs)
+
+    def choice(self, model: str, *, restricted: bool) -> LensChoice:
+        """Return what follows where a model is taken; `restricted` where a person had a say in it."""
         fit = self.fits[model]
         assert isinstance(fit, RigSolution)
-        gain, sigma, better = (0.0, 0.0, "") if self.stated is None else _gained(self.costs, model)
+        gain, sigma, better = _gained(self.costs, model) if self.stated or restricted else (0.0, 0.0, "")
         trials = [_trial(self.name, one, found, model) for one, found in self.fits.items()]
         trials.sort(key=lambda trial: (not trial.chosen, np.nan_to_num(trial.holdout_rms_px, nan=np.inf)))
         return LensChoice(
@@ -166,9 +192,11 @@ class _Tried:
         )
 
 
-def _tried(name: str, views: Views, stated: str | None, *, robust: bool, most_iterations: int) -> _Tried:
+def _tried(
+    name: str, views: Views, stated: str | None, among: Sequence[str], *, robust: bool, most_iterations: int
+) -> _Tried:
     """Estimate every model from the views of one camera: roughly from a few, the likely ones from all."""
-    models = tuple(dict.fromkeys(CANDIDATES if stated is None else (stated, *CANDIDATES)))
+    models = tuple(dict.fromkeys((*(() if stated is None else (stated,)), *among, *CANDIDATES)))
     general = general_lens(views, 0)
     pixels = corners_of_camera(views, 0).exposures.pixels
     few = np.unique(np.linspace(0, len(views) - 1, min(len(views), _FEW_VIEWS)).round().astype(np.int64))
@@ -195,25 +223,43 @@ def _tried(name: str, views: Views, stated: str | None, *, robust: bool, most_it
     every = np.arange(len(views))
     found: dict[str, RigSolution] = {}
     for model, rough in list(fits.items()):
-        if isinstance(rough, RigSolution) and (rough.sigma_px[name] < _HOPELESS * best_px or model == stated):
+        if isinstance(rough, RigSolution) and (
+            rough.sigma_px[name] < _HOPELESS * best_px or model == stated or model in among
+        ):
             fits[model] = fit = estimated(model, rough.rig.cameras[name], every, most_iterations)
             if isinstance(fit, RigSolution):
                 found[model] = fit
+    if among and not set(among) & set(found):
+        raise SolveError(f"{name}: none of {', '.join(among)} can be estimated from its views. {fits[among[0]]}")
     if not found or (stated is not None and stated not in found):
         raise SolveError(f"{name}: {stated or 'no lens'} cannot be estimated from its views. {fits[models[0]]}")
     costs = _held_out(found, views, name)
     return _Tried(name=name, resolution=general.resolution, stated=stated, fits=fits, costs=costs)
 
 
-def _agreed(one: _Tried, tried: Sequence[_Tried]) -> str:
+def _agreed(one: _Tried, tried: Sequence[_Tried], among: Sequence[str]) -> str:
     """Return the model of a camera: as stated, or that which serves all cameras with images of the same size."""
     if one.stated is not None:
         return one.stated
     alike = [other for other in tried if other.stated is None and other.resolution == one.resolution]
     common = [model for model in one.costs if all(model in other.costs for other in alike)]
     if not common:
-        return _simplest(one.costs)
-    return _simplest({model: np.concatenate([other.costs[model] for other in alike]) for model in common})
+        alike, common = [one], list(one.costs)
+    allowed = [model for model in common if model in among] if among else common
+    if not allowed:
+        alike, allowed = [one], [model for model in one.costs if model in among]
+    costs = {model: np.concatenate([other.costs[model] for other in alike]) for model in allowed}
+    simplest = _simplest(costs)
+    return simplest if among else _read_by_all(simplest, alike, costs)
+
+
+def _read_by_all(model: str, alike: Sequence[_Tried], costs: Mapping[str, Floats]) -> str:
+    """Return a model that every program reads, where it predicts unseen views of each camera about as well as any."""
+    known = read_everywhere()
+    near = [one for one in known if one in costs and all(other.holdout_ratio(one) < _MATTERS for other in alike)]
+    if model in known or not near:
+        return model
+    return min(near, key=lambda one: float(costs[one].sum()))
 
 
 def _held_out(found: Mapping[str, RigSolution], views: Views, name: str) -> dict[str, Floats]:

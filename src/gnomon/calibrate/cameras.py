@@ -78,6 +78,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     lenses = chosen_lenses(
         {name: views_of(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
         models,
+        among=options.among,
         robust=options.robust,
         most_iterations=options.max_iterations,
     )

@@ -4,7 +4,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..camera_options import CameraOptions
 from ..errors import OptionError, RecordingError
+from ..models.lens_programs import refit_models
 from .camera_command import CameraCommand
 from .camera_imu_actions import NO_TARGET, refuse_overwriting
 from .places import CAMERA_FILES, default_folder, result_folder
@@ -43,7 +45,7 @@ def camera(command: CameraCommand, terminal: Terminal) -> int:
         recording = replace(recording, assumptions=(*taken, *recording.assumptions))
         terminal.close()
         say_assumptions(recording.assumptions, terminal)  # before anything fails: they often explain why
-        result = calibrate_cameras(recording, board, command.options, progress=terminal.progress)
+        result = calibrate_cameras(recording, board, _options(command), progress=terminal.progress)
         terminal.progress("writing the result")
         save_camera_files(result, board, staging)
         write_result(result, staging, report=command.report, terminal=terminal)
@@ -55,6 +57,13 @@ def camera(command: CameraCommand, terminal: Terminal) -> int:
         _propose(command, folder, target, terminal)
     terminal.document({**document, **_lenses(result)})
     return exit_code(result.calibration)
+
+
+def _options(command: CameraCommand) -> CameraOptions:
+    """Return the options with the lens models of the program that shall read the result, where one is named."""
+    if command.program is None:
+        return command.options
+    return replace(command.options, among=refit_models(command.program))
 
 
 def _target(command: CameraCommand) -> tuple[Path, tuple[str, ...]]:
@@ -99,10 +108,12 @@ def _propose(command: CameraCommand, folder: Path, target: Path, terminal: Termi
 
 def _lenses(result: "Result") -> dict[str, Any]:
     from ..diagnostics import CamerasDiagnostics
+    from .camera_summary import programs_reading
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, CamerasDiagnostics)
     return {
         "noise": [asdict(level) for level in diagnostics.noise],
         "trials": [asdict(trial) for trial in diagnostics.trials],
+        "read_by": programs_reading(result.calibration),
     }

@@ -8,6 +8,7 @@ import tyro
 
 from ..camera_options import CameraOptions
 from ..errors import OptionError
+from ..models.lens_programs import check_program
 from ..units import Units
 from .command_parts import FileOption, Flat, Switch, output_option
 from .topics import topics_of
@@ -42,6 +43,9 @@ class CameraCommand:
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz and Kalibr's camchain.yaml and results-cam.txt
     (default: NAME-camera beside the recording)."""
+    program: Annotated[str | None, tyro.conf.arg(name="for", metavar="PROGRAM", help_behavior_hint="")] = None
+    """A program that shall read the result: kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis or ros2; the lens
+    model is then chosen among those that it knows."""
     report: Annotated[bool, Switch] = True
     """Do not make the report."""
     json: Annotated[bool, Switch] = False
@@ -49,6 +53,10 @@ class CameraCommand:
     options: Annotated[CameraOptions, Flat] = field(default_factory=CameraOptions)
 
     def __post_init__(self) -> None:
+        if self.program is not None:
+            check_program(self.program)
+            if self.options.model or self.options.among:
+                raise OptionError("--for chooses among a program's lens models. Leave it out, or --model and --among.")
         topics_of(self.topics)
         if self.units is not None:
             Units.parse(self.units)

@@ -77,8 +77,19 @@ def camera_imu(command: commands.CameraImu, terminal: Terminal) -> int:
     terminal.close()
     _say_result(result, folder, terminal)
     document = result_document(result.calibration, folder, recording.assumptions, CAMERA_IMU_FILES)
+    if result.calibration.verdict != "fail":
+        _propose(result, folder, terminal)
     terminal.document({**document, **_findings_of_the_solution(result)})
     return exit_code(result.calibration)
+
+
+def _propose(result: "Result", folder: Path, terminal: Terminal) -> None:
+    """Say how the result gets into a program: one that reads its lenses as they are, where there is one."""
+    from .camera_summary import programs_reading
+
+    reading = [name for name in programs_reading(result.calibration) if name != "kalibr"]  # whose files lie there
+    terminal.say("")
+    terminal.propose("convert", folder, "--to", (*reading, "openvins")[0])
 
 
 def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[str, ...]]:

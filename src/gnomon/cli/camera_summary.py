@@ -9,6 +9,7 @@ from rich.table import Table
 
 from ..calibration import Calibration, CamerasFit
 from ..diagnostics import CamerasDiagnostics, Result
+from ..models.lens_programs import PROGRAMS, knows
 from ..writers.baselines import baseline_of
 from .summary import common_decimals
 
@@ -25,6 +26,21 @@ def facts(result: Result) -> Iterator[str]:
             yield f"    on unseen views  {fit.holdout_rms_px[name]:.3g} px"
         yield f"    coverage         {100 * fit.coverage[name]:.0f} % of the image"
     yield from _board(fit)
+    yield from _readers(result.calibration)
+
+
+def _readers(calibration: Calibration) -> Iterator[str]:
+    """Say which programs read the lenses as they are, and which only one that is fitted anew."""
+    reading = programs_reading(calibration)
+    others = [name for name in PROGRAMS if name not in reading]
+    anew = f"; gnomon convert fits another lens for {', '.join(others)} (or --for PROGRAM)" if others else ""
+    yield f"  lens read by       {', '.join(reading) or 'none of the programs'}{anew}"
+
+
+def programs_reading(calibration: Calibration) -> list[str]:
+    """Return the programs that know the models of all lenses."""
+    lenses = [camera.camera for camera in calibration.cameras.values()]
+    return [name for name in PROGRAMS if all(knows(name, lens) for lens in lenses)]
 
 
 def _board(fit: CamerasFit) -> Iterator[str]:

@@ -1,9 +1,14 @@
 """Which lens models the programs know that take a calibration of cameras."""
 
+import difflib
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from .camera import Camera
+from ..errors import OptionError
 from .lens_names import DistortionName, ProjectionName
+
+if TYPE_CHECKING:
+    from .camera import Camera
 
 _PLAIN = ("none",)
 _LENSES: Mapping[str, Mapping[ProjectionName, tuple[DistortionName, ...]]] = {
@@ -38,7 +43,28 @@ def models_of(name: str) -> tuple[str, ...]:
     return tuple(f"{projection}-{bent}" for projection, all_bent in _LENSES[name].items() for bent in all_bent)
 
 
-def knows(name: str, camera: Camera) -> bool:
+def read_everywhere() -> tuple[str, ...]:
+    """Return the models that every program knows in full."""
+    return tuple(model for model in refit_models(PROGRAMS[0]) if all(model in refit_models(name) for name in PROGRAMS))
+
+
+def check_program(name: str) -> None:
+    """Check that lenses of a program are known.
+
+    Raises
+    ------
+    OptionError
+        If there is no such program.
+    """
+    if name not in PROGRAMS:
+        close = difflib.get_close_matches(name, PROGRAMS, n=1, cutoff=0.4)
+        hint = f" Did you mean {close[0]}?" if close else ""
+        raise OptionError(
+            f"{name}: it is not known which lenses this program reads.{hint} Known: {', '.join(PROGRAMS)}."
+        )
+
+
+def knows(name: str, camera: "Camera") -> bool:
     """Return whether a program knows the model of a lens."""
     if name == "basalt" and camera.projection == "omni" and float(camera.intrinsics[0]) < 0:
         return False  # its ucm has alpha = xi / (1 + xi) of 0 to 1
