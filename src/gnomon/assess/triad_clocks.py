@@ -3,7 +3,8 @@
 import numpy as np
 
 from ..findings import Finding
-from ..recording import Floats, ImuSamples, TriadSamples
+from ..gaps import close_gaps
+from ..recording import Floats, ImuSamples
 
 _GRID_S, _WIDTH_S = 0.02, 0.2
 _LONGEST_S = 10.0
@@ -11,6 +12,7 @@ _APART_S, _FAR_S = 0.1, 0.3
 _ALIKE, _GAINED = 0.5, 0.1
 _LONG_S = 20.0
 _FEWEST_IN_WIDTH = 2  # samples, about: fewer show nothing stirred, and stamps far too slow would need an endless grid
+_LONGEST_GAP_NS = 1_000_000_000  # nothing is stirred in it
 
 
 def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
@@ -27,8 +29,13 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     slower_hz = min(accelerometer.rate_hz, gyroscope.rate_hz)
     if (last - first) * 1e-9 < _LONG_S or not slower_hz * _WIDTH_S >= _FEWEST_IN_WIDTH:
         return []
-    grid = np.arange(0, (last - first) * 1e-9, _GRID_S)
-    pushed, turned = (_stirred(samples, first, grid) for samples in (accelerometer, gyroscope))
+    both = [np.clip(samples.t_ns, first, last) for samples in (accelerometer, gyroscope)]
+    stamps = close_gaps(both, _LONGEST_GAP_NS)
+    grid = np.arange(0, (int(max(t_ns[-1] for t_ns in stamps)) - first) * 1e-9, _GRID_S)
+    pushed, turned = (
+        _stirred(samples.values, (t_ns - first) * 1e-9, grid)
+        for samples, t_ns in zip((accelerometer, gyroscope), stamps, strict=True)
+    )
     lag, best, now = _lag(pushed, turned)
     if abs(lag) < _APART_S or best < _ALIKE or best - now < _GAINED:
         return []
@@ -44,14 +51,13 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     ]
 
 
-def _stirred(samples: TriadSamples, origin_ns: int, grid: Floats) -> Floats:
+def _stirred(values: Floats, t_s: Floats, grid: Floats) -> Floats:
     """Return how much a sensor's readings vary about instants, as a logarithm without mean and of variance one."""
-    t_s = np.asarray((samples.t_ns - origin_ns) * 1e-9, dtype=np.float64)
     first = np.searchsorted(t_s, grid - _WIDTH_S / 2)
     last = np.maximum(np.searchsorted(t_s, grid + _WIDTH_S / 2), first + 1)
     last = np.minimum(last, len(t_s))
     first = np.minimum(first, last - 1)
-    values = samples.values - samples.values.mean(axis=0)
+    values = values - values.mean(axis=0)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
     squares = np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))])
     count = (last - first).astype(np.float64)

@@ -25,6 +25,7 @@ _STEPS, _FINER = 8, 3
 _ROBUST, _ROUNDS = 3.0, 3
 _EXPLAINED, _PROPER = 0.3, 0.9
 _SCALE = 0.5
+_FILLED_S, _SPARSEST, _LONGEST_S = 1.0, 20.0, 600.0  # a longer step is a gap; times of what is filled, and beside it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,6 +101,8 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
     InitialisationError
         If the streams are too short, do not overlap at any shift, or nothing turned.
     """
+    _refuse_jump(poses.t_s, name)
+    _refuse_jump(integral.t_s, "the gyroscope")
     turns = _turns(poses)
     if len(turns.first) < 10:
         raise InitialisationError(
@@ -130,6 +133,25 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
             + _unit_hint(found.rate_scale)
         )
     return found
+
+
+def _refuse_jump(t_s: Floats, name: str) -> None:
+    """Refuse stamps that are mostly gaps, as a clock that jumps leaves them: grids over them would know no bound.
+
+    Raises
+    ------
+    InitialisationError
+        If they are.
+    """
+    steps = np.diff(t_s)
+    filled = float(np.minimum(steps, _FILLED_S).sum())
+    if len(steps) and t_s[-1] - t_s[0] > _LONGEST_S + _SPARSEST * filled:
+        at = int(np.argmax(steps))
+        raise InitialisationError(
+            f"{name}: for {steps[at]:.6g} s, from {t_s[at] - t_s[0]:.6g} s after its beginning on, nothing was "
+            f"recorded, and all else lasts {filled:.6g} s. Its clock jumped, or recordings of different times are in "
+            "one: cut it there."
+        )
 
 
 def _aligned(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, name: str) -> Alignment:

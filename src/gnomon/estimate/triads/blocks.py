@@ -42,18 +42,18 @@ class Stage:
 
 def memory_s(t_s: Floats, residual: Floats) -> float:
     """Return after how long residuals (n,) at rising times have forgotten each other [s]."""
-    cell = np.floor((t_s - t_s[0]) / _CELLS_S).astype(np.int64)
-    count = np.bincount(cell)
-    filled = count > 0
-    mean = np.where(filled, np.bincount(cell, residual) / np.maximum(count, 1), 0.0)
-    power = float(np.sum(mean**2)) / filled.sum()
+    cell, which, count = np.unique(np.floor((t_s - t_s[0]) / _CELLS_S), return_inverse=True, return_counts=True)
+    mean = np.bincount(which, residual) / count
+    power = float(np.mean(mean**2))
     if power <= 0:
         return 0.0
-    for lag in range(1, len(mean) // 4):
-        pairs = int(np.sum(filled[lag:] & filled[:-lag]))
-        if pairs and float(mean[lag:] @ mean[:-lag]) / pairs < _FORGOTTEN * power:
+    most = int(min(cell[-1] + 1, 4 * len(cell))) // 4  # after a jump of the clock most cells are empty
+    for lag in range(1, most):
+        later = np.minimum(np.searchsorted(cell, cell + lag), len(cell) - 1)
+        pairs = cell[later] == cell + lag
+        if pairs.any() and float(mean[later[pairs]] @ mean[pairs]) / pairs.sum() < _FORGOTTEN * power:
             return (lag - 1) * _CELLS_S
-    return len(mean) / 4 * _CELLS_S
+    return most * _CELLS_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,7 +76,8 @@ class Blocks:
         """Return blocks of rising times (n,), three times as long as the memory unless they became too few."""
         span = float(t_s[-1] - t_s[0]) * (1 + 1e-9)
         length = min(max(_LONGER * memory, _SHORTEST_S), span / FEWEST_BLOCKS)
-        return cls(block=np.floor((t_s - t_s[0]) / length).astype(np.int64), length_s=length, memory_s=memory)
+        block = np.unique(np.floor((t_s - t_s[0]) / length), return_inverse=True)[1]  # without those that are empty
+        return cls(block=block.astype(np.int64), length_s=length, memory_s=memory)
 
     @property
     def long_enough(self) -> bool:
