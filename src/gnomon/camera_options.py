@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from .errors import OptionError
+from .ranges import check_ranges
 
 BoardModel = Literal["auto", "stated", "aspect", "bow", "corners"]
 CovarianceKind = Literal["robust", "ordinary"]
@@ -47,6 +48,7 @@ class CameraOptions:
     """Most iterations of one solution."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         if isinstance(self.model, str):  # one name, as people write it in Python
             object.__setattr__(self, "model", (self.model,))
         if isinstance(self.among, str):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .errors import OptionError
+from .ranges import check_ranges
 
 Preset = Literal["gnomon", "tedaldi2014", "tedaldi2014-text", "imu_tk", "angrisano"]
 
@@ -74,11 +75,10 @@ class ImuOptions:
     """What is known beforehand: a calibration.yaml, a noise.yaml, or NAME=SIGMA as imu0.accelerometer.bias=0.05."""
 
     def __post_init__(self) -> None:
-        _check_place(self.gravity, self.latitude)
+        check_ranges(self)
+        _check_gravity(self.gravity)
         positive = ("window_s", "multiplier", "t_init_s", "accelerometer_range", "gyroscope_range", "full_scale")
         _check_positive(self, positive)
-        if self.bits is not None and not 2 <= self.bits <= 32:
-            raise OptionError(f"bits {self.bits}: give a number from 2 to 32.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +156,8 @@ class CameraImuOptions:
     """Most Gauss-Newton iterations of one solution."""
 
     def __post_init__(self) -> None:
-        _check_place(self.gravity, self.latitude)
+        check_ranges(self)
+        _check_gravity(self.gravity)
         for text in self.prior:
             if "=" in text:  # the others are files, which the command line reads
                 stated_prior(text)
@@ -179,6 +180,7 @@ class NoiseOptions:
     """ROS topic (rostopic) for imu.yaml; the noise does not depend on it."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         if not 0 <= self.start_s < float("inf"):
             raise OptionError(f"start_s {self.start_s:g} must be zero or more.")
         if self.stop_s is not None and not self.stop_s > self.start_s:
@@ -206,14 +208,12 @@ def stated_prior(text: str) -> tuple[str, float]:
     return name, sigma
 
 
-def _check_place(gravity_m_s2: float | None, latitude_deg: float | None) -> None:
+def _check_gravity(gravity_m_s2: float | None) -> None:
     if gravity_m_s2 is not None and not 9.0 < gravity_m_s2 < 10.5:
         raise OptionError(
             f"gravity {gravity_m_s2:g} m/s^2 is found nowhere on Earth (9.76 to 9.84). "
             "Give the local value in m/s^2, or --latitude and --altitude."
         )
-    if latitude_deg is not None and not -90 <= latitude_deg <= 90:
-        raise OptionError(f"latitude {latitude_deg:g} deg is not between -90 and 90.")
 
 
 def _check_positive(options: object, names: tuple[str, ...]) -> None:

@@ -15,8 +15,9 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import IO
 
@@ -29,6 +30,47 @@ _STAGING = ".gnomon-staging-"
 _HELD, _DROPPED = ".in-use", ".dropped"
 _OLD = ".old-"
 _OURS = (_HELD, _DROPPED)
+_RESULTS = frozenset(
+    ("calibration.yaml", "report.html", "diagnostics.npz", "trajectory.txt", "results-cam.txt", "results-imucam.txt")
+)
+_SPARED: ContextVar[tuple[Path, ...]] = ContextVar("spared", default=())
+
+
+# ---- what is read is not written ----
+
+
+@contextmanager
+def spare_inputs(paths: Iterable[Path]) -> Generator[None]:
+    """Refuse, meanwhile, to write over any of these files, by whatever name, or over what lies in these folders.
+
+    In a folder, files with the names of results are nobody's input unless they are named themselves.
+    """
+    before = _SPARED.set(tuple(paths))
+    try:
+        yield
+    finally:
+        _SPARED.reset(before)
+
+
+def refuse_input(target: Path) -> None:
+    """Refuse to write to a place where something lies that is read.
+
+    Raises
+    ------
+    OutputError
+        If it is an input, or in a folder that is one.
+    """
+    if not target.exists():
+        return
+    for path in _SPARED.get():
+        with suppress(OSError):
+            named = path.is_file() and target.samefile(path)
+            inside = path.is_dir() and target.parent.samefile(path) and target.name not in _RESULTS
+            if named or inside:
+                raise OutputError(
+                    f"{target}: this file is read, and would be replaced. Nothing was changed. Choose another place "
+                    "with -o."
+                )
 
 
 # ---- one file ----
@@ -51,6 +93,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Generator[IO[bytes]]:
             with target.open("wb") as stream:
                 yield stream
             return
+        refuse_input(target)
         target = target.resolve()
         if target.is_dir():
             raise OutputError(f"{path}: this is a folder. Give the name of a file in it.")
@@ -109,6 +152,8 @@ def files_together(folder: str | os.PathLike[str], own: tuple[str, ...] = ()) ->
         If the folder cannot be made or written, or a folder has the name of a file.
     """
     place = Path(folder)
+    for name in own:
+        refuse_input(place / name)
     made = [path for path in (place, *place.parents) if not path.exists()]
     staging, held = place / f"{_STAGING}{os.urandom(4).hex()}", None
     try:
@@ -244,6 +289,7 @@ def _check_places(staging: Path, place: Path) -> None:
     """Refuse to replace a folder by a file: it is somebody else's."""
     for path in staging.iterdir():
         target = place / path.name
+        refuse_input(target)
         if not path.is_dir() and target.is_dir():
             raise OutputError(f"{target}: this is a folder. Nothing was changed. Choose another folder with -o.")
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from .errors import OptionError
+from .ranges import check_ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +63,7 @@ class TurntableOptions:
     """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         if not self.rate_sigma >= 0:
             raise OptionError(f"rate_sigma {self.rate_sigma:g} must not be below zero.")
         if self.gravity is not None and not 9.0 < self.gravity < 10.5:
@@ -69,8 +71,6 @@ class TurntableOptions:
                 f"gravity {self.gravity:g} m/s^2 is found nowhere on Earth (9.76 to 9.84). "
                 "Give the local value in m/s^2, or --latitude and --altitude."
             )
-        if self.latitude is not None and not -90 <= self.latitude <= 90:
-            raise OptionError(f"latitude {self.latitude:g} deg is not between -90 and 90.")
         for name in ("accelerometer_range", "gyroscope_range"):
             value = getattr(self, name)
             if value is not None and not value > 0:
@@ -104,3 +104,6 @@ class MagnetometerOptions:
 
     magnetometer_range: float | None = None
     """Full scale of the magnetometer, in the recording's unit; samples at or beyond it are masked."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

@@ -106,6 +106,9 @@ class Units:
 ROTATION_UNITS_RAD_S = {"rpm": pi / 30, "rad/s": 1.0, "deg/s": pi / 180, "Hz": 2 * pi}
 """One unit of a platter's rate in rad/s; Hz are turns a second."""
 
+FASTEST_RAD_S = 1000.0
+"""No platter turns faster [rad/s]."""
+
 _NUMBER_AND_UNIT = re.compile(r"\s*([-+]?[\d.]+(?:e[-+]?\d+)?)\s*(.*?)\s*", re.IGNORECASE)
 
 
@@ -138,4 +141,7 @@ def parse_rate(text: str) -> float:
         raise OptionError(f'rate "{text}": {what}. {expected}')
     if not (isfinite(number) and number >= 0):
         raise OptionError(f'rate "{text}": it must not be negative; the direction does not matter. {expected}')
-    return number * units[match[2].lower()]
+    rate_rad_s = number * units[match[2].lower()]
+    if rate_rad_s > FASTEST_RAD_S:
+        raise OptionError(f'rate "{text}": no platter turns by more than {FASTEST_RAD_S:g} rad/s. {expected}')
+    return rate_rad_s

@@ -150,7 +150,7 @@ def test_the_command_calibrates(run, names, folder):
         (["--rate", "16furlongs"], 2, "furlongs"),
         (["--rate", "other.csv=16rpm"], 2, "none of the recordings"),
         ([], 2, "--rate is missing"),
-        (["--rate", "16rpm", "--latitude", "100"], 2, "not between -90 and 90"),
+        (["--rate", "16rpm", "--latitude", "100"], 2, "latitude 100 is out of range. Give a number from -90 to 90"),
         (["--rate", "16rpm", "--gyroscope-range", "0.5"], 3, "saturated"),
     ],
 )

@@ -33,7 +33,7 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
     stamps = close_gaps(both, _LONGEST_GAP_NS)
     grid = np.arange(0, (int(max(t_ns[-1] for t_ns in stamps)) - first) * 1e-9, _GRID_S)
     pushed, turned = (
-        _stirred(samples.values, (t_ns - first) * 1e-9, grid)
+        _stirred(samples.values, np.asarray((t_ns - first) * 1e-9, dtype=np.float64), grid)
         for samples, t_ns in zip((accelerometer, gyroscope), stamps, strict=True)
     )
     lag, best, now = _lag(pushed, turned)

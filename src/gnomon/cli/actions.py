@@ -26,6 +26,7 @@ from .places import (
     finish_moves,
     joined_folder,
     result_folder,
+    spared_inputs,
 )
 from .plan_actions import plan
 from .platter_actions import rate, simulate_platter_video
@@ -222,4 +223,5 @@ _ACTIONS: dict[type[commands.Command], Callable[[Any, Terminal], int]] = {
 def run(command: commands.Command, terminal: Terminal) -> int:
     """Carry out a command and return its exit code."""
     finish_moves(command)
-    return _ACTIONS[type(command)](command, terminal)
+    with spared_inputs(command):
+        return _ACTIONS[type(command)](command, terminal)

@@ -10,7 +10,7 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from .._version import __version__
-from ..errors import OptionError
+from ..ranges import check_ranges
 from .command_parts import FromScenario
 from .commands import COMMANDS, Command
 
@@ -47,7 +47,7 @@ def parse(arguments: Sequence[str]) -> Command:
             config=_CONFIG,
             registry=_registry(),
         )
-        _check_seed(parsed)
+        check_ranges(parsed)
         return parsed
     union: Any = Union[tuple(Annotated[COMMANDS[key], tyro.conf.subcommand(key)] for key in COMMANDS)]  # noqa: UP007
     return tyro.cli(
@@ -58,12 +58,6 @@ def parse(arguments: Sequence[str]) -> Command:
         config=_CONFIG,
         registry=_registry(),
     )
-
-
-def _check_seed(command: Command) -> None:
-    seed = getattr(command, "seed", 0)
-    if seed < 0:
-        raise OptionError(f"seed {seed} must not be below zero.")
 
 
 def _scenario_default(name: str, arguments: Sequence[str]) -> Any:

@@ -2,14 +2,15 @@
 
 import os
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 from ..errors import OutputError
-from ..output import files_together, put_in_place
+from ..output import files_together, put_in_place, refuse_input, spare_inputs
 
 RESULT_FILES = ("calibration.yaml", "report.html", "diagnostics.npz")
 """gnomon's own files in the folder of a result."""
@@ -36,6 +37,9 @@ _COMMANDS = {"cameras": "camera"}
 """Method in a result's provenance -> its command, where that is called otherwise."""
 
 SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
+
+_TEXTS = ("calibrations", "cam", "prior", "rate", "use")
+"""Fields of commands and of their options that may name files, or a folder with a calibration."""
 
 _FILES = (".yaml", ".yml", ".json", ".html", ".csv", ".txt", ".npz", ".pdf", ".zip")
 """Endings that nobody gives to a folder."""
@@ -186,6 +190,55 @@ def finish_moves(command: object) -> None:
         for folder in (path, path.parent):
             with suppress(OSError, OutputError):  # who writes there is told; who reads has no need to
                 put_in_place(folder)
+
+
+@contextmanager
+def spared_inputs(command: object) -> Generator[None]:
+    """Let nothing be written over what a command reads, and refuse pipes and devices, which can be read only once.
+
+    Raises
+    ------
+    RecordingError
+        If an input is a pipe or a device.
+    OutputError
+        If the file to write is an input, or lies in a folder that is one.
+    """
+    from ..readers.files import refuse_special
+
+    inputs = _inputs(command)
+    for path in inputs:
+        refuse_special(path)
+    output: Path | None = getattr(command, "output", None)
+    with spare_inputs(inputs):
+        if output is not None and output.is_file():
+            refuse_input(output)
+            read = [path.resolve() for path in inputs if path.is_dir()]
+            if not set(read).isdisjoint(output.resolve().parents):
+                raise OutputError(
+                    f"{output}: there is a file of this name in a folder that is read. Nothing was changed. Choose "
+                    "another place with -o."
+                )
+        yield
+
+
+def _inputs(command: object) -> list[Path]:
+    """Return the files and folders that a command reads, those in texts (--prior, --for) too."""
+    if not is_dataclass(command):
+        return []
+    given = [getattr(command, entry.name) for entry in fields(command) if entry.name != "output"]
+    options = getattr(command, "options", None)
+    texts: list[Any] = [getattr(holder, name, None) or () for holder in (command, options) for name in _TEXTS]
+    words = [str(word) for text in texts for word in (text if isinstance(text, tuple) else (text,))]  # pyright: ignore
+    named = [Path(part) for word in words for part in (word, *re.split(r"[=+]", word)) if part]
+    folders = [path / "calibration.yaml" for path in named]
+    return [*(path for node in given for path in _paths(node)), *filter(_is_there, (*named, *folders))]
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a text that is no path
+        return False
 
 
 def _paths(node: object) -> Iterator[Path]:

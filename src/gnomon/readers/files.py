@@ -3,6 +3,7 @@
 import gzip
 import hashlib
 import io
+import stat
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 NPZ_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 MUCH_BYTES, MOST_TIMES = 256 << 20, 100
 """What is packed may be unpacked to so many bytes, or to so many times its size."""
+_MANY_BYTES, _LOOKS, _LOOKED_AT = 1 << 24, 16, 4096
 _STILL = (b"heic", b"heix", b"mif1", b"avif")
 
 # Files that people try and that hold no table; the name goes into the message.
@@ -47,14 +49,37 @@ class TextFile:
     source: Source
 
 
+def refuse_special(path: Path) -> None:
+    """Refuse what is neither a file nor a folder: a pipe gives its bytes once, and a device has no end.
+
+    Raises
+    ------
+    RecordingError
+        If it is a pipe, a device or a socket.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError:  # whoever opens it says what is wrong
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = (
+            "a pipe" if stat.S_ISFIFO(mode) else "a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "a socket"
+        )
+        raise RecordingError(
+            f"{path}: this is {kind}, and gnomon reads its inputs more than once. Write what comes out of it into a "
+            "file, such as zcat a.csv.gz > a.csv, and give that file."
+        )
+
+
 def first_bytes(path: Path, count: int = 512) -> bytes:
     """Return the first bytes of a file as they are on the disk.
 
     Raises
     ------
     RecordingError
-        If the file is not there, cannot be opened, or is empty.
+        If the file is not there, is a pipe or a device, cannot be opened, or is empty.
     """
+    refuse_special(path)
     try:
         with path.open("rb") as file:
             head = file.read(count)
@@ -78,6 +103,7 @@ def read_text(path: Path) -> TextFile:
     head = first_bytes(path)
     if not head.startswith((_GZIP, *_UTF_16)):
         refuse_binary(head, path)  # before all of it is read
+        _refuse_holes(path)
     try:
         packed = path.read_bytes()
     except OSError as error:
@@ -87,6 +113,27 @@ def read_text(path: Path) -> TextFile:
         raise RecordingError(f"{path}: its {size} MiB do not fit into memory. Cut the recording into parts.") from None
     source = Source(name=path.name, sha256=hashlib.sha256(packed).hexdigest())
     return TextFile(name=path.name, data=plain_text(packed, path), source=source)
+
+
+def _refuse_holes(path: Path) -> None:
+    """Refuse a text file with stretches of zeros, as a copy that broke off leaves them, before all of it is read.
+
+    Raises
+    ------
+    RecordingError
+        If there are zeros where it is looked at.
+    """
+    size = path.stat().st_size
+    if size < _MANY_BYTES:
+        return
+    with path.open("rb") as file:
+        for place in range(1, _LOOKS + 1):
+            file.seek((size - _LOOKED_AT) * place // _LOOKS)
+            if b"\0" in file.read(_LOOKED_AT):
+                raise RecordingError(
+                    f"{path}: this file begins as text, and there are zeros around byte {file.tell()} of {size}. Was "
+                    "the recording copied completely?"
+                )
 
 
 def plain_text(packed: bytes, path: Path) -> bytes:

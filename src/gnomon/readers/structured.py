@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..recording import Floats
+from .files import refuse_special
 from .yaml_limits import refuse_bombs, refuse_deep, refuse_large
 
 _LARGEST = 1e60
@@ -254,8 +255,11 @@ def read_text(path: str | PathLike[str]) -> str:
     ------
     FormatError
         If the file cannot be read, or is no text.
+    RecordingError
+        If it is a pipe or a device.
     """
     try:
+        refuse_special(Path(path))
         refuse_large(Path(path).stat().st_size, path)
         return Path(path).read_bytes().decode("utf-8-sig")
     except FileNotFoundError as error:

@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from .seen_board import DISTORTION_COEFFS, RenderedImages, SeenBoard, TrueLens
 
 MotionName = Literal["gentle", "normal", "tremor", "shaky", "static", "one-axis", "translation", "rolling", "slow"]
@@ -233,6 +234,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     made."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         self._check_numbers()
         self.check_lens()
         self._check_distortion_error()
@@ -266,8 +268,6 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
         for name in ("vignetting", "dropped_samples", "outliers", "dropped_frames", "late_frames", "shifted_frames"):
             if not 0 <= getattr(self, name) < 1:
                 raise OptionError(f"{name} {getattr(self, name):g}: give a fraction from 0 to below 1.")
-        if self.earth_rate_latitude is not None and not -90 <= self.earth_rate_latitude <= 90:
-            raise OptionError(f"earth_rate_latitude {self.earth_rate_latitude:g} deg is not between -90 and 90.")
         if self.scale_range is not None and self.scale_range >= 1:
             raise OptionError(f"scale_range {self.scale_range:g}: a scale of zero or less measures nothing.")
         if self.focal_error <= -1:

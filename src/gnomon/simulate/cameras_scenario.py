@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any, Literal, Self
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from .seen_board import RenderedImages, SeenBoard, TrueLens
 
 AttitudeName = Literal["varied", "facing", "one"]
@@ -107,6 +108,7 @@ class CamerasScenario(RenderedImages, TrueLens, SeenBoard, ShownViews):
     In blurred views it moves thirty times as far."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         for name in ("views", "between"):
             _check(name, getattr(self, name), lowest=1)
         _check("covers", self.covers, lowest=0)

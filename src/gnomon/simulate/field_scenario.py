@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from ..units import Units
 
 
@@ -85,6 +86,7 @@ class FieldScenario:
     """Draw the sensor's parameters from this seed, so that many recordings of one sensor can be made."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         above = [
             "duration_s",
             "rate_hz",
@@ -105,8 +107,6 @@ class FieldScenario:
             raise OptionError(f"outliers {self.outliers:g}: give a fraction from 0 to below 1.")
         if self.soft_iron >= 0.3:
             raise OptionError(f"soft_iron {self.soft_iron:g}: give less than 0.3; iron that strong is no perturbation.")
-        if not -90 <= self.dip_deg <= 90:
-            raise OptionError(f"dip_deg {self.dip_deg:g} deg is not between -90 and 90.")
         if self.rests * self.rest_s >= self.duration_s:
             raise OptionError(f"{self.rests} rests of {self.rest_s:g} s do not fit into {self.duration_s:g} s.")
         Units.parse(self.units)

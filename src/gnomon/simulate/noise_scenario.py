@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +47,7 @@ class NoiseScenario:
     """R in rad/s^2."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         for name in self.__slots__:
             value = getattr(self, name)
             if name in {"duration_s", "rate_hz"} and not 0 < value < float("inf"):

@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from .camera_imu_scenario import MotionName
 
 PlannedMotion = MotionName | Literal["planar"]
@@ -61,6 +62,7 @@ class CameraImuPlan:
     """Latitude in degrees; where it is stated, gravity is known."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         _positive(self, ("duration_s", "distance_m", "camera_rate_hz", "pixel_sigma"))
         _not_negative(self, ("turning", "shaking"))
         if self.imu_rate_hz is not None:
@@ -105,6 +107,7 @@ class ImuPlan:
     """Latitude in degrees; where it is stated, gravity and the Earth's rate are known."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         _positive(self, ("t_init_s", "hold_s", "motion_s", "rate_hz"))
         if not 10 <= self.intervals <= 1000:
             raise OptionError(f"intervals {self.intervals}: plan 10 to 1000; 36 to 50 are best.")

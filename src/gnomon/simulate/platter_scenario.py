@@ -5,6 +5,7 @@ from math import pi
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,6 +100,7 @@ class PlatterScenario:
     """What the platter does; swing and blink are periodic, too, but have no rate."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         for name in ("duration_s", "frame_rate_hz", "width", "height", "radius"):
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} {getattr(self, name)!r} must be positive.")

@@ -5,6 +5,7 @@ from math import radians
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from ..units import Units
 
 Attitudes = Literal["angrisano18", "six", "seven", "sphere"]
@@ -79,16 +80,13 @@ class PoseScenario:
     """How far the gyroscope's bias moves from the first pose to the last, along each axis, in rad/s; steadily."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         for name in ("poses", "samples", "rate_hz", "gravity", "accelerometer_range", "gyroscope_range"):
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} {getattr(self, name):g} must be greater than zero.")
         for name in ("attitude_error_deg", "wait_s", "accelerometer_noise_density", "gyroscope_noise_density"):
             if not getattr(self, name) >= 0:
                 raise OptionError(f"{name} {getattr(self, name):g} must not be below zero.")
-        if self.bits is not None and not 2 <= self.bits <= 32:
-            raise OptionError(f"bits {self.bits}: give a number from 2 to 32.")
-        if self.earth_rate_latitude is not None and not -90 <= self.earth_rate_latitude <= 90:
-            raise OptionError(f"earth_rate_latitude {self.earth_rate_latitude:g} deg is not between -90 and 90.")
         units = Units.parse(self.units)
         raw = units.accelerometer == units.gyroscope == "count"
         if self.sensor == "angrisano" and not (raw and self.bits in (None, 16)):

@@ -5,6 +5,7 @@ from math import radians
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from ..units import Units
 
 
@@ -108,6 +109,7 @@ class Scenario:
     """Draw the sensor's parameters from this seed, so that many recordings of one sensor can be made."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         self._check_positive()
         for name in ("hold_s", "motion_s", "accelerometer_scale", "gyroscope_scale"):
             low, high = getattr(self, name)
@@ -126,10 +128,6 @@ class Scenario:
             raise OptionError("attitudes one-axis: the signals of document A (style thesis) have none. Choose hand.")
         if not 0 <= self.dropped < 1:
             raise OptionError(f"dropped {self.dropped:g}: give a fraction from 0 to below 1.")
-        if self.bits is not None and not 2 <= self.bits <= 32:
-            raise OptionError(f"bits {self.bits}: give a number from 2 to 32.")
-        if self.earth_rate_latitude is not None and not -90 <= self.earth_rate_latitude <= 90:
-            raise OptionError(f"earth_rate_latitude {self.earth_rate_latitude:g} deg is not between -90 and 90.")
         Units.parse(self.units)
 
     def _check_positive(self) -> None:

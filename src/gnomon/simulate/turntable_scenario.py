@@ -5,6 +5,7 @@ from math import radians
 from typing import Literal
 
 from ..errors import OptionError
+from ..ranges import check_ranges
 from ..units import Units
 
 
@@ -94,6 +95,7 @@ class TurntableScenario:
     """Draw the sensor's parameters from this seed, so that many recordings of one sensor can be made."""
 
     def __post_init__(self) -> None:
+        check_ranges(self)
         for name in ("rate_hz", "gravity", "accelerometer_range", "gyroscope_range", "steady_s", "poses"):
             if not getattr(self, name) > 0:
                 raise OptionError(f"{name} {getattr(self, name):g} must be greater than zero.")
@@ -102,6 +104,4 @@ class TurntableScenario:
                 raise OptionError(f"{name} {getattr(self, name):g} must not be below zero.")
         if any(not speed >= 0 for speed in self.rpm):
             raise OptionError("rpm must not be below zero; counter_clockwise says which way the platter turns.")
-        if self.earth_rate_latitude is not None and not -90 <= self.earth_rate_latitude <= 90:
-            raise OptionError(f"earth_rate_latitude {self.earth_rate_latitude:g} deg is not between -90 and 90.")
         Units.parse(self.units)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ...images import Grey
+from ..files import refuse_special
 from .image_pixels import bit_depth, largest_in_picture, picture
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -60,6 +61,7 @@ def used_bits(files: Sequence[tuple[Path, str]]) -> int | None:
 
 
 def _content(path: Path, where: str) -> bytes:
+    refuse_special(path)
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -90,7 +92,8 @@ def _digested(files: list[tuple[str, Path]]) -> bytes:
 
 def _digest(path: Path) -> bytes:
     try:
+        refuse_special(path)
         with path.open("rb", buffering=0) as file:
             return hashlib.sha256(file.readall()).digest()
-    except OSError:
+    except (OSError, RecordingError):
         return bytes(32)
