@@ -26,8 +26,8 @@ def contents(folder):
 def refused(run, folder, *words):
     """Run a command, which must change nothing and say one line."""
     before = contents(folder)
-    code, out, err = run(*words)
-    assert (code, out) == (3, ""), err
+    code, _, err = run(*words)
+    assert code == 3, err
     lines = [line for line in err.splitlines() if line.startswith("gnomon: ")]
     assert len(lines) == 1
     assert contents(folder) == before
@@ -61,9 +61,9 @@ def test_apply_spares_the_files_of_a_folder(run, result, tmp_path):
         refused(run, tmp_path, *words)
 
 
-@pytest.mark.parametrize("prior", ["cal/calibration.yaml", "cal"])
-def test_a_prior_is_not_replaced_by_what_follows_from_it(prior, run, result):
-    said = refused(run, result, "imu", result / "r.csv", "--prior", result / prior, "-o", result / "cal")
+def test_a_prior_is_not_replaced_by_what_follows_from_it(run, result):
+    prior = result / "cal/calibration.yaml"
+    said = refused(run, result, "imu", result / "r.csv", "--prior", prior, "-o", result / "cal")
     assert "calibration.yaml: this file is read" in said
 
 
