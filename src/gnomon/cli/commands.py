@@ -200,6 +200,11 @@ class Convert:
     imu: Annotated[Path | None, tyro.conf.arg(aliases=["--noise"], metavar="FILE", help_behavior_hint="")] = None
     """Kalibr's imu.yaml or gnomon's noise.yaml with the noise and rate that a format wants (default: imu.yaml or
     noise.yaml beside the calibration, where there is one)."""
+    accelerometer_lsb_per_g: float | None = None
+    """Counts per g by which the driver divides, such as 16384, where the calibration is of counts; PX4 and ArduPilot
+    need it."""
+    gyroscope_lsb_per_deg_s: float | None = None
+    """The same per deg/s of the gyroscope, such as 131."""
     topics: Topics = ()
     """Which topics of a bag are read, such as cam0=/camera/image_raw imu0=/imu/data; found where not given."""
     imu_table: Annotated[Path | None, FileOption] = None

@@ -57,12 +57,16 @@ def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
     else:
         calibration = load_foreign(*command.paths)
         notes = list(calibration.notes)
+    scales = {
+        "accelerometer_lsb_per_g": command.accelerometer_lsb_per_g,
+        "gyroscope_lsb_per_deg_s": command.gyroscope_lsb_per_deg_s,
+    }
     imu, said = _noise(command)
     folder = command.output or command.path.parent / command.to
     check_folder(folder)
-    paths = [folder / name for name in exported(calibration, command.to, imu=imu).files]
+    paths = [folder / name for name in exported(calibration, command.to, imu=imu, **scales).files]
     _spare_inputs(command, paths)
-    losses = write(calibration, command.to, folder, imu=imu)
+    losses = write(calibration, command.to, folder, imu=imu, **scales)
     files = [str(path) for path in paths]
     for note in (*notes, *said):
         terminal.say(f"note:    {note}")

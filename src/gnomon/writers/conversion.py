@@ -13,6 +13,7 @@ from ..readers.projects.foreign import ForeignCalibration
 from ..readers.projects.foreign_calibration import as_calibration
 from ..readers.rig.imu_noise import read_imu_noise
 from .context import Context, StatedImu, remark_losses, sentences
+from .count_scales import with_full_scale
 from .export import Export, Loss
 from .ignored_values import ignored_values
 
@@ -45,7 +46,13 @@ Stated = str | PathLike[str] | Mapping[str, StatedImu] | None
 
 
 def convert(
-    calibration: Calibration | ForeignCalibration, to: str, directory: str | PathLike[str], *, imu: Stated = None
+    calibration: Calibration | ForeignCalibration,
+    to: str,
+    directory: str | PathLike[str],
+    *,
+    imu: Stated = None,
+    accelerometer_lsb_per_g: float | None = None,
+    gyroscope_lsb_per_deg_s: float | None = None,
 ) -> tuple[Loss, ...]:
     """Write a calibration in another project's format and return what that format cannot hold.
 
@@ -57,6 +64,8 @@ def convert(
     directory : made if it is not there; only the files of the format are written, all of them or none
     imu : file with the noise and rate of the IMUs, such as Kalibr's imu.yaml or gnomon's noise.yaml, or what is known
         of each; another project's calibration may state them itself
+    accelerometer_lsb_per_g, gyroscope_lsb_per_deg_s : counts per g and per deg/s by which the driver divides, where the
+        calibration is of counts; "px4" and "ardupilot" need them
 
     Raises
     ------
@@ -67,12 +76,25 @@ def convert(
     OutputError
         If a file cannot be written.
     """
-    export = exported(calibration, to, imu=imu)
+    export = exported(
+        calibration,
+        to,
+        imu=imu,
+        accelerometer_lsb_per_g=accelerometer_lsb_per_g,
+        gyroscope_lsb_per_deg_s=gyroscope_lsb_per_deg_s,
+    )
     write_together(directory, export.files)
     return export.losses
 
 
-def exported(calibration: Calibration | ForeignCalibration, to: str, *, imu: Stated = None) -> Export:
+def exported(
+    calibration: Calibration | ForeignCalibration,
+    to: str,
+    *,
+    imu: Stated = None,
+    accelerometer_lsb_per_g: float | None = None,
+    gyroscope_lsb_per_deg_s: float | None = None,
+) -> Export:
     """Return the texts of the files of another project's format, by name, without writing them; see `convert`.
 
     Raises
@@ -91,6 +113,8 @@ def exported(calibration: Calibration | ForeignCalibration, to: str, *, imu: Sta
             for name, data in calibration.imu_data.items()
         }
         calibration = as_calibration(calibration)
+    if (accelerometer_lsb_per_g, gyroscope_lsb_per_deg_s) != (None, None):
+        calibration = with_full_scale(calibration, accelerometer_lsb_per_g, gyroscope_lsb_per_deg_s)
     if not calibration.imus and to not in _LENSES_ALONE:
         raise OptionError(
             f"{to} describes an IMU, and this calibration is of cameras alone. Convert to {', '.join(_LENSES_ALONE)}, "

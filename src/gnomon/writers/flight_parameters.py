@@ -14,9 +14,10 @@ from ..errors import OptionError
 from ..models.diagonal_forms import DiagonalTriad
 from ..recording import Floats
 from .context import Context
+from .count_scales import refuse_counts
 from .export import Loss, g_sensitivity_losses, magnetometer_losses, rig_losses, uncertainty_loss
 from .sensor_losses import accelerometer_losses, rest_size, si_sensitivity
-from .si_units import conversions, count_losses
+from .si_units import conversions
 
 _NOTHING = 1e-12
 
@@ -46,8 +47,9 @@ def require_flight_imus(calibration: Calibration, whose: str, most: int) -> dict
     Raises
     ------
     OptionError
-        If there is neither accelerometer nor gyroscope.
+        If there is neither accelerometer nor gyroscope, or one is in counts.
     """
+    refuse_counts(calibration, whose)
     imus = {name: flight_imu(imu) for name, imu in list(calibration.imus.items())[:most]}
     if not any(imu.accelerometer or imu.gyroscope for imu in imus.values()):
         raise OptionError(
@@ -79,9 +81,8 @@ class ParameterNames:
 
 
 def flight_head(head: str, calibration: Calibration, context: Context) -> str:
-    """Return the comment above the parameters: `head` with the frame filled in, the origin, and what samples are."""
-    lines = "".join(f"# {line}\n" for line in conversion_lines(calibration))
-    return head.format(frame=calibration.frame) + context.comment() + lines
+    """Return the comment above the parameters: `head` with the frame filled in, and the origin."""
+    return head.format(frame=calibration.frame) + context.comment()
 
 
 def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[Loss]:
@@ -90,7 +91,6 @@ def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[L
     for name in list(calibration.imus)[most:]:
         yield Loss(what=name, why=f"{whose} knows {most} IMUs.")
     for name, imu in list(calibration.imus.items())[:most]:
-        yield from count_losses(name, imu, whose)
         flight = flight_imu(imu)
         for conversion in conversions(imu):
             triad: DiagonalTriad = getattr(flight, conversion.triad)
@@ -111,14 +111,3 @@ def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[L
     yield from magnetometer_losses(calibration, whose)
     yield Loss(what="precision", why=f"{whose} keeps floats.", size="6e-8 relative")
     yield uncertainty_loss(whose)
-
-
-def conversion_lines(calibration: Calibration) -> list[str]:
-    """Return in words which samples the parameters are for, where they are counts."""
-    return [
-        f"{name}: {line}"
-        for name, imu in calibration.imus.items()
-        for conversion in conversions(imu)
-        if conversion.unit == "count"
-        for line in conversion.lines()
-    ]
