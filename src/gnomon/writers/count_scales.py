@@ -74,7 +74,7 @@ def refuse_counts(calibration: Calibration, whose: str) -> None:
     ]
     if missing:
         raise OptionError(
-            f"{whose} takes samples as its drivers give them, in m/s^2 and rad/s; this calibration is of counts, and the "
+            f"{whose} takes samples as its drivers give them, in m/s^2 and rad/s; this calibration is of counts; the "
             f"full scale is missing. {'; '.join(missing)}. State by what the driver divides, as its data sheet has it."
         )
 
