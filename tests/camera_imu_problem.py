@@ -18,6 +18,7 @@ from gnomon.estimate.camera_imu.trajectory import Bases, Grid, Segment, Trajecto
 from gnomon.estimate.camera_imu.visual_terms import VisualData, board_in_camera, instants
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
+from gnomon.models.origin import Origin, single_point_weights
 
 SHAPES = {"pinhole": [], "omni": [0.9], "eucm": [0.6, 1.1], "ds": [-0.2, 0.55]}
 COEFFS = {
@@ -29,6 +30,12 @@ COEFFS = {
 }
 LENSES = list(product(SHAPES, COEFFS))
 SPACING_S = 0.1
+
+ORIGINS = (
+    Origin(point="x"),
+    Origin(point="optimal", weights=single_point_weights(*np.random.default_rng(4).normal(size=(2, 8, 3)))),
+    Origin(point="place", place_m=np.array([0.03, -0.02, 0.05])),
+)
 
 
 def lens(projection, distortion):
@@ -71,7 +78,7 @@ def problem(
         gravity_axes=gravity_axes(rng.normal(size=3)),
         gravity_m_s2=9.7,
         target_scale=1.1,
-        imus=tuple(errors_of_an_imu(rng, (seed + i) % 3, i) for i in range(imus)),
+        imus=tuple(errors_of_an_imu(rng, ORIGINS[(seed + i) % 3], i) for i in range(imus)),
         cameras=tuple(
             CameraParameters(
                 name=f"cam{i}",
@@ -105,7 +112,7 @@ def problem(
     return Problem(measurements=measurements, state=state, layout=columns(parameters, fixed, rng), noise=noise)
 
 
-def errors_of_an_imu(rng, origin=0, number=0):
+def errors_of_an_imu(rng, origin=ORIGINS[0], number=0):
     placed = {"accelerometer_shift_s": 0.004 - 0.011 * number}
     if number:
         placed |= {

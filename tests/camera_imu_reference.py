@@ -181,12 +181,9 @@ class Variants:
         imu = self.parameters.imus[i]
         arms = imu.lever_arms + self.step(f"imu{i}.lever_arms", 6)
         zero = np.zeros_like(arms[:, :3])
-        return np.stack(
-            {0: [zero, arms[:, :3], arms[:, 3:]], 1: [arms[:, :3], zero, arms[:, 3:]]}.get(
-                imu.origin, [arms[:, :3], arms[:, 3:], zero]
-            ),
-            axis=1,
-        )
+        from_x = np.stack([zero, arms[:, :3], arms[:, 3:]], axis=1)
+        weights, offset = imu.origin.combination
+        return from_x - (np.einsum("kij,vkj->vi", weights, from_x) + offset)[:, None]
 
     def pose_and_clock(self, i):
         """Return R_imu_body, p_imu_body, and the shifts of the IMU and of its accelerometer, (v, ...)."""

@@ -134,7 +134,7 @@ def ratios(found: Sequence[Errors]) -> dict[str, float]:
     }
 
 
-def cramer_rao_sigma(simulation, options, gravity_plane) -> dict[str, float]:
+def cramer_rao_sigma(simulation, options, gravity_plane, origin) -> dict[str, float]:
     """Return the Cramer-Rao bound of every estimated scalar: the information at the truth, with the true noise.
 
     `gravity_plane` (3, 2) says about which axes the direction of gravity is told.
@@ -142,7 +142,7 @@ def cramer_rao_sigma(simulation, options, gravity_plane) -> dict[str, float]:
     prepared = prepare_camera_imu(simulation.recording, simulation.target, options)
     stream = imu_stream(prepared.inertial)
     found = looks(simulation.recording.cameras, simulation.target, prepared.origin_ns, stream)
-    parameters = true_parameters(simulation, gravity_plane)
+    parameters = true_parameters(simulation, gravity_plane, origin)
     state = State(trajectory=true_trajectory(simulation, stream.t_s, found, parameters, options), parameters=parameters)
     imu, root = simulation.recording.imus["imu0"].noise, np.sqrt(simulation.scenario.imu_rate_hz)
     noise = Noise(
@@ -168,7 +168,7 @@ def cramer_rao_sigma(simulation, options, gravity_plane) -> dict[str, float]:
     return dict(zip(names.tolist(), np.sqrt(np.diag(step.covariance)).tolist(), strict=True))
 
 
-def true_parameters(simulation, gravity_plane) -> Parameters:
+def true_parameters(simulation, gravity_plane, origin) -> Parameters:
     truth = simulation.truth_parameters
     down = simulation.gravity_target / np.linalg.norm(simulation.gravity_target)
     plane = gravity_plane - np.outer(down, down @ gravity_plane)  # nearly the same, and across the true gravity
@@ -180,6 +180,7 @@ def true_parameters(simulation, gravity_plane) -> Parameters:
             ImuParameters(
                 **{name: truth[f"imu0.{name}"] for name in ("S_a", "M_a", "S_g", "M_g", "B_g")},
                 C_bg=rotation_from_rotvec(truth["imu0.q_bg"]),
+                origin=origin,
             ),
         ),
         cameras=tuple(

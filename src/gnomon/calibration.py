@@ -13,6 +13,7 @@ from .errors import FormatError, OptionError
 from .findings import Finding
 from .frozen import FrozenMapping
 from .models.gravity import WORLD_GRAVITY_SIGMA_M_S2
+from .models.origin import Origin
 from .parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from .recording import Floats, Source, frozen_array
 from .sensors import (
@@ -303,20 +304,33 @@ class Calibration:
         uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
         return replace(self, imus=moved.imus, cameras=moved.cameras, frame=frame, uncertainty=uncertainty)
 
-    def with_origin(self, accelerometer: str) -> Self:
-        """Return the same calibration with the body's origin at accelerometer "x", "y" or "z", its covariance too.
+    def with_origin(self, origin: str | Origin) -> Self:
+        """Return the same calibration with the origin of each IMU at another point, its covariance too.
 
         Only a calibration with lever arms changes. It is exact but for the gyroscope's g-sensitivity, which acts on the
-        specific force at the body's origin: two places a centimetre apart differ by 1e-5 rad/s there.
+        specific force at the body's origin: two places a centimetre apart differ by 1e-5 rad/s there. What weighs the
+        accelerometers in p* is the motion, which the covariance takes for exact: a trajectory is known to a thousandth.
+
+        Parameters
+        ----------
+        origin : "optimal", the point whose place is known best (p*); the accelerometer "x", "y" or "z"; a place from
+            the x accelerometer in the IMU's axes, such as "0.010,0,-0.005" [m]; or the `origin` of an IMU of another
+            calibration, whose motion then weighs the accelerometers. Without it that of this calibration does, where it
+            is known; else p* is that of a motion alike about all axes
 
         Raises
         ------
         OptionError
-            If `accelerometer` is none of these.
+            If `origin` is none of these.
         """
-        if accelerometer not in ("x", "y", "z"):
-            raise OptionError(f'origin "{accelerometer}": there is no such accelerometer. Choose x, y or z.')
-        moved = moved_to_origin(self.imus, self.cameras, "xyz".index(accelerometer))
+        stated = Origin.stated(origin) if isinstance(origin, str) else origin
+        origins = {
+            name: replace(stated, weights=imu.origin.weights)
+            if stated.weights is None and imu.origin is not None
+            else stated
+            for name, imu in self.imus.items()
+        }
+        moved = moved_to_origin(self.imus, self.cameras, origins)
         matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
         uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
         return replace(self, imus=moved.imus, cameras=moved.cameras, uncertainty=uncertainty)

@@ -87,8 +87,9 @@ class CameraImuOptions:
 
     model: Literal["auto", "basic", "scale-misalignment", "full"] = "auto"
     """Model: that of the IMU is ideal but for its biases (basic); with scale, misalignment and gyroscope rotation
-    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of document B (full); or full and what else
-    the recording proves to be there, as lever arms of the accelerometers, errors of the board and of the lens (auto).
+    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of document B (full); or full with lever
+    arms of the accelerometers, and what else the recording proves to be there, errors of the board and of the lens
+    (auto).
     """
 
     gravity: float | None = None
@@ -124,9 +125,10 @@ class CameraImuOptions:
     """Parameters to estimate with a prior about their start value, NAME=SIGMA, such as cam0.intrinsics=2; or a file
     with what is known of the IMU, a calibration.yaml."""
 
-    origin: Literal["x", "y", "z"] = "x"
-    """Accelerometer at which the body's origin lies, where the lever arms of the accelerometers are estimated
-    (imu0.lever_arms: from it to the two others). Kalibr's is x."""
+    origin: str = "optimal"
+    """Point of the IMU to which T_cam_imu refers where lever arms of the accelerometers are estimated: the one whose
+    place is known best, p* (optimal); the x, y or z accelerometer; or a place from the x accelerometer in the IMU's
+    axes, in metres with commas between, such as 0.010,0,-0.005."""
 
     line_delay: float | None = None
     """Time from one image row to the next in seconds, of every camera (rolling shutter)."""
@@ -158,6 +160,10 @@ class CameraImuOptions:
     def __post_init__(self) -> None:
         check_ranges(self)
         _check_gravity(self.gravity)
+        if self.origin != "optimal":
+            from .models.origin import Origin  # NumPy, which --help does without
+
+            Origin.stated(self.origin)
         for text in self.prior:
             if "=" in text:  # the others are files, which the command line reads
                 stated_prior(text)

@@ -15,6 +15,7 @@ from .frozen import FrozenMapping
 from .geometry.rotation_vector import rotvec_from_rotation
 from .geometry.so3 import skew
 from .models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
+from .models.origin import Origin
 from .recording import Floats
 from .sensors import CameraCalibration, ImuCalibration, rotated, rotated_camera
 
@@ -132,65 +133,84 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
     return Moved(imus=moved, cameras=turned, jacobian=jacobian)
 
 
-def moved_to_origin(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration], axis: int) -> Moved:
-    """Return the sensors with the body's origin at the x (0), y (1) or z (2) accelerometer of each IMU.
+def moved_to_origin(
+    imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration], origins: Mapping[str, Origin]
+) -> Moved:
+    """Return the sensors with the origin of each IMU at another point.
 
-    With r the place of that accelerometer a camera sees p_new = p_old + R_cam_imu r, and r is taken off all lever arms.
-    An IMU without lever arms stays as it is, and the cameras move with the first one. An IMU beside the first, whose
-    own origin moves by r_i, has t_new = t_old + R_imu_body r - r_i.
+    With C_k and c the combination of the point (`Origin.combination`), which are held for exact, and r_k the places of
+    the accelerometers, the origin moves by s = sum_k C_k r_k + c: a camera sees p_new = p_old + R_cam_imu s, and s is
+    taken off all lever arms. An IMU without lever arms stays as it is, and the cameras move with the first one. An IMU
+    beside the first, whose own origin moves by s_i, has t_new = t_old + R_imu_body s - s_i.
+
+    Parameters
+    ----------
+    origins : of each IMU that shall move, by name
     """
-    if not imus:
-        return Moved(imus={}, cameras=dict(cameras), jacobian=np.eye(len(covariance_names(imus, cameras))))
     starts = _starts(imus, cameras)
     jacobian = np.eye(len(covariance_names(imus, cameras)))
     moved: dict[str, ImuCalibration] = {}
-    shift, arms_at = np.zeros(3), None  # of the body's origin
+    body = _Shift(by=np.zeros(3))
     for name, imu in imus.items():
         arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
-        own, own_at = np.zeros(3), None
-        moved[name] = imu
-        if imu.accelerometer is not None and arms is not None:
-            at = starts[f"{name}.accelerometer.lever_arms_m"]
-            own, own_at = arms[axis], slice(at + 3 * axis, at + 3 * axis + 3)
-            for row in range(at, at + 9, 3):
-                jacobian[row : row + 3, own_at] -= np.eye(3)
-            moved[name] = replace(imu, accelerometer=replace(imu.accelerometer, lever_arms_m=arms - own))
+        own, moved[name] = _Shift(by=np.zeros(3)), imu
+        if imu.accelerometer is not None and arms is not None and name in origins:
+            at, weights = starts[f"{name}.accelerometer.lever_arms_m"], origins[name].combination[0]
+            own = _Shift(by=origins[name].of(arms), columns=slice(at, at + 9), by_columns=np.hstack(list(weights)))
+            own.subtract_from(jacobian, *range(at, at + 9, 3))
+            accelerometer = replace(imu.accelerometer, lever_arms_m=_without_rounding(arms - own.by))
+            moved[name] = replace(imu, accelerometer=accelerometer, origin=origins[name])
         if len(moved) == 1:
-            shift, arms_at = own, own_at
+            body = own
         if imu.T_imu_body is not None:
-            T = _with_moved_body(imu.T_imu_body, f"{name}.T_imu_body", (shift, arms_at), starts, jacobian)
-            T[:3, 3] -= own
-            if own_at is not None:
-                row = starts[f"{name}.T_imu_body.translation"]
-                jacobian[row : row + 3, own_at] -= np.eye(3)
+            T = _with_moved_body(imu.T_imu_body, f"{name}.T_imu_body", body, starts, jacobian)
+            T[:3, 3] -= own.by
+            own.subtract_from(jacobian, starts[f"{name}.T_imu_body.translation"])
             moved[name] = replace(moved[name], T_imu_body=T)
     placed = {
         name: replace(
-            camera,
-            T_cam_body=_with_moved_body(camera.T_cam_imu, f"{name}.T_cam_imu", (shift, arms_at), starts, jacobian),
+            camera, T_cam_body=_with_moved_body(camera.T_cam_imu, f"{name}.T_cam_imu", body, starts, jacobian)
         )
-        for name, camera in cameras.items()
+        for name, camera in (cameras.items() if imus else ())
     }
-    return Moved(imus=moved, cameras=placed, jacobian=jacobian)
+    return Moved(imus=moved, cameras=placed or dict(cameras), jacobian=jacobian)
 
 
-def _with_moved_body(
-    T: Floats, path: str, by: tuple[Floats, slice | None], starts: Mapping[str, int], jacobian: Floats
-) -> Floats:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shift:
+    """How far an origin moves (3,) [m], IMU's axes, and its derivative (3, 9) by the lever arms in some columns."""
+
+    by: Floats
+    columns: slice | None = None
+    by_columns: Floats | None = None
+
+    def subtract_from(self, jacobian: Floats, *rows: int) -> None:
+        """Fill in that the scalars (3,) from each row on become less by it."""
+        if self.columns is not None and self.by_columns is not None:
+            for row in rows:
+                jacobian[row : row + 3, self.columns] -= self.by_columns
+
+
+def _without_rounding(places: Floats) -> Floats:
+    """Return places (3, 3) [m] with what is below a picometre, the rounding of a move, taken for zero."""
+    return np.where(np.abs(places) < 1e-12, 0.0, places)
+
+
+def _with_moved_body(T: Floats, path: str, by: _Shift, starts: Mapping[str, int], jacobian: Floats) -> Floats:
     """Return the pose of a sensor to the body (4, 4) after its origin moved, and fill in how its scalars follow.
 
     Parameters
     ----------
     path : of the pose
-    by : (3,) from the old origin to the new one [m], and where its scalars stand
+    by : from the old origin to the new one
     starts, jacobian : of all scalars
     """
-    moved, (shift, shift_at) = T.copy(), by
-    moved[:3, 3] += T[:3, :3] @ shift
+    moved = T.copy()
+    moved[:3, 3] += T[:3, :3] @ by.by
     rotation, row = starts[f"{path}.rotation"], starts[f"{path}.translation"]
-    if shift_at is not None:
-        jacobian[row : row + 3, rotation : rotation + 3] = -T[:3, :3] @ skew(shift)
-        jacobian[row : row + 3, shift_at] = T[:3, :3]
+    if by.columns is not None and by.by_columns is not None:
+        jacobian[row : row + 3, rotation : rotation + 3] = -T[:3, :3] @ skew(by.by)
+        jacobian[row : row + 3, by.columns] = T[:3, :3] @ by.by_columns
     return moved
 
 

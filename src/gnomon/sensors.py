@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from .errors import FormatError, OptionError
 from .models.camera import Camera
+from .models.origin import Origin
 from .recording import Floats, ImuSamples, Integers, TriadSamples, frozen_array
 
 
@@ -151,6 +152,9 @@ class ImuCalibration:
     T_imu_body : (4, 4) body coordinates to those of this IMU, p_imu = T_imu_body @ p_body [m]; None of the IMU that is
         the body
     time_shift_s : t_body = t_imu + time_shift_s, of the stamps of both gyroscopes [s]
+    origin : which point of the IMU its origin is, to which T_cam_imu, T_imu_body and the lever arms of its
+        accelerometers refer; of accelerometers that are taken to be at one point, which one of their true places that
+        stands for; None where nobody knows
 
     Raises
     ------
@@ -163,6 +167,7 @@ class ImuCalibration:
     magnetometer: MagnetometerCalibration | None = None
     T_imu_body: Floats | None = None
     time_shift_s: float = 0.0
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         if self.T_imu_body is not None:
@@ -317,7 +322,8 @@ def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
         )
     if magnetometer is not None:
         magnetometer = replace(magnetometer, sensitivity=magnetometer.sensitivity @ rotation.T)
-    return replace(imu, accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer)
+    origin = None if imu.origin is None else imu.origin.turned(rotation)
+    return replace(imu, accelerometer=accelerometer, gyroscope=gyroscope, magnetometer=magnetometer, origin=origin)
 
 
 def rotated_camera(camera: CameraCalibration, rotation: Floats) -> CameraCalibration:

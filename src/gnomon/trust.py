@@ -205,7 +205,7 @@ class TrustNote:
     clusters, cluster_s : number and length [s] of the clusters; 0 for the ordinary covariance
     sigma_ratio : block -> published sigmas over those for independent errors
     split_z : pooled z rms of halves and thirds; nan where the recording was not cut
-    added : steps of the model choice beyond the IMU's model that are in the model, such as "lever arms"
+    added : steps of the model choice beyond the IMU's model that are in the model, such as "intrinsics"
     tries : number of models that were compared
     use : what it was judged for, such as "vio"; "" where for no special use
     needs : what that use needs

@@ -133,7 +133,7 @@ def test_what_euroc_proves_is_added_and_its_parts_agree(euroc):
     """Lever arms, lens and board; see the design note on real data for their sizes from another program."""
     result = euroc()
     trust, calibration = result.diagnostics.trust, result.calibration
-    assert calibration.assessment.trust.added == ("lever arms", "intrinsics", "k3", "board")
+    assert calibration.assessment.trust.added == ("intrinsics", "k3", "board")
     assert trust.splits.z_rms < 1.4 < 4 < trust.splits.z_rms_ordinary
     assert max(calibration.sigma(f"{name}.T_cam_imu.translation").max() for name in calibration.cameras) < 2e-3
     arms = 1e3 * calibration.imus["imu0"].accelerometer.lever_arms_m

@@ -115,7 +115,9 @@ def test_hard_recordings_do_not_fail():
 def test_sigmas_reach_the_cramer_rao_bound(motion, imu):
     simulation = simulate_camera_imu(CameraImuScenario(duration_s=40.0, motion=motion, imu=imu), seed=1)
     result = calibrate_camera_imu(simulation.recording, simulation.target, OPTIONS)
-    bound = cramer_rao_sigma(simulation, OPTIONS, result.diagnostics.gravity_plane)
+    bound = cramer_rao_sigma(
+        simulation, OPTIONS, result.diagnostics.gravity_plane, result.calibration.imus["imu0"].origin
+    )
     found = errors(result, simulation)
     by_name = {name: sigma / bound[name] for name, sigma in zip(found.names, found.sigma, strict=True)}
     print(f"\n{motion}, {imu}: sigma over the bound {min(by_name.values()):.3f} to {max(by_name.values()):.3f}")

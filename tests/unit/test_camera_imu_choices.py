@@ -65,8 +65,10 @@ def test_models_are_those_of_table_4_1():
     assert estimated(chosen(model="basic")) == basic
     assert estimated(chosen(model="scale-misalignment")) == basic | scalars(*SCALE)
     assert estimated(chosen(model="full")) == basic | scalars(*SCALE, "imu0.B_g")
-    assert estimated(chosen()) == estimated(chosen(model="full"))
-    assert len(estimated(chosen())) == 2 + 3 * 7 + 24
+    assert estimated(chosen()) == estimated(chosen(model="full")) | scalars("imu0.lever_arms")
+    assert len(estimated(chosen())) == 2 + 3 * 7 + 24 + 6
+    assert set(chosen().prior_sigma) == scalars("imu0.lever_arms")  # 10 mm for each accelerometer
+    np.testing.assert_allclose(list(chosen().prior_sigma.values()), 0.01 * np.sqrt(2))
 
 
 def test_every_scalar_has_a_status_and_its_name_is_unique():
@@ -99,7 +101,7 @@ def test_a_name_stands_for_itself_and_for_all_below_it(name, members):
     with_prior = chosen(prior=(f"{name}=0.25",), model="basic")
     assert with_prior.prior_sigma == dict.fromkeys(members, 0.25)
     assert {s for s, status in with_prior.status.items() if status == "prior"} == set(members)
-    assert not before.prior_sigma
+    assert set(before.prior_sigma) == scalars("imu0.lever_arms")
 
 
 def test_names_that_begin_alike_are_different():
@@ -177,7 +179,7 @@ def test_layout_has_columns_for_what_is_estimated_or_considered():
     np.testing.assert_array_equal(columns.prior_sigma[of], 1e-3)
     assert not columns.weak[of].any()
     assert columns.weak[columns.get("imu0.S_a")].all()
-    assert columns.weak.sum() == len(columns) - 9
+    assert columns.weak.sum() == len(columns) - 9 - 6
     assert np.isfinite(columns.prior_sigma).all()
     assert len(columns.units) == len(columns)
 

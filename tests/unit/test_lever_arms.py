@@ -8,7 +8,9 @@ import pytest
 import gnomon
 from gnomon.calibration import Covariance
 from gnomon.errors import FormatError, OptionError
+from gnomon.geometry.rigid_body import acceleration_by_place
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, parameters
 from gnomon.readers.own.calibration_file import load
@@ -41,8 +43,8 @@ def test_every_accelerometer_feels_the_force_at_its_place():
         duration_s=3.0, accelerometer_arms_m=ARMS, noise_factor=0.0, earth_rate_latitude=47.0, motion="tremor"
     )
     simulation, plain = (simulated_camera_imu(one, 1) for one in (scenario, replace(scenario, accelerometer_arms_m=())))
-    sensor = simulation.truth.imus["imu0"].accelerometer
-    np.testing.assert_array_equal(sensor.lever_arms_m, PLACES)
+    sensor = simulation.truth.with_origin("x").imus["imu0"].accelerometer
+    np.testing.assert_allclose(sensor.lever_arms_m, PLACES, rtol=0, atol=1e-15)
     felt = sensor.specific_force(simulation.recording.imus["imu0"].accelerometer.values - simulation.b_a + sensor.bias)
     earth = simulation.trajectory.omega_imu - simulation.trajectory.at(simulation.trajectory.t_s).omega
     for k, place in enumerate(PLACES):
@@ -124,8 +126,9 @@ def test_covariance_moves_with_the_origin(camera_calibration):
 
 
 def test_origin_has_to_be_an_accelerometer(camera_calibration):
-    with pytest.raises(OptionError, match="Choose x, y or z"):
-        camera_calibration().with_origin("accel-y")
+    for wrong in ("accel-y", "0.01,0", "0.01,0,nan", "0,0,2", "optimal,x,y"):
+        with pytest.raises(OptionError, match=r"Choose optimal .* or z accelerometer, or state"):
+            camera_calibration().with_origin(wrong)
     plain = camera_calibration(2)
     np.testing.assert_array_equal(plain.with_origin("z").uncertainty.matrix, plain.uncertainty.matrix)
 
@@ -225,14 +228,15 @@ def calibrated(simulation, **options):
 
 
 def test_arms_are_found_where_they_are_asked_for(recorded):
-    found = calibrated(recorded, free=("imu0.lever_arms",), covariance="ordinary")
+    found = calibrated(recorded, free=("imu0.lever_arms",), covariance="ordinary", origin="x")
     places, sigma = (of("imu0.accelerometer.lever_arms_m") for of in (found.parameter, found.sigma))
     assert not sigma[0].any()
     assert not places[0].any()
     assert (sigma[1:] < 3e-3).all()
     assert np.abs(places / np.where(sigma > 0, sigma, np.inf)).max() > 8
     assert (np.abs(places - PLACES)[1:] < 4 * sigma[1:]).all()
-    camera, true = found.cameras["cam0"].T_cam_imu[:3, 3], recorded.truth.cameras["cam0"].T_cam_imu[:3, 3]
+    truth = recorded.truth.with_origin("x")
+    camera, true = found.cameras["cam0"].T_cam_imu[:3, 3], truth.cameras["cam0"].T_cam_imu[:3, 3]
     assert (np.abs(camera - true) < 4 * found.sigma("cam0.T_cam_imu.translation")).all()
     # Without them the camera seems to sit elsewhere.
     plain = calibrated(recorded, covariance="ordinary")
@@ -240,8 +244,89 @@ def test_arms_are_found_where_they_are_asked_for(recorded):
     assert np.linalg.norm(plain.cameras["cam0"].T_cam_imu[:3, 3] - true) > 4 * np.linalg.norm(camera - true)
 
 
+@pytest.mark.parametrize("origin", ["optimal", "x", "z", "0.01,-0.02,0.003"])
+def test_the_default_is_of_the_point_that_it_names(recorded, origin):
+    """Lever arms are always estimated, at any origin the same rig, and best known at p*."""
+    found = calibrated(recorded, model="auto", origin=origin, gravity=9.80665)
+    assert found.assessment.trust.added == ()
+    assert "lever-arms-found" in {finding.code for finding in found.assessment.findings}
+    truth = recorded.truth.with_origin(found.imus["imu0"].origin)
+    for path in ("cam0.T_cam_imu.translation", "imu0.accelerometer.lever_arms_m"):
+        sigma = found.sigma(path)
+        error = found.parameter(path) - truth.parameter(path)
+        assert (np.abs(error[sigma > 0]) < 4 * sigma[sigma > 0]).all()
+        assert np.abs(error[sigma == 0]).max(initial=0) < 1e-12
+    sigma = found.sigma("cam0.T_cam_imu.translation")
+    if origin == "optimal":
+        assert sigma.max() < 5e-4
+        assert np.abs(truth.parameter("cam0.T_cam_imu.translation")
+                      - recorded.truth.parameter("cam0.T_cam_imu.translation")).max() < 2e-4  # fmt: skip
+    else:
+        assert sigma.max() > 1e-3
+        best = found.with_origin("optimal")
+        assert best.sigma("cam0.T_cam_imu.translation").max() < 5e-4
+        back = best.with_origin(origin)
+        np.testing.assert_allclose(back.uncertainty.matrix, found.uncertainty.matrix, rtol=1e-6, atol=1e-13)
+
+
+def test_without_lever_arms_there_is_one_point_alone(recorded):
+    with pytest.raises(OptionError, match="one point"):
+        calibrated(recorded, origin="x")
+    with pytest.raises(OptionError, match="one point"):
+        calibrated(recorded, model="auto", fix=("imu0.lever_arms",), origin="0.01,0,0")
+
+
+def test_p_star_is_what_one_place_fits_best():
+    """The minimum of sum_k E[(b_k' (r_k - p))^2], found by least squares; of planar motion what it tells."""
+    rng = np.random.default_rng(7)
+    omega, alpha = rng.normal(size=(500, 3)) * [1, 2, 0.5], rng.normal(size=(500, 3)) * [3, 1, 2]
+    weights = single_point_weights(omega, alpha)
+    np.testing.assert_allclose(weights.sum(axis=0), np.eye(3), rtol=0, atol=1e-14)
+    B = acceleration_by_place(omega, alpha)
+    felt = np.einsum("nkj,kj->nk", B, PLACES).ravel()
+    expected = np.linalg.lstsq(B.reshape(-1, 3), felt, rcond=None)[0]
+    np.testing.assert_allclose(Origin(point="optimal", weights=weights).of(PLACES), expected, rtol=0, atol=1e-7)
+    about_z = single_point_weights(np.outer(omega[:, 2], [0, 0, 1]), np.outer(alpha[:, 2], [0, 0, 1]))
+    np.testing.assert_allclose(about_z.sum(axis=0), np.eye(3), rtol=0, atol=1e-9)
+    still = single_point_weights(np.zeros((3, 3)), np.zeros((3, 3)))
+    np.testing.assert_allclose(np.einsum("kij,kj->i", still, PLACES), (PLACES.sum(0) - np.diag(PLACES)) / 2)
+
+
+def test_files_hold_the_origin_and_older_ones_are_of_x(camera_calibration, tmp_path):
+    weights = single_point_weights(*np.random.default_rng(1).normal(size=(2, 20, 3)))
+    older = with_arms(camera_calibration(3))
+    assert "origin:" not in calibration_text(older)
+    imu = older.imus["imu0"]
+    known = replace(older, imus={"imu0": replace(imu, origin=Origin(weights=weights))})
+    for origin in ("optimal", "y", "0.01,0.02,-0.03"):
+        moved = known.with_origin(origin)
+        save(moved, tmp_path / "c.yaml")
+        text = (tmp_path / "c.yaml").read_text()
+        assert "schema: gnomon/1.6\n" in text
+        assert "# Origin: which point" in text
+        read = load(tmp_path / "c.yaml")
+        assert calibration_text(read) == text
+        assert read.imus["imu0"].origin.words == moved.imus["imu0"].origin.words
+        np.testing.assert_array_equal(read.imus["imu0"].origin.weights, weights)
+    save(older, tmp_path / "older.yaml")
+    read = load(tmp_path / "older.yaml")
+    assert read.imus["imu0"].origin.point == "x"
+    np.testing.assert_allclose(read.with_origin("optimal").imus["imu0"].accelerometer.lever_arms_m,
+                               PLACES - (PLACES.sum(0) - np.diag(PLACES)) / 2, atol=1e-15)  # fmt: skip
+    for old, new, words in (
+        ("point: place", "point: centre", "point"),
+        ("point: place", "point: optimal", "place_m"),
+        ("gnomon/1.6", "gnomon/1.5", "origin: unknown key"),
+        ("        x:\n          - [", "        x:\n          - [1", "sum up"),
+    ):
+        assert old in text, text[text.index("origin:") : text.index("origin:") + 400]
+        (tmp_path / "bad.yaml").write_text(text.replace(old, new, 1))
+        with pytest.raises(FormatError, match=words):
+            load(tmp_path / "bad.yaml")
+
+
 def test_a_prior_holds_them(recorded):
-    found = calibrated(recorded, prior=("imu0.lever_arms=0.0001",), covariance="ordinary")
+    found = calibrated(recorded, prior=("imu0.lever_arms=0.0001",), covariance="ordinary", origin="x")
     places, sigma = found.parameter("imu0.accelerometer.lever_arms_m"), found.sigma("imu0.accelerometer.lever_arms_m")
     assert (sigma[1:] < 1.01e-4).all()
     assert (np.abs(places) < np.abs(PLACES) + 1e-4).all()

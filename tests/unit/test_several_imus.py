@@ -21,6 +21,7 @@ from gnomon.estimate.camera_imu.other_imus import with_stated_pose
 from gnomon.estimate.camera_imu.parameters import ImuParameters
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import in_frame
+from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, moved_into_frame, moved_to_origin, parameters
 from gnomon.readers.own.calibration_file import load
@@ -106,9 +107,11 @@ def stepped(calibration, name, step):
     return imus, cameras
 
 
+P_STAR = Origin(point="optimal", weights=single_point_weights(*np.random.default_rng(2).normal(size=(2, 9, 3))))
 MOVES = {
     "accel-z": lambda imus, cameras: moved_into_frame(imus, cameras, "accel-z"),
-    "origin at y": lambda imus, cameras: moved_to_origin(imus, cameras, 1),
+    "origin at y": lambda imus, cameras: moved_to_origin(imus, cameras, dict.fromkeys(imus, Origin(point="y"))),
+    "origin at p*": lambda imus, cameras: moved_to_origin(imus, cameras, dict.fromkeys(imus, P_STAR)),
 }
 
 

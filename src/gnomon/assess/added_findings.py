@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..estimate.camera_imu.layout import Layout
-from ..estimate.camera_imu.parameters import CameraParameters, Parameters
+from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
 from ..findings import Finding
 from ..recording import Floats
 
@@ -13,7 +13,9 @@ _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
 
 
-def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters, *, board_told: bool) -> list[Finding]:
+def added_findings(
+    added: tuple[str, ...], start: Parameters, found: Parameters, *, board_told: bool, arms_told: bool = False
+) -> list[Finding]:
     """Say what was added to the model.
 
     Parameters
@@ -21,10 +23,11 @@ def added_findings(added: tuple[str, ...], start: Parameters, found: Parameters,
     added : steps of the model choice that are in the model
     start, found : parameters as they were stated and as they were estimated
     board_told : whether the recording is long enough to tell whether corners of the board lie off their places
+    arms_told : whether it proves that the accelerometers do not sit at one point
     """
     findings: list[Finding] = []
-    if "lever arms" in added:
-        findings += [_lever_arms(f"imu{i}", imu.places) for i, imu in enumerate(found.imus)]
+    if arms_told:
+        findings += [_lever_arms(f"imu{i}", imu) for i, imu in enumerate(found.imus)]
     if "intrinsics" in added:
         findings += [_lens(*pair, board_told) for pair in zip(start.cameras, found.cameras, strict=True)]
     if "board" in added and found.board is not None:
@@ -78,18 +81,16 @@ def out_of_order(columns: Layout, found: Parameters) -> list[Finding]:
     return findings
 
 
-def _lever_arms(name: str, places: Floats) -> Finding:
-    origin = next((axis for axis, place in zip("xyz", places.tolist(), strict=True) if not any(place)), "x")
+def _lever_arms(name: str, imu: ImuParameters) -> Finding:
     apart = ", ".join(
         f"{axis} at {' '.join(f'{1e3 * value:.1f}' for value in place)} mm"
-        for axis, place in zip("xyz", places.tolist(), strict=True)
-        if any(place)
+        for axis, place in zip("xyz", imu.places.tolist(), strict=True)
     )
     return Finding(
         severity="info",
         code="lever-arms-found",
-        message=f"The accelerometers of {name} do not sit at one point: seen from {origin}, {apart}.",
-        consequence=f"The model has taken that up; T_cam_imu holds for the place of the {origin} accelerometer.",
+        message=f"The accelerometers of {name} do not sit at one point: seen from its origin, {apart}.",
+        consequence=f"The model holds that; its origin, which T_cam_imu is of, is {imu.origin.words}.",
         cure="Where a filter takes the IMU for one point, fast rotation will look like acceleration by that much.",
     )
 

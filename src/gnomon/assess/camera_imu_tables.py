@@ -118,16 +118,19 @@ def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
     solution = evidence.solution
     sigma = dict(zip(evidence.uncertainty.names, np.sqrt(np.diag(_covariance(evidence))), strict=True))
     prior = dict(zip(solution.layout.names, solution.layout.prior_sigma, strict=True))
+    columns, origin = solution.layout, solution.layout.start
     status = choices(evidence.start, evidence.options).status
-    origin = solution.layout.start
+    for name, free, weak in zip(columns.names, columns.free, columns.weak, strict=True):
+        if free and status.get(name, "fixed") == "fixed":  # added by evidence
+            status[name] = "estimated" if weak else "prior"
     found: list[EstimatedParameter] = []
     for block in blocks(origin):
-        if block.name == OFFSETS and status[f"{OFFSETS}[0]"] == "fixed":
+        if block.name == OFFSETS and status.get(f"{OFFSETS}[0]", "fixed") == "fixed":
             continue  # hundreds of zeros
         values = np.atleast_1d(coordinates(block.name, solution.state.parameters, origin))
         starts = np.atleast_1d(coordinates(block.name, origin, origin))
         for scalar, value, start in zip(block.scalars(), values, starts, strict=True):
-            held = status[scalar] == "fixed"
+            held = (kind := status.get(scalar, "fixed")) == "fixed"
             found.append(
                 EstimatedParameter(
                     name=scalar,
@@ -136,7 +139,7 @@ def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
                     start=float(start),
                     sigma=0.0 if held else float(sigma[scalar]),
                     prior_sigma=float("inf") if held else float(prior[scalar]),
-                    status=status[scalar],
+                    status=kind,
                 )
             )
     return tuple(found)

@@ -16,6 +16,7 @@ from ..calibration import Calibration, CameraCalibration, Covariance, Gravity, I
 from ..errors import OptionError
 from ..frozen import FrozenMapping
 from ..models.camera import Camera
+from ..models.origin import Origin
 from ..parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
 from ..readers.projects.foreign import FOREIGN_METHOD, ForeignCalibration
 from ..recording import Floats, Source, frozen_array
@@ -23,7 +24,6 @@ from ..simulate.truth import TRUTH_METHOD
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
 FRAME = "accel-x"
-_ORIGIN = 0  # the x accelerometer, where Kalibr has it too
 _SCALED = ("sensitivity", "bias", "g_sensitivity")
 _KALIBR_GRAVITY = Gravity(value=9.80655, sigma=0.0, source="Kalibr's constant")
 _UNITS = {
@@ -181,7 +181,7 @@ def in_common_frame(candidate: Candidate) -> Candidate:
     if imus and all(imu.accelerometer is not None for imu in imus.values()):
         moved = moved_into_frame(imus, candidate.cameras, FRAME)
         matrix = None if matrix is None else moved.jacobian @ matrix @ moved.jacobian.T
-        placed = moved_to_origin(moved.imus, moved.cameras, _ORIGIN)
+        placed = moved_to_origin(moved.imus, moved.cameras, dict.fromkeys(moved.imus, Origin(point="x")))
         matrix = None if matrix is None else placed.jacobian @ matrix @ placed.jacobian.T
         candidate = replace(candidate, imus=placed.imus, cameras=placed.cameras, frame=FRAME)
     factors = np.ones(len(covariance_names(candidate.imus, candidate.cameras)))

@@ -127,7 +127,10 @@ def _calibrated(
     trust = replace(recording_trust(result, certain), weak=weak, models=chosen.steps)
     diagnostics = replace(described, trust=trust)
     likely = likely_missing(solution, described.signals) if incomplete(trust) else []
-    took_up = added_findings(chosen.added, start, solution.state.parameters, board_told=chosen.board_told)
+    found_arms = options.model == "auto" and chosen.arms_told
+    took_up = added_findings(
+        chosen.added, start, solution.state.parameters, board_told=chosen.board_told, arms_told=found_arms
+    )
     doubts = (
         *cameras_moved(solution, certain),
         *took_up,

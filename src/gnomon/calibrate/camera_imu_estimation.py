@@ -7,7 +7,7 @@ import numpy as np
 
 from ..assess.added_findings import comparison_left_out
 from ..calibration import Gravity
-from ..errors import SolveError
+from ..errors import OptionError, SolveError
 from ..estimate.camera_imu.accelerometer_delay import accelerometer_delay
 from ..estimate.camera_imu.batch import Measurements, State
 from ..estimate.camera_imu.choices import choices, lens_prior
@@ -17,6 +17,7 @@ from ..estimate.camera_imu.inertial_data import InertialData, apart, triads, wel
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
 from ..estimate.camera_imu.knots import knots_per_s
 from ..estimate.camera_imu.layout import Status, layout
+from ..estimate.camera_imu.origin import with_weighed_origin
 from ..estimate.camera_imu.other_imus import Beside, first_imu, with_stated_pose
 from ..estimate.camera_imu.parameters import ImuParameters, Parameters
 from ..estimate.camera_imu.solution import GATE, Solution, solved
@@ -73,7 +74,9 @@ def estimated(
     for _ in range(_RESTARTS):
         state = first_state(found, parameters, rig.streams[0], knots, order=options.spline_order, others=biases)
         if solution is None:
-            start = state.parameters
+            _check_origin(options, choices(state.parameters, options).status)
+            state = _with_origins(state, rig.streams)
+            start = parameters = state.parameters
         chosen = choices(state.parameters, options)
         origin = _with_gravity(start, state.parameters)
         solution = solved(
@@ -152,6 +155,24 @@ def _largest_move(one: Parameters, other: Parameters) -> float:
 def _with_gravity(start: Parameters, state: Parameters) -> Parameters:
     """Return start values with gravity's direction as the trajectory has it."""
     return replace(start, gravity_axes=state.gravity_axes)
+
+
+def _check_origin(options: CameraImuOptions, status: dict[str, Status]) -> None:
+    """Refuse an origin that needs lever arms where none are estimated."""
+    if options.origin == "optimal" or any(kind != "fixed" and ".lever_arms" in name for name, kind in status.items()):
+        return
+    raise OptionError(
+        f"--origin {options.origin}: the accelerometers are taken to be at one point here, the only one that "
+        "T_cam_imu can be of. Let their lever arms be estimated (--model auto, or --free imu0.lever_arms), or leave "
+        "--origin out."
+    )
+
+
+def _with_origins(state: State, streams: Sequence[ImuStream]) -> State:
+    """Return the state with the origins of the IMUs where their motion puts them."""
+    grid, pairs = state.trajectory.grid, zip(state.parameters.imus, streams, strict=True)
+    imus = tuple(with_weighed_origin(imu, stream, grid) for imu, stream in pairs)
+    return replace(state, parameters=replace(state.parameters, imus=imus))
 
 
 def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dict[str, Status]) -> Measurements:

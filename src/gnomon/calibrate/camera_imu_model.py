@@ -1,9 +1,9 @@
 """Which model a recording asks for: that of the options, and what else it proves to be there (B16).
 
-The model of the IMU is estimated first, and beside it is seen what lever arms of the accelerometers and errors of the
-lens and, where corners stay off in the same way from frame to frame, of the board would do. What predicts clusters of
-time that were left out better, by more than chance, joins the model; what does not prove itself in the larger model is
-taken out again.
+The model of the IMU, with lever arms of its accelerometers, is estimated first, and beside it is seen what errors of
+the lens and, where corners stay off in the same way from frame to frame, of the board would do. What predicts clusters
+of time that were left out better, by more than chance, joins the model; what does not prove itself in the larger model
+is taken out again. Lever arms are no such choice: which point T_cam_imu is of must not hang on the evidence.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from ..estimate.camera_imu.choices import choices, imu_blocks, lens_prior
 from ..estimate.camera_imu.cluster_sums import cluster_sums
 from ..estimate.camera_imu.gauss_newton import gauss_newton_step
 from ..estimate.camera_imu.layout import layout
-from ..estimate.camera_imu.model_ladder import EXTRAS, LADDER, ladder, step_columns
+from ..estimate.camera_imu.model_ladder import ARMS, EXTRAS, LADDER, ladder, step_columns
 from ..estimate.camera_imu.parameters import Parameters
 from ..estimate.camera_imu.residual_patterns import board_evidence
 from ..estimate.camera_imu.solution import Solution, solved
@@ -61,6 +61,11 @@ class Chosen:
     tries: int = 0
     board_told: bool = True
     failed: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def arms_told(self) -> bool:
+        """Whether the recording proves the lever arms that are in the model."""
+        return any(step.name == ARMS and step.used and step.gain > step.needed for step in self.steps)
 
 
 def considered(start: Parameters) -> tuple[str, ...]:

@@ -178,7 +178,11 @@ def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si
 def _inertial(
     number: int, accelerometer: TriadSamples, gyroscope: TriadSamples, origin: int, options: CameraImuOptions
 ) -> tuple[InertialData, ...]:
-    clipped = saturated(gyroscope, options.gyroscope_range), saturated(accelerometer, options.accelerometer_range)
+    clipped = [saturated(gyroscope, options.gyroscope_range), saturated(accelerometer, options.accelerometer_range)]
+    named = any("lever_arms" in name for name in (*options.free, *options.prior))
+    if (options.model == "auto" or named) and clipped[0].any():
+        # With lever arms an accelerometer feels the angular acceleration, of which nothing is known there.
+        clipped[1] |= np.interp(accelerometer.t_ns - origin, gyroscope.t_ns - origin, clipped[0]) > 0
     triads = [
         TriadData(values=samples.values, used=~mask)
         for samples, mask in zip((gyroscope, accelerometer), clipped, strict=True)

@@ -1,7 +1,7 @@
 """The simulation of cameras and an IMU before a board (document B, section 5.1.1)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..calibration import (
 )
 from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotvec_from_rotation
+from ..models.origin import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
 from .camera_imu_frames import CameraTruth, FrameStreams, View, simulated_frames
@@ -59,7 +60,8 @@ class CameraImuSimulation:
     scenario, seed : what was simulated
     recording : as a sensor rig would deliver it; nominal noise and intrinsics, no guess of extrinsics or time shift
     target : the board, as its owner describes it
-    truth : what is to be estimated, in body frame "accel-x", with zero covariance; biases are means over the recording
+    truth : what is to be estimated, in body frame "accel-x", with zero covariance; biases are means over the recording;
+        where accelerometers sit at different places the origin of an IMU is its p*, that of `imus` the x accelerometer
     truth_parameters : by the names of the batch estimation, such as "imu0.M_g" (3,) or "cam0.time_shift_cam_imu" ();
         "imu0.q_bg" is the rotation vector of C_bg, "imu0.B_g" is (3, 3), "imu0.lever_arms" (6,),
         "cam0.T_cam_imu.rotation" is the rotation vector of R_cam_imu, "imu1.T_imu_body.rotation" that of R_imu_body,
@@ -143,14 +145,14 @@ def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSim
             clock_offset_s=scenario.clock_offset_s + (name == "cam1") * scenario.clock_offset_difference_s,
             streams=_frame_streams(streams[name]),
         )
-    calibrations = {name: imu.calibration for name, imu in imus.items()}
-    parameters = {**_truth_parameters(scenario, imus, cameras), "target.offsets": offsets}
+    truth = _truth(scenario, seed, {name: _with_origin(imu) for name, imu in imus.items()}, cameras, frames)
+    parameters = {**_truth_parameters(scenario, imus, truth), "target.offsets": offsets}
     return CameraImuSimulation(
         scenario=scenario,
         seed=seed,
         recording=Recording(imus={name: imu.samples for name, imu in imus.items()}, cameras=recorded),
         target=target,
-        truth=_truth(scenario, seed, calibrations, cameras, frames),
+        truth=truth,
         truth_parameters=FrozenMapping(parameters),
         gravity_target=gravity,
         imus=FrozenMapping(imus),
@@ -223,11 +225,11 @@ def _statistics(trajectory: TrueTrajectory, frames: Mapping[str, CameraTruth]) -
 
 
 def _truth_parameters(
-    scenario: CameraImuScenario, imus: Mapping[str, SimulatedImu], cameras: Mapping[str, CameraCalibration]
+    scenario: CameraImuScenario, imus: Mapping[str, SimulatedImu], truth: Calibration
 ) -> dict[str, Floats]:
     found = {"gravity.magnitude": np.array(scenario.gravity), "target.scale": np.array(scenario.target_scale)}
     for name, imu in imus.items():
-        sensor, pose = imu.sensor, imu.calibration.T_imu_body
+        sensor, pose = imu.sensor, truth.imus[name].T_imu_body
         found |= {f"{name}.{key}": getattr(sensor, key) for key in ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g")}
         found[f"{name}.lever_arms"] = sensor.places_m[1:].ravel()
         found[f"{name}.accelerometer_shift"] = np.array(sensor.accelerometer_shift_s)
@@ -237,7 +239,7 @@ def _truth_parameters(
                 f"{name}.T_imu_body.translation": pose[:3, 3],
                 f"{name}.time_shift": np.array(imu.calibration.time_shift_s),
             }
-    for name, camera in cameras.items():
+    for name, camera in truth.cameras.items():
         found |= {
             f"{name}.T_cam_imu.rotation": rotvec_from_rotation(camera.T_cam_imu[:3, :3]),
             f"{name}.T_cam_imu.translation": camera.T_cam_imu[:3, 3],
@@ -249,6 +251,14 @@ def _truth_parameters(
     return found
 
 
+def _with_origin(imu: SimulatedImu) -> ImuCalibration:
+    """Return the sensor with how its motion weighs its accelerometers, where they do not sit at one point."""
+    if not imu.sensor.places_m.any():
+        return imu.calibration
+    motion = imu.trajectory.at(imu.trajectory.t_s)
+    return replace(imu.calibration, origin=Origin(weights=single_point_weights(motion.omega, motion.alpha)))
+
+
 def _truth(
     scenario: CameraImuScenario,
     seed: int,
@@ -256,6 +266,7 @@ def _truth(
     cameras: Mapping[str, CameraCalibration],
     frames: Mapping[str, CameraTruth],
 ) -> Calibration:
+    """Return what is to be estimated; T_cam_imu is at p*, as what is estimated is (`models.origin`)."""
     names = covariance_names(imus, cameras)
     options = changed_options(scenario)
     counts = {name: len(truth.exposure_s) for name, truth in frames.items()}
@@ -279,4 +290,4 @@ def _truth(
             ),
         ),
         provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
-    )
+    ).with_origin("optimal")

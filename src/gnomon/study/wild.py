@@ -23,7 +23,7 @@ from ..errors import GnomonError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import CameraImuOptions, ImuOptions
-from ..parameters import element_names, parameters
+from ..parameters import element_names, moved_to_origin, parameters
 from ..recording import Floats
 from ..simulate.wild import WildCase, WildKind
 from ..simulate.wild_imu import wild_imu
@@ -189,7 +189,9 @@ def _errors(case: WildCase, calibration: Calibration) -> tuple[list[str], Floats
     """
     if calibration.frame == "accel-z":
         calibration = calibration.in_frame("accel-x")
-    truth = dict(parameters(case.imus, case.cameras))
+    origins = {name: imu.origin for name, imu in calibration.imus.items() if imu.origin is not None}
+    true = moved_to_origin(case.imus, case.cameras, origins)
+    truth = dict(parameters(true.imus, true.cameras))
     difference: dict[str, float] = {}
     for path, found in parameters(calibration.imus, calibration.cameras):
         true = truth.get(path, np.zeros(found.shape))  # accelerometers without lever arms sit at one point

@@ -18,11 +18,13 @@ from ..calibration import (
     CameraImuFit,
     CamerasFit,
     Covariance,
+    ImuCalibration,
     Provenance,
     parameters,
 )
 from ..errors import OutputError
 from ..findings import Finding
+from ..models.origin import AXES, Origin
 from ..output import write_whole
 from ..readers.own.calibration_cameras import BOARD_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS
 from ..readers.own.calibration_file import SCHEMA_MAJOR, imu_keys
@@ -94,6 +96,15 @@ _LEVER_ARMS = """\
 #
 """
 
+_ORIGIN = """\
+#
+# Origin: which point of an IMU T_cam_imu and T_imu_body refer to. point: optimal is p* = W_x r_x + W_y r_y + W_z r_z of
+# the places r of its x, y and z accelerometers, weighed as the motion of the recording tells them (`weights`): the
+# point whose place is known best, and near which a model with one place for all three finds it. x, y, z: that
+# accelerometer; place: place_m from the x accelerometer, in m. Python's with_origin moves to another point.
+#
+"""
+
 _SEVERAL_IMUS = """\
 #
 # Several IMUs: the body is imu0. Every other IMU has a frame of its own, by the same rule, to which its sensitivities
@@ -144,6 +155,8 @@ def calibration_text(calibration: Calibration) -> str:
         header += _MAGNETOMETER
     if _with_lever_arms(calibration):
         header += _LEVER_ARMS
+    if _with_origin(calibration):
+        header += _ORIGIN
     if any(imu.T_imu_body is not None for imu in calibration.imus.values()):
         header += _SEVERAL_IMUS
     if _with_shifted_accelerometer(calibration):
@@ -174,7 +187,7 @@ def _document(calibration: Calibration) -> dict[str, Any]:
 def _minor(calibration: Calibration) -> int:
     """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
-    if _tells_of_occasions(calibration.assessment.trust):
+    if _tells_of_occasions(calibration.assessment.trust) or _with_origin(calibration):
         return 6
     if not calibration.imus:
         return 4
@@ -195,6 +208,18 @@ def _minor(calibration: Calibration) -> int:
 def _with_lever_arms(calibration: Calibration) -> bool:
     sensors = [imu.accelerometer for imu in calibration.imus.values()]
     return any(sensor is not None and sensor.lever_arms_m is not None for sensor in sensors)
+
+
+def _with_origin(calibration: Calibration) -> bool:
+    """Tell whether an origin says more than that it is the accelerometer whose lever arm is zero."""
+    return any(_says_more(imu) for imu in calibration.imus.values())
+
+
+def _says_more(imu: ImuCalibration) -> bool:
+    origin, arms = imu.origin, None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+    if origin is None or origin.weights is not None:
+        return origin is not None
+    return arms is not None and (origin.point not in AXES or bool(arms[AXES.index(origin.point)].any()))
 
 
 def _with_shifted_accelerometer(calibration: Calibration) -> bool:
@@ -223,6 +248,8 @@ def _imus(calibration: Calibration) -> dict[str, Any]:
             result[name]["magnetometer"] = {"unit": imu.magnetometer.unit, "field_unit": imu.magnetometer.field_unit}
         if imu.T_imu_body is not None:
             result[name]["T_imu_body"] = imu.T_imu_body
+        if imu.origin is not None and _says_more(imu):
+            result[name]["origin"] = _origin(imu.origin)
     for path, value in parameters(calibration.imus):
         imu, key, sigma_key = imu_keys(path)
         entry = result[imu]
@@ -233,6 +260,11 @@ def _imus(calibration: Calibration) -> dict[str, Any]:
             entry[key[-1]] = value if value.ndim else float(value)
         entry[sigma_key] = sigma if sigma.ndim else float(sigma)
     return result
+
+
+def _origin(origin: Origin) -> dict[str, Any]:
+    weights = {} if origin.weights is None else {"weights": dict(zip(AXES, origin.weights, strict=True))}
+    return {"point": origin.point, **weights, **({} if origin.place_m is None else {"place_m": origin.place_m})}
 
 
 def _camera(calibration: Calibration, name: str, calibrated: CameraCalibration) -> dict[str, Any]:

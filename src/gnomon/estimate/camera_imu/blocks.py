@@ -47,6 +47,9 @@ _IMU_BLOCKS = (
 _LEVER_ARMS = ("lever_arms", 6, 0.05, "m")
 """Weak prior of 5 cm: a sensor's case is not larger."""
 
+_CHIP_M = 0.01
+"""How far each accelerometer of an IMU is from some point between them, per axis, where nothing is known of it."""
+
 _POSE_AND_CLOCK = (
     ("T_imu_body.rotation", 3, 1.0, "rad"),
     ("T_imu_body.translation", 3, 1.0, "m"),
@@ -97,7 +100,12 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
 
 def known_beforehand(parameters: Parameters) -> Iterator[tuple[list[str], Floats, Floats]]:
     """Yield what is known of each sensor with an uncertainty: names (k), sigmas (k,) and correlation (k, k)."""
-    sensors = [([f"imu{i}.{name}" for name in _IMU_SCALARS], imu.covariance) for i, imu in enumerate(parameters.imus)]
+    sensors: list[tuple[list[str], Floats | None]] = [
+        ([f"imu{i}.{name}" for name in _IMU_SCALARS], imu.covariance) for i, imu in enumerate(parameters.imus)
+    ]
+    # of differences to x, where the places of all three are independent
+    arms = np.asarray(_CHIP_M**2 * np.kron([[2.0, 1.0], [1.0, 2.0]], np.eye(3)), dtype=np.float64)
+    sensors += [([f"imu{i}.lever_arms[{k}]" for k in range(6)], arms) for i in range(len(parameters.imus))]
     if parameters.rig is not None:
         sensors.append(lenses_of(parameters.rig, parameters))
     else:

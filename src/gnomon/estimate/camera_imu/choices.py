@@ -16,8 +16,9 @@ _MODEL_BLOCKS = {
     "basic": (),
     "scale-misalignment": ("S_a", "M_a", "S_g", "M_g", "q_bg"),
     "full": ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g"),
+    "auto": ("S_a", "M_a", "S_g", "M_g", "q_bg", "B_g", "lever_arms"),
 }
-"""Of an IMU, what each model estimates (Table 4.1)."""
+"""Of an IMU, what each model estimates (Table 4.1); to "auto" further blocks are added by evidence."""
 
 _BESIDES = (
     "direction",
@@ -64,7 +65,7 @@ def choices(
         If a name is unknown, stands in two lists, or a prior is not NAME=SIGMA with SIGMA > 0.
     """
     all_blocks = blocks(start)
-    estimated = (*model_blocks(model or options.model), *added, *_BESIDES)
+    estimated = (*_MODEL_BLOCKS[model or options.model], *added, *_BESIDES)
     status: dict[str, Status] = {}
     for block in all_blocks:
         kind: Status = "estimated" if block.name.partition(".")[2] in estimated else "fixed"
@@ -117,11 +118,6 @@ def wants_k3(name: str, options: CameraImuOptions) -> bool:
     """Tell whether the options name the third radial coefficient of a camera, which radtan has not."""
     named = {*options.free, *options.fix, *(stated_prior(text)[0] for text in options.prior)}
     return not named.isdisjoint({f"{name}.k3", f"{name}.{K3}"})
-
-
-def model_blocks(model: str) -> tuple[str, ...]:
-    """Return what a model estimates of an IMU; "auto" is the full model, to which blocks are added by evidence."""
-    return _MODEL_BLOCKS["full" if model == "auto" else model]
 
 
 def imu_blocks(start: Parameters) -> tuple[str, ...]:

@@ -52,7 +52,7 @@ def predicted(
     biases : (n, 3) of gyroscope and accelerometer
     """
     at_origin, at_sensors = force, force
-    if imu.lever_arms.any() or imu.p_imu_body.any():
+    if imu.places.any() or imu.p_imu_body.any():
         A = acceleration_by_place(motion.omega, motion.alpha)
         at_sensors = force + along_axes(A, accelerometer_places(imu))
         if imu.p_imu_body.any():

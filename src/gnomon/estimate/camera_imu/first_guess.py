@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import InitialisationError, OptionError
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ...models.origin import Origin
 from ...models.target import Target
 from ...options import CameraImuOptions
 from ...recording import CameraFrames, Floats
@@ -198,7 +199,7 @@ def first_parameters(
         gravity_m_s2=gravity_m_s2,
         target_scale=1.0,
         board=Board.nominal(found[0].target) if found else None,
-        imus=tuple(replace(imu, origin="xyz".index(options.origin)) for imu in imus),
+        imus=tuple(replace(imu, origin=Origin.stated(options.origin)) for imu in imus),
         cameras=tuple(
             CameraParameters(
                 name=look.name,

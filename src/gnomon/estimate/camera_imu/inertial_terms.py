@@ -101,7 +101,7 @@ class InertialTerms:
     def _has_places(self) -> bool:
         """Whether it matters, or shall be seen, where the sensors are."""
         imu = self._imu
-        return bool(imu.lever_arms.any() or imu.p_imu_body.any()) or self._has("lever_arms", "T_imu_body.translation")
+        return bool(imu.places.any() or imu.p_imu_body.any()) or self._has("lever_arms", "T_imu_body.translation")
 
     def _has(self, *blocks: str) -> bool:
         """Tell whether any of the blocks of this IMU has columns."""
@@ -147,9 +147,7 @@ class InertialTerms:
         own: _Columns = {
             "S_a": lambda: DIAGONAL.product_jacobian(felt @ M.T),
             "M_a": lambda: S @ LOWER.product_jacobian(felt),
-            "lever_arms": lambda: np.concatenate(
-                [K[:, k, None] * at.required_A[:, None, k, :] for k in imu.other_axes], axis=2
-            ),
+            "lever_arms": lambda: K @ np.einsum("nkj,kjm->nkm", at.required_A, imu.places_by_arms),
             "T_imu_body.rotation": lambda: K @ by_turn(motion, at.force, places) @ imu.R_imu_body,
             "T_imu_body.translation": lambda: -K @ at.required_A,
             "time_shift": lambda: self._by_time(at, by, kind=1),

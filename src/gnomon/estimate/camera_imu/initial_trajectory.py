@@ -15,7 +15,7 @@ from ...geometry.bspline import basis
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...geometry.rotation_vector import nearest_branch, rotation_from_rotvec, rotvec_from_rotation, unwrapped
 from ...recording import Floats
-from .trajectory import BIAS, POSE, Grid, Segment, Trajectory
+from .trajectory import BIAS, Grid, Segment, Trajectory
 
 MARGIN_S = 0.1
 """How far the trajectory reaches beyond the first and the last frame, where the IMU does."""
@@ -104,7 +104,7 @@ def initial_trajectory(
         values = np.concatenate([phi, path.position[inside]], axis=1)
         position = np.clip((path.t_s[inside] - start) / spacing, 0.0, count - 1e-9)
         segments.append(Segment(start_s=start, spans=count, first=first, R_reference=piece.R_reference))
-        pose = _fitted(position, values, count, order)
+        pose = fitted_splines(position, values, count, order)
         biases = np.zeros((len(pose), BIAS * len(gyroscope_biases)))
         for imu, bias in enumerate(gyroscope_biases):
             biases[:, BIAS * imu : BIAS * imu + 3] = bias
@@ -170,16 +170,16 @@ def _rotation_vectors(path: ImuPath, inside: np.ndarray, piece: _Piece) -> Float
     return nearest_branch(phi, guide)
 
 
-def _fitted(position: Floats, values: Floats, spans: int, order: int) -> Floats:
-    """Return control points (spans + order - 1, 6) of splines near values (n, 6) at positions (n,) in spans."""
+def fitted_splines(position: Floats, values: Floats, spans: int, order: int) -> Floats:
+    """Return control points (spans + order - 1, m) of splines near values (n, m) at positions (n,) in spans."""
     count = spans + order - 1
     first = np.minimum(position.astype(np.int64), spans - 1)
     weights = basis(order, position - first)
-    banded, right = np.zeros((order, count)), np.zeros((count, POSE))
+    banded, right = np.zeros((order, count)), np.zeros((count, values.shape[1]))
     for i in range(order):
         for j in range(i, order):
             banded[j - i] += np.bincount(first + i, weights[:, i] * weights[:, j], count)
-        for axis in range(POSE):
+        for axis in range(values.shape[1]):
             right[:, axis] += np.bincount(first + i, weights[:, i] * values[:, axis], count)
     # Third differences are held small where no sample is near; of what the samples show it changes nothing.
     third = np.array([-1.0, 3.0, -3.0, 1.0]) * 1e-3

@@ -13,17 +13,19 @@ from .choices import K3
 from .layout import Layout
 from .parameters import Parameters
 
+ARMS = "lever arms"
+
 LADDER = {
     "scale": ("S_a", "S_g"),
     "misalignment": ("M_a", "M_g", "q_bg"),
     "g-sensitivity": ("B_g",),
-    "lever arms": ("lever_arms",),
+    ARMS: ("lever_arms",),
     "intrinsics": ("intrinsics", "distortion_coeffs"),
     "k3": (),
 }
 """Step -> blocks, of every sensor that has them; k3 is the last coefficient of radtan5."""
 
-EXTRAS = ("lever arms", "intrinsics", "k3")
+EXTRAS = ("intrinsics", "k3")
 """Steps beyond the model of the IMU."""
 
 _CHANGES = 3

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...geometry.so3 import tangent_basis
 from ...models.camera import Camera
+from ...models.origin import Origin
 from ...models.pattern import DIAGONAL, LOWER
 from ...recording import Floats, KnownRig
 from .board import Board
@@ -29,9 +30,8 @@ class ImuParameters:
     B_g : (3, 3) influence of the specific force, body frame, on the gyroscope [rad/s per m/s^2]
     covariance : (24, 24) of S_a, M_a, S_g, M_g, q_bg (small rotation on the right of C_bg) and B_g as they were known
         beforehand, zero where they were not; or None
-    lever_arms : (6,) from the accelerometer that is the IMU's origin to the two others, in the order of the axes, in
-        the IMU's axes [m]
-    origin : axis of the accelerometer that is the IMU's origin
+    lever_arms : (6,) from the x accelerometer to y and to z, in the IMU's axes [m]
+    origin : which point of the IMU its origin is
     R_imu_body : (3, 3), p_imu_body : (3,) [m] of T_imu_body; identity and zero of the first IMU
     time_shift_s : t_body = t_imu + time_shift_s, in seconds from the starts of both clocks; zero of the first IMU
     accelerometer_shift_s : t_gyroscope = t_accelerometer + accelerometer_shift_s
@@ -48,7 +48,7 @@ class ImuParameters:
     B_g: Floats
     covariance: Floats | None = None
     lever_arms: Floats = field(default_factory=lambda: np.zeros(6))
-    origin: int = 0
+    origin: Origin = field(default_factory=Origin)
     R_imu_body: Floats = field(default_factory=lambda: np.eye(3))
     p_imu_body: Floats = field(default_factory=lambda: np.zeros(3))
     time_shift_s: float = 0.0
@@ -72,16 +72,17 @@ class ImuParameters:
         )
 
     @property
-    def other_axes(self) -> tuple[int, ...]:
-        """Axes of the two accelerometers that are not the origin."""
-        return tuple(axis for axis in range(3) if axis != self.origin)
-
-    @property
     def places(self) -> Floats:
         """Where the x, y and z accelerometers lie in the IMU's frame, (3, 3), one row each [m]."""
-        found = np.zeros((3, 3))
-        found[list(self.other_axes)] = self.lever_arms.reshape(2, 3)
-        return found
+        from_x = np.concatenate([np.zeros(3), self.lever_arms]).reshape(3, 3)
+        return from_x - self.origin.of(from_x)
+
+    @property
+    def places_by_arms(self) -> Floats:
+        """Derivative of `places` by the lever arms, (3, 3, 6)."""
+        weights = self.origin.combination[0]
+        by_places = np.eye(9).reshape(3, 3, 9) - np.hstack(list(weights))
+        return by_places[:, :, 3:]
 
     @property
     def is_body(self) -> bool:

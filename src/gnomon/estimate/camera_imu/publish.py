@@ -64,6 +64,7 @@ def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) 
                 sensitivity=imu.gyroscope_sensitivity, bias=bias[:3], g_sensitivity=imu.B_g, unit="rad/s"
             ),
             T_imu_body=imu.T_imu_body if i else None,
+            origin=imu.origin,
             time_shift_s=imu.time_shift_s + imu.epoch_s if i else 0.0,
         )
         rows.append(_imu_rows(imu, i, column, width, len(found.names) + _BIASES * i))
@@ -123,13 +124,9 @@ def _has(imu: ImuParameters, index: int, column: dict[str, int], block: str) -> 
 
 def _lever_arm_rows(imu: ImuParameters, index: int, column: dict[str, int], width: int) -> Floats:
     """Return the derivative of the accelerometers' places, (9, width)."""
-    rows = np.zeros((9, width))
-    scalars = [3 * axis + k for axis in imu.other_axes for k in range(3)]
-    for k, row in enumerate(scalars):
-        at = column.get(f"imu{index}.lever_arms[{k}]")
-        if at is not None:
-            rows[row, at] = 1.0
-    return rows
+    return imu.places_by_arms.reshape(9, 6) @ _same(
+        f"imu{index}", [f"lever_arms[{k}]" for k in range(6)], column, width
+    )
 
 
 def _unit(i: int, j: int) -> Floats:

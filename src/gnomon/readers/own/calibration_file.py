@@ -6,13 +6,16 @@ assessment.camera_imu, which stands there in place of the counts of a multi-posi
 magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and holdout.rate_rms and field_rms.
 "gnomon/1.3" added lever arms of accelerometers, and assessment.trust. "gnomon/1.4" added cameras without an IMU: body
 frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras. "gnomon/1.5" added poses and time shifts
-of IMUs beside the first, and time shifts of accelerometers. "gnomon/1.6" added what changes between recordings:
-assessment.trust.recordings and between, and the floor of a need.
+of IMUs beside the first, and time shifts of accelerometers. "gnomon/1.6" added what changes between recordings,
+assessment.trust.recordings and between, and the floor of a need; and the origin of an IMU with cameras: before, it was
+the accelerometer whose lever arm is zero (x, unless another one had been asked for), and without lever arms the one
+point that all accelerometers were taken to be at.
 """
 
 import re
 from dataclasses import replace
 from os import PathLike
+from typing import cast
 
 import numpy as np
 
@@ -34,6 +37,7 @@ from ...calibration import (
 from ...errors import OptionError
 from ...findings import Finding
 from ...models.forms import in_frame
+from ...models.origin import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...recording import Floats, Source
 from ...trust import Need, TrustNote
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
@@ -160,19 +164,44 @@ def _imu(node: Node, minor: int) -> ImuCalibration:
             *placed,
             *(f"{name}_sigma" for name in ("T_imu_body_rotation", "T_imu_body_translation", placed[1])),
         ]
+    optional += ["origin"] if minor >= 6 else []
     triads = node.mapping(required, optional)
     if triads.keys().isdisjoint(_TRIADS):
         raise node.fail("found no sensor, expected an accelerometer, a gyroscope or a magnetometer.")
     stated = [name for name in placed if name in triads]
     if len(stated) == 1:
         raise node.fail(f"found {stated[0]} alone; T_imu_body and time_shift_imu belong together.")
+    accelerometer = _accelerometer(triads["accelerometer"], minor) if "accelerometer" in triads else None
     return ImuCalibration(
+        origin=_origin(triads["origin"]) if "origin" in triads else _origin_of(accelerometer),
         T_imu_body=pose_entry(triads["T_imu_body"]) if stated else None,
         time_shift_s=triads["time_shift_imu"].number() if stated else 0.0,
-        accelerometer=_accelerometer(triads["accelerometer"], minor) if "accelerometer" in triads else None,
+        accelerometer=accelerometer,
         gyroscope=_gyroscope(triads["gyroscope"]) if "gyroscope" in triads else None,
         magnetometer=_magnetometer(triads["magnetometer"]) if "magnetometer" in triads else None,
     )
+
+
+def _origin(node: Node) -> Origin:
+    keys = node.mapping(("point",), ("weights", "place_m"))
+    point = cast("OriginPoint", keys["point"].text(ORIGIN_POINTS))
+    if (point == "place") != ("place_m" in keys):
+        raise node.fail('place_m tells where the point "place" is, and belongs to it alone. Correct point, or place_m.')
+    weights = None
+    if "weights" in keys:
+        weights = np.array([item.floats(3, 3) for item in keys["weights"].mapping(AXES).values()])
+        if not np.allclose(weights.sum(axis=0), np.eye(3), rtol=0, atol=1e-6):
+            raise keys["weights"].fail("the three weights have to sum up to the identity.")
+    place = keys["place_m"].floats(3) if "place_m" in keys else None
+    return Origin(point=point, weights=weights, place_m=place)
+
+
+def _origin_of(accelerometer: AccelerometerCalibration | None) -> Origin | None:
+    """Return the origin as lever arms alone tell it: the accelerometer without one; None where none is."""
+    if accelerometer is None or accelerometer.lever_arms_m is None:
+        return None
+    axis = next((axis for axis, arm in zip(AXES, accelerometer.lever_arms_m, strict=True) if not arm.any()), None)
+    return None if axis is None else Origin(point=axis)
 
 
 def _accelerometer(node: Node, minor: int) -> AccelerometerCalibration:
