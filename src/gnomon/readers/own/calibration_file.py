@@ -200,8 +200,8 @@ def _origin_of(accelerometer: AccelerometerCalibration | None) -> Origin | None:
     """Return the origin as lever arms alone tell it: the accelerometer without one; None where none is."""
     if accelerometer is None or accelerometer.lever_arms_m is None:
         return None
-    axis = next((axis for axis, arm in zip(AXES, accelerometer.lever_arms_m, strict=True) if not arm.any()), None)
-    return None if axis is None else Origin(point=axis)
+    zero = np.flatnonzero(~accelerometer.lever_arms_m.any(axis=1))
+    return Origin(point=AXES[int(zero[0])]) if len(zero) else None
 
 
 def _accelerometer(node: Node, minor: int) -> AccelerometerCalibration:
