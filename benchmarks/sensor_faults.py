@@ -1,10 +1,11 @@
-"""Faults of magnetometers, resting IMUs, turntables and poses: does a wrong result ever pass, does a right one warn?
+"""Faults of magnetometers, resting IMUs, turntables and poses.
 
     python benchmarks/sensor_faults.py                        every case, 12 seeds each, some ten minutes
     python benchmarks/sensor_faults.py magnetometer --seeds 4
 
-One row a case: verdicts, the largest error in sigmas, and `missed`: results that pass with an error beyond 4 sigma and
-beyond what is needed. Rows of healthy recordings count warnings. The sensors and the faults are drawn from the seeds.
+Does a wrong result ever pass, does a right one warn? One row a case: verdicts, the largest errors in sigmas, and
+`missed`: results that pass with an error beyond 4 sigma and beyond what is needed. Rows of healthy recordings count
+warnings. The sensors and the faults are drawn from the seeds.
 """
 
 import argparse
@@ -17,8 +18,11 @@ from numpy.typing import NDArray
 
 import gnomon
 from gnomon.errors import GnomonError
-from gnomon.recording import Recording
+from gnomon.recording import ImuSamples, Recording, TriadSamples
+from gnomon.sensor_noise import Coefficient
 from gnomon.simulate import FieldScenario, simulate_magnetometer
+from gnomon.simulate.noise import noise_blocks
+from gnomon.simulate.noise_scenario import NoiseScenario
 
 Floats = NDArray[np.float64]
 _BEYOND = 4.0  # sigmas
@@ -138,7 +142,162 @@ def magnetometer_cases() -> Iterator[tuple[str, Case]]:
     yield "healthy: alone", lambda seed: _field_outcome(seed, alone, _same)
 
 
-KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {"magnetometer": magnetometer_cases}
+# ---- noise
+
+_NEEDED = {"white_noise": 0.05, "bias_instability": 0.5, "random_walk": 0.5}  # of the coefficient
+_AT_REST = NoiseScenario(duration_s=3600.0, rate_hz=100.0)
+_N, _B = _AT_REST.gyroscope_white_noise, _AT_REST.gyroscope_bias_instability
+_K = _AT_REST.gyroscope_random_walk
+NoiseEdit = Callable[[Floats, np.random.Generator], Floats]
+
+
+def _noise_outcome(seed: int, edit: NoiseEdit, scenario: NoiseScenario = _AT_REST) -> Outcome:
+    values = np.concatenate(list(noise_blocks(scenario, "gyroscope", seed)))
+    values = edit(values, np.random.default_rng(seed))
+    t_ns = np.rint(np.arange(len(values)) * 1e9 / scenario.rate_hz).astype(np.int64)
+    nothing = TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit="m/s^2")
+    gyroscope = TriadSamples(t_ns=t_ns, values=values, unit="rad/s")
+    recording = Recording(imus={"imu0": ImuSamples(accelerometer=nothing, gyroscope=gyroscope)})
+    try:
+        noise = gnomon.identify_noise(recording).noise
+    except GnomonError:
+        return Outcome(verdict="refused")
+    assert noise.gyroscope is not None
+    truth = scenario.of("gyroscope")
+    sigmas, needs = 0.0, 0.0
+    for axis in noise.gyroscope.axes:
+        for name, share in _NEEDED.items():
+            found: Coefficient = axis.coefficients()[name]
+            if found.found:
+                error, sigma = abs(found.value - truth[name]), found.sigma
+            else:  # two sigma
+                error, sigma = max(truth[name] - 0.0, 0.0), found.bound / 2
+            beyond = error / (share * max(truth[name], 1e-12))
+            if beyond > 1:
+                sigmas, needs = max(sigmas, error / sigma), max(needs, beyond)
+    return Outcome(
+        verdict=noise.verdict,
+        codes=tuple(f.code for f in noise.findings if f.severity in ("warning", "problem")),
+        sigmas=sigmas,
+        needs=needs,
+    )
+
+
+def _filtered(values: Floats, b: list[float], a: list[float]) -> Floats:
+    from scipy.signal import lfilter, lfilter_zi
+
+    start = lfilter_zi(b, a)[:, None] * values.mean(axis=0)
+    return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0], dtype=np.float64)
+
+
+def _low_pass(hz: float, order: int) -> NoiseEdit:
+    from scipy.signal import butter
+
+    b, a = butter(order, hz, fs=_AT_REST.rate_hz)
+    return lambda values, _: _filtered(values, list(b), list(a))
+
+
+def _high_pass(hz: float) -> NoiseEdit:
+    keep = float(np.exp(-2 * np.pi * hz / _AT_REST.rate_hz))
+    return lambda values, _: _filtered(values, [1.0, -1.0], [1.0, -keep])
+
+
+def _auto_zero(every_s: float) -> NoiseEdit:
+    count = round(every_s * _AT_REST.rate_hz)
+
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        del rng
+        whole = len(values) // count * count
+        parts = values[:whole].reshape(-1, count, 3)
+        return (parts - parts.mean(axis=1, keepdims=True)).reshape(-1, 3)
+
+    return edit
+
+
+def _grows(factor: float) -> NoiseEdit:
+    return lambda values, _: values * np.linspace(1.0, factor, len(values))[:, None]
+
+
+def _freezes(share: float) -> NoiseEdit:
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        axis, first = int(rng.integers(0, 3)), int((1 - share) * len(values))
+        changed = values.copy()
+        changed[first:, axis] = changed[first, axis]
+        return changed
+
+    return edit
+
+
+def _clips(sigmas: float) -> NoiseEdit:
+    end = sigmas * _N * np.sqrt(_AT_REST.rate_hz)
+    return lambda values, _: np.clip(values, -end, end)
+
+
+def _between(size: float) -> NoiseEdit:
+    """Add noise of spectrum 1/f^0.5 with as much power at a second as `size` times the white noise."""
+
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        f = np.fft.rfftfreq(len(values), 1 / _AT_REST.rate_hz)
+        shape = np.where(f > 0, np.maximum(f, 1e-9), np.inf) ** -0.25
+        white = np.fft.rfft(_N * np.sqrt(_AT_REST.rate_hz) * rng.standard_normal(values.shape), axis=0)
+        return values + size * np.fft.irfft(white * shape[:, None], len(values), axis=0)
+
+    return edit
+
+
+def _step(size: float) -> NoiseEdit:
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        later = np.arange(len(values)) > rng.uniform(0.15, 0.85) * len(values)
+        return values + size * later[:, None] * rng.choice([-1.0, 1.0], 3)
+
+    return edit
+
+
+def _wave(size: float) -> NoiseEdit:
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        t = np.arange(len(values)) / _AT_REST.rate_hz
+        return values + size * np.sin(2 * np.pi * t / rng.uniform(200, 900) + rng.uniform(0, 6))[:, None]
+
+    return edit
+
+
+def _warm_up(size: float) -> NoiseEdit:
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        t = np.arange(len(values)) / _AT_REST.rate_hz
+        return values + size * np.exp(-t / rng.uniform(150, 900))[:, None]
+
+    return edit
+
+
+def _as_it_is(values: Floats, rng: np.random.Generator) -> Floats:
+    del rng
+    return values
+
+
+def noise_cases() -> Iterator[tuple[str, Case]]:
+    """Yield cases by name."""
+    edits: dict[str, NoiseEdit] = {
+        "healthy": _as_it_is,
+        **{f"level grows {x} x": _grows(x) for x in (1.2, 2.0)},
+        **{f"an axis frozen for {x} of the time": _freezes(x) for x in (0.1, 0.5)},
+        **{f"clipped at {x} sigma": _clips(x) for x in (1.0, 2.0)},
+        **{f"low-pass {hz} Hz, order {n}": _low_pass(hz, n) for hz, n in ((2.0, 1), (5.0, 1), (10.0, 2), (20.0, 4))},
+        **{f"1/f^0.5 noise {x} x": _between(x) for x in (0.3, 1.0)},
+        **{f"step of {x} B": _step(x * _B) for x in (2.0, 6.0, 20.0)},
+        **{f"wave of {x} B": _wave(x * _B) for x in (2.0, 6.0)},
+        **{f"warm-up of {x} B": _warm_up(x * _B) for x in (5.0, 20.0)},
+        **{f"high-pass {hz} Hz": _high_pass(hz) for hz in (0.002, 0.01, 0.1)},
+        **{f"auto-zero every {s} s": _auto_zero(s) for s in (10.0, 60.0)},
+    }
+    for name, edit in edits.items():
+        yield name, lambda seed, edit=edit: _noise_outcome(seed, edit)
+    quiet = replace(_AT_REST, duration_s=1800.0, gyroscope_bias_instability=0.0, gyroscope_random_walk=0.0)
+    yield "healthy: half an hour of white noise", lambda seed: _noise_outcome(seed, _as_it_is, quiet)
+    walking = replace(_AT_REST, gyroscope_random_walk=4 * _K)
+    yield "healthy: strong random walk", lambda seed: _noise_outcome(seed, _as_it_is, walking)
+
+
+KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {"magnetometer": magnetometer_cases, "noise": noise_cases}
 
 
 def main() -> None:

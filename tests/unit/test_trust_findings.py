@@ -1,5 +1,7 @@
 """What is said of sigmas that the model does not explain, and of parts that disagree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,12 @@ def test_large_ratios_are_told_the_worst_first():
     assert "block2 6 times, block4 4 times, block3 3 times and 1 more" in finding.message
     assert "Likely missing: the board." in finding.consequence
     assert finding.cure == "Print it anew."
+
+
+def test_errors_without_memory_do_not_last_for_0_s():
+    clusters = Clusters(count=20, length_s=1.0, memory_s=0.0)
+    (finding,) = model_incomplete(replace(trust(3.0), clusters=clusters))
+    assert "0 s" not in finding.message
 
 
 def test_parts_disagree_beyond_the_limit_only():

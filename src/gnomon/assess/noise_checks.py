@@ -1,6 +1,6 @@
 """Was the sensor left alone? What a long recording at rest must be before its noise can be read from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,9 +8,10 @@ from ..detect.samples.rest import RestTable
 from ..errors import RecordingError
 from ..findings import Finding
 from ..intervals import Booleans
-from ..recording import Floats
+from ..recording import Floats, Integers
 
 SHORTEST_S = 60.0
+_NEARLY = 0.999  # a rate is not known more exactly
 _FEWEST = 1000
 _LOUD = 12.0  # sigmas of the variance of a window
 _LOUDER = 3.0  # times the usual variance
@@ -44,9 +45,10 @@ def check_length(table: RestTable, sensor: str) -> None:
             f"{sensor}: all {table.samples} stamps are the same, so that the sample rate is not known. Read the "
             "recording without its stamps and state the rate (--rate)."
         )
-    if table.duration_s < SHORTEST_S or table.samples < _FEWEST:
+    lasts_s = table.duration_s + 1 / table.rate_hz
+    if lasts_s < _NEARLY * SHORTEST_S or table.samples < _FEWEST:
         raise RecordingError(
-            f"{sensor}: {table.samples} samples in {table.duration_s:.1f} s are too few. At least {SHORTEST_S:.0f} s "
+            f"{sensor}: {table.samples} samples in {lasts_s:.4g} s are too few. At least {SHORTEST_S:.0f} s "
             f"and {_FEWEST} samples at rest are needed for the white noise; record for 1 h or more for the bias "
             "instability, and for 3 h or more, better 12 h, for the random walk."
         )
@@ -66,21 +68,25 @@ def check_length(table: RestTable, sensor: str) -> None:
         )
 
 
-def check_still(table: RestTable, sensor: str) -> list[Finding]:
+def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding]:
     """Look for shocks, touches and turns.
+
+    Parameters
+    ----------
+    frozen : (k,) windows in which the sensor shows nothing, which are not what to keep
 
     Raises
     ------
     RecordingError
         If the sensor was moved so that the noise cannot be told from the motion.
     """
-    stir = _stir(table)
-    turned = _turns(table)
+    kept = np.flatnonzero(~frozen)
+    stir, turned = _stirred_and_turned(table, kept)
     if not turned.any() and not stir.windows.any():
         return [Finding(severity="good", code="noise-still", message=f"{sensor}: nothing moved it.")]
     marked = stir.windows | turned
     first, last = _span(table, marked)
-    start, stop = _longest_still(table, marked)
+    start, stop = _longest_still(table, marked | frozen)
     where = f"at {first:.0f} s" if last - first < 3 else f"between {first:.0f} s and {last:.0f} s"
     if stir.share > _SHARE or turned.any():
         what = "was moved" if turned.any() else "was shaken"
@@ -110,7 +116,9 @@ def check_still(table: RestTable, sensor: str) -> list[Finding]:
 def _stir(table: RestTable) -> _Stir:
     usual = np.median(table.variance, axis=0)
     samples = max(table.samples / max(len(table.t_s), 1), 2.0)
-    limit = usual * max(_LOUDER, 1 + _LOUD * np.sqrt(2 / samples))
+    # The variances of filtered noise scatter more than those of white noise.
+    spread = 1.4826 * np.median(np.abs(table.variance - usual), axis=0)
+    limit = np.maximum(usual * max(_LOUDER, 1 + _LOUD * np.sqrt(2 / samples)), usual + _LOUD * spread)
     loud = (table.variance > limit) & (usual > 0)
     added = np.where(loud, table.variance - usual, 0.0).sum(axis=0) / np.maximum(table.variance.sum(axis=0), 1e-300)
     return _Stir(windows=np.asarray(loud.any(axis=1), dtype=bool), share=float(added.max(initial=0.0)))
@@ -134,6 +142,16 @@ def _turns(table: RestTable) -> Booleans:
             if not marked[both].any():  # else it is known better when that was
                 marked[both] = True
     return marked
+
+
+def _stirred_and_turned(table: RestTable, kept: Integers) -> tuple[_Stir, Booleans]:
+    """Return what moved it in some of the windows: that a sensor died is no motion."""
+    windows = {name: getattr(table, name)[kept] for name in ("t_s", "mean", "variance", "low", "high")}
+    part = replace(table, **windows, at_low=table.at_low[kept], at_high=table.at_high[kept])
+    stir, turned = _stir(part), _turns(part)
+    marked = np.zeros((2, len(table.t_s)), dtype=bool)
+    marked[:, kept] = stir.windows, turned
+    return _Stir(windows=marked[0], share=stir.share), marked[1]
 
 
 def _span(table: RestTable, marked: Booleans) -> tuple[float, float]:

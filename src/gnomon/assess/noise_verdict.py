@@ -1,25 +1,31 @@
 """Verdict and advice on the noise of an IMU: which coefficients a recording shows, and what a longer one would."""
 
 from collections.abc import Mapping
-from math import isfinite
+from math import isfinite, pi
 
 import numpy as np
 
+from ..estimate.allan.fit import AxisFit
 from ..findings import Finding
 from ..sensor_noise import TriadNoise
 
 _DIFFERENT = 2.0
 _MISFIT_WARN, _MISFIT_FAIL = 0.15, 0.6  # of the Allan deviation
 _LONG_S = 3 * 3600.0
+_OTHER_SLOPE_INFO, _OTHER_SLOPE_WARN = 0.01, 0.1  # of the white noise
 _USUAL = {"accelerometer": (1e-6, 0.1), "gyroscope": (1e-8, 5e-3)}
 """White noise densities of sensors that exist, in SI."""
 
 
-def assess_noise(noise: Mapping[str, TriadNoise], t_init_s: float) -> list[Finding]:
+def assess_noise(
+    noise: Mapping[str, TriadNoise], fits: Mapping[str, tuple[AxisFit, ...]], t_init_s: float
+) -> list[Finding]:
     """Judge the coefficients of both sensors; `t_init_s` is the advice for calibrations by hand."""
     findings: list[Finding] = []
     for name, triad in noise.items():
-        findings += [*_length(name, triad), *_walk(name, triad), *_filtered(name, triad), *_misfit(name, triad)]
+        findings += [*_length(name, triad), *_walk(name, triad), *_misfit(name, triad)]
+        findings += [*_filtered(name, triad, fits[name]), *_falling(name, triad, fits[name])]
+        findings += _other_slope(name, fits[name])
         findings += [*_axes(name, triad), *_ramp(name, triad), *_usual(name, triad)]
     if isfinite(t_init_s):
         findings.append(
@@ -128,17 +134,53 @@ def _misfit(name: str, triad: TriadNoise) -> list[Finding]:
     ]
 
 
-def _filtered(name: str, triad: TriadNoise) -> list[Finding]:
+def _filtered(name: str, triad: TriadNoise, fits: tuple[AxisFit, ...]) -> list[Finding]:
     first = max(axis.fitted_from_s for axis in triad.axes)
     if first <= triad.tau_s[0] * 1.01:
         return []
+    delay_s = max(fit.delay for fit in fits) / triad.rate_hz
+    like = f" like those behind a low-pass filter of about {1 / (2 * pi * delay_s):.2g} Hz" if delay_s > 0 else ""
     return [
         Finding(
             severity="info",
             code="noise-filtered",
-            message=f"{name}: averaging times under {first:.3g} s do not fit in with longer ones, and were left out.",
+            message=f"{name}: averaging times under {first:.3g} s do not fit in with longer ones{like}, and were left "
+            "out.",
             consequence="Mostly a filter in the sensor, or vibration: single samples scatter otherwise than the "
-            "density says.",
+            "density says, which is that of lower frequencies.",
+        )
+    ]
+
+
+def _falling(name: str, triad: TriadNoise, fits: tuple[AxisFit, ...]) -> list[Finding]:
+    axes = [i for i, fit in enumerate(fits) if fit.falls]
+    if not axes:
+        return []
+    longest = triad.tau_s[0] * 2.0 ** (min(fits[i].stop for i in axes) - 1)
+    return [
+        Finding(
+            severity="warning",
+            code="noise-falls",
+            message=f"{name} {_named(axes)}: the Allan deviation falls faster than that of white noise to the end.",
+            consequence="Something in the sensor or behind it takes slow errors away (a high-pass filter, auto-zero): "
+            "the recording does not tell bias instability and random walk. What is given for "
+            f"them is from averaging times up to {span(longest)} only, and no bound for longer ones.",
+            cure="Switch the high-pass filter or the auto-zero off, or take both from the data sheet.",
+        )
+    ]
+
+
+def _other_slope(name: str, fits: tuple[AxisFit, ...]) -> list[Finding]:
+    worst = max(fit.other_slope for fit in fits) / 2
+    if worst < _OTHER_SLOPE_INFO:
+        return []
+    return [
+        Finding(
+            severity="warning" if worst > _OTHER_SLOPE_WARN else "info",
+            code="noise-other-slope",
+            message=f"{name}: noise with a spectrum between those of the usual kinds explains the curve better; with "
+            f"it the white noise would differ by {100 * worst:.2g} %.",
+            consequence="All sigmas are widened by what it would change.",
         )
     ]
 

@@ -48,14 +48,17 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
         Finding(
             severity="info",
             code="model-incomplete",
-            message="Errors that last for "
-            f"{trust.clusters.memory_s:.2g} s make parameters scatter more than independent errors would: "
+            message=f"{_lasting(trust.clusters.memory_s)} make parameters scatter more than independent errors would: "
             f"{listed}{more}.",
             consequence="The model is incomplete: it does not explain all that was measured. The stated sigmas hold "
             f"nevertheless: they come from the scatter between {trust.clusters.count} stretches of time.{missing}",
             cure=cure,
         )
     ]
+
+
+def _lasting(memory_s: float) -> str:
+    return f"Errors that last for {memory_s:.2g} s" if memory_s > 0 else "Errors of different size"
 
 
 def parts_disagree(splits: Splits | None, cure: str = "") -> list[Finding]:

@@ -4,7 +4,7 @@ samples, block by block -> Allan sums and windows -> was it still? -> fit of eve
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from math import nan, sqrt
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from .._version import __version__
 from ..assess.imu_tables import envelope
 from ..assess.noise_checks import check_length, check_samples, check_still
+from ..assess.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.noise_verdict import assess_noise
 from ..assess.verdict import verdict_of, worst_first
 from ..calibration import Provenance
@@ -41,7 +42,7 @@ Progress = Callable[[str], None]
 
 _FACTORS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
 _BLOCK_BYTES = 4 << 20
-_FILTERED_S = 0.5  # shorter averaging times may show the sensor's filter or vibration instead of its noise
+_FILTERED_S = 2.0  # shorter averaging times may show the sensor's filter or vibration instead of its noise
 _T_INIT_S = (1.0, 225.0)  # averaging times of Fig. 3.2 of document A
 
 
@@ -80,15 +81,21 @@ def identify_noise(
         triads = _summed(stream, options)
         curves = {name: triad.sums.variance(triad.table.rate_hz) for name, triad in triads.items()}
     findings: list[Finding] = [note for triad in triads.values() for note in triad.notes]
+    tables = {name: triad.table for name, triad in triads.items()}
     for name, triad in triads.items():
-        check_length(triad.table, name)
-        findings += check_still(triad.table, name)
-        findings += check_samples(triad.table, triad.step, name)
+        check_length(tables[name], name)
+        findings += check_still(tables[name], name, dead_windows(tables[name], triad.step))
+        findings += check_samples(tables[name], triad.step, name)
     tell("fitting the Allan variance")
-    fits = _fitted(curves)
-    noise = {name: _triad_noise(curve, fits[name]) for name, curve in curves.items()}
+    steady: dict[str, Stationarity] = {}
+    with threadpool_limits(1, user_api="blas"):
+        fits = _fitted(curves)
+        for name, triad in triads.items():
+            steady[name] = judge_stationarity(tables[name], triad.step)
+            findings += stationarity_findings(tables[name], steady[name], name)
+    noise = {name: _triad_noise(curve, fits[name], steady[name]) for name, curve in curves.items()}
     t_init_s = _t_init(curves["gyroscope"]) if "gyroscope" in curves else nan
-    findings += assess_noise(noise, t_init_s)
+    findings += assess_noise(noise, fits, t_init_s)
     ordered = worst_first(findings)
     stated = {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
     return NoiseResult(
@@ -219,8 +226,8 @@ def _fitted(curves: dict[str, AllanVariance]) -> dict[str, tuple[AxisFit, ...]]:
     return fits
 
 
-def _triad_noise(curve: AllanVariance, fits: tuple[AxisFit, ...]) -> TriadNoise:
-    x, y, z = (_axis_noise(fit, curve) for fit in fits)
+def _triad_noise(curve: AllanVariance, fits: tuple[AxisFit, ...], steady: Stationarity) -> TriadNoise:
+    x, y, z = (_widened(_axis_noise(fit, curve), steady, i) for i, fit in enumerate(fits))
     tau_s = curve.tau_s
     return TriadNoise(
         rate_hz=curve.rate_hz, samples=curve.samples, tau_s=(float(tau_s[0]), float(tau_s[-1])), axes=(x, y, z)
@@ -245,6 +252,19 @@ def _axis_noise(fit: AxisFit, curve: AllanVariance) -> AxisNoise:
     slope, sigma = abs(fit.slope) * rate_hz, fit.slope_sigma * rate_hz
     ramp = Coefficient(value=slope, sigma=sigma) if fit.ramp else Coefficient(value=0.0, bound=slope + 2 * sigma)
     return AxisNoise(**found, rate_ramp=ramp, fitted_from_s=float(curve.tau_s[fit.first]), misfit=fit.misfit / 2)
+
+
+def _widened(noise: AxisNoise, steady: Stationarity, axis: int) -> AxisNoise:
+    """Return the noise of an axis with sigmas that hold where it is not the same all the time."""
+    found = noise.coefficients()
+    white = found["white_noise"]
+    share = np.hypot(steady.spread[axis], steady.clipped[axis])
+    found["white_noise"] = replace(white, sigma=float(np.hypot(white.sigma, share * white.value)))
+    if steady.patterns[axis] is not None or steady.frozen[:, axis].any():
+        for kind in ("bias_instability", "random_walk"):
+            one = found[kind]
+            found[kind] = replace(one, sigma=float(np.hypot(one.sigma, one.value))) if one.found else one
+    return replace(noise, **found)
 
 
 def _table(curve: AllanVariance, noise: TriadNoise, fits: tuple[AxisFit, ...]) -> AllanTable:

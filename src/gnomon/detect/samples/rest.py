@@ -21,6 +21,7 @@ class RestTable:
     ----------
     t_s : (k,) middle of the window [s from the first sample]
     mean, variance, low, high : (k, 3) of the samples in it [unit]
+    at_low, at_high : (k, 3) number of samples in it that are as low, as high as its lowest, its highest
     samples : number of samples in all
     rate_hz : mean sample rate, gaps left out [Hz]
     duration_s : from the first to the last sample [s]
@@ -35,6 +36,8 @@ class RestTable:
     variance: Floats
     low: Floats
     high: Floats
+    at_low: Floats
+    at_high: Floats
     samples: int
     rate_hz: float
     duration_s: float
@@ -123,12 +126,14 @@ class RestWatch:
             variance = np.maximum(np.einsum("kwi,kwi->ki", centred, centred) / width - mean**2, 0)
             t_s = t[:whole].reshape(count, width).mean(axis=1, keepdims=True)[:, 0] * 1e-9
             low, high = parts.min(axis=1), parts.max(axis=1)
-            self._rows.append(np.column_stack([t_s, mean + middle[:, 0], variance * width / (width - 1), low, high]))
+            variance *= width / (width - 1)
+            ends = [np.count_nonzero(parts == end[:, None], axis=1) for end in (low, high)]
+            self._rows.append(np.column_stack([t_s, mean + middle[:, 0], variance, low, high, *ends]))
         self._rest, self._rest_t = values[whole:], t[whole:]
 
     def table(self) -> RestTable:
         """Return what was seen."""
-        rows = np.concatenate([np.empty((0, 13)), *self._rows])
+        rows = np.concatenate([np.empty((0, 19)), *self._rows])
         span = 0.0 if self._last is None else float(self._last - self._first)
         steps = self.samples - 1 - self._gaps
         duration = span - self._gap_ns
@@ -138,6 +143,8 @@ class RestWatch:
             variance=rows[:, 4:7],
             low=rows[:, 7:10],
             high=rows[:, 10:13],
+            at_low=rows[:, 13:16],
+            at_high=rows[:, 16:19],
             samples=self.samples,
             rate_hz=1e9 * steps / duration if duration > 0 and steps > 0 else float("nan"),
             duration_s=span * 1e-9,

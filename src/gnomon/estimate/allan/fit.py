@@ -4,7 +4,10 @@ The Allan variance is linear in the squares of the coefficients, which are fitte
 below zero. The covariance of the estimates is that of the fitted noise itself, not of the observed variances, which are
 low where their weights would be high; a few rounds settle it. A kind of noise that is not significant is taken out, and
 gets an upper bound. Where the curve is not made of these kinds of noise alone, as no real one quite is, a relative
-misfit of the model at every averaging time, found from the residuals, widens all sigmas.
+misfit of the model at every averaging time, found from the residuals, widens all sigmas; and where noise of a slope
+between these kinds explains the curve better, so does what it would change. Where the shortest averaging times are left
+out for a filter's sake, its effect on the longer ones is in the fit. Where the deviation falls faster than that of
+white noise up to the end, the sensor takes its slow errors away, and only shorter averaging times tell of its noise.
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,7 +17,7 @@ import numpy as np
 
 from ...intervals import Booleans
 from ...recording import Floats, Integers
-from .model import KINDS, allan_design, estimate_covariance, line_effect
+from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
 
 _SIGNIFICANT = 3.0  # sigmas
 _WORTH = 2.0  # of twice the log likelihood, for a kind of noise to stay in the fit
@@ -23,8 +26,14 @@ _FEWEST = 8  # averaging times in a fit
 _ROUNDS = 20
 _EXCESS = 5.0  # sigmas of the weighted squares of the residuals, for a misfit of the model
 _WHITE = KINDS.index("white_noise")
-_ALL = np.full(len(KINDS), True)
-_SLOW = np.array([kind != "quantisation" for kind in KINDS])  # the shortest averaging times alone show quantisation
+_ALL = np.array([column in KINDS for column in COLUMNS])
+# The shortest averaging times alone show quantisation; where a filter hides them, it takes as much off as that adds.
+_SLOW = np.array([column in {*KINDS[1:], "filter"} for column in COLUMNS])
+_BETWEEN = tuple(COLUMNS.index(column) for column in ("below_white", "below_flicker"))
+_FILTER = COLUMNS.index("filter")
+_OTHER_SLOPE = 4.0  # of twice the log likelihood, for noise of another slope to widen sigmas
+_LOOK_BACK, _FALLEN, _NO_CHANCE = 5, 0.6, 1e-5  # of the variance of white noise, at the longest averaging times
+_BEFORE_FALL = 3  # averaging times between those that fall and those that tell of the noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,8 +48,11 @@ class AxisFit:
     slope, slope_sigma : of the samples over time, and what the noise alone makes of it
     ramp : whether the slope is no accident
     misfit : relative misfit of the model at every averaging time (1 sigma, of the Allan variance)
-    fitted : (4,) theta of all kinds in the fit, also of those that are not sure
-    first : index of the first averaging time in the fit
+    fitted : (7,) theta of all of COLUMNS in the fit, also of those that are not sure
+    first, stop : index of the first averaging time in the fit, and of the first one after it
+    falls : whether the Allan variance falls faster than that of white noise to the end, as behind a high-pass filter
+    delay : of the low-pass filter in the fit [samples]: white noise through one pole shows its time constant; or 0
+    other_slope : by how much noise of a slope between the kinds changes theta of white noise, relative
     scatter : (k,) relative standard deviations of the estimates of the Allan variance, in such noise
     """
 
@@ -53,6 +65,10 @@ class AxisFit:
     misfit: float
     fitted: Floats
     first: int = 0
+    stop: int = 0
+    falls: bool = False
+    delay: float = 0.0
+    other_slope: float = 0.0
     scatter: Floats = field(default_factory=lambda: np.empty(0))
 
 
@@ -62,10 +78,10 @@ class AllanFit:
 
     Attributes
     ----------
-    design : (k, 4) Allan variance of each kind of noise at theta = 1
-    straight : (k, 4) the same without a straight line through the samples
-    slope_variance : (4,) variance of the slope of that line at theta = 1
-    covariance : (4, 4, k, k) of the estimates, see `estimate_covariance`
+    design : (k, 7) Allan variance of each of COLUMNS at theta = 1
+    straight : (k, 7) the same without a straight line through the samples
+    slope_variance : (7,) variance of the slope of that line at theta = 1
+    covariance : (7, 7, k, k) of the estimates, see `estimate_covariance`
     dof : (k,) the larger, the fewer differences are independent; for the first weights
     """
 
@@ -94,23 +110,50 @@ class AllanFit:
         the first one without misfit, or the one of which the least remains.
         """
         straight = np.maximum(straight, _TINY * straight.max())
+        stop = self._falls_from(straight)
+        falls = stop < len(straight)
+        first, misfit = self._part(0, stop)._without_filter(straight[:stop], optional)
+        part = self._part(first, stop)
+        found = part._fit(straight[first:stop], slope, _SLOW if first else _ALL, misfit)
+        noise = np.where(np.arange(len(COLUMNS)) == _FILTER, 0.0, found.fitted)
+        scatter = np.sqrt(np.diag(self._scatter(noise))) / (self.design @ noise)
+        return replace(found, first=first, stop=stop, falls=falls, scatter=scatter)
+
+    def _without_filter(self, straight: Floats, optional: int) -> tuple[int, float]:
+        """Return how many of the shortest averaging times to leave out, and the misfit of the others."""
         misfits = [self._misfit(straight, _ALL)]
         while misfits[-1] > 0 and len(misfits) <= min(optional, len(straight) - _FEWEST):
-            misfits.append(self._after(len(misfits))._misfit(straight[len(misfits) :], _SLOW))
+            misfits.append(self._part(len(misfits))._misfit(straight[len(misfits) :], _SLOW))
         first = int(np.argmin(misfits))
-        part = self._after(first)
-        found = part._fit(straight[first:], slope, _SLOW if first else _ALL, misfits[first])
-        scatter = np.sqrt(np.diag(self._scatter(found.fitted))) / (self.design @ found.fitted)
-        return replace(found, first=first, scatter=scatter)
+        if 0 < first < min(optional, len(straight) - _FEWEST):  # what is left of a filter may pass for other noise
+            first += 1
+            return first, self._part(first)._misfit(straight[first:], _SLOW)
+        return first, misfits[first]
 
-    def _after(self, first: int) -> "AllanFit":
-        """Return the fit without the shortest averaging times."""
+    def _falls_from(self, straight: Floats) -> int:
+        """Return how many averaging times come before those at which the variance falls faster than white noise's.
+
+        No kind of noise does so but quantisation, at short ones; nor does a wave to the end.
+        """
+        from scipy.stats import chi2
+
+        white = self.straight[:, _WHITE]
+        level, freedom = straight / white, 2 * white**2 / np.diag(self.covariance[_WHITE, _WHITE])
+        for stop in range(_FEWEST, len(level) - 2):
+            ratio = level[stop:] / level[stop - _LOOK_BACK : stop].max()
+            falls = (ratio < _FALLEN).all() and ratio[-2:].mean() < _FALLEN * ratio[0]
+            if falls and chi2.cdf(freedom[stop:] * ratio, freedom[stop:]).min() < _NO_CHANCE:
+                return max(stop - _BEFORE_FALL, _FEWEST)
+        return len(level)
+
+    def _part(self, first: int, stop: int | None = None) -> "AllanFit":
+        """Return the fit to some of the averaging times."""
         return AllanFit(
-            design=self.design[first:],
-            straight=self.straight[first:],
+            design=self.design[first:stop],
+            straight=self.straight[first:stop],
             slope_variance=self.slope_variance,
-            covariance=np.ascontiguousarray(self.covariance[:, :, first:, first:]),
-            dof=self.dof[first:],
+            covariance=np.ascontiguousarray(self.covariance[:, :, first:stop, first:stop]),
+            dof=self.dof[first:stop],
         )
 
     def _fit(self, straight: Floats, slope: float, kinds: Booleans, misfit: float) -> AxisFit:
@@ -124,19 +167,33 @@ class AllanFit:
                 break
             found = without[weakest]
         strong = [evidence.get(i, np.inf) > _SIGNIFICANT**2 for i in range(len(KINDS))]
-        sure = found.kinds & np.array(strong) & (found.theta > 0)
+        sure = (found.kinds & (found.theta > 0))[: len(KINDS)] & np.array(strong)
         bound = np.array([np.nan if sure[i] else self._bound(straight, found, i, misfit) for i in range(len(KINDS))])
-        spread = float(np.sqrt(self.slope_variance @ np.where(sure, found.theta, bound)))
+        count = len(KINDS)
+        theta = found.theta[:count]
+        spread = float(np.sqrt(self.slope_variance[:count] @ np.where(sure, theta, bound)))
+        change = self._other_slopes(straight, found, misfit)
         return AxisFit(
-            theta=np.where(sure, found.theta, 0.0),
-            sigma=np.where(sure, found.sigma, np.nan),
+            theta=np.where(sure, theta, 0.0),
+            sigma=np.where(sure, np.hypot(found.sigma[:count], change), np.nan),
             bound=bound,
             slope=slope,
             slope_sigma=spread,
             ramp=abs(slope) > _SIGNIFICANT * spread,
             misfit=misfit,
             fitted=found.theta,
+            delay=2 * float(found.theta[_FILTER] / theta[_WHITE]) if theta[_WHITE] > 0 else 0.0,
+            other_slope=float(change[_WHITE] / theta[_WHITE]) if theta[_WHITE] > 0 else 0.0,
         )
+
+    def _other_slopes(self, straight: Floats, found: "_Found", misfit: float) -> Floats:
+        """Return by how much noise of a slope between the kinds, where it explains more, changes theta (4,)."""
+        change = np.zeros(len(KINDS))
+        for column in _BETWEEN:
+            other = self._solved(straight, found.kinds | (np.arange(len(COLUMNS)) == column), misfit)
+            if found.unlikely - other.unlikely > _OTHER_SLOPE:
+                change = np.maximum(change, np.abs(other.theta - found.theta)[: len(KINDS)])
+        return change
 
     def _solved(self, variance: Floats, kinds: Booleans, misfit: float, held: Floats | None = None) -> "_Found":
         """Return the estimate with some kinds of noise only, besides those whose theta is held."""

@@ -1,0 +1,142 @@
+"""Noise of a resting sensor that is not the same all the time, that is cut off, filtered, or no noise at all."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from gnomon.calibrate.noise import identify_noise
+from gnomon.errors import RecordingError
+from gnomon.estimate.allan.patterns import find_pattern
+from gnomon.recording import ImuSamples, Recording, TriadSamples
+from gnomon.simulate.noise import noise_blocks
+from gnomon.simulate.noise_scenario import NoiseScenario
+
+SCENARIO = NoiseScenario(duration_s=1500.0, rate_hz=50.0)
+N, K = SCENARIO.gyroscope_white_noise, SCENARIO.gyroscope_random_walk
+
+
+def at_rest(seed=1):
+    return np.concatenate(list(noise_blocks(SCENARIO, "gyroscope", seed)))
+
+
+def recorded(values):
+    t_ns = np.rint(np.arange(len(values)) * 1e9 / SCENARIO.rate_hz).astype(np.int64)
+    nothing = TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit="m/s^2")
+    gyroscope = TriadSamples(t_ns=t_ns, values=values, unit="rad/s")
+    return Recording(imus={"imu0": ImuSamples(accelerometer=nothing, gyroscope=gyroscope)})
+
+
+def identified(values):
+    noise = identify_noise(recorded(values)).noise
+    return noise, {f.code: f.severity for f in noise.findings if f.severity != "good"}
+
+
+def test_noise_that_stays_is_not_warned_of() -> None:
+    noise, codes = identified(at_rest())
+    assert not codes.keys() & {
+        "noise-frozen", "noise-clipped", "noise-uneven", "noise-pattern", "noise-falls", "noise-other-slope"
+    }  # fmt: skip
+    for axis in noise.gyroscope.axes:
+        assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma < 0.05 * N
+
+
+@pytest.mark.parametrize("factor", [1.3, 2.0])
+def test_a_level_that_grows_widens_its_sigma(factor) -> None:
+    values = at_rest()
+    noise, codes = identified(values * np.linspace(1, factor, len(values))[:, None])
+    assert codes["noise-uneven"] == "warning"
+    white = noise.gyroscope.axes[0].white_noise
+    assert abs(white.value - N) < 3 * white.sigma
+
+
+def test_an_axis_that_freezes_is_named_with_its_times() -> None:
+    values = at_rest()
+    values[int(0.9 * len(values)) :, 1] = values[-1, 1]
+    noise, codes = identified(values)
+    assert codes["noise-frozen"] == "warning"
+    (finding,) = [f for f in noise.findings if f.code == "noise-frozen"]
+    assert "--stop-s 13" in finding.cure
+    white = noise.gyroscope.axes[1].white_noise
+    assert abs(white.value - N) < 3 * white.sigma
+
+
+def test_the_advice_never_points_at_the_dead_part() -> None:
+    values = at_rest()
+    half = len(values) // 2
+    values[half:] = 0.3
+    _, codes = identified(values)
+    assert codes["noise-frozen"] == "problem"
+    values[:half] += np.where(np.arange(half) > half // 4, 0.05, 0.0)[:, None]
+    with pytest.raises(RecordingError, match="--stop-s 7") as caught:
+        identify_noise(recorded(values))
+    assert "--stop-s 14" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("sigmas", "severity"), [(1.0, "problem"), (2.5, "warning"), (10.0, None)])
+def test_samples_that_are_cut_off_are_counted(sigmas, severity) -> None:
+    end = sigmas * N * np.sqrt(SCENARIO.rate_hz)
+    _, codes = identified(np.clip(at_rest(), -end, end))
+    assert codes.get("noise-clipped") == severity
+
+
+@pytest.mark.parametrize("step", [0.2, 1.0])
+def test_a_coarse_converter_does_not_clip(step) -> None:
+    """The highest step is reached by chance, and often where steps are coarse."""
+    size = step * N * np.sqrt(SCENARIO.rate_hz)
+    _, codes = identified(np.round(at_rest() / size) * size)
+    assert "noise-clipped" not in codes
+    assert "noise-frozen" not in codes
+
+
+@pytest.mark.parametrize(("hz", "order"), [(5.0, 1), (3.0, 2)])
+def test_behind_a_low_pass_the_density_is_that_of_low_frequencies(hz, order) -> None:
+    b, a = butter(order, hz, fs=SCENARIO.rate_hz)
+    noise, codes = identified(lfilter(b, a, at_rest(), axis=0))
+    assert codes["noise-filtered"] == "info"
+    for axis in noise.gyroscope.axes:
+        assert axis.fitted_from_s > 0.02
+        assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma < 0.3 * N
+
+
+def test_behind_an_auto_zero_no_bound_hides_a_random_walk() -> None:
+    values = at_rest()
+    parts = values.reshape(-1, 500, 3)
+    noise, codes = identified((parts - parts.mean(axis=1, keepdims=True)).reshape(-1, 3))
+    assert codes["noise-falls"] == "warning"
+    assert all(axis.random_walk.most > 0.5 * K for axis in noise.gyroscope.axes)
+
+
+@pytest.mark.parametrize("kind", ["step", "wave", "warm-up"])
+def test_patterns_in_the_means_are_no_random_walk(kind) -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(1500.0)
+    shapes = {"step": (t > 600) * 1.0, "wave": np.sin(t / 60), "warm-up": 2 * np.exp(-t / 150)}
+    noise = rng.standard_normal(len(t))
+    found = find_pattern(noise + 1.5 * shapes[kind], 1500.0)
+    assert found.kind == kind
+    assert abs(found.size) == pytest.approx(3.0 if kind == "warm-up" else 1.5, rel=0.25)
+    expected = {"step": 600, "wave": 2 * np.pi * 60, "warm-up": 150}[kind]
+    assert found.time_s == pytest.approx(expected, rel=0.1)
+    assert find_pattern(noise, 1500.0) is None
+    walk = noise + np.cumsum(0.3 * rng.standard_normal(len(t)))
+    assert find_pattern(walk, 1500.0) is None
+
+
+def test_a_step_is_named_and_what_it_spoils_is_widened() -> None:
+    values = at_rest()
+    values[len(values) // 3 :, 2] += 8e-4
+    noise, codes = identified(values)
+    assert codes["noise-pattern"] == "warning"
+    walk = noise.gyroscope.axes[2].random_walk
+    assert not walk.found or walk.sigma >= walk.value
+
+
+@pytest.mark.parametrize("count", [3000, 2999])
+def test_a_minute_is_a_minute_whether_the_last_period_counts(count) -> None:
+    values = at_rest()[:count]
+    if count == 3000:
+        identify_noise(recorded(values))
+    else:
+        assert identify_noise(recorded(values)).noise.gyroscope.samples == count
+    with pytest.raises(RecordingError, match="too few"):
+        identify_noise(recorded(at_rest()[:2900]))
