@@ -12,7 +12,7 @@ from .findings import Finding
 from .frozen import FrozenMapping
 from .models.camera import Camera
 from .models.noise import ImuNoise
-from .units import Units
+from .units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -388,6 +388,7 @@ class Recording:
             If `units` names no unit.
         """
         stated = Units.parse(units) if isinstance(units, str) else units
+        _refuse_swapped(gyro, accel, stated)
         t_gyro, t_accel = t_s if isinstance(t_s, tuple) else (t_s, t_s)
         return cls(
             imus={
@@ -404,6 +405,25 @@ class Recording:
                     ),
                 )
             }
+        )
+
+
+_ABOUT_GRAVITY, _NO_GRAVITY = 0.15, 0.3
+"""How far from gravity the median of an accelerometer may be, and what it never is, over gravity."""
+
+
+def _refuse_swapped(gyro: ArrayLike, accel: ArrayLike, units: Units) -> None:
+    """Refuse arrays of which the gyroscope's reads gravity all the time, and the accelerometer's hardly anything."""
+    in_m_s2 = ACCELEROMETER_UNITS_M_S2[units.accelerometer or "m/s^2"]
+    if in_m_s2 is None or in_m_s2 == STANDARD_GRAVITY_M_S2:  # a gyroscope may well read 1 deg/s all the time
+        return
+    middle = [float(np.median(np.linalg.norm(np.asarray(one, dtype=np.float64), axis=-1))) for one in (gyro, accel)]
+    turned, felt = (value * in_m_s2 / STANDARD_GRAVITY_M_S2 for value in middle)
+    if abs(turned - 1) < _ABOUT_GRAVITY and felt < _NO_GRAVITY:
+        raise RecordingError(
+            f"gyro and accel seem to be swapped: the median magnitude of gyro is {middle[0]:.4g}, which is gravity in "
+            f"{units.accelerometer or 'm/s^2'}, and that of accel is {middle[1]:.4g}. The order is from_arrays(t_s, "
+            "gyro, accel)."
         )
 
 

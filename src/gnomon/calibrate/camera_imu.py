@@ -29,6 +29,7 @@ from ..evidence import Priors
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
+from .arguments import check_arguments
 from .board_order import numbered_alike
 from .camera_imu_estimation import Rig, basic_model, estimated
 from .camera_imu_model import chosen_model, considered
@@ -69,6 +70,7 @@ def calibrate_camera_imu(
     SolveError
         If the batch estimation finds no minimum.
     """
+    check_arguments("calibrate_camera_imu", recording, target)
     options = options or CameraImuOptions()
     tell = progress or (lambda _: None)
     with threadpool_limits(1, user_api="blas"):  # many small products: more threads only get in each other's way

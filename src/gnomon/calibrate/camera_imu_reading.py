@@ -84,7 +84,7 @@ def read_camera_imu(
         if cam is None:
             raise OptionError(
                 "--cam is missing: Kalibr's file of the cameras and their intrinsics. Name it, or put it into "
-                f"{path} as camchain.yaml."
+                f"{path} as camchain.yaml; gnomon camera makes one of the same corners."
             )
         recording, board = read_corner_recording(path, cam=cam, imu=imu, target=target, units=units)
         return _with_rig(recording, cam), board
@@ -145,7 +145,7 @@ def _known_cameras(
         if unknown:
             raise OptionError(
                 f"{path}: the recording does not tell the lens of {', '.join(unknown)}. Give Kalibr's camchain.yaml "
-                "with --cam."
+                "with --cam, or the calibration.yaml that gnomon camera makes of images of the board."
             )
         notes.append("the lenses are those that the recording states.")
         return {name: entry for name, entry in known.items() if entry is not None}

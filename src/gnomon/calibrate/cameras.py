@@ -24,6 +24,7 @@ from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
 from ..recording import Recording
+from .arguments import check_arguments
 from .camera_board import BoardChoice, with_board
 from .camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
 from .camera_views import Unseen, misfits, other_size, rms_of, started, unseen, unused, views_of
@@ -64,6 +65,7 @@ def calibrate_cameras(
     SolveError
         If the estimation finds no minimum.
     """
+    check_arguments("calibrate_cameras", recording, target)
     with threadpool_limits(1, user_api="blas"):  # many small products: more threads only get in each other's way
         return _calibrated(recording, target, options or CameraOptions(), progress or (lambda _: None))
 

@@ -37,6 +37,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..units import GYROSCOPE_UNITS_RAD_S
+from .arguments import check_arguments
 from .imu_model import choose_model
 from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
 from .preparation import (
@@ -87,7 +88,10 @@ def calibrate_imu(
     """
     options = options or ImuOptions()
     tell = progress or (lambda _: None)
+    if isinstance(recording, str) or not isinstance(recording, Sequence):
+        check_arguments("calibrate_imu", recording)
     if not isinstance(recording, Recording):
+        check_arguments("calibrate_imu", *recording)
         if len(recording) != 1:
             return calibrate_several(recording, options, tell, prior, calibrate_imu)
         (recording,) = recording

@@ -38,6 +38,7 @@ from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..triad_options import MagnetometerOptions
+from .arguments import check_arguments
 from .magnetometer_preparation import PreparedField, check_field_options, prepare_field
 from .preparation import local_gravity, stated_options
 
@@ -73,6 +74,7 @@ def calibrate_magnetometer(
     InitialisationError
         If its attitudes determine no calibration.
     """
+    check_arguments("calibrate_magnetometer", recording)
     options = options or MagnetometerOptions()
     tell = progress or (lambda _: None)
     tell("checking the recording")

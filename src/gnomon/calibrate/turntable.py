@@ -34,6 +34,7 @@ from ..recording import Recording
 from ..triad_diagnostics import PeriodCurve
 from ..triad_options import StatedRate, TurntableOptions
 from ..units import GYROSCOPE_UNITS_RAD_S
+from .arguments import check_arguments
 from .preparation import local_gravity, stated_options
 from .turntable_preparation import prepare_turntable
 
@@ -76,6 +77,7 @@ def calibrate_turntable(
     InitialisationError
         If the orientations determine no calibration.
     """
+    check_arguments("calibrate_turntable", *([recordings] if isinstance(recordings, str | Recording) else recordings))
     options = options or TurntableOptions()
     tell = progress or (lambda _: None)
     unknown_scale, free = RATE_SCALE in options.free, tuple(name for name in options.free if name != RATE_SCALE)

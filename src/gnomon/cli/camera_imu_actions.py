@@ -1,5 +1,6 @@
 """What the commands for cameras and an IMU do."""
 
+import shlex
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,8 +37,13 @@ _INPUTS = {
 
 NO_TARGET = (
     "--target is missing: the file that describes the board. Name it, or put it into {folder} as target.yaml; "
+    "gnomon target writes one beside the board that it prints; "
     "of an AprilGrid it holds five lines, such as target_type: aprilgrid, tagCols: 6, tagRows: 6, "
     "tagSize: 0.088 (metres), tagSpacing: 0.3 (gap over tagSize)."
+)
+_NO_CAM = (
+    "--cam is missing: Kalibr's file of the cameras and their intrinsics, or gnomon's calibration.yaml. Name it, or "
+    "put it into {folder} as camchain.yaml; gnomon camera {recording} --target {target} makes one."
 )
 _SIMULATED = ("imu0.csv.gz", "imu0-acc.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
 
@@ -102,6 +108,8 @@ def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[st
     OptionError
         If a file that is needed was not named, and is not in the recording's folder.
     """
+    from ..readers.images.image_recording import tells_no_lens
+
     if not command.recording.exists():
         raise RecordingError(f"{command.recording}: there is no such file or folder. Check the path.")
     folder = command.recording if command.recording.is_dir() else command.recording.parent
@@ -110,8 +118,13 @@ def kalibr_inputs(command: commands.CameraImu) -> tuple[dict[str, Any], tuple[st
     files |= {option: folder / _INPUTS[option][0] for option in found}
     names = [_INPUTS[option][0] for option in found]
     taken = [f"{_listed(names)} in the recording's folder {'is' if len(names) == 1 else 'are'} used."] if names else []
-    if files["target"] is None:
-        raise OptionError(NO_TARGET.format(folder=folder))
+    missing = [NO_TARGET.format(folder=folder)] if files["target"] is None else []
+    if files["cam"] is None and tells_no_lens(command.recording):
+        target = shlex.quote(str(files["target"] or "target.yaml"))
+        recording = shlex.quote(str(command.recording))
+        missing.append(_NO_CAM.format(folder=folder, recording=recording, target=target))
+    if missing:
+        raise OptionError(" ".join(missing))
     return files, tuple(taken)
 
 

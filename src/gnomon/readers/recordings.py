@@ -204,9 +204,14 @@ def in_one_file(table: Table, where: str, notes: list[str]) -> tuple[StampedTria
     if len(table.triads) == 1:
         (triad,) = table.triads
         if triad.quantity != "accelerometer":
-            sensor = "a triad without name" if triad.quantity == "unnamed" else "only a gyroscope"
+            if triad.quantity == "unnamed":
+                raise RecordingError(
+                    f"{where}: found one triad without name, an accelerometer's, a gyroscope's or a magnetometer's. "
+                    'Give the other file too, or say what the columns are: --columns "t ax ay az", "t gx gy gz" or '
+                    '"t mx my mz" (_ skips a column).'
+                )
             raise RecordingError(
-                f"{where}: found {sensor}; an accelerometer is needed. Give the other file too, or: {HELP}"
+                f"{where}: found only a gyroscope; an accelerometer is needed. Give the other file too, or: {HELP}"
             )
         return (table.t_ns, triad), None
     first, second = table.triads

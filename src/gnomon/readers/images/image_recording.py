@@ -60,6 +60,18 @@ def holds_imu(path: str | PathLike[str]) -> bool:
         return False
 
 
+def tells_no_lens(path: str | PathLike[str]) -> bool:
+    """Tell whether a recording certainly does not say which lenses its cameras have; by its layout, nothing is read."""
+    place = Path(path)
+    try:
+        if not place.is_dir() or _bag_of(place) is not None:
+            return True
+        root = _root(place)
+        return holds_corners(root) or all(one.sensor is None for one in camera_places(root, []).values())
+    except (RecordingError, OSError):
+        return False
+
+
 def open_images(
     path: str | PathLike[str],
     *,

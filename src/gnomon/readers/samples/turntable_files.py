@@ -13,7 +13,7 @@ from ..recordings import read_recognising, without_magnetometer
 from .folder import accelerometer_and_gyroscope, candidates, known_layout, recording_files
 from .pose_files import pose_files
 from .recognise import WITH_RESTS
-from .table import read_table
+from .table import RATE_HELP, read_table
 
 
 def turntable_files(paths: Sequence[str | Path]) -> tuple[tuple[Path, ...], ...]:
@@ -64,8 +64,11 @@ def read_turntable(
         If an option does not fit the recording.
     """
     files = [Path(path) for path in paths]
-    alone = _gyroscope_alone(files[0], columns, rate_hz, units) if len(files) == 1 else None
-    found = alone or read_recognising(WITH_RESTS, *files, columns=columns, rate_hz=rate_hz, units=units)
+    try:
+        alone = _gyroscope_alone(files[0], columns, rate_hz, units) if len(files) == 1 else None
+        found = alone or read_recognising(WITH_RESTS, *files, columns=columns, rate_hz=rate_hz, units=units)
+    except RecordingError as error:  # there --rate is the platter's
+        raise type(error)(str(error).replace(RATE_HELP, RATE_HELP.replace("--rate", "--sample-rate"))) from None
     if not any(len(imu.gyroscope) for imu in found.imus.values()):
         raise RecordingError(
             f"{files[0].name}: no gyroscope in this recording. Give a file with the gyroscope, or say which columns "
