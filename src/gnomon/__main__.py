@@ -7,11 +7,21 @@ if __name__ == "__main__" and not sys.flags.safe_path:
 
 import os
 import signal
+import threading
+import time
+import warnings
 from contextlib import suppress
 from types import FrameType
+from typing import TextIO
+
+from .errors import system_error_words
 
 _ENDING = ("SIGTERM", "SIGHUP")
 """Signals that end a program unless it does something about them; an interrupt is Python's own business."""
+_TIDYING_S = 1.5
+"""So long the work may take to end by itself; one long step in a library does not ask whether it should."""
+_NARROWEST = 40
+"""Columns that the help needs; with fewer, laying it out takes for ever."""
 
 
 def main() -> None:
@@ -20,10 +30,11 @@ def main() -> None:
     # One BLAS thread, before NumPy is there to start more: the problems are small, and threads cost start-up time.
     for library in ("OPENBLAS", "OMP", "MKL"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    for stream in (sys.stdout, sys.stderr):
-        reconfigure = getattr(stream, "reconfigure", None)
-        if reconfigure is not None:
-            reconfigure(errors="replace")  # a terminal without some character still shows the rest
+    if not sys.warnoptions:  # else they are asked for
+        warnings.simplefilter("ignore")  # of libraries, to nobody who can do anything about them
+    if os.environ.get("COLUMNS", "").isdigit() and int(os.environ["COLUMNS"]) < _NARROWEST:
+        os.environ["COLUMNS"] = str(_NARROWEST)
+    _open_streams()
     try:
         from .cli import main as run
 
@@ -31,12 +42,47 @@ def main() -> None:
         code = run(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has gone, as with `gnomon show FILE | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 1
     except KeyboardInterrupt:  # before there was anything to tidy up
-        sys.stderr.write("gnomon: interrupted.\n")
+        _say("gnomon: interrupted.")
         code = 130
+    except (OSError, ImportError) as error:  # the output is on a full disk, or too few files may be open to begin
+        words = system_error_words(error)
+        if not words or os.environ.get("GNOMON_DEBUG"):
+            raise
+        _say(f"gnomon: {words}")
+        code = 3
+    for stream in (sys.stdout, sys.stderr):
+        _let_go(stream)
     sys.exit(code)
+
+
+def _open_streams() -> None:
+    """Let both outputs take all that is written to them, where they are closed, or lack a character."""
+    said = sys.stdout is None  # pyright: ignore[reportUnnecessaryComparison] - closed before we began
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, PTH123 - until the end
+        reconfigure = getattr(getattr(sys, name), "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="replace")  # a terminal without some character still shows the rest
+    if said:
+        _say("gnomon: standard output is closed; what would be printed there is lost.")
+
+
+def _let_go(stream: TextIO) -> None:
+    """Let nothing be written at the end to an output that takes nothing."""
+    try:
+        stream.flush()
+    except (OSError, ValueError):
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _say(line: str) -> None:
+    with suppress(OSError):
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
 
 
 def _tidy_up_when_ended() -> None:
@@ -50,8 +96,31 @@ def _tidy_up_when_ended() -> None:
     for name in _ENDING:
         number = getattr(signal, name, None)  # Windows has no SIGHUP, and its SIGTERM asks nobody
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores one
-            with suppress(ValueError):  # not the main thread
+            with suppress(ValueError, OSError):  # not the main thread; no more files may be open
                 signal.signal(number, ended)
+    with suppress(ValueError, OSError):
+        heard, written = os.pipe()
+        os.set_blocking(written, False)
+        signal.set_wakeup_fd(written, warn_on_full_buffer=False)
+        threading.Thread(target=_end_in_time, args=(heard,), daemon=True).start()
+
+
+def _end_in_time(heard: int) -> None:
+    """End the program a while after a signal that asks for it, whatever the main thread is at.
+
+    Parameters
+    ----------
+    heard : descriptor from which the numbers of signals are read
+    """
+    numbers = {int(getattr(signal, name)) for name in _ENDING if hasattr(signal, name)}
+    while data := os.read(heard, 1):
+        if data[0] in numbers:
+            time.sleep(_TIDYING_S)
+            from .output import drop_unfinished
+
+            drop_unfinished()
+            os.write(2, b"gnomon: interrupted; no file is half-written.\n")
+            os._exit(128 + data[0])
 
 
 if __name__ == "__main__":

@@ -33,6 +33,8 @@ _OURS = (_HELD, _DROPPED)
 _RESULTS = frozenset(
     ("calibration.yaml", "report.html", "diagnostics.npz", "trajectory.txt", "results-cam.txt", "results-imucam.txt")
 )
+_UNFINISHED: set[Path] = set()
+"""Files and folders that are being written by this process."""
 _SPARED: ContextVar[tuple[Path, ...]] = ContextVar("spared", default=())
 
 
@@ -100,6 +102,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Generator[IO[bytes]]:
         put_in_place(target.parent)  # else an older file of this name that waits there would replace the new one
         _remove_abandoned(target.parent, f".{target.name}.", ".part")
         temporary = target.with_name(f".{target.name}.{os.urandom(4).hex()}.part")
+        _UNFINISHED.add(temporary)
         try:
             with _hold(temporary) as stream:
                 yield stream
@@ -114,6 +117,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Generator[IO[bytes]]:
             with suppress(OSError):
                 temporary.unlink()
             raise
+        finally:
+            _UNFINISHED.discard(temporary)
     except OSError as error:
         raise _cannot(path, error) from error
 
@@ -128,6 +133,14 @@ def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
     """
     with atomic_file(path) as stream:
         stream.write(content.encode() if isinstance(content, str) else content)
+
+
+def drop_unfinished() -> None:
+    """Remove what this process is writing, which is about to end at once; other threads of it may still be at work."""
+    for path in list(_UNFINISHED):
+        with suppress(OSError):
+            _remove(path)
+            path.parent.rmdir()  # a folder that was made for it alone
 
 
 def remove_parts(folder: Path, start: str) -> None:
@@ -156,6 +169,7 @@ def files_together(folder: str | os.PathLike[str], own: tuple[str, ...] = ()) ->
         refuse_input(place / name)
     made = [path for path in (place, *place.parents) if not path.exists()]
     staging, held = place / f"{_STAGING}{os.urandom(4).hex()}", None
+    _UNFINISHED.add(staging)
     try:
         with suppress(FileNotFoundError):
             held = _begun(place, staging)
@@ -178,6 +192,8 @@ def files_together(folder: str | os.PathLike[str], own: tuple[str, ...] = ()) ->
         if isinstance(error, OSError):
             raise (_cannot if held is None else _unchanged)(folder, error) from error
         raise
+    finally:
+        _UNFINISHED.discard(staging)
 
 
 def write_together(folder: str | os.PathLike[str], contents: Mapping[str, str | bytes]) -> None:

@@ -3,10 +3,9 @@
 import contextlib
 import io
 import os
-import sys
 from collections.abc import Sequence
 
-from ..errors import GnomonError, OptionError
+from ..errors import GnomonError, OptionError, system_error_words
 from ..findings import printable
 from .commands import Command
 from .parse import parse
@@ -48,7 +47,8 @@ def main(arguments: Sequence[str]) -> int:
     except BrokenPipeError:
         raise
     except (Exception, KeyboardInterrupt) as error:
-        if os.environ.get("GNOMON_DEBUG"):
+        full = isinstance(error, OSError) and error.filename is None and system_error_words(error)
+        if full or os.environ.get("GNOMON_DEBUG"):  # nothing more can be said on that output
             raise
         return _failed(terminal, type(error).__name__, *_explained(error))
     finally:
@@ -62,6 +62,8 @@ def _explained(error: BaseException) -> tuple[str, int]:
             return str(error), USAGE
         case GnomonError():
             return str(error), BAD_INPUT
+        case OSError() | ImportError() if words := system_error_words(error):
+            return words, BAD_INPUT
         case MemoryError():
             return "this does not fit into memory. Close other programs, or split the recording.", BAD_INPUT
         case KeyboardInterrupt():
@@ -89,6 +91,6 @@ def _parsed(arguments: Sequence[str], terminal: Terminal) -> Command | int:
 def _failed(terminal: Terminal, kind: str, message: str, code: int) -> int:
     """Say what went wrong, once, and return the exit code."""
     terminal.close()
-    sys.stderr.write(f"gnomon: {printable(message)}\n")
+    terminal.warn(f"gnomon: {printable(message)}")
     terminal.document({"error": {"kind": kind, "message": message, "exit_code": code}})
     return code

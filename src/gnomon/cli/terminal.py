@@ -6,6 +6,7 @@ import math
 import shlex
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +77,7 @@ class Terminal:
         """Say which step the work is at: in one changing line on a terminal, else in a line a step."""
         step = printable(step)
         if not sys.stderr.isatty():
-            sys.stderr.write(f"{step}\n")
+            self.warn(step)
         elif self._status is not None:
             self._status.update(_unmarked(step))
         else:
@@ -84,6 +85,11 @@ class Terminal:
 
             self._status = Console(stderr=True).status(_unmarked(step))
             self._status.start()
+
+    def warn(self, line: str) -> None:
+        """Write a line to standard error, whether anybody takes it or not."""
+        with suppress(OSError):
+            sys.stderr.write(f"{line}\n")
 
     def close(self) -> None:
         """Take the changing line away."""
