@@ -201,15 +201,17 @@ def test_trust_that_makes_no_sense_is_refused(camera_calibration, tmp_path, old,
         load(tmp_path / "c.yaml")
 
 
-def test_kalibr_gets_them_from_its_own_origin_and_gives_them_back(camera_calibration, tmp_path):
-    calibration = with_arms(camera_calibration(4))
-    gnomon.convert(calibration.with_origin("z"), "kalibr", tmp_path)
+def test_kalibr_gets_them_from_the_same_origin_as_the_cameras(camera_calibration, tmp_path):
+    calibration = with_arms(camera_calibration(4)).with_origin("optimal")
+    gnomon.convert(calibration, "kalibr", tmp_path)
     text = (tmp_path / "imu.yaml").read_text()
     assert "model: scale-misalignment-size-effect" in text
-    assert "rx_i: [0.0, 0.0, 0.0]" in text
+    for name in ("imu.yaml", "camchain-imucam.yaml"):
+        assert "The origin of imu0, to which poses refer, is the point" in (tmp_path / name).read_text()
     read = read_kalibr(tmp_path / "imu.yaml")
     found = read.imus["imu0"].accelerometer
-    np.testing.assert_allclose(found.lever_arms_m, PLACES, rtol=0, atol=1e-15)
+    places = calibration.parameter("imu0.accelerometer.lever_arms_m")
+    np.testing.assert_allclose(found.lever_arms_m, places, rtol=0, atol=1e-15)
     sensitivity = calibration.in_frame("accel-x").imus["imu0"].accelerometer.sensitivity
     np.testing.assert_allclose(found.sensitivity, sensitivity, rtol=1e-12, atol=1e-15)
 
@@ -267,6 +269,39 @@ def test_the_default_is_of_the_point_that_it_names(recorded, origin):
         assert best.sigma("cam0.T_cam_imu.translation").max() < 5e-4
         back = best.with_origin(origin)
         np.testing.assert_allclose(back.uncertainty.matrix, found.uncertainty.matrix, rtol=1e-6, atol=1e-13)
+
+
+def test_compare_moves_to_a_common_point(recorded):
+    """The same rig at four points, an older file, and the truth agree; nearly no z is left of one recording."""
+    found = calibrated(recorded, model="auto", gravity=9.80665)
+    older = found.with_origin("x")
+    older = replace(older, imus={"imu0": replace(older.imus["imu0"], origin=Origin(point="x"))})
+    other = single_point_weights(*np.random.default_rng(1).normal(size=(2, 20, 3)))
+    elsewhere = found.with_origin(Origin(point="optimal", weights=other))
+    for first, second in ((found, older), (older, found), (found, elsewhere), (older, older.with_origin("z"))):
+        compared = gnomon.compare(first, second, names=["a", "b"])
+        differences = {one.path: one for one in compared.differences}
+        for path in ("cam0.translation", "imu0.accelerometer.lever_arms"):
+            np.testing.assert_allclose(differences[path].values, 0, atol=1e-12)
+    for one in (found, older):
+        compared = gnomon.compare(one, recorded.truth.with_origin("z"), names=["found", "truth"])
+        assert compared.z_rms < 1.5
+        assert not {"lever-arms-in-some", "origins-differ"} & {finding.code for finding in compared.findings}
+
+
+def test_compare_says_what_it_cannot_move(recorded, camera_calibration):
+    found = calibrated(recorded, model="auto", gravity=9.80665)
+    plain = calibrated(recorded, gravity=9.80665)
+    compared = gnomon.compare(found, plain, names=["arms", "plain"])
+    assert "lever-arms-in-some" in {finding.code for finding in compared.findings}
+    translation = next(one for one in compared.differences if one.path == "cam0.translation")
+    assert np.linalg.norm(translation.values) < 0.3 * np.linalg.norm(PLACES, axis=1).max()
+    imu = plain.imus["imu0"]
+    other = replace(
+        imu, origin=Origin(point="optimal", weights=np.array([np.eye(3), np.zeros((3, 3)), np.zeros((3, 3))]))
+    )
+    compared = gnomon.compare(plain, replace(plain, imus={"imu0": other}), names=["a", "b"])
+    assert "origins-differ" in {finding.code for finding in compared.findings}
 
 
 def test_without_lever_arms_there_is_one_point_alone(recorded):

@@ -16,8 +16,7 @@ from ..calibration import Calibration, CameraCalibration, Covariance, Gravity, I
 from ..errors import OptionError
 from ..frozen import FrozenMapping
 from ..models.camera import Camera
-from ..models.origin import Origin
-from ..parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
+from ..parameters import covariance_names, element_names, moved_into_frame, parameters
 from ..readers.projects.foreign import FOREIGN_METHOD, ForeignCalibration
 from ..recording import Floats, Source, frozen_array
 from ..simulate.truth import TRUTH_METHOD
@@ -173,17 +172,12 @@ def _stated_sigmas(found: ForeignCalibration) -> Covariance | None:
 
 
 def in_common_frame(candidate: Candidate) -> Candidate:
-    """Return the candidate in body frame "accel-x" and SI units; one without accelerometer stays in its own frame.
-
-    Where accelerometers have lever arms the body's origin is at the x accelerometer.
-    """
+    """Return the candidate in body frame "accel-x" and SI units; one without accelerometer stays in its own frame."""
     imus, matrix = candidate.imus, None if candidate.covariance is None else candidate.covariance.matrix
     if imus and all(imu.accelerometer is not None for imu in imus.values()):
         moved = moved_into_frame(imus, candidate.cameras, FRAME)
         matrix = None if matrix is None else moved.jacobian @ matrix @ moved.jacobian.T
-        placed = moved_to_origin(moved.imus, moved.cameras, dict.fromkeys(moved.imus, Origin(point="x")))
-        matrix = None if matrix is None else placed.jacobian @ matrix @ placed.jacobian.T
-        candidate = replace(candidate, imus=placed.imus, cameras=placed.cameras, frame=FRAME)
+        candidate = replace(candidate, imus=moved.imus, cameras=moved.cameras, frame=FRAME)
     factors = np.ones(len(covariance_names(candidate.imus, candidate.cameras)))
     turned: dict[str, ImuCalibration] = {}
     start = 0

@@ -11,6 +11,7 @@ from ..errors import FormatError, OptionError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..recording import Floats, Integers, frozen_array, recorded_hashes
 from .candidates import FRAME, Candidate, in_common_frame
+from .common_origin import at_common_origins
 from .comparison import (
     UNJUDGED,
     ComparedCalibration,
@@ -41,7 +42,7 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
     """
     _check_number(candidates)
     notes: list[str] = []
-    common = [in_common_frame(candidate) for candidate in candidates]
+    common = at_common_origins([in_common_frame(candidate) for candidate in candidates])
     references = frozenset(body for candidate in common for body in candidate.bodies if body != "imu0")
     statements = {candidate.name: statement_of(candidate, references) for candidate in common}
     single = _of_one_occasion(common)

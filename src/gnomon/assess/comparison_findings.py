@@ -9,9 +9,9 @@ import numpy as np
 from ..findings import Finding
 from ..recording import recorded_hashes
 from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
-from ..sensors import ImuCalibration
 from ..trust import Verdict
 from .candidates import Candidate
+from .common_origin import origin_findings
 from .comparison import Comparison, Difference, standing_out
 from .comparison_poses import pose_findings
 from .comparison_words import block_words, listed, sigma_text, size_text
@@ -53,6 +53,7 @@ def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: S
         *_lenses(comparison),
         *_sensors_in_some(comparison),
         *_gravities(candidates),
+        *origin_findings(candidates),
         *_knowledge(comparison),
         *_occasions(comparison),
         *_own_axes(comparison),
@@ -312,7 +313,7 @@ def _sensors_in_some(comparison: Comparison) -> Iterator[Finding]:
 
 
 def _gravities(candidates: Sequence[Candidate]) -> Iterator[Finding]:
-    """Say that different magnitudes of gravity were assumed, and which lever arms are in some of them only."""
+    """Say that different magnitudes of gravity were assumed."""
     taken = {one.name: one.gravity.value for one in candidates if one.gravity is not None}
     low, high = (choose(taken, key=taken.__getitem__, default="") for choose in (min, max))
     if low and taken[high] - taken[low] > _GRAVITY * taken[high]:
@@ -324,21 +325,6 @@ def _gravities(candidates: Sequence[Candidate]) -> Iterator[Finding]:
             "the difference of the accelerometers' scales comes from it.",
             cure="State --latitude and --altitude, or --gravity, of each recording.",
         )
-    arms = {one.name: any(_arms(imu) for imu in one.imus.values()) for one in candidates if one.imus}
-    if len(set(arms.values())) > 1:
-        having = [name for name, there in arms.items() if there]
-        rest = [name for name, there in arms.items() if not there]
-        yield Finding(
-            severity="info",
-            code="lever-arms-in-some",
-            message=f"{listed(having)} knows where each accelerometer sits; in {listed(rest)} they are at one point.",
-            consequence="The translations of the cameras then belong to different origins of the body: the x "
-            "accelerometer, and some point between the three.",
-        )
-
-
-def _arms(imu: ImuCalibration) -> bool:
-    return imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None
 
 
 def _knowledge(comparison: Comparison) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ from ..output import write_together
 from ..parameters import parameters
 from ..readers.projects.foreign import Residuals, Statistics
 from ..recording import Floats, ImuSamples, Recording
-from .context import Context, StatedImu, remarks, sentences
+from .context import Context, StatedImu, origin_remarks, remarks, sentences
 from .ignored_values import ignored_values
 from .kalibr import IMU_FILE, imu_text
 from .kalibr_camchain import CAMCHAIN_FILE, camchain_text
@@ -56,7 +56,6 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
     calibration = (
         result.calibration if result.calibration.frame == "accel-x" else result.calibration.in_frame("accel-x")
     )
-    calibration = calibration.with_origin("x")
     imus = {name: stated_imu(name, recording.imus[name], diagnostics) for name in calibration.imus}
     results = KalibrResults(
         calibration=calibration,
@@ -66,7 +65,9 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
         imus=imus,
         notes=tuple(_notes(calibration, diagnostics)),
     )
-    said = Context(remarks=(*remarks(calibration), *sentences(ignored_values(calibration, "kalibr")))).comment()
+    said = Context(
+        remarks=(*origin_remarks(calibration), *remarks(calibration), *sentences(ignored_values(calibration, "kalibr")))
+    ).comment()
     return {
         CAMCHAIN_FILE: camchain_text(calibration, said),
         IMU_FILE: imu_text(calibration, imus, said),

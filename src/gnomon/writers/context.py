@@ -9,6 +9,7 @@ import numpy as np
 
 from ..calibration import Calibration, element_names, parameters
 from ..models.noise import ImuNoise
+from ..models.origin import AXES
 from ..readers.projects.foreign import FOREIGN_METHOD
 from .export import Loss
 
@@ -96,6 +97,25 @@ def remark_losses(calibration: Calibration, *, cameras: bool = True) -> Iterator
     if calibration.provenance.method == FOREIGN_METHOD:
         origin = calibration.provenance.options.get("format", "another project's files")
         yield Loss(what="origin", why=f"converted from {origin}; how uncertain the numbers are is not known.")
+
+
+def origin_remarks(calibration: Calibration) -> tuple[str, ...]:
+    """Return sentences that tell of which point of each IMU its poses are; none where there are no poses."""
+    if not calibration.cameras and len(calibration.imus) < 2:
+        return ()
+    found: list[str] = []
+    for name, imu in calibration.imus.items():
+        arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+        if arms is None:
+            found.append(f"The origin of {name} is the one point at which its three accelerometers are taken to be.")
+            continue
+        places = ", ".join(
+            f"{axis} at {' '.join(f'{1e3 * value:.2f}' for value in arm)}"
+            for axis, arm in zip(AXES, arms.tolist(), strict=True)
+        )
+        where = "a point between its accelerometers" if imu.origin is None else imu.origin.words
+        found.append(f"The origin of {name}, to which poses refer, is {where}; its accelerometers, in mm: {places}.")
+    return tuple(found)
 
 
 def held_names(calibration: Calibration) -> tuple[str, ...]:

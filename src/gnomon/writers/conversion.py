@@ -12,7 +12,7 @@ from ..output import write_together
 from ..readers.projects.foreign import ForeignCalibration
 from ..readers.projects.foreign_calibration import as_calibration
 from ..readers.rig.imu_noise import read_imu_noise
-from .context import Context, StatedImu, remark_losses, sentences
+from .context import Context, StatedImu, origin_remarks, remark_losses, sentences
 from .count_scales import with_full_scale
 from .export import Export, Loss
 from .ignored_values import ignored_values
@@ -130,7 +130,9 @@ def exported(
         calibration, refits = with_known_lenses(calibration, to)
         losses += refits
     losses += tuple(ignored_values(calibration, to))
-    export: Export = module.export(calibration, Context(stated=stated, remarks=sentences(losses)))
+    export: Export = module.export(
+        calibration, Context(stated=stated, remarks=(*origin_remarks(calibration), *sentences(losses)))
+    )
     return Export(files=export.files, losses=(*losses, *export.losses))
 
 

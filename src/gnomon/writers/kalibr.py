@@ -32,7 +32,8 @@ _EQUATIONS = """\
 , and C = C_gyro_i:
 #   accelerometer [m/s^2] = M f + bias                gyroscope [rad/s] = M C w + A C f + bias"""
 _SIZE_EFFECT = """\
-# Component k of the f that the accelerometer feels is that at the k-th of rx_i, ry_i, rz_i [m]; the body is at rx_i.
+# Component k of the f that the accelerometer feels is that at the k-th of rx_i, ry_i, rz_i, which stand from the body's
+# origin [m]. (Kalibr's own estimates have rx_i = 0: their origin is the x accelerometer.)
 """
 _IDEAL_EQUATIONS = """\
 :
@@ -77,7 +78,6 @@ def export(calibration: Calibration, context: Context) -> Export:
         return Export(files={LENS_FILE: text}, losses=losses)
     require_triads(calibration, "kalibr", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
-    moved = moved.with_origin("x")
     found = list(losses)
     for name, imu in moved.imus.items():
         found.extend(_losses(moved, name, imu))

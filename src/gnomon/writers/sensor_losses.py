@@ -15,6 +15,7 @@ from .export import Loss, numbers_text
 from .si_units import Conversion, conversions
 
 _NOTHING = 1e-12
+_SIGNIFICANT = 3.0  # sigmas; lever arms that a model holds may be no more than its noise
 
 
 def require_cameras(calibration: Calibration, whose: str) -> None:
@@ -109,7 +110,7 @@ def accelerometer_losses(calibration: Calibration, whose: str) -> Iterator[Loss]
     """Say that a program takes the three accelerometers to be at one point, on the clock of the gyroscope."""
     for name, imu in calibration.imus.items():
         arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
-        if arms is not None and arms.any():
+        if arms is not None and _proved(arms, calibration.sigma(f"{name}.accelerometer.lever_arms_m")):
             longest = float(np.linalg.norm(arms - arms[0], axis=1).max())
             yield Loss(
                 what=f"lever arms of the accelerometers of {name}",
@@ -118,6 +119,11 @@ def accelerometer_losses(calibration: Calibration, whose: str) -> Iterator[Loss]
                 size=f"{1e3 * longest:.2g} mm: up to {25 * longest:.2g} m/s^2 at 5 rad/s",
             )
     yield from triad_shift_losses(calibration, whose)
+
+
+def _proved(arms: Floats, sigma: Floats) -> bool:
+    """Tell whether any lever arm is there beyond its uncertainty; without one, beyond zero."""
+    return bool((np.abs(arms) > _SIGNIFICANT * np.nan_to_num(sigma)).any())
 
 
 def triad_shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
