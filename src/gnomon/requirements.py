@@ -54,6 +54,9 @@ class Quantity:
         return _UNITS[self.kind][self.unit]
 
 
+FIELD_UT = 48.0
+"""A usual field of the Earth, where a magnetometer's calibration does not state its own."""
+
 QUANTITIES: Mapping[str, Quantity] = FrozenMapping(
     {
         name: Quantity(name=name, words=words, kind=kind)

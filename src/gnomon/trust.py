@@ -87,6 +87,28 @@ class Splits:
     limit: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterChange:
+    """A block of parameters that differs between two parts of one recording, all others being common to both.
+
+    Attributes
+    ----------
+    block : path
+    names : (k,) of its scalars
+    values : (k,) second part minus first [published unit]
+    covariance : (k, k) of these, by the scatter of what is left once the change is in the model
+    where : the parts, such as "after 61.2 s, against the time before"
+    chance : that a recording in which nothing changed shows as much, all looks counted
+    """
+
+    block: str
+    names: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    where: str
+    chance: float
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BlockChange:
     """How far a step of the model moved a block: largest change [unit], and in sigmas of the larger model."""
@@ -157,6 +179,7 @@ class Trust:
     splits : None where the recording is too short to be cut
     models : steps of the model choice, in their order; empty where there was no choice
     weak : directions that are hardly determined, the weakest first
+    changes : blocks that changed during the recording, most certain first
     """
 
     clusters: Clusters | None
@@ -167,6 +190,7 @@ class Trust:
     splits: Splits | None = None
     models: tuple[ModelStep, ...] = ()
     weak: tuple[WeakDirection, ...] = ()
+    changes: tuple[ParameterChange, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,6 +219,27 @@ class Need:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class QuantityChange:
+    """A quantity that changed during the recording.
+
+    Attributes
+    ----------
+    block : path of the parameters that changed
+    quantity : such as "gyroscope_scale", as in a file of requirements; "lens" [px, rms over the image]
+    sensor : such as "imu0" or "cam0"
+    size, sigma : of the change [SI, px]
+    where : between which parts of the recording
+    """
+
+    block: str
+    quantity: str
+    sensor: str
+    size: float
+    sigma: float
+    where: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrustNote:
     """What the calibration file keeps of all this.
 
@@ -212,6 +257,7 @@ class TrustNote:
     recordings : how many recordings of one sensor were joined; 0 of a single one
     between : quantity, such as "accelerometer_scale" -> standard deviation from recording to recording [SI], part of
         the covariance; empty of a single recording
+    changes : what changed during the recording
     """
 
     covariance: CovarianceKind = "ordinary"
@@ -225,3 +271,4 @@ class TrustNote:
     needs: tuple[Need, ...] = ()
     recordings: int = 0
     between: Mapping[str, float] = field(default_factory=dict[str, float])
+    changes: tuple[QuantityChange, ...] = ()

@@ -73,6 +73,12 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "lens-model": _MISFIT,
     "board-small": frozenset({"lens-uncertain", "image-coverage", "not-converged", "baseline-uncertain"}),
     "image-coverage": frozenset({"lens-uncertain"}),
+    "parameter-changed": frozenset(
+        {
+            *("parts-disagree", "model-incomplete", "holdout-accelerometer", "holdout-rotation", "noise-inflated"),
+            *("uncertainty-accelerometer", "uncertainty-gyroscope", "beyond-noise", "imprecise", "lens-uncertain"),
+        }
+    ),
     "accelerometer-drift": frozenset({"holdout-accelerometer", "beyond-noise", "model-incomplete", "parts-disagree"}),
 }
 """Cause -> what it explains; causes in the order in which they are told, the most fundamental first."""

@@ -8,8 +8,18 @@ import numpy as np
 from ..calibration import Assessment, Calibration
 from ..findings import Finding, Severity
 from ..recording import Floats
-from ..requirements import BETWEEN_RECORDINGS, GENERAL, GENERAL_IMU, GENERAL_RIG, QUANTITIES, TURN_ON, Use
+from ..requirements import (
+    BETWEEN_RECORDINGS,
+    FIELD_UT,
+    GENERAL,
+    GENERAL_IMU,
+    GENERAL_RIG,
+    QUANTITIES,
+    TURN_ON,
+    Use,
+)
 from ..trust import Need
+from .changes import CHANGED, change_findings
 from .directions import Kind, Part, amount, cure, one_direction, parts, relative
 from .observability import LIMITS
 from .verdict import graded, verdict_of, worst_first
@@ -20,9 +30,6 @@ _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
 
 _USE = ("use-imprecise", "use-not-estimated", "use-turn-on", "use-verdict")
 _DIP = np.radians(60.0)
-_FIELD_UT = 48.0
-"""A usual field of the Earth, where the calibration does not state its own."""
-
 _KINDS: dict[str, Kind] = {
     "camera_rotation": "rotation",
     "camera_translation": "translation",
@@ -185,7 +192,7 @@ def _heading(calibration: Calibration, name: str) -> float:
     """Return the largest standard deviation of the heading of a level sensor, over all headings [rad]."""
     magnetometer = calibration.imus[name].magnetometer
     assert magnetometer is not None
-    strength = _FIELD_UT if magnetometer.field_unit == "uT" else 1.0
+    strength = FIELD_UT if magnetometer.field_unit == "uT" else 1.0
     covariance = calibration.covariance(f"{name}.magnetometer.sensitivity", f"{name}.magnetometer.bias")
     inverse = np.linalg.inv(magnetometer.sensitivity)
     worst = 0.0
@@ -300,9 +307,12 @@ def judged(calibration: Calibration, use: Use | None) -> Calibration:
     found = needs(calibration, use)
     asked = _asked(calibration, use)
     serious = any(offer.held for offer in asked) or any(need.verdict == "fail" for need in found)
-    kept = [_regraded(f, "problem" if serious else "info") for f in general.findings if f.code not in _PRECISION]
+    kept = [
+        _regraded(f, "problem" if serious else "info") for f in general.findings if f.code not in (*_PRECISION, CHANGED)
+    ]
+    changed = change_findings(general.trust.changes, use)
     findings = worst_first(
-        [*kept, *_imprecise(found, use), *_not_estimated(asked, use), *_turn_on(calibration, asked, use)]
+        [*kept, *changed, *_imprecise(found, use), *_not_estimated(asked, use), *_turn_on(calibration, asked, use)]
     )
     verdict = verdict_of(findings)
     if verdict != general.verdict:
@@ -411,8 +421,9 @@ def _general(calibration: Calibration) -> Assessment:
     kept = [
         _regraded(finding, "problem" if vital else "warning")
         for finding in assessment.findings
-        if finding.code not in _USE
+        if finding.code not in (*_USE, CHANGED)
     ]
+    kept += change_findings(assessment.trust.changes, None)
     findings = worst_first([*kept, *general_precision(calibration)])
     return replace(
         assessment,

@@ -12,6 +12,7 @@ from .._version import __version__
 from ..assess.added_findings import added_findings, out_of_order, steps_left_out
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
+from ..assess.changes import with_changes
 from ..assess.early_findings import judged_again
 from ..assess.likely_missing import likely_missing
 from ..assess.prior_findings import prior_used
@@ -165,4 +166,4 @@ def _calibrated(
             options=stated_options(replace(stated, compare=False)),  # what is drawn changes no number
         ),
     )
-    return Result(calibration=calibration, diagnostics=diagnostics)
+    return Result(calibration=with_changes(calibration, trust), diagnostics=diagnostics)

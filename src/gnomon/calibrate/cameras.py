@@ -14,6 +14,7 @@ from ..assess.added_findings import comparison_left_out
 from ..assess.cameras_checks import check_views
 from ..assess.cameras_tables import CamerasEvidence, LensOpinion, describe
 from ..assess.cameras_verdict import assess
+from ..assess.changes import with_changes
 from ..assess.trust_findings import trust_note
 from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
 from ..camera_options import CameraOptions
@@ -138,7 +139,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
             options=stated_options(options),
         ),
     )
-    return Result(calibration=calibration, diagnostics=diagnostics)
+    return Result(calibration=with_changes(calibration, evidence.trust), diagnostics=diagnostics)
 
 
 def _tested(board: BoardChoice, options: CameraOptions) -> tuple[Unseen, list[Finding]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
+from ..assess.changes import with_changes
 from ..assess.imu_tables import ImuEvidence, describe
 from ..assess.imu_verdict import assess
 from ..assess.prior_findings import prior_findings
@@ -158,6 +159,7 @@ def calibrate_imu(
             gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
         ),
     )
+    calibration = with_changes(calibration, evidence.trust)
     rests = diagnostics.intervals
     calibration = in_stated_frame(calibration, options.frame, rests.accelerometer, rests.sigma)
     return Result(calibration=calibration, diagnostics=diagnostics)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from .._version import __version__
+from ..assess.changes import with_changes
 from ..assess.magnetometer_tables import FieldEvidence, describe_field
 from ..assess.magnetometer_verdict import assess_field
 from ..calibration import (
@@ -122,6 +123,7 @@ def calibrate_magnetometer(
             options=stated_options(options),
         ),
     )
+    calibration = with_changes(calibration, evidence.trust.trust)
     return Result(calibration=calibration, diagnostics=describe_field(evidence))
 
 

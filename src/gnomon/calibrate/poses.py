@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .._version import __version__
+from ..assess.changes import with_changes
 from ..assess.pose_tables import PoseEvidence, RestingGyroscope, describe_poses
 from ..assess.poses_verdict import assess_poses
 from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
@@ -159,6 +160,7 @@ def calibrate_poses(
             gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
         ),
     )
+    calibration = with_changes(calibration, diagnostics.trust)
     if stated is None:
         table = diagnostics.triads["accelerometer"].poses
         calibration = in_stated_frame(calibration, options.frame, table.measured, table.sigma)

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from .._version import __version__
+from ..assess.changes import with_changes
 from ..assess.prior_findings import prior_findings, prior_used
 from ..assess.turntable_tables import TurntableEvidence, describe_turntable
 from ..assess.turntable_verdict import assess_turntable
@@ -119,7 +120,7 @@ def calibrate_turntable(
             options={"rates": " ".join(rate.name for rate in prepared.rates[:-1]), **stated_options(options)},
         ),
     )
-    return Result(calibration=calibration, diagnostics=diagnostics)
+    return Result(calibration=with_changes(calibration, diagnostics.trust), diagnostics=diagnostics)
 
 
 def _refuse_one_orientation(parts: TurntableParts) -> None:

@@ -235,7 +235,13 @@ def _tells_of_occasions(trust: TrustNote) -> bool:
 def _tells(trust: TrustNote) -> bool:
     """Tell whether a note says more than that the covariance is the one for independent errors."""
     return trust.covariance != "ordinary" or bool(
-        trust.clusters or trust.sigma_ratio or math.isfinite(trust.split_z) or trust.added or trust.tries or trust.use
+        trust.clusters
+        or trust.sigma_ratio
+        or math.isfinite(trust.split_z)
+        or trust.added
+        or trust.tries
+        or trust.use
+        or trust.changes
     )
 
 
@@ -331,6 +337,7 @@ def _trust(trust: TrustNote) -> dict[str, Any]:
         "use": trust.use,
         "needs": [_need(need) for need in trust.needs],
         **({"recordings": trust.recordings, "between": dict(trust.between)} if trust.recordings else {}),
+        **({"changes": [asdict(change) for change in trust.changes]} if trust.changes else {}),
     }
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from ...parameters import covariance_names
 from ...recording import Floats, Integers
 from ...trust import SigmaRatio, Splits, Trust
+from ..trust.changes import parameter_changes
 from ..trust.parts import Split, agreement, differences
 from .publish import Published
 from .uncertainty import ByTime, Uncertainty, wider_by_clusters
@@ -25,8 +26,9 @@ def recording_trust(result: Published, found: Uncertainty) -> Trust:
     paths = [name.partition("[")[0] for name in names.tolist()]
     blocks = {path: np.flatnonzero(estimated & (np.array(paths) == path)) for path in dict.fromkeys(paths)}
     blocks = {path: members for path, members in blocks.items() if len(members)}
+    by_time = found.by_time
     return Trust(
-        clusters=None if found.by_time is None else found.by_time.clusters,
+        clusters=None if by_time is None else by_time.clusters,
         names=tuple(names[estimated].tolist()),
         ordinary_sigma=ordinary[estimated],
         sigma=sigma[estimated],
@@ -34,7 +36,10 @@ def recording_trust(result: Published, found: Uncertainty) -> Trust:
             SigmaRatio(block=path, ratio=float(np.sqrt(np.mean((sigma[members] / ordinary[members]) ** 2))))
             for path, members in blocks.items()
         ),
-        splits=None if found.by_time is None else _splits(found.by_time, result.jacobian, names, blocks),
+        splits=None if by_time is None else _splits(by_time, result.jacobian, names, blocks),
+        changes=()
+        if by_time is None
+        else parameter_changes(by_time.stretches, result.jacobian @ by_time.scalars, names.tolist(), judged=estimated),
     )
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from ...parameters import element_names
 from ...recording import Floats
 from ...trust import Clusters, SigmaRatio, Trust
+from ..trust.changes import parameter_changes
 from ..trust.cluster_trust import Comparison, Trusted
 from ..trust.clusters import ClusterSums
 from ..trust.robust import Robust
@@ -52,6 +53,7 @@ def field_trust(fit: MagnetometerFit, t_s: Floats) -> Trusted:
                 for path in dict.fromkeys(paths[estimated])
             ),
             splits=comparison.splits(estimated, paths == _PATHS[1], 1),
+            changes=parameter_changes(sums, basis, _NAMES, judged=estimated),
         ),
         instabilities=(comparison.instability(_PATHS[1], estimated),),
     )

@@ -86,6 +86,7 @@ def together(trusts: Sequence[Trust]) -> Trust:
         sigma=np.concatenate([trust.sigma for trust in trusts]),
         ratios=tuple(ratio for trust in trusts for ratio in trust.ratios),
         splits=_pooled([trust.splits for trust in trusts if trust.splits is not None]),
+        changes=tuple(change for trust in trusts for change in trust.changes),
     )
 
 

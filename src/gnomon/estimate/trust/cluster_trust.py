@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...intervals import Booleans
 from ...recording import Floats
 from ...trust import Clusters, SigmaRatio, Splits, Trust
+from .changes import parameter_changes
 from .clusters import ClusterSums
 from .parts import Split, agreement, differences
 from .robust import Robust, clustered, memory, robust
@@ -104,6 +105,7 @@ def trusted(
             sigma=np.sqrt(np.diag(covariance)[estimated]),
             ratios=_ratios(found, paths, estimated) if widened else (),
             splits=comparison.splits(estimated, biased, length),
+            changes=parameter_changes(sums, jacobian, names, biases=biases, judged=estimated),
         ),
         instabilities=tuple(comparison.instability(path, estimated) for path in biases if (paths == path).any())
         if len(sums) >= 2 * _FEWEST_IN_PART

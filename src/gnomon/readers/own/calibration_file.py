@@ -39,7 +39,7 @@ from ...findings import Finding
 from ...models.forms import in_frame
 from ...models.origin import AXES, ORIGIN_POINTS, Origin, OriginPoint
 from ...recording import Floats, Source
-from ...trust import Need, TrustNote
+from ...trust import Need, QuantityChange, TrustNote
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..structured import Node
 from .calibration_cameras import SIGMAS, camera_entry, camera_imu_entry, cameras_entry, pose_entry
@@ -341,7 +341,7 @@ def _common_assessment(keys: dict[str, Node]) -> Assessment:
 def _trust(node: Node) -> TrustNote:
     keys = node.mapping(
         ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs"),
-        ("recordings", "between"),
+        ("recordings", "between", "changes"),
     )
     return TrustNote(
         covariance=keys["covariance"].text(_COVARIANCES),  # pyright: ignore[reportArgumentType]
@@ -355,6 +355,19 @@ def _trust(node: Node) -> TrustNote:
         needs=tuple(_need(item) for item in keys["needs"].items()),
         recordings=keys["recordings"].integer() if "recordings" in keys else 0,
         between={item.key: item.number() for item in keys["between"].entries()} if "between" in keys else {},
+        changes=tuple(_change(item) for item in keys["changes"].items()) if "changes" in keys else (),
+    )
+
+
+def _change(node: Node) -> QuantityChange:
+    keys = node.mapping(("block", "quantity", "sensor", "size", "sigma", "where"))
+    return QuantityChange(
+        block=keys["block"].text(),
+        quantity=keys["quantity"].text(),
+        sensor=keys["sensor"].text(),
+        size=keys["size"].number(),
+        sigma=keys["sigma"].number(),
+        where=keys["where"].text(),
     )
 
 

@@ -1,0 +1,256 @@
+"""What changed in the middle of a recording, in its own unit and against what a use needs.
+
+`estimate.trust.changes` proves that a block of parameters changed. A change that a use does not feel is information;
+beyond what it needs the result is a mean that holds for no part, whatever its sigmas say.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..calibration import Calibration
+from ..findings import Finding
+from ..models.camera import Camera
+from ..recording import Floats
+from ..requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
+from ..trust import ParameterChange, QuantityChange, Trust
+from .verdict import graded, verdict_of, worst_first
+
+CHANGED = "parameter-changed"
+
+_CERTAIN = 3.0
+"""Sigmas from which on a quantity of a block that changed counts as changed itself."""
+
+_COLUMNS, _ROWS = 16, 12
+_OF_HEADING = 2.0
+"""Error of a heading over that of the field's direction, where the field dips by 60 deg."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scale:
+    """How a quantity is told: in words, with its unit and one of it [SI], and what is needed where no use is stated."""
+
+    words: str
+    unit: str
+    size: float
+    needed: float
+    cure: str
+
+
+_FASTEN = "Check that sensors, board and housing are screwed on and that nothing was touched"
+_WARM = "Let the sensor warm up, and keep it at one temperature"
+_GENERAL = {**GENERAL_IMU.needs, **GENERAL_RIG.needs}
+_OTHERS = {
+    # As for a phone's g-sensitivity and an attitude module's heading.
+    "gyroscope_g_sensitivity": np.radians(0.1) / 9.80665,
+    "heading": np.radians(0.7),
+}
+_CURES = {
+    "gyroscope_scale": _WARM,
+    "accelerometer_scale": _WARM,
+    "heading": "Keep iron, magnets and cables away from the sensor, or fix them to it",
+}
+_SCALES: Mapping[str, _Scale] = {
+    name: _Scale(
+        words=QUANTITIES[name].words,
+        unit=QUANTITIES[name].unit,
+        size=QUANTITIES[name].size,
+        needed=(_GENERAL | _OTHERS)[name],
+        cure=_CURES.get(name, _FASTEN),
+    )
+    for name in QUANTITIES
+    if name in _GENERAL or name in _OTHERS
+} | {
+    "lens": _Scale(
+        words="lens of {sensor} (rms over the image)",
+        unit="px",
+        size=1.0,
+        needed=0.25,
+        cure="Fix zoom, focus and crop of the camera, turn off autofocus and stabilisation, and check that all images "
+        "are of one camera",
+    ),
+}
+"""Quantity -> how it is told. A lens that is off by a quarter of a pixel is worse than any good detector."""
+
+
+def with_changes(calibration: Calibration, trust: Trust | None) -> Calibration:
+    """Return a calibration whose assessment says what changed during the recording.
+
+    Parameters
+    ----------
+    calibration : as published, for no special use
+    trust : what the recording tells of it
+    """
+    if trust is None or not trust.changes:
+        return calibration
+    changes = tuple(change for one in trust.changes for change in quantity_changes(one, calibration))
+    assessment = calibration.assessment
+    findings = worst_first([*assessment.findings, *change_findings(changes, None)])
+    return replace(
+        calibration,
+        assessment=replace(
+            assessment,
+            findings=findings,
+            verdict=verdict_of(findings),
+            trust=replace(assessment.trust, changes=changes),
+        ),
+    )
+
+
+def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Iterator[Finding]:
+    """Yield a finding for each block that changed.
+
+    Parameters
+    ----------
+    changes : of quantities, those of one block behind each other
+    use : what the result is for; None for no special use
+    """
+    for block in dict.fromkeys(change.block for change in changes):
+        own = [change for change in changes if change.block == block]
+        needed = [_needed(change, use) for change in own]
+        grades = [
+            graded(change.size, need, (10.0 if use is None else use.fails_at) * need) if need else "good"
+            for change, need in zip(own, needed, strict=True)
+        ]
+        severity = "problem" if "problem" in grades else "warning" if "warning" in grades else "info"
+        told = "; ".join(_told(change, need, use) for change, need in zip(own, needed, strict=True))
+        beyond = severity != "info"
+        yield Finding(
+            severity=severity,
+            code=CHANGED,
+            message=f"Something changed during the recording: {told}. Where: {own[0].where}.",
+            consequence="The result is a mean that holds for neither part: true errors are as large as the change, "
+            "whatever the stated sigmas say."
+            if beyond
+            else "The result is the mean of it.",
+            cure=f"{_SCALES[own[0].quantity].cure}; then record again, or calibrate each part alone." if beyond else "",
+        )
+
+
+def _needed(change: QuantityChange, use: Use | None) -> float:
+    """Return what is needed of a quantity [SI]; zero where a use does not ask for it."""
+    if use is None or change.quantity not in QUANTITIES:
+        return _SCALES[change.quantity].needed
+    return use.needs.get(change.quantity, 0.0)
+
+
+def _told(change: QuantityChange, needed: float, use: Use | None) -> str:
+    scale = _SCALES[change.quantity]
+    words = scale.words.format(sensor=change.sensor)
+    if "{sensor}" not in scale.words and change.sensor != "imu0":
+        words += f" of {change.sensor}"
+    who = "general use" if use is None else use.name
+    limit = f"{who} needs {needed / scale.size:.2g}" if needed else f"{who} does not ask for it"
+    size, sigma = change.size / scale.size, change.sigma / scale.size
+    return f"the {words} by {size:.2g} +- {sigma:.1g} {scale.unit} ({limit})"
+
+
+def quantity_changes(change: ParameterChange, calibration: Calibration) -> tuple[QuantityChange, ...]:
+    """Return what a change of a block is in the units that uses ask for.
+
+    Parameters
+    ----------
+    change : of a block of parameters
+    calibration : whose parameters they are
+    """
+    sensor, _, rest = change.block.partition(".")
+    found = [
+        QuantityChange(block=change.block, quantity=name, sensor=sensor, size=size, sigma=sigma, where=change.where)
+        for name, size, sigma in _sizes(change, sensor, rest, calibration)
+    ]
+    certain = [one for one in found if one.size > _CERTAIN * one.sigma]
+    return tuple(certain or sorted(found, key=lambda one: one.sigma / max(one.size, 1e-300))[:1])
+
+
+def _sizes(
+    change: ParameterChange, sensor: str, rest: str, calibration: Calibration
+) -> Iterator[tuple[str, float, float]]:
+    """Yield quantity, size of its change, and standard deviation of that [SI, px]."""
+    if sensor in calibration.cameras and rest in ("intrinsics", "distortion_coeffs"):
+        yield "lens", *_in_image(calibration.cameras[sensor].camera, change)
+    elif rest.endswith(".sensitivity"):
+        triad = rest.partition(".")[0]
+        matrix = getattr(calibration.imus[sensor], triad).sensitivity
+        if triad == "magnetometer":
+            yield "heading", *_largest(change, _OF_HEADING * np.kron(np.eye(3), np.linalg.inv(matrix).T))
+            return
+        rows = matrix / np.linalg.norm(matrix, axis=1, keepdims=True)
+        relative = 1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)
+        along = np.kron(np.eye(3), np.ones((1, 3))) * rows.ravel() * relative
+        yield f"{triad}_scale", *_largest(change, along)
+        across = np.zeros((9, 9))
+        for i, row in enumerate(rows):
+            across[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.eye(3) - np.outer(row, row)
+        yield f"{triad}_misalignment", *_largest(change, across * relative, groups=3)
+    elif rest == "magnetometer.bias":
+        magnetometer = calibration.imus[sensor].magnetometer
+        assert magnetometer is not None
+        field = FIELD_UT if magnetometer.field_unit == "uT" else 1.0
+        yield "heading", *_largest(change, _OF_HEADING / field * np.linalg.inv(magnetometer.sensitivity))
+    elif rest.endswith(".g_sensitivity"):
+        matrix = getattr(calibration.imus[sensor], rest.partition(".")[0]).sensitivity
+        yield "gyroscope_g_sensitivity", *_largest(change, np.diag(1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)))
+    elif rest.endswith("line_delay"):
+        rows = calibration.cameras[sensor].camera.resolution[1]
+        yield "time_shift", *_largest(change, rows * np.eye(1))
+    elif "time_shift" in rest:
+        yield "time_shift", *_largest(change, np.eye(1))
+    elif rest.endswith(".rotation"):
+        yield f"{_kind(sensor)}_rotation", *_largest(change, np.eye(3), groups=3)
+    elif rest.endswith((".translation", ".lever_arms_m")):
+        count = 9 if rest.endswith("lever_arms_m") else 3
+        yield f"{_kind(sensor)}_translation", *_largest(change, np.eye(count), groups=3)
+
+
+def _kind(sensor: str) -> str:
+    return "imu" if sensor.startswith("imu") else "camera"
+
+
+def _largest(change: ParameterChange, by_scalar: Floats, groups: int = 1) -> tuple[float, float]:
+    """Return the largest change of some numbers, or length of as many together, and its standard deviation.
+
+    Parameters
+    ----------
+    by_scalar : (q, k) derivative of the numbers by the scalars of the whole block
+    """
+    values, covariance = _whole(change, by_scalar.shape[1])
+    moved = (by_scalar @ values).reshape(-1, groups)
+    spread = by_scalar @ covariance @ by_scalar.T
+    lengths = np.linalg.norm(moved, axis=1)
+    worst = int(np.argmax(lengths))
+    at = slice(groups * worst, groups * worst + groups)
+    way = moved[worst] / max(float(lengths[worst]), 1e-300)
+    return float(lengths[worst]), float(np.sqrt(max(way @ spread[at, at] @ way, 0.0)))
+
+
+def _whole(change: ParameterChange, count: int) -> tuple[Floats, Floats]:
+    """Return change (count,) and covariance of all scalars of a block, zero for those that were not estimated."""
+    at = [_place(name, count) for name in change.names]
+    values, covariance = np.zeros(count), np.zeros((count, count))
+    values[at] = change.values
+    covariance[np.ix_(at, at)] = change.covariance
+    return values, covariance
+
+
+def _place(name: str, count: int) -> int:
+    """Return where a scalar stands in its block, from "[2]" or "[0,1]"."""
+    inside = name.partition("[")[2].rstrip("]")
+    index = [int(part) for part in inside.split(",")] if inside else [0]
+    return index[0] if len(index) == 1 else index[0] * (count // 3) + index[1]
+
+
+def _in_image(camera: Camera, change: ParameterChange) -> tuple[float, float]:
+    """Return how far points of the image move, rms over it, and the standard deviation of that [px]."""
+    width, height = camera.resolution
+    x, y = np.linspace(0, width - 1, _COLUMNS), np.linspace(0, height - 1, _ROWS)
+    rays, seen = camera.unproject(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    image = camera.project(np.where(seen[:, None], rays, [0.0, 0.0, 1.0]), parameters_jacobian=True)
+    assert image.by_parameters is not None
+    place = {name: k for k, name in enumerate(camera.parameter_names)}
+    columns = [place[name.partition(".")[2]] for name in change.names]
+    slopes = image.by_parameters[seen & image.valid][:, :, columns]  # (n, 2, k)
+    gram = np.einsum("nik,nil->kl", slopes, slopes) / max(len(slopes), 1)
+    size = float(np.sqrt(max(change.values @ gram @ change.values, 0.0)))
+    along = gram @ change.values / max(size, 1e-300)
+    return size, float(np.sqrt(max(along @ change.covariance @ along, 0.0)))

@@ -1,0 +1,345 @@
+"""Which block of parameters changed in the middle of a recording, when, and by how much.
+
+Halves that are pooled over all parameters dilute what changes in few, and sigmas that a change widened hide it. Here
+one block alone may differ between two parts of the recording, everything else is common to both. Stretch c with pull
+s_c and information S_c (`clusters.py`) then has theta + i_c G d, i_c = 1 in the second part (of a drift rising from 0
+to 1), and d is estimated beside theta from
+
+    [ sum S_c + prior  sum i_c S_c G      ] [theta]   [ sum s_c + prior ]
+    [ G' sum i_c S_c   G' sum i_c^2 S_c G ] [  d  ] = [ G' sum i_c s_c  ]
+
+Its covariance is held against the scatter of what is left of the pulls once the change is in the model, so that neither
+levels of noise that the change inflated nor its own scatter hide it: w = d in units of its ordinary covariance, stretch
+c moves it by h_c, and T^2 = w' V^-1 w with V = sum over clusters of h h' over what is expected of independent errors,
+drawn to the mean of all directions as far as few clusters tell it. T^2 / rank follows F (Hotelling, 1931). The largest
+of all looks counts, and so does their number (Bonferroni).
+
+A bias wanders in any sensor; where the recording's biases are one number each, those may differ between the parts too.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2, f  # pyright: ignore[reportMissingTypeStubs]
+
+from ...intervals import Booleans
+from ...recording import Floats, Integers
+from ...trust import ParameterChange
+from .clusters import ClusterSums
+
+_CHANCE = 0.005
+"""That a recording in which nothing changed is said to have changed; over all looks."""
+
+_EIGHTHS = 8  # of the recording, at which a change may be
+_FEWEST_IN_PART = 5  # stretches
+_MOST = 3  # changes that are told apart
+_MOST_BORDERS = 16  # on each side, that are tried to find when
+_LEAST_KNOWN = 1e-3  # of the whole recording's information on a direction; less does not tell how it changed
+_LENGTHS = (1, 3, 9)  # stretches that a cluster has
+_FEWEST_CLUSTERS = 12
+_POOLED_COUNTS = 12.0  # degrees of freedom that the mean of all directions counts as
+_INFLATED = 100.0  # variances that a change may have inflated, at most
+_SAME = 1e-8  # of the largest: rounding
+_LOOSE = 1e-6  # of the information: keeps open what a part does not determine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Cut:
+    """A course of a change: its share (n,) in each stretch, zero in the first part and one in the second, in words."""
+
+    share: Floats
+    words: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Term:
+    """A change in the model: of the directions G (p, q), by the shares of a cut."""
+
+    cut: _Cut
+    directions: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Estimate:
+    """What one change is estimated to be.
+
+    Attributes
+    ----------
+    change : (q,) in its directions
+    root : (q, r) of its ordinary covariance, r directions that both parts tell
+    w : (r,) the change in units of it
+    moves : (n, r) by which each stretch moves w, once the change is in the model
+    by_errors : (n, r, r) covariance of these for independent errors of each stretch
+    shared, common : (n, r, k), (k, k) of the errors, what the estimate itself takes: shared common shared' of any two
+    """
+
+    change: Floats
+    root: Floats
+    w: Floats
+    moves: Floats
+    by_errors: Floats
+    shared: Floats
+    common: Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Block:
+    """A block of scalars: path, rows (k,) among all scalars, directions (p, q) of the parameters that move it alone."""
+
+    path: str
+    rows: Integers
+    directions: Floats
+
+
+def parameter_changes(
+    sums: ClusterSums,
+    jacobian: Floats,
+    names: Sequence[str],
+    *,
+    biases: Collection[str] = (),
+    judged: Booleans | None = None,
+    order: Integers | None = None,
+) -> tuple[ParameterChange, ...]:
+    """Return the blocks of parameters that changed during a recording, most certain first.
+
+    Parameters
+    ----------
+    sums : of the shortest stretches of time, at their minimum
+    jacobian : (m, p) of the scalars by the parameters of the sums
+    names : (m,) of the scalars, such as "imu0.gyroscope.sensitivity[0,1]"
+    biases : paths of biases, which may differ between parts and are not judged
+    judged : (m,) bool, scalars that were estimated and are to be judged; all where not given
+    order : (n,) number of each stretch as it was recorded, by which odd and even ones are compared; their order where
+        not given
+    """
+    n = len(sums)
+    if n < 2 * _FEWEST_IN_PART:
+        return ()
+    judged = np.ones(len(names), dtype=bool) if judged is None else judged
+    blocks, wandering = _blocks(sums, jacobian, names, judged, biases)
+    cuts = _cuts(sums.t_s, np.arange(n) if order is None else order)
+    scan = _Scan(sums=sums, wandering=wandering, looks=len(blocks) * len(cuts))
+    found: list[ParameterChange] = []
+    for _ in range(min(_MOST, len(blocks))):
+        best = scan.most_certain(blocks, cuts)
+        if best is None:
+            break
+        found.append(scan.published(*best, jacobian, names))
+        scan = scan.beside(*best)
+        blocks = [other for other in blocks if other is not best[0]]
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Scan:
+    """A search for changes: in `looks` looks, beside the changes that were found before.
+
+    Attributes
+    ----------
+    sums : of stretches
+    wandering : (p, b) directions of the biases, or None
+    looks : number of blocks times number of cuts
+    given : changes found before
+    """
+
+    sums: ClusterSums
+    wandering: Floats | None
+    looks: int
+    given: tuple[_Term, ...] = ()
+
+    def beside(self, block: _Block, cut: _Cut) -> "_Scan":
+        """Return the search for what changed beside this."""
+        return replace(self, given=(*self.given, _Term(cut=cut, directions=block.directions)))
+
+    def most_certain(self, blocks: Sequence[_Block], cuts: Sequence[_Cut]) -> tuple[_Block, _Cut] | None:
+        """Return the block and the cut that chance explains least; None where it explains all."""
+        best, least = None, _CHANCE / self.looks
+        for cut in cuts:
+            for block in blocks:
+                chance = _chance(self._estimate(block, cut), len(self.sums), least)
+                if chance < least:
+                    best, least = (block, cut), chance
+        return None if best is None else (best[0], self._refined(*best))
+
+    def published(self, block: _Block, cut: _Cut, jacobian: Floats, names: Sequence[str]) -> ParameterChange:
+        """Return a change in published units."""
+        n, found = len(self.sums), self._estimate(block, cut)
+        assert found is not None
+        scatter = max((_scatter(found, cluster)[0] for cluster in _clusters(n)), key=lambda one: float(np.trace(one)))
+        by_change = jacobian[block.rows] @ block.directions
+        root = by_change @ found.root
+        return ParameterChange(
+            block=block.path,
+            names=tuple(names[row] for row in block.rows),
+            values=by_change @ found.change,
+            covariance=root @ scatter @ root.T,
+            where=cut.words,
+            chance=min(1.0, self.looks * _chance(found, n)),
+        )
+
+    def _estimate(self, block: _Block, cut: _Cut) -> _Estimate | None:
+        biases = () if self.wandering is None else (_Term(cut=cut, directions=self.wandering),)
+        return _estimate(self.sums, (*biases, *self.given), block, cut)
+
+    def _refined(self, block: _Block, cut: _Cut) -> _Cut:
+        """Return the border within an eighth of the recording at which the change explains most."""
+        n, place = len(self.sums), int(np.argmax(cut.share > 0))
+        if not np.array_equal(cut.share, np.arange(n) >= place):
+            return cut
+        reach = max(n // _EIGHTHS, 1)
+        low, high = max(_FEWEST_IN_PART, place - reach), min(n - _FEWEST_IN_PART, place + reach)
+        tried = [_at(self.sums.t_s, k) for k in range(low, high + 1, max(1, reach // _MOST_BORDERS))]
+        return max((cut, *tried), key=lambda one: _explained(self._estimate(block, one)))
+
+
+def _explained(found: _Estimate | None) -> float:
+    return 0.0 if found is None else float(found.w @ found.w)
+
+
+def _blocks(
+    sums: ClusterSums, jacobian: Floats, names: Sequence[str], judged: Booleans, biases: Collection[str]
+) -> tuple[list[_Block], Floats | None]:
+    """Return the blocks that are judged, and the directions of the biases."""
+    size = 1 / np.sqrt(np.maximum(np.diag(sums.total), np.finfo(float).tiny))
+    covariance = np.linalg.pinv(sums.total * np.outer(size, size), rcond=1e-14, hermitian=True)
+    scaled = jacobian * size
+    of_row = np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", scaled, covariance, scaled), 0.0))
+    moved = judged & (of_row > 0)
+    scaled = np.where(moved[:, None], scaled / np.where(of_row > 0, of_row, 1.0)[:, None], 0.0)
+    inverse = np.linalg.pinv(scaled, rcond=_SAME)  # (p, m): what is not published stays as it is
+    paths = np.array([name.partition("[")[0] for name in names], dtype=object)
+    blocks: list[_Block] = []
+    free: list[Floats] = []
+    for path in dict.fromkeys(paths[moved]):
+        rows = np.flatnonzero(moved & (paths == path))
+        left, share, _ = np.linalg.svd(scaled[rows] @ inverse[:, rows])  # a projection
+        basis = left[:, share > 0.5]
+        along = basis.T @ scaled[rows]
+        values, vectors = np.linalg.eigh(along @ covariance @ along.T)
+        told = values > _SAME * values.max(initial=0.0)
+        root = basis @ (vectors[:, told] * np.sqrt(values[told]))
+        directions = size[:, None] * (inverse[:, rows] @ root)
+        if path in biases:
+            free.append(directions)
+        elif directions.size:
+            blocks.append(_Block(path=path, rows=rows, directions=directions))
+    return blocks, np.concatenate(free, axis=1) if free else None
+
+
+def _cuts(t_s: Floats, order: Integers) -> list[_Cut]:
+    """Return where a recording is cut: at each eighth, its middle apart, and every other stretch apart."""
+    n, k = len(t_s), np.arange(len(t_s))
+    places = dict.fromkeys(round(n * eighth / _EIGHTHS) for eighth in range(1, _EIGHTHS))
+    cuts = [_at(t_s, place) for place in places if _FEWEST_IN_PART <= place <= n - _FEWEST_IN_PART]
+    low, high = n // 4, n - n // 4
+    if high - low >= _FEWEST_IN_PART:
+        words = f"between {t_s[low]:.4g} and {t_s[high - 1]:.4g} s, against the time before and after"
+        cuts.append(_Cut(share=((k >= low) & (k < high)) * 1.0, words=words))
+    odd = order % 2 == 1
+    if _FEWEST_IN_PART <= odd.sum() <= n - _FEWEST_IN_PART:
+        cuts.append(_Cut(share=odd * 1.0, words="every other one against those between"))
+    span = float(t_s[-1] - t_s[0])
+    if span > 0:
+        cuts.append(_Cut(share=(t_s - t_s[0]) / span, words="steadily, from the first to the last"))
+    return cuts
+
+
+def _at(t_s: Floats, place: int) -> _Cut:
+    return _Cut(
+        share=(np.arange(len(t_s)) >= place) * 1.0,
+        words=f"after {(t_s[place - 1] + t_s[place]) / 2:.4g} s, against the time before",
+    )
+
+
+def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cut) -> _Estimate | None:
+    """Estimate a change beside others; None where no direction of it is told by both parts."""
+    terms = [*given, _Term(cut=cut, directions=block.directions)]
+    n, p = sums.pull.shape
+    size = 1 / np.sqrt(np.maximum(np.diag(sums.total), np.finfo(float).tiny))
+    design = np.concatenate([np.diag(size), *(term.directions for term in terms)], axis=1)  # (p, k)
+    switched = [np.repeat(term.cut.share[:, None], term.directions.shape[1], axis=1) for term in terms]
+    on = np.concatenate([np.ones((n, p)), *switched], axis=1)  # (n, k): how far columns act on a stretch
+    normal, right = _normal_equations(sums, design, on, size)
+    k, count = len(normal), block.directions.shape[1]
+    rest, tested = slice(0, k - count), slice(k - count, k)
+    by_rest = np.linalg.solve(normal[rest, rest], np.column_stack([normal[rest, tested], right[rest]]))
+    without, by_rest = by_rest[:, -1], by_rest[:, :-1]
+    # In units of what the whole recording tells of the block, two halves tell a quarter of a difference.
+    values, vectors = np.linalg.eigh(normal[tested, tested] - normal[tested, rest] @ by_rest)
+    told = values > _LEAST_KNOWN
+    if not told.any():
+        return None
+    root = vectors[:, told] / np.sqrt(values[told])
+    gain = np.concatenate([-root.T @ by_rest.T, root.T], axis=1)  # (r, k): of w by the rows of the equations
+    w = gain @ right
+    step = np.concatenate([without - by_rest @ root @ w, root @ w])
+    arm = np.einsum("rk,nk,pk->nrp", gain, on, design, optimize=True)  # of w by each pull
+    weighed = arm @ sums.information
+    left = sums.pull - np.einsum("npq,nq->np", sums.information, (on * step) @ design.T)
+    return _Estimate(
+        change=root @ w,
+        root=root,
+        w=w,
+        moves=np.einsum("nrp,np->nr", arm, left),
+        by_errors=weighed @ np.swapaxes(arm, 1, 2),
+        shared=np.einsum("nrp,pk,nk->nrk", weighed, design, on, optimize=True),
+        common=np.linalg.inv(normal),
+    )
+
+
+def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Floats) -> tuple[Floats, Floats]:
+    """Return matrix (k, k) and right-hand side (k,) of the parameters, scaled, and of all changes."""
+    p, k = design.shape
+    normal, right = np.zeros((k, k)), np.zeros(k)
+    patterns, which = np.unique(on, axis=0, return_inverse=True)
+    for number, pattern in enumerate(patterns):
+        used, own = design * pattern, which.ravel() == number
+        normal += used.T @ sums.information[own].sum(axis=0) @ used
+        right += used.T @ sums.pull[own].sum(axis=0)
+    normal[:p, :p] += sums.prior_information * np.outer(size, size)
+    right[:p] += sums.prior_pull * size
+    normal[p:, p:] += _LOOSE * np.eye(k - p)
+    return normal, right
+
+
+def _chance(found: _Estimate | None, n: int, least: float = 0.0) -> float:
+    """Return how often chance alone makes a change as large; at once where it cannot be less than `least`."""
+    if found is None:
+        return 1.0
+    if least and chi2.sf(_explained(found) * _INFLATED, len(found.w)) > least:
+        return 1.0
+    return max(_chance_with(found, cluster) for cluster in _clusters(n))
+
+
+def _clusters(n: int) -> list[Integers]:
+    """Return the number (n,) of the cluster of each stretch, for clusters of some lengths."""
+    return [np.arange(n) // length for length in _LENGTHS if length == 1 or n // length >= _FEWEST_CLUSTERS]
+
+
+def _chance_with(found: _Estimate, cluster: Integers) -> float:
+    """Return how often chance makes a change as large where clusters of stretches err on their own."""
+    scatter, freedom = _scatter(found, cluster)
+    t2 = float(found.w @ np.linalg.solve(scatter, found.w))
+    rank = len(found.w)
+    return float(f.sf(t2 / rank, rank, max(freedom, 1.0)))
+
+
+def _scatter(found: _Estimate, cluster: Integers) -> tuple[Floats, float]:
+    """Return the covariance (r, r) of w as clusters show it, and its degrees of freedom."""
+    rank = len(found.w)
+    first = np.flatnonzero(np.concatenate([[True], np.diff(cluster) > 0]))
+    moves = np.add.reduceat(found.moves, first)
+    shared = np.add.reduceat(found.shared, first)
+    expected = np.add.reduceat(found.by_errors, first) - shared @ found.common @ np.swapaxes(shared, 1, 2)
+    total = expected.sum(axis=0)
+    values, vectors = np.linalg.eigh(total)
+    root = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
+    own = root.T @ (moves.T @ moves) @ root
+    own = vectors @ own @ vectors.T
+    pooled = float(np.trace(moves.T @ moves) / np.trace(total))
+    freedom = float(np.trace(total) ** 2 / np.sum(expected**2))
+    of_one = freedom / rank
+    share = of_one / (of_one + _POOLED_COUNTS)
+    known = 1 / (share**2 / of_one + (1 - share**2) / freedom)
+    return share * own + (1 - share) * pooled * np.eye(rank), known
