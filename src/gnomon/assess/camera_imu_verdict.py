@@ -346,7 +346,7 @@ def _walks(diagnostics: CameraImuDiagnostics) -> list[Finding]:
             code="walk-differs",
             message=f"The bias of {level.name.removesuffix(_WALK)} wanders {level.estimated / level.used:.2g} times as "
             f"strongly as was assumed, {level.estimated:.3g} instead of {level.used:.3g} {level.unit}.",
-            consequence="Sigmas for independent errors are too small; those from clusters of time hold.",
+            consequence="Sigmas for independent errors are too small; those from clusters of time hold this wandering.",
             cure="Warm-up, vibration, or errors of lens and board look like this. Compare with a recording at rest "
             "(gnomon noise), or let the biases follow (--noise coloured).",
         )

@@ -98,8 +98,8 @@ def _incomplete(evidence: CamerasEvidence) -> list[Finding]:
             message="Errors that the corners of a view have in common make parameters scatter more than independent "
             f"errors would: {listed}.",
             consequence="Motion blur, a rolling shutter, a board that bends in the hand, or a lens that no model is "
-            f"exactly. The stated sigmas hold nevertheless: they come from the scatter between {clusters.count} views "
-            "or groups of them.",
+            f"exactly. The stated sigmas come from the scatter between {clusters.count} views or groups of them: they "
+            "hold what differs from one to the next, not what errs the same way in all.",
             cure="Hold board and camera still, or put the camera on a tripod.",
         )
     ]

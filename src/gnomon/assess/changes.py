@@ -118,7 +118,7 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
         beyond = severity != "info"
         yield Finding(
             severity=severity,
-            code=CHANGED,
+            code="parameter-changed",
             message=f"Something changed during the recording: {told}. Where: {own[0].where}.",
             consequence="The result is a mean that holds for neither part: true errors are as large as the change, "
             "whatever the stated sigmas say."

@@ -50,8 +50,9 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
             code="model-incomplete",
             message=f"{_lasting(trust.clusters.memory_s)} make parameters scatter more than independent errors would: "
             f"{listed}{more}.",
-            consequence="The model is incomplete: it does not explain all that was measured. The stated sigmas hold "
-            f"nevertheless: they come from the scatter between {trust.clusters.count} stretches of time.{missing}",
+            consequence="The model is incomplete: it does not explain all that was measured. The stated sigmas come "
+            f"from the scatter between {trust.clusters.count} stretches of time: they hold what differs from one to "
+            f"the next, not what errs the same way all the time.{missing}",
             cure=cure,
         )
     ]

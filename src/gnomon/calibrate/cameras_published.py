@@ -90,7 +90,16 @@ def published(solution: RigSolution, options: CameraOptions) -> PublishedCameras
         by_baseline = options.baseline_sigma * metric / length
         ordinary += np.outer(by_baseline, by_baseline)
     sums = solution.sums.gathered(independent_views(solution))
-    found = trusted(sums, jacobian, names, ordinary, biases=(), widened=options.covariance == "robust")
+    found = trusted(
+        sums,
+        jacobian,
+        names,
+        ordinary,
+        biases=(),
+        widened=options.covariance == "robust",
+        single=solution.sums,
+        order=solution.views.frame.max(axis=1),
+    )
     return PublishedCameras(
         cameras=cameras,
         names=names,
@@ -132,4 +141,5 @@ def _of_cameras(trust: Trust) -> Trust:
         ordinary_sigma=trust.ordinary_sigma[inside],
         sigma=trust.sigma[inside],
         ratios=tuple(one for one in trust.ratios if not one.block.startswith("target.")),
+        changes=tuple(one for one in trust.changes if not one.block.startswith("target.")),
     )

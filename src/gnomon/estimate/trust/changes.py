@@ -14,7 +14,9 @@ c moves it by h_c, and T^2 = w' V^-1 w with V = sum over clusters of h h' over w
 drawn to the mean of all directions as far as few clusters tell it. T^2 / rank follows F (Hotelling, 1931). The largest
 of all looks counts, and so does their number (Bonferroni).
 
-A bias wanders in any sensor; where the recording's biases are one number each, those may differ between the parts too.
+A lens or a board that the model does not quite describe errs by where the board is, and parts of a recording differ in
+that for longer than any cluster lasts. So what the longest clusters certainly show beyond independent errors is taken
+to average out no further.
 """
 
 from collections.abc import Collection, Sequence
@@ -28,7 +30,7 @@ from ...recording import Floats, Integers
 from ...trust import ParameterChange
 from .clusters import ClusterSums
 
-_CHANCE = 0.005
+_CHANCE = 0.003
 """That a recording in which nothing changed is said to have changed; over all looks."""
 
 _EIGHTHS = 8  # of the recording, at which a change may be
@@ -38,6 +40,7 @@ _MOST_BORDERS = 16  # on each side, that are tried to find when
 _LEAST_KNOWN = 1e-3  # of the whole recording's information on a direction; less does not tell how it changed
 _LENGTHS = (1, 3, 9)  # stretches that a cluster has
 _FEWEST_CLUSTERS = 12
+_CERTAIN = 2.0  # standard deviations of a variance
 _POOLED_COUNTS = 12.0  # degrees of freedom that the mean of all directions counts as
 _INFLATED = 100.0  # variances that a change may have inflated, at most
 _SAME = 1e-8  # of the largest: rounding
@@ -166,7 +169,7 @@ class _Scan:
         """Return a change in published units."""
         n, found = len(self.sums), self._estimate(block, cut)
         assert found is not None
-        scatter = max((_scatter(found, cluster)[0] for cluster in _clusters(n)), key=lambda one: float(np.trace(one)))
+        scatter = _scatter(found, _clusters(n)[-1], lasting=True)[0]
         by_change = jacobian[block.rows] @ block.directions
         root = by_change @ found.root
         return ParameterChange(
@@ -309,7 +312,9 @@ def _chance(found: _Estimate | None, n: int, least: float = 0.0) -> float:
         return 1.0
     if least and chi2.sf(_explained(found) * _INFLATED, len(found.w)) > least:
         return 1.0
-    return max(_chance_with(found, cluster) for cluster in _clusters(n))
+    *shorter, longest = _clusters(n)
+    by_length = [_chance_with(found, cluster, lasting=False) for cluster in shorter]
+    return max([*by_length, _chance_with(found, longest, lasting=True)])
 
 
 def _clusters(n: int) -> list[Integers]:
@@ -317,29 +322,41 @@ def _clusters(n: int) -> list[Integers]:
     return [np.arange(n) // length for length in _LENGTHS if length == 1 or n // length >= _FEWEST_CLUSTERS]
 
 
-def _chance_with(found: _Estimate, cluster: Integers) -> float:
+def _chance_with(found: _Estimate, cluster: Integers, *, lasting: bool) -> float:
     """Return how often chance makes a change as large where clusters of stretches err on their own."""
-    scatter, freedom = _scatter(found, cluster)
+    scatter, freedom = _scatter(found, cluster, lasting=lasting)
     t2 = float(found.w @ np.linalg.solve(scatter, found.w))
     rank = len(found.w)
     return float(f.sf(t2 / rank, rank, max(freedom, 1.0)))
 
 
-def _scatter(found: _Estimate, cluster: Integers) -> tuple[Floats, float]:
-    """Return the covariance (r, r) of w as clusters show it, and its degrees of freedom."""
+def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Floats, float]:
+    """Return the covariance (r, r) of w as clusters show it, and its degrees of freedom.
+
+    Parameters
+    ----------
+    cluster : (n,) number of the cluster of each stretch
+    lasting : whether what they show beyond independent errors averages out no further
+    """
     rank = len(found.w)
     first = np.flatnonzero(np.concatenate([[True], np.diff(cluster) > 0]))
     moves = np.add.reduceat(found.moves, first)
     shared = np.add.reduceat(found.shared, first)
-    expected = np.add.reduceat(found.by_errors, first) - shared @ found.common @ np.swapaxes(shared, 1, 2)
+    taken = shared @ found.common @ np.swapaxes(shared, 1, 2)
+    expected = np.add.reduceat(found.by_errors, first) - taken
     total = expected.sum(axis=0)
     values, vectors = np.linalg.eigh(total)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
     own = root.T @ (moves.T @ moves) @ root
     own = vectors @ own @ vectors.T
     pooled = float(np.trace(moves.T @ moves) / np.trace(total))
-    freedom = float(np.trace(total) ** 2 / np.sum(expected**2))
+    both = np.einsum("nrk,nrl->kl", shared, shared) @ found.common
+    apart = max(float(np.einsum("kl,lk->", both, both) - np.sum(taken**2)), 0.0)  # between two clusters, squared
+    freedom = float(np.trace(total) ** 2 / (np.sum(expected**2) + apart))
     of_one = freedom / rank
     share = of_one / (of_one + _POOLED_COUNTS)
     known = 1 / (share**2 / of_one + (1 - share**2) / freedom)
-    return share * own + (1 - share) * pooled * np.eye(rank), known
+    certain = pooled * (1 - _CERTAIN * np.sqrt(2 / freedom)) - 1 if lasting else 0.0
+    halves = len(cluster) / 2 / float(np.median(np.bincount(cluster)))  # clusters in half of the recording
+    longer = 1 + max(certain, 0.0) / pooled * max(halves - 1, 0.0)
+    return longer * (share * own + (1 - share) * pooled * np.eye(rank)), known

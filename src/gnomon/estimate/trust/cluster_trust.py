@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...intervals import Booleans
-from ...recording import Floats
+from ...recording import Floats, Integers
 from ...trust import Clusters, SigmaRatio, Splits, Trust
 from .changes import parameter_changes
 from .clusters import ClusterSums
@@ -64,6 +64,8 @@ def trusted(
     *,
     biases: Collection[str],
     widened: bool = True,
+    single: ClusterSums | None = None,
+    order: Integers | None = None,
 ) -> Trusted:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
@@ -79,6 +81,8 @@ def trusted(
     ordinary : (m, m) covariance for independent errors, with what comes from outside the recording, such as gravity
     biases : paths of biases
     widened : whether the covariance from clusters is wanted, not that for independent errors
+    single, order : sums of single views, and their numbers as they were recorded, by which changes are looked for;
+        those of the stretches where not given
     """
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     block = np.unique(paths, return_inverse=True)[1]
@@ -105,7 +109,7 @@ def trusted(
             sigma=np.sqrt(np.diag(covariance)[estimated]),
             ratios=_ratios(found, paths, estimated) if widened else (),
             splits=comparison.splits(estimated, biased, length),
-            changes=parameter_changes(sums, jacobian, names, biases=biases, judged=estimated),
+            changes=parameter_changes(single or sums, jacobian, names, biases=biases, judged=estimated, order=order),
         ),
         instabilities=tuple(comparison.instability(path, estimated) for path in biases if (paths == path).any())
         if len(sums) >= 2 * _FEWEST_IN_PART
