@@ -184,9 +184,8 @@ def test_every_key_of_the_diagnostics_is_documented(result, rig_result):
     assert documented_keys(from_magnitudes) == names
     weak = WeakDirection(shares=(("cam0.time_shift_cam_imu", 1.0),), determined=0.1, words="it", cure="so", held=True)
     told = [replace(made.diagnostics.trust, weak=weaks) for made in (result, rig_result) for weaks in ((), (weak,))]
-    change = ParameterChange(
-        block="cam0.intrinsics", names=("cam0.intrinsics[0]",), values=np.ones(1), covariance=np.eye(1), where="", chance=0.0
-    )  # fmt: skip
+    one = np.ones(1)
+    change = ParameterChange(block="a", names=("a[0]",), values=one, covariance=np.eye(1), where="", chance=0.0)
     told.append(replace(told[0], changes=(change,)))
     told.append(replace(told[0], clusters=None, ratios=(), models=(), splits=replace(told[0].splits, blocks=())))
     names = {re.sub(r"\.\d+\.", ".0.", name) for trust in told for name, _ in diagnostic_arrays(trust, "trust")}

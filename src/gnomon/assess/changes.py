@@ -106,8 +106,8 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
     changes : of quantities, those of one block behind each other
     use : what the result is for; None for no special use
     """
-    for block in dict.fromkeys(change.block for change in changes):
-        own = [change for change in changes if change.block == block]
+    for place in dict.fromkeys((change.block, change.where) for change in changes):
+        own = [change for change in changes if (change.block, change.where) == place]
         needed = [_needed(change, use) for change in own]
         grades = [
             graded(change.size, need, (10.0 if use is None else use.fails_at) * need) if need else "good"

@@ -177,7 +177,16 @@ def joined_assessment(
         rotations_found=sum(one.rotations_found for one in each),
         rotations_used=sum(one.rotations_used for one in each),
         held_by_prior=tuple(held),
-        trust=TrustNote(covariance="between-recordings", recordings=len(each), between=scatter),
+        trust=TrustNote(
+            covariance="between-recordings",
+            recordings=len(each),
+            between=scatter,
+            changes=tuple(
+                replace(change, where=f"{name}, {change.where}")
+                for name, one in zip(names, each, strict=True)
+                for change in one.trust.changes
+            ),
+        ),
     )
     judged = replace(calibration, assessment=assessment)
     findings = worst_first(

@@ -187,7 +187,8 @@ def _document(calibration: Calibration) -> dict[str, Any]:
 def _minor(calibration: Calibration) -> int:
     """Return the lowest minor of the schema that holds a calibration; older versions of gnomon read lower ones."""
     imus, holdout = calibration.imus.values(), calibration.assessment.holdout
-    if _tells_of_occasions(calibration.assessment.trust) or _with_origin(calibration):
+    trust = calibration.assessment.trust
+    if _tells_of_occasions(trust) or trust.changes or _with_origin(calibration):
         return 6
     if not calibration.imus:
         return 4

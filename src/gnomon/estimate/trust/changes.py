@@ -36,7 +36,7 @@ _CHANCE = 0.003
 _EIGHTHS = 8  # of the recording, at which a change may be
 _FEWEST_IN_PART = 5  # stretches
 _MOST = 3  # changes that are told apart
-_MOST_BORDERS = 16  # on each side, that are tried to find when
+_MOST_BORDERS = 48  # that are tried to find when
 _LEAST_KNOWN = 1e-3  # of the whole recording's information on a direction; less does not tell how it changed
 _LENGTHS = (1, 3, 9)  # stretches that a cluster has
 _FEWEST_CLUSTERS = 12
@@ -162,8 +162,8 @@ class _Scan:
             for block in blocks:
                 chance = _chance(self._estimate(block, cut), len(self.sums), least)
                 if chance < least:
-                    best, least = (block, cut), chance
-        return None if best is None else (best[0], self._refined(*best))
+                    best, least = block, chance
+        return None if best is None else (best, self._refined(best, cuts))
 
     def published(self, block: _Block, cut: _Cut, jacobian: Floats, names: Sequence[str]) -> ParameterChange:
         """Return a change in published units."""
@@ -174,7 +174,7 @@ class _Scan:
         root = by_change @ found.root
         return ParameterChange(
             block=block.path,
-            names=tuple(names[row] for row in block.rows),
+            names=tuple(names[int(row)] for row in block.rows),
             values=by_change @ found.change,
             covariance=root @ scatter @ root.T,
             where=cut.words,
@@ -185,15 +185,12 @@ class _Scan:
         biases = () if self.wandering is None else (_Term(cut=cut, directions=self.wandering),)
         return _estimate(self.sums, (*biases, *self.given), block, cut)
 
-    def _refined(self, block: _Block, cut: _Cut) -> _Cut:
-        """Return the border within an eighth of the recording at which the change explains most."""
-        n, place = len(self.sums), int(np.argmax(cut.share > 0))
-        if not np.array_equal(cut.share, np.arange(n) >= place):
-            return cut
-        reach = max(n // _EIGHTHS, 1)
-        low, high = max(_FEWEST_IN_PART, place - reach), min(n - _FEWEST_IN_PART, place + reach)
-        tried = [_at(self.sums.t_s, k) for k in range(low, high + 1, max(1, reach // _MOST_BORDERS))]
-        return max((cut, *tried), key=lambda one: _explained(self._estimate(block, one)))
+    def _refined(self, block: _Block, cuts: Sequence[_Cut]) -> _Cut:
+        """Return the course by which a change explains most, of a step at the border that does."""
+        n = len(self.sums)
+        borders = np.unique(np.linspace(_FEWEST_IN_PART, n - _FEWEST_IN_PART, _MOST_BORDERS).astype(int))
+        tried = [*(_at(self.sums.t_s, place) for place in borders), *cuts]
+        return max(tried, key=lambda one: _explained(self._estimate(block, one)))
 
 
 def _explained(found: _Estimate | None) -> float:
@@ -238,10 +235,10 @@ def _cuts(t_s: Floats, order: Integers) -> list[_Cut]:
     low, high = n // 4, n - n // 4
     if high - low >= _FEWEST_IN_PART:
         words = f"between {t_s[low]:.4g} and {t_s[high - 1]:.4g} s, against the time before and after"
-        cuts.append(_Cut(share=((k >= low) & (k < high)) * 1.0, words=words))
+        cuts.append(_Cut(share=((k >= low) & (k < high)).astype(np.float64), words=words))
     odd = order % 2 == 1
     if _FEWEST_IN_PART <= odd.sum() <= n - _FEWEST_IN_PART:
-        cuts.append(_Cut(share=odd * 1.0, words="every other one against those between"))
+        cuts.append(_Cut(share=odd.astype(np.float64), words="every other one against those between"))
     span = float(t_s[-1] - t_s[0])
     if span > 0:
         cuts.append(_Cut(share=(t_s - t_s[0]) / span, words="steadily, from the first to the last"))
@@ -250,7 +247,7 @@ def _cuts(t_s: Floats, order: Integers) -> list[_Cut]:
 
 def _at(t_s: Floats, place: int) -> _Cut:
     return _Cut(
-        share=(np.arange(len(t_s)) >= place) * 1.0,
+        share=(np.arange(len(t_s)) >= place).astype(np.float64),
         words=f"after {(t_s[place - 1] + t_s[place]) / 2:.4g} s, against the time before",
     )
 
@@ -287,7 +284,7 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
         moves=np.einsum("nrp,np->nr", arm, left),
         by_errors=weighed @ np.swapaxes(arm, 1, 2),
         shared=np.einsum("nrp,pk,nk->nrk", weighed, design, on, optimize=True),
-        common=np.linalg.inv(normal),
+        common=np.asarray(np.linalg.inv(normal), dtype=np.float64),
     )
 
 

@@ -7,7 +7,8 @@ magnetometers, IMUs without accelerometer, body frames gyro-x and mag-x, and hol
 "gnomon/1.3" added lever arms of accelerometers, and assessment.trust. "gnomon/1.4" added cameras without an IMU: body
 frame cam0, neither imus nor gravity, poses T_cam_cam0, and assessment.cameras. "gnomon/1.5" added poses and time shifts
 of IMUs beside the first, and time shifts of accelerometers. "gnomon/1.6" added what changes between recordings,
-assessment.trust.recordings and between, and the floor of a need; and the origin of an IMU with cameras: before, it was
+assessment.trust.recordings and between, and the floor of a need; what changed within one,
+assessment.trust.changes; and the origin of an IMU with cameras: before, it was
 the accelerometer whose lever arm is zero (x, unless another one had been asked for), and without lever arms the one
 point that all accelerometers were taken to be at.
 """
