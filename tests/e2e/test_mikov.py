@@ -59,7 +59,7 @@ def test_gyroscope(results, k):
     # Sensor 2 is the exception: z differs by 0.4 % (ours +0.2 %, published -0.18 %), six of our sigmas. The printed
     # sign may be a slip, but turning it alone does not mend the rest of what is printed for this gyroscope: see below.
     np.testing.assert_allclose(difference[:2], 0.0, atol=3e-3)
-    assert 2.5e-3 < difference[2] < 4.5e-3
+    assert 2.5e-3 < difference[2] < 4.9e-3
     assert imu.gyroscope.sensitivity[2, 2] - 1 == pytest.approx(0.2e-2, abs=0.1e-2)
 
 

@@ -11,7 +11,7 @@ import pytest
 import gnomon
 from gnomon.calibrate.preparation import stream
 from gnomon.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
-from gnomon.detect.samples.static import find_static
+from gnomon.detect.samples.static import runs_below, static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
@@ -28,7 +28,9 @@ def multiposition() -> Callable[..., tuple[MultiPositionProblem, gnomon.Calibrat
     def make(seed=0, *, earth_rate_variance=0.0, **scenario):
         recording, truth = gnomon.simulate(gnomon.Scenario(**scenario), seed)
         imu = recording.imus["imu0"]
-        still = find_static(imu.accelerometer, multiplier=100.0)
+        samples = imu.accelerometer
+        statistic = static_statistic(samples.values, window_samples(samples, 1.0))
+        still = runs_below(statistic, 100.0, round(0.5 * samples.rate_hz))
         clipped = np.zeros(len(imu.accelerometer), dtype=bool)
         streams = [stream(samples, samples.t_s, clipped, still) for samples in (imu.accelerometer, imu.gyroscope)]
         return build_problem(*streams, earth_rate_variance), truth

@@ -1,27 +1,28 @@
 """The static detector, the choice of its threshold, noise at rest, and the time base."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.threshold import Motion, choose_threshold, disturbed, one_per_rest
+from gnomon.assess.threshold import choose_threshold, detect_rests, disturbed
 from gnomon.detect.samples import static
 from gnomon.detect.samples.noise import allan_deviation, averaging_time, resting_noise
+from gnomon.detect.samples.rests import Motion, find_rests
 from gnomon.detect.samples.static import (
-    find_static,
     quantisation_step,
     resting_variances,
     runs_below,
     static_statistic,
     trimmed,
-    turning,
     variance_magnitude_squared,
     window_samples,
     window_variances,
 )
 from gnomon.detect.samples.time_base import time_base
+from gnomon.detect.samples.turning import RateMarks, mark_rates
 from gnomon.intervals import StaticIntervals, interval_means
 from gnomon.recording import TriadSamples
 
@@ -130,7 +131,7 @@ def simulated(**options):
 @pytest.mark.parametrize("units", ["si", "raw", "g deg/s"])
 def test_every_rest_is_found_once_in_any_unit(rate_hz, units):
     imu = simulated(rate_hz=rate_hz, units=units)
-    rests = find_static(imu.accelerometer, multiplier=30.0)
+    rests = find_rests(motion_of(imu.accelerometer), 30.0, round(0.5 * rate_hz)).intervals
     assert len(rests) == 15
     length = (rests.stop - rests.start) / rate_hz
     assert length[0] == pytest.approx(10 - 0.5, abs=0.3)  # half a window before the motion it is noticed
@@ -138,7 +139,8 @@ def test_every_rest_is_found_once_in_any_unit(rate_hz, units):
 
 
 def test_too_short_a_recording_has_no_rests():
-    assert len(find_static(triad(np.zeros((50, 3))))) == 0
+    samples, nothing = triad(np.zeros((50, 3))), np.zeros(50, dtype=bool)
+    assert detect_rests(samples, samples, nothing, t_s=(samples.t_s, samples.t_s)) is None
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 50.0, 99.3, 1000.0])
@@ -152,17 +154,30 @@ def test_window_is_odd(rate_hz):
 def test_pieces_of_one_rest_count_once():
     up, side = np.array([0.0, 0, 9.8]), np.array([9.8, 0, 0.0])
     values = np.concatenate([np.tile(up, (100, 1)), np.tile(side, (100, 1)), np.tile(up, (100, 1))])
-    pieces = StaticIntervals(start=np.array([0, 20, 60, 110, 150, 210]), stop=np.array([15, 55, 95, 140, 160, 290]))
-    kept = one_per_rest(values, pieces)
-    np.testing.assert_array_equal(kept.start, [20, 110, 210])  # the longest; the same attitude later counts again
-    np.testing.assert_array_equal(kept.stop, [55, 140, 290])
+    pieces = [(0, 15), (20, 55), (60, 95), (110, 140), (150, 160), (210, 290)]
+    statistic = np.full(300, 20.0)
+    for first, last in pieces:
+        statistic[first:last] = 1.0
+    nothing = np.zeros(300, dtype=bool)
+    motion = Motion(samples=triad(values), statistic=statistic, saturated=nothing, marks=RateMarks.none(300))
+    rests = find_rests(motion, 10.0, 5)
+    np.testing.assert_array_equal(rests.kept.start, [20, 110, 210])  # the longest; the same attitude later counts again
+    np.testing.assert_array_equal(rests.kept.stop, [55, 140, 290])
+    np.testing.assert_array_equal(rests.found.start, [0, 110, 210])
+    assert rests.reason == ("", "", "")
+    # With a turn between them they are rests of their own, such as before and after a full turn.
+    moved = np.array(statistic)
+    moved[15:20] = 1e6
+    turned = (np.abs(np.arange(300) - 17) < 3).astype(float)
+    assert len(find_rests(replace(motion, statistic=moved, turned=turned), 10.0, 5)) == 4
+    assert len(find_rests(replace(motion, statistic=moved, turned=0.01 * turned), 10.0, 5)) == 3
 
 
 def motion_of(samples, saturated=None):
     nothing = np.zeros(len(samples), dtype=bool)
     statistic = static_statistic(samples.values, window_samples(samples, 1.0))
     clipped = nothing if saturated is None else saturated
-    return Motion(samples=samples, statistic=statistic, stirs=nothing, saturated=clipped)
+    return Motion(samples=samples, statistic=statistic, saturated=clipped, marks=RateMarks.none(len(samples)))
 
 
 def test_threshold_takes_the_rests_and_not_the_motion():
@@ -187,6 +202,8 @@ def test_intervals_with_clipped_samples_are_not_taken():
     clipped[best.intervals.start[4] + 10] = True
     without, _ = choose_threshold(motion_of(samples, clipped), 9.80665, (best.multiplier,))
     np.testing.assert_array_equal(without.intervals.start, np.delete(best.intervals.start, 4))
+    assert [k for k, why in enumerate(without.rests.reason) if "saturated" in why] == [4]  # found, and not used
+    assert len(without.rests) == len(best.rests)
 
 
 @pytest.mark.parametrize("pressed", [(7,), (7, 15), (2, 9, 16)], ids=str)
@@ -213,21 +230,21 @@ def rates(n=6000, seed=6, sigma=0.005):
 def test_turning_about_the_vertical_is_found():
     values = rates()
     values[2000:2300, 2] += 0.5 * np.sin(np.linspace(0, np.pi, 300)) ** 2  # gravity does not move
-    turns, stirs = turning(triad(values), np.ones(6000, dtype=bool))
-    assert turns[2050:2250].all()
-    assert not turns[:1950].any()
-    assert not turns[2350:].any()
-    assert stirs[turns].all()
+    marks = mark_rates(triad(values), np.ones(6000, dtype=bool))
+    assert marks.turns[2050:2250].all()
+    assert not marks.turns[:1950].any()
+    assert not marks.turns[2350:].any()
+    assert marks.stirs[marks.turns].all()
 
 
 def test_a_resting_gyroscope_does_not_turn():
     still = np.ones(6000, dtype=bool)
-    assert turning(triad(rates()), still)[0].mean() < 0.01  # of 480 eighths hardly one
-    for values in (np.zeros((6000, 3)), rates() + np.linspace(0, 1e-3, 6000)[:, None]):
-        assert turning(triad(values), still)[0].mean() < 0.01
-    assert not turning(triad(rates()), ~still)[0].any()
-    turns, stirs = turning(triad(rates(5)), still[:5])
-    assert turns.shape == stirs.shape == (5,)
+    warming = 0.05 * np.exp(-np.arange(6000) / 2000)[:, None]
+    for values in (rates(), np.zeros((6000, 3)), rates() + warming):
+        assert mark_rates(triad(values), still).turns.mean() < 0.01  # of 480 eighths hardly one
+    assert not mark_rates(triad(rates()), ~still).turns.any()
+    marks = mark_rates(triad(rates(5)), still[:5])
+    assert marks.turns.shape == marks.stirs.shape == (5,)
 
 
 def test_motion_beside_rest_does_not_raise_the_level():
@@ -235,9 +252,53 @@ def test_motion_beside_rest_does_not_raise_the_level():
     moving = (np.arange(6000) // 300) % 2 == 1
     values[moving] += np.random.default_rng(7).normal(0, 1.0, 3)
     values[4900:5000] += [0, 0.1, 0]  # within a rest
-    turns, _ = turning(triad(values), ~moving)
+    turns = mark_rates(triad(values), ~moving).turns
     assert turns[4920:4980].all()
     assert not turns[4840:4860].any()
+
+
+MOVING = (np.arange(12000) // 300) % 2 == 1
+"""Rests of three seconds with motions of three seconds between."""
+WITHIN = np.arange(12000) % 600
+WITHIN = (WITHIN >= 30) & (WITHIN < 270)
+"""Rests without their ends."""
+
+
+def moving_rates(seed=8):
+    values = rates(12000, seed)
+    values[MOVING] += np.random.default_rng(seed).normal(0, 1.0, (MOVING.sum(), 3))
+    return values
+
+
+@pytest.mark.parametrize("size", [3e-3, 0.03, 0.1])
+@pytest.mark.parametrize("at", [5900, 6100, 6150])
+def test_a_bias_that_steps_is_no_turn(size, at):
+    values = moving_rates()
+    values[at:] += size * np.array([1.0, -1.0, 0.5])
+    marks = mark_rates(triad(values), ~MOVING)
+    away = np.abs(np.arange(12000) - at) > 40
+    assert (marks.turns & WITHIN & away).mean() < 0.003
+    assert not marks.apart.any()
+    if at == 6150 and size > 0.01:
+        assert marks.jumps[at - 13 : at + 13].any()
+
+
+def test_a_rest_in_the_hand_has_a_tremor_of_its_own():
+    values = moving_rates()
+    t_s = np.arange(12000) / 100
+    for k in (4, 10, 11, 12, 26):
+        part = slice(600 * k, 600 * k + 300)
+        values[part] += 0.006 * np.sin(2 * np.pi * (2.3 * t_s[part, None] + [0, 0.3, 0.6]))
+    assert (mark_rates(triad(values), ~MOVING).turns_beyond_tremor & WITHIN).mean() < 0.005
+
+
+def test_who_turns_steadily_does_not_rest():
+    values = moving_rates()
+    values[6000:6300] += [0.0, 0.0, 0.08]
+    marks = mark_rates(triad(values), ~MOVING)
+    assert marks.apart[6013:6287].all()
+    assert not marks.apart[:5990].any()
+    assert not marks.apart[6310:].any()
 
 
 def test_ends_that_stir_are_trimmed_off():

@@ -9,6 +9,7 @@ from ..recording import Floats
 from .imu_tables import ImuEvidence, interval_numbers
 
 _SHOWN = 4  # parts of a recording
+_MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
 _SHORT = 5  # static intervals: fewer tell the published bias from little
 
 
@@ -64,12 +65,13 @@ def drift_findings(evidence: ImuEvidence) -> list[Finding]:
 
 def step_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
     """Say when biases stepped, what they were in each part, and which is given; and which rates were left out."""
-    findings = [_step_finding(evidence, one) for one in diagnostics.bias_segments]
+    findings = [*_sensor_finding(evidence, diagnostics)]
+    findings += [_step_finding(evidence, one) for one in diagnostics.bias_segments]
     functions = evidence.fit.data.of_gyroscope
     alone = functions.of_kind("single")
     if alone.any():
-        marked = np.zeros(len(evidence.touched), dtype=bool)
-        marked[np.flatnonzero(~evidence.touched)] = functions.at_rest[:, alone].any(axis=1)
+        marked = np.zeros(len(evidence.chosen.rests), dtype=bool)
+        marked[evidence.rows] = functions.at_rest[:, alone].any(axis=1)
         several = int(marked.sum()) > 1
         findings.append(
             Finding(
@@ -82,6 +84,35 @@ def step_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Fi
             )
         )
     return findings
+
+
+def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Say that from some rest on the accelerometer has other scales and axes: another sensor, or another range.
+
+    Where too few rests are left behind a step of the gyroscope's bias to tell, it counts that gravity differs in most.
+    """
+    found = diagnostics.intervals
+    at, severity = evidence.course.sensor, "problem"
+    row = int(np.flatnonzero(evidence.chosen.rests.used)[at]) if at else 0
+    if not row:
+        for segments in diagnostics.bias_segments:
+            for start, stop in zip(segments.start_s, segments.stop_s, strict=True):
+                own = (found.start_s >= start) & (found.stop_s <= stop)
+                if own.any() and np.mean(found.used[own]) < _MOST_USED:
+                    row, severity = max(int(np.argmax(own)), 1), "warning"
+    if not row:
+        return []
+    return [
+        Finding(
+            severity="problem" if severity == "problem" else "warning",
+            code="sensor-changed",
+            message=f"Between {found.stop_s[row - 1]:.1f} s and {found.start_s[row]:.1f} s the accelerometer's scales "
+            "or axes changed, not its bias alone: another sensor, another range, or another mounting from there on.",
+            consequence="One calibration cannot be right for both parts.",
+            cure=f"Cut the recording at {0.5 * (found.stop_s[row - 1] + found.start_s[row]):.1f} s and calibrate the "
+            "parts one by one.",
+        )
+    ]
 
 
 def _step_finding(evidence: ImuEvidence, one: BiasSegments) -> Finding:

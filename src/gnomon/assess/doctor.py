@@ -13,13 +13,17 @@ from .vibration import check_vibration
 _POSES = 9
 
 
-def check(recording: Recording) -> tuple[Finding, ...]:
+def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | None = None) -> tuple[Finding, ...]:
     """Look at a recording and say what is good or bad about it for the calibration of an IMU.
+
+    Parameters
+    ----------
+    window_s, multiplier : of the static detector, see `ImuOptions`
 
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
     rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated; samples-missing,
     gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady, always-static, attitudes,
-    static-start, clocks-apart, triads-apart, vibration; poses.
+    intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses.
 
     Returns
     -------
@@ -27,7 +31,11 @@ def check(recording: Recording) -> tuple[Finding, ...]:
     """
     if recording.pieces or recording.poses is not None:
         return tuple(_check_poses(recording))
-    return tuple(finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu))
+    return tuple(
+        finding
+        for name, imu in recording.imus.items()
+        for finding in _check_imu(name, imu, window_s=window_s, multiplier=multiplier)
+    )
 
 
 def _check_poses(recording: Recording) -> list[Finding]:
@@ -55,7 +63,7 @@ def _check_poses(recording: Recording) -> list[Finding]:
     ]
 
 
-def _check_imu(name: str, imu: ImuSamples) -> list[Finding]:
+def _check_imu(name: str, imu: ImuSamples, *, window_s: float, multiplier: float | None) -> list[Finding]:
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     if len(accelerometer) < 2 or len(gyroscope) == 1:
         return [
@@ -88,7 +96,9 @@ def _check_imu(name: str, imu: ImuSamples) -> list[Finding]:
     usable = usable and not any(finding.code == "time-constant" for finding in findings)
     if usable and len(gyroscope) > 1:
         findings += check_triad_clocks(imu, name)
-    return findings + check_protocol(imu, name) if usable else findings
+    if not usable:
+        return findings
+    return findings + check_protocol(imu, name, window_s=window_s, multiplier=multiplier)
 
 
 def _clocks(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> list[Finding]:

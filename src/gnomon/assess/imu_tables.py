@@ -15,14 +15,16 @@ from ..diagnostics import (
     RotationTable,
     SignalEnvelope,
 )
+from ..estimate.multiposition.bias_changes import BiasChanges
 from ..estimate.multiposition.fit import MultiPositionFit
 from ..estimate.multiposition.leave_one_out import HeldOut
 from ..estimate.multiposition.model import B_, BG_, PARAMETERS
+from ..estimate.multiposition.noise_levels import whitened_rest
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream
 from ..estimate.multiposition.rotations import MotionSegments, integrate, propagate
 from ..estimate.multiposition.scaling import ImuEstimate
 from ..estimate.trust.cluster_trust import Instability
-from ..intervals import Booleans
+from ..intervals import Booleans, interval_means
 from ..recording import Floats, Integers
 from ..trust import Trust
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
@@ -43,6 +45,7 @@ class ImuEvidence:
     statistic : (n,) of the static detector, 1 at rest
     chosen, trials : the threshold taken, and all that were tried
     touched : intervals of `chosen` that were left out
+    course : how the accelerometer's bias changed, by the magnitude of gravity in the intervals of `chosen`
     problem, fit, heldout : the estimation problem, its solution, its leave-one-out errors
     rivals : model -> leave-one-out errors
     estimate : the parameters
@@ -58,6 +61,7 @@ class ImuEvidence:
     chosen: ThresholdTrial
     trials: tuple[ThresholdTrial, ...]
     touched: Booleans
+    course: BiasChanges
     problem: MultiPositionProblem
     fit: MultiPositionFit
     heldout: HeldOut
@@ -66,6 +70,17 @@ class ImuEvidence:
     trust: Trust
     instabilities: tuple[Instability, ...]
     gravity_m_s2: float
+
+    @property
+    def rows(self) -> Integers:
+        """Numbers, among all rests that were found, of those in the problem."""
+        return np.flatnonzero(self.chosen.rests.used)[~self.touched]
+
+    def marked(self, of_chosen: Booleans) -> Booleans:
+        """Return marks of the intervals of `chosen` as marks of all rests that were found."""
+        found = np.zeros(len(self.chosen.rests), dtype=bool)
+        found[self.chosen.rests.used] = of_chosen
+        return found
 
 
 def describe(evidence: ImuEvidence) -> ImuDiagnostics:
@@ -176,22 +191,28 @@ def uncalibrated_rotation_error(
 
 
 def _interval_table(evidence: ImuEvidence) -> IntervalTable:
-    chosen, touched, fit, held = evidence.chosen, evidence.touched, evidence.fit, evidence.heldout
+    rests, fit, held = evidence.chosen.rests, evidence.fit, evidence.heldout
     stream, estimate, g = evidence.accelerometer, evidence.estimate, evidence.gravity_m_s2
-    still = chosen.intervals
-    drift = np.zeros_like(chosen.means)
-    drift[~touched] = fit.accelerometer_drift * evidence.problem.accelerometer.spread
-    force = (chosen.means - drift - estimate.accelerometer_bias) @ np.linalg.inv(estimate.accelerometer_sensitivity).T
+    still, rows = rests.kept, evidence.rows
+    means = interval_means(stream.values, still)
+    drift = np.zeros_like(means)
+    drift[rows] = fit.accelerometer_drift * evidence.problem.accelerometer.spread
+    force = (means - drift - estimate.accelerometer_bias) @ np.linalg.inv(estimate.accelerometer_sensitivity).T
     norm = np.linalg.norm(force, axis=1)
     after, left_out = norm - g, norm - g
     direction = force / norm[:, None]
-    left_out[~touched] = held.magnitude * g
-    direction[~touched] = fit.state.u
-    used = ~touched
-    used[~touched] = fit.interval_used
-    reason = ["" if ok else "does not show gravity like the others" for ok in used]
+    left_out[rows] = held.magnitude * g
+    direction[rows] = fit.state.u
+    used = np.zeros(len(rests), dtype=bool)
+    used[rows] = fit.interval_used
+    reason = [
+        why or ("" if ok else "gravity differs there from the others")
+        for why, ok in zip(rests.reason, used, strict=True)
+    ]
+    for row in rows[~fit.interval_used]:
+        reason[row] = _why_gated(evidence, int(np.searchsorted(rows, row)))
     rates = np.full((len(still), 3), np.nan)
-    rates[~touched] = evidence.problem.gyroscope_means
+    rates[rows] = evidence.problem.gyroscope_means
     duration = (still.stop - still.start) / stream.rate_hz
     per_unit = 1 / np.linalg.norm(estimate.accelerometer_sensitivity, axis=1)
     white = np.sqrt(np.mean(stream.density * per_unit**2) / duration)
@@ -199,16 +220,28 @@ def _interval_table(evidence: ImuEvidence) -> IntervalTable:
         start_s=stream.t_s[still.start],
         stop_s=stream.t_s[still.stop - 1],
         samples=(still.stop - still.start).astype(np.float64),
-        accelerometer=chosen.means,
+        accelerometer=means,
         gyroscope=rates,
         direction=direction,
-        error_before=uncalibrated_error(chosen.means, evidence.accelerometer_unit, g),
+        error_before=uncalibrated_error(means, evidence.accelerometer_unit, g),
         error_after=after,
         error_holdout=left_out,
         sigma=np.sqrt(white**2 + fit.extra.accelerometer * g**2),
         used=used,
         reason=tuple(reason),
     )
+
+
+def _why_gated(evidence: ImuEvidence, k: int) -> str:
+    """Return why the fit does not use interval k of the problem: by the triad that does not go with the others."""
+    fit = evidence.fit
+    force, rate = (
+        float(np.linalg.norm(root[k] @ residual[k]))
+        for root, residual in zip(
+            whitened_rest(fit.data, fit.state, fit.extra), (fit.lines.accelerometer, fit.lines.gyroscope), strict=True
+        )
+    )
+    return "gravity differs there from the others" if force >= rate else "the gyroscope's rate differs there"
 
 
 def _rotation_table(evidence: ImuEvidence) -> RotationTable:
@@ -236,7 +269,7 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
     return RotationTable(
         start_s=problem.start_s,
         stop_s=problem.stop_s,
-        first=np.flatnonzero(~evidence.touched)[:-1],
+        first=evidence.rows[:-1],
         angle_rad=np.arccos(cosine),
         measured=u[1:],
         propagated=fit.lines.propagated,

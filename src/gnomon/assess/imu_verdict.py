@@ -13,13 +13,15 @@ from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .bias_findings import bias_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
-from .imu_tables import ImuEvidence, interval_numbers
+from .imu_tables import ImuEvidence
+from .left_out import left_out_findings as rests_left_out
 from .touched_intervals import touched_findings
 from .trust_findings import model_incomplete, parts_disagree, trust_note
 from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 from .weak_findings import weak_findings
 
 _AXES = "xyz"
+_TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
 _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
 _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
@@ -45,7 +47,7 @@ def assess(
     chosen = next(trial for trial in diagnostics.trials if trial.chosen)
     holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
     findings = [
-        *(_weighed(f, diagnostics) for f in noticed if f.severity in ("warning", "info")),
+        *(_weighed(f, diagnostics) for f in noticed if f.severity in ("warning", "info") and f.code != _TOLD_AGAIN),
         *holdout_findings(holdout, gravity.value),
         *_uncertainty_findings(evidence, gravity),
         *_observability_findings(evidence),
@@ -303,19 +305,7 @@ def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     """Name intervals and rotations that were not used."""
     findings: list[Finding] = []
     intervals, rotations = diagnostics.intervals, diagnostics.rotations
-    if not intervals.used.all():
-        out = int((~intervals.used).sum())
-        findings.append(
-            Finding(
-                severity="warning" if out > 0.1 * len(intervals.used) else "info",
-                code="intervals-left-out",
-                message=f"Static interval{'s' if out > 1 else ''} {interval_numbers(~intervals.used)} of "
-                f"{len(intervals.used)} left out: "
-                "gravity differs there from the others.",
-                consequence="The sensor was touched or still moved; the rest of the recording is used.",
-                cure="Let go of the sensor before an interval counts.",
-            )
-        )
+    findings += rests_left_out(intervals.start_s, intervals.stop_s, intervals.reason)
     if len(rotations.used) and not rotations.used.all():
         out = int((~rotations.used).sum())
         reasons = sorted({why for why in rotations.reason if why})

@@ -1,13 +1,19 @@
 """The doctor's look at the motion: rests, attitudes, the static start, and gravity as a check of the unit."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from ..detect.samples.static import find_static
+from ..detect.samples.repair import repaired
+from ..detect.samples.rests import Rests
+from ..detect.samples.saturation import saturated
 from ..findings import Finding
-from ..intervals import StaticIntervals
+from ..intervals import StaticIntervals, interval_means
 from ..recording import Floats, ImuSamples, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
+from .left_out import left_out_findings
 from .signals import is_silent
+from .threshold import detect_rests
 
 _APART_DEG = 10.0
 _NEEDED, _GOOD = 9, 12  # attitudes: nine parameters need nine of them; a few more let errors show
@@ -19,10 +25,13 @@ _NONE = 0.1  # of gravity: less is none
 _LOOKED_AT = 24  # intervals
 
 
-def check_protocol(imu: ImuSamples, label: str) -> list[Finding]:
+def check_protocol(
+    imu: ImuSamples, label: str, *, window_s: float = 1.0, multiplier: float | None = None
+) -> list[Finding]:
     """Return findings on how the recording was made; linear time."""
-    accelerometer = imu.accelerometer
-    rests = find_static(accelerometer)
+    imu = replace(imu, accelerometer=repaired(imu.accelerometer), gyroscope=repaired(imu.gyroscope))
+    accelerometer, found = imu.accelerometer, _rests(imu, window_s, multiplier)
+    rests = found.intervals
     unrest = _unrest(imu, rests) if len(rests) else float("inf")
     if unrest > _MOVING:
         return [
@@ -34,7 +43,7 @@ def check_protocol(imu: ImuSamples, label: str) -> list[Finding]:
                 cure="Start with the sensor lying still, then let it rest 2 to 4 s in each of 20 or more attitudes.",
             )
         ]
-    means = np.array([accelerometer.values[a:b].mean(axis=0) for a, b in zip(rests.start, rests.stop, strict=True)])
+    means = interval_means(accelerometer.values, rests)
     attitudes, radius = distinct_attitudes(means, accelerometer)
     findings = _gravity(means, radius, accelerometer, label)
     if unrest > _UNSTEADY:
@@ -47,20 +56,22 @@ def check_protocol(imu: ImuSamples, label: str) -> list[Finding]:
                 cure="Put the sensor down, or lean it against something, in every attitude.",
             )
         )
-    total = float((rests.stop - rests.start).sum()) / len(accelerometer)
+    total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
     if attitudes < 2:
         findings.append(
             Finding(
                 severity="problem",
                 code="always-static",
-                message=f"{label}: {len(rests)} rests ({100 * total:.0f} % of the time), all in one attitude.",
+                message=f"{label}: {len(found)} rests ({100 * total:.0f} % of the time), all in one attitude.",
                 consequence="One attitude tells neither scale nor misalignment.",
                 cure="Let the sensor rest for 2 to 4 s in each of 20 or more attitudes.",
             )
         )
         return findings
-    findings.append(_attitudes(attitudes, len(rests), total, label))
-    findings.append(_static_start(accelerometer, rests, label))
+    findings.append(_attitudes(attitudes, found, total, label))
+    t_s = accelerometer.t_s
+    findings += left_out_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
+    findings.append(_static_start(accelerometer, found.found, label))
     if len(imu.gyroscope) > 1 and is_silent(imu.gyroscope):
         findings.append(
             Finding(
@@ -72,6 +83,21 @@ def check_protocol(imu: ImuSamples, label: str) -> list[Finding]:
             )
         )
     return findings
+
+
+def _rests(imu: ImuSamples, window_s: float, multiplier: float | None) -> Rests:
+    """Return the rests as every calibration finds them."""
+    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
+    origin = int(accelerometer.t_ns[0])
+    detection = detect_rests(
+        accelerometer,
+        gyroscope,
+        saturated(accelerometer),
+        t_s=((accelerometer.t_ns - origin) * 1e-9, (gyroscope.t_ns - origin) * 1e-9),
+        window_s=window_s,
+        multiplier=multiplier,
+    )
+    return Rests.none() if detection is None else detection.chosen.rests
 
 
 def _unrest(imu: ImuSamples, rests: StaticIntervals) -> float:
@@ -206,9 +232,11 @@ def why_no_gravity(found_m_s2: float, message: str) -> str:
     return "The unit is wrong, gravity was removed, or bias or scale are far off."
 
 
-def _attitudes(attitudes: int, rests: int, share: float, label: str) -> Finding:
+def _attitudes(attitudes: int, rests: Rests, share: float, label: str) -> Finding:
+    usable = int(rests.used.sum())
     message = (
-        f"{label}: {rests} rests ({100 * share:.0f} % of the time) in {attitudes} attitudes more than 10 deg apart."
+        f"{label}: {len(rests)} rests ({100 * share:.0f} % of the time) in {attitudes} attitudes more than 10 deg apart"
+        + (f", {usable} of them usable." if usable < len(rests) else ".")
     )
     if attitudes >= _GOOD:
         return Finding(severity="good", code="attitudes", message=message)

@@ -10,14 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..detect.samples.noise import resting_noise
-from ..detect.samples.static import runs_below, trimmed
+from ..detect.samples.rests import Motion, Rests, find_rests
+from ..detect.samples.rounding import rounding_variance
+from ..detect.samples.static import static_statistic, window_samples
 from ..errors import InitialisationError
+from ..estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
 from ..estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, TriadSamples
 
 MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
 SHORTEST_S = 0.5
+_USUAL = 10.0  # multiplier where nothing tells which serves best
 FEWEST_INTERVALS = 9
 _OUTLIER_SIGMA = 6.0
 _SUSPICIOUS_SIGMA = 2.5
@@ -26,33 +30,66 @@ _NO_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
-    """What the detectors saw of an accelerometer's samples.
-
-    Attributes
-    ----------
-    samples : accelerometer
-    statistic : (n,) from `detect.samples.static.static_statistic`; infinite where a sample cannot be static
-    stirs : (n,) samples with which no static interval begins or ends
-    saturated : (n,) samples that no static interval may hold
-    """
-
-    samples: TriadSamples
-    statistic: Floats
-    stirs: Booleans
-    saturated: Booleans
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ThresholdTrial:
-    """One threshold: its intervals, the weighted fit to their means, and the criterion (smaller is better)."""
+    """One threshold: its rests, the weighted fit to their means, and the criterion (smaller is better)."""
 
     multiplier: float
-    intervals: StaticIntervals
+    rests: Rests
     means: Floats
     fit: MagnitudeFit | None
     heldout_rms: float
     criterion: float
+
+    @property
+    def intervals(self) -> StaticIntervals:
+        """What can be used of the rests."""
+        return self.rests.intervals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestDetection:
+    """The rests of a recording at the threshold that was taken.
+
+    Attributes
+    ----------
+    motion : what the detectors saw
+    chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken
+    """
+
+    motion: Motion
+    chosen: ThresholdTrial
+    trials: tuple[ThresholdTrial, ...]
+
+
+def detect_rests(
+    accelerometer: TriadSamples,
+    gyroscope: TriadSamples,
+    saturated: Booleans,
+    *,
+    t_s: tuple[Floats, Floats],
+    window_s: float = 1.0,
+    multiplier: float | None = None,
+    gravity_m_s2: float = 9.81,
+) -> RestDetection | None:
+    """Find the rests of a recording, for whoever asks; None where it is shorter than two windows.
+
+    Parameters
+    ----------
+    accelerometer, gyroscope : repaired samples; a gyroscope may have none
+    saturated : (n,) clipped samples of the accelerometer
+    t_s : (n,), (m,) instants of both [s]
+    window_s, multiplier : as stated; the multiplier that serves best where it is None
+    gravity_m_s2 : magnitude of gravity
+    """
+    window = window_samples(accelerometer, window_s)
+    if len(accelerometer) < 2 * window:
+        return None
+    statistic = static_statistic(accelerometer.values, window)
+    motion = Motion.of(accelerometer, statistic, saturated, gyroscope, t_s)
+    chosen, trials = choose_threshold(motion, gravity_m_s2, MULTIPLIERS if multiplier is None else (multiplier,))
+    if chosen.fit is None:
+        chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
+    return RestDetection(motion=motion, chosen=chosen, trials=trials)
 
 
 def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
@@ -66,14 +103,11 @@ def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> Thr
     """
     samples = motion.samples
     shortest = max(2, round(SHORTEST_S * samples.rate_hz))
-    intervals = trimmed(runs_below(motion.statistic, multiplier, shortest), motion.stirs, shortest)
-    if motion.saturated.any() and len(intervals):
-        clipped = np.concatenate([[0], np.cumsum(motion.saturated)])
-        intervals = intervals.where(clipped[intervals.stop] == clipped[intervals.start])
-    intervals = one_per_rest(samples.values, intervals)
+    rests = find_rests(motion, multiplier, shortest)
+    intervals = rests.intervals
     means = interval_means(samples.values, intervals)
     nothing = ThresholdTrial(
-        multiplier=multiplier, intervals=intervals, means=means, fit=None, heldout_rms=np.nan, criterion=np.inf
+        multiplier=multiplier, rests=rests, means=means, fit=None, heldout_rms=np.nan, criterion=np.inf
     )
     if len(intervals) < FEWEST_INTERVALS + 1:
         return nothing
@@ -89,36 +123,12 @@ def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> Thr
     logs = np.linalg.slogdet(scaled)[1] + np.sum(np.log(np.diag(fit.covariance)))
     return ThresholdTrial(
         multiplier=multiplier,
-        intervals=intervals,
+        rests=rests,
         means=means,
         fit=fit,
         heldout_rms=float(np.sqrt(np.mean((left_out / weight) ** 2))),
         criterion=0.5 * (float(logs) / 9 + np.log(max(variance, 1e-300))),
     )
-
-
-def one_per_rest(values: Floats, intervals: StaticIntervals) -> StaticIntervals:
-    """Return the longest interval of each rest, where a low threshold has broken a rest into pieces.
-
-    Pieces follow each other and show the same attitude, to 3 % of the range of all. Counted one by one they would look
-    like as many attitudes.
-
-    Parameters
-    ----------
-    values : (n, 3) [unit]
-    intervals : in order of time
-    """
-    if len(intervals) < 2:
-        return intervals
-    means = interval_means(values, intervals)
-    turned = np.any(np.abs(np.diff(means, axis=0)) > 0.03 * 0.5 * np.ptp(means, axis=0), axis=1)
-    rest = np.concatenate([[0], np.cumsum(turned)])
-    length = intervals.stop - intervals.start
-    order = np.lexsort((-length, rest))
-    longest = order[np.unique(rest[order], return_index=True)[1]]
-    keep = np.zeros(len(intervals), dtype=bool)
-    keep[longest] = True
-    return intervals.where(keep)
 
 
 def choose_threshold(
@@ -130,12 +140,32 @@ def choose_threshold(
     return best, trials
 
 
-def disturbed(trial: ThresholdTrial, samples: TriadSamples) -> Booleans:
+def accelerometer_course(trial: ThresholdTrial, samples: TriadSamples, t_s: Floats) -> tuple[BiasChanges, Floats]:
+    """Return how the accelerometer's bias changed, by its rests, and the functions of time (n, j) that it follows.
+
+    Parameters
+    ----------
+    t_s : (m,) instants of the samples [s]
+    """
+    start, stop = t_s[trial.intervals.start], t_s[trial.intervals.stop - 1]
+    middle, half = 0.5 * (start + stop), 0.5 * (stop - start)
+    noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
+    duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
+    variance = noise / duration[:, None] + rounding_variance(samples.values, trial.intervals)
+    changes = accelerometer_changes(middle, half, trial.means, np.maximum(variance, np.finfo(float).tiny))
+    return changes, functions_of_time(changes, middle, half)
+
+
+def disturbed(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:
     """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
 
     Where a residual stands out, the sum of absolute residuals is minimised first, by reweighting, so that several
     disturbed intervals cannot hide by bending the fit; then each interval is judged by its residual when left out of a
     fit to those that agree. Residuals of a few per cent of gravity are linear enough to be refitted as they stand.
+
+    Parameters
+    ----------
+    course : (n, j) functions of time that the bias follows, from `accelerometer_course`
     """
     assert trial.fit is not None
     duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
@@ -143,6 +173,9 @@ def disturbed(trial: ThresholdTrial, samples: TriadSamples) -> Booleans:
     noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
     white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
     residual, jacobian = trial.fit.residual / weight, trial.fit.jacobian / weight[:, None]
+    if course is not None:
+        moving = course[:, :, None] * jacobian[:, None, 6:]
+        jacobian = np.concatenate([jacobian, moving.reshape(len(jacobian), -1)], axis=1)
 
     def left_out(given: Floats) -> Floats:
         """Return the size of each residual in a weighted fit from which it was left out."""

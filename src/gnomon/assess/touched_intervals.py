@@ -30,11 +30,12 @@ def touched_findings(evidence: ImuEvidence) -> list[Finding]:
         return []
     worst = int(np.argmin(np.where(touched, share, np.inf)))
     several = int(touched.sum()) > 1
+    numbers = f"{interval_numbers(evidence.marked(touched))} of {len(evidence.chosen.rests)}"
     return [
         Finding(
             severity="info",
             code="interval-touched",
-            message=f"Static interval{'s' if several else ''} {interval_numbers(touched)} of {len(chosen)} "
+            message=f"Static interval{'s' if several else ''} {numbers} "
             f"{'were' if several else 'was'} touched: of the {length[worst]:.1f} s of rest that begin "
             f"{t_s[generous.start][(rest_start < stop[worst]) & (rest_stop > start[worst])][0]:.1f} s after the start, "
             f"{100 * share[worst]:.0f} % are still.",

@@ -14,7 +14,14 @@ from ..assess.changes import with_changes
 from ..assess.imu_tables import ImuEvidence, describe
 from ..assess.imu_verdict import assess
 from ..assess.prior_findings import prior_findings
-from ..assess.threshold import FEWEST_INTERVALS, MULTIPLIERS, Motion, ThresholdTrial, choose_threshold, disturbed
+from ..assess.threshold import (
+    FEWEST_INTERVALS,
+    RestDetection,
+    ThresholdTrial,
+    accelerometer_course,
+    detect_rests,
+    disturbed,
+)
 from ..assess.weak_findings import imu_weak
 from ..calibration import (
     Calibration,
@@ -23,7 +30,6 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..detect.samples.static import static_statistic, window_samples
 from ..diagnostics import Result
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
@@ -48,7 +54,6 @@ from .preparation import (
     prepare,
     stated_options,
     stream,
-    turns_at_rest,
 )
 from .prior_knowledge import refuse_evidence, with_fixed
 from .published import calibrate_as_published
@@ -108,8 +113,10 @@ def calibrate_imu(
         return calibrate_as_published(recording, prepared, options, tell)
     gravity = local_gravity(options)
     tell("finding static intervals")
-    chosen, trials, statistic = _static_intervals(prepared, options, gravity.value)
-    touched = disturbed(chosen, prepared.accelerometer)
+    detection = _static_intervals(prepared, options, gravity.value)
+    chosen = detection.chosen
+    course, functions = accelerometer_course(chosen, prepared.accelerometer, prepared.accelerometer_time.t_s)
+    touched = disturbed(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, chosen, touched, options)
     if np.sum(problem.data.linked) < FEWEST_ROTATIONS:
         return calibrate_poses(recording, options, progress, prior)
@@ -129,10 +136,11 @@ def calibrate_imu(
         gyroscope=streams[1],
         accelerometer_unit=prepared.accelerometer.unit,
         gyroscope_unit=prepared.gyroscope.unit,
-        statistic=statistic,
+        statistic=np.where(detection.motion.marks.turns, np.inf, detection.motion.statistic),
         chosen=chosen,
-        trials=trials,
+        trials=detection.trials,
         touched=touched,
+        course=course,
         problem=problem,
         fit=model.fit,
         heldout=model.heldout,
@@ -165,27 +173,25 @@ def calibrate_imu(
     return Result(calibration=calibration, diagnostics=diagnostics)
 
 
-def _static_intervals(
-    prepared: PreparedImu, options: ImuOptions, gravity_m_s2: float
-) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...], Floats]:
+def _static_intervals(prepared: PreparedImu, options: ImuOptions, gravity_m_s2: float) -> RestDetection:
     """Detect static intervals (Eq. 3.9) at the threshold that serves the calibration best."""
     samples = prepared.accelerometer
-    window = window_samples(samples, options.window_s)
-    if len(samples) < 2 * window:
+    detection = detect_rests(
+        samples,
+        prepared.gyroscope,
+        prepared.accelerometer_saturated,
+        t_s=(prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s),
+        window_s=options.window_s,
+        multiplier=options.multiplier,
+        gravity_m_s2=gravity_m_s2,
+    )
+    if detection is None:
         raise DetectionError(
             f"the recording of {samples.duration_s:.1f} s is too short for windows of {options.window_s:g} s. "
             "Record at least nine attitudes of 2 to 4 s each."
         )
-    statistic = static_statistic(samples.values, window)
-    turns, stirs = turns_at_rest(
-        prepared.gyroscope, prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s, statistic
-    )
-    statistic[turns] = np.inf
-    motion = Motion(samples=samples, statistic=statistic, stirs=stirs, saturated=prepared.accelerometer_saturated)
-    multipliers = MULTIPLIERS if options.multiplier is None else (options.multiplier,)
-    chosen, trials = choose_threshold(motion, gravity_m_s2, multipliers)
-    if chosen.fit is None:
-        most = max(len(trial.intervals) for trial in trials)
+    if detection.chosen.fit is None:
+        most = max(len(trial.intervals) for trial in detection.trials)
         if most > FEWEST_INTERVALS:
             raise DetectionError(
                 f"the {most} static intervals found do not determine the accelerometer: their attitudes are too much "
@@ -196,7 +202,7 @@ def _static_intervals(
             "(36 to 50 are best). "
             "Hold the sensor still for 2 to 4 s in each attitude, better lying on something than in the hand."
         )
-    return chosen, trials, statistic
+    return detection
 
 
 def _problem(

@@ -6,15 +6,15 @@ import numpy as np
 
 from ..assess.doctor import check
 from ..assess.signals import check_signal
-from ..assess.threshold import MULTIPLIERS, Motion, choose_threshold
+from ..assess.threshold import detect_rests
 from ..detect.samples.noise import resting_noise
 from ..detect.samples.repair import repaired
+from ..detect.samples.rests import Rests
 from ..detect.samples.rounding import rounding_variance
 from ..detect.samples.saturation import saturated
 from ..detect.samples.static import (
     resting_variances,
     runs_below,
-    static_statistic,
     variance_magnitude_squared,
     window_samples,
     window_variances,
@@ -26,7 +26,7 @@ from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..options import ImuOptions
 from ..recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
-from .preparation import assumed, refuse, turns_at_rest
+from .preparation import assumed, refuse
 
 TOLERATED = frozenset({"attitudes", "gyroscope-silent"})
 """What the data doctor holds against a multi-position recording, and what does not matter here."""
@@ -116,7 +116,10 @@ def _from_table(poses: Poses) -> PreparedPoses:
 def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
     """Find the rests of one recording."""
     name, samples = next(iter(recording.imus.items()))
-    findings = (*check(replace(recording, imus={name: samples})), *map(assumed, recording.assumptions))
+    findings = (
+        *check(replace(recording, imus={name: samples}), window_s=options.window_s, multiplier=options.multiplier),
+        *map(assumed, recording.assumptions),
+    )
     refuse(findings, tolerated=TOLERATED)
     counted = options.time_base == "uniform"
     accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
@@ -126,42 +129,45 @@ def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
     if np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
         t_gyro = t_s
     accelerometer, gyroscope = _without_gaps(accelerometer), _without_gaps(gyroscope)
-    intervals = _rests(accelerometer, gyroscope, t_s, t_gyro, options)
+    rests = _rests(accelerometer, gyroscope, t_s, t_gyro, options)
+    intervals, number = rests.intervals, np.flatnonzero(rests.used)
     at_rest = gyroscope_intervals(t_gyro, t_s[intervals.start], t_s[intervals.stop - 1])
     means = _means(accelerometer, gyroscope, intervals, at_rest)
-    names = tuple(f"rest {k + 1}" for k in range(len(intervals)))
+    names = tuple(f"rest {k + 1}" for k in number)
+    left_out = tuple(
+        (f"rest {k + 1} ({t_s[rests.kept.start[k]]:.1f} to {t_s[rests.kept.stop[k] - 1]:.1f} s)", why)
+        for k, why in enumerate(rests.reason)
+        if why
+    )
     start_s, stop_s = t_s[intervals.start], t_s[intervals.stop - 1]
     return replace(
         means,
         poses=replace(means.poses, name=names, t_s=0.5 * (start_s + stop_s)),
         start_s=start_s,
         stop_s=stop_s,
-        findings=tuple(finding for finding in findings if finding.code not in TOLERATED),
+        left_out=left_out,
+        findings=tuple(finding for finding in findings if finding.code not in {*TOLERATED, "intervals-left-out"}),
     )
 
 
 def _rests(
     accelerometer: TriadSamples, gyroscope: TriadSamples, t_s: Floats, t_gyro: Floats, options: ImuOptions
-) -> StaticIntervals:
+) -> Rests:
     """Return the static intervals, at the threshold that serves best where there are enough of them to tell."""
-    window = window_samples(accelerometer, options.window_s)
-    if len(accelerometer) < 2 * window:
+    detection = detect_rests(
+        accelerometer,
+        gyroscope,
+        saturated(accelerometer, options.accelerometer_range),
+        t_s=(t_s, t_gyro),
+        window_s=options.window_s,
+        multiplier=options.multiplier,
+    )
+    if detection is None:
         raise DetectionError(
             f"the recording of {accelerometer.duration_s:.1f} s is too short for windows of {options.window_s:g} s. "
             "Let the sensor rest for 2 to 4 s in each attitude."
         )
-    statistic = static_statistic(accelerometer.values, window)
-    stirs = np.zeros(len(statistic), dtype=bool)
-    if len(gyroscope):
-        turns, stirs = turns_at_rest(gyroscope, t_s, t_gyro, statistic)
-        statistic[turns] = np.inf
-    clipped = saturated(accelerometer, options.accelerometer_range)
-    motion = Motion(samples=accelerometer, statistic=statistic, stirs=stirs, saturated=clipped)
-    multipliers = MULTIPLIERS if options.multiplier is None else (options.multiplier,)
-    chosen, trials = choose_threshold(motion, 9.81, multipliers)
-    if chosen.fit is not None:
-        return chosen.intervals
-    return min(trials, key=lambda trial: abs(np.log(trial.multiplier / _MULTIPLIER))).intervals
+    return detection.chosen.rests
 
 
 def _means(

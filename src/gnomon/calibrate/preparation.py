@@ -12,7 +12,6 @@ from ..detect.samples.noise import resting_noise
 from ..detect.samples.repair import repaired
 from ..detect.samples.rounding import rounding_variance, smallest_steps
 from ..detect.samples.saturation import saturated
-from ..detect.samples.static import turning
 from ..detect.samples.time_base import TimeBase, time_base
 from ..errors import DetectionError, RecordingError
 from ..estimate.multiposition.problem import TriadStream
@@ -27,7 +26,6 @@ from ..options import CameraImuOptions, ImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..triad_options import MagnetometerOptions, TurntableOptions
 
-_SURELY_STILL = 10.0  # times the resting level of s^2
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
 
 
@@ -73,7 +71,10 @@ def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[s
     assumptions = recording.assumptions
     if len(recording.imus) > 1:
         assumptions += (f"the recording holds {len(recording.imus)} IMUs; {name} is the one that is calibrated.",)
-    findings = (*check(replace(recording, imus={name: samples})), *map(assumed, assumptions))
+    findings = (
+        *check(replace(recording, imus={name: samples}), window_s=options.window_s, multiplier=options.multiplier),
+        *map(assumed, assumptions),
+    )
     refuse(findings, tolerated=tolerated)
     if not len(samples.gyroscope):
         raise RecordingError(
@@ -100,19 +101,6 @@ def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset
 def assumed(sentence: str) -> Finding:
     """Return what a reader had to take for granted as a finding."""
     return Finding(severity="info", code="assumed", message=sentence)
-
-
-def turns_at_rest(
-    gyroscope: TriadSamples, t_accel: Floats, t_gyro: Floats, statistic: Floats
-) -> tuple[Booleans, Booleans]:
-    """Mark the accelerometer samples (n,) that rest while the gyroscope turns, as about the vertical, or stirs."""
-    still = statistic < _SURELY_STILL
-    if t_accel is t_gyro:
-        return turning(gyroscope, still)
-    nearest = np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)
-    turns, stirs = turning(gyroscope, still[nearest])
-    at_accel = np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)
-    return turns[at_accel], stirs[at_accel]
 
 
 def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:

@@ -109,25 +109,6 @@ def runs_below(statistic: Floats, threshold: float, shortest: int, margin: int =
     return StaticIntervals(start=start[long_enough], stop=stop[long_enough])
 
 
-def find_static(
-    samples: TriadSamples, window_s: float = 1.0, multiplier: float = 10.0, shortest_s: float = 0.5
-) -> StaticIntervals:
-    """Return the static intervals of an accelerometer at one given multiplier of its resting level.
-
-    Parameters
-    ----------
-    samples : accelerometer samples
-    window_s : t_w [s]
-    multiplier : threshold on s^2 in units of the resting level
-    shortest_s : least length of an interval [s]
-    """
-    window = window_samples(samples, window_s)
-    if len(samples) < window:
-        return StaticIntervals(start=np.empty(0, np.int64), stop=np.empty(0, np.int64))
-    statistic = static_statistic(samples.values, window)
-    return runs_below(statistic, multiplier, round(shortest_s * samples.rate_hz))
-
-
 def static_statistic(values: Floats, window: int) -> Floats:
     """Return s^2 relative to its level at rest, (n,): about 1 where the sensor rests.
 
@@ -141,56 +122,12 @@ def static_statistic(values: Floats, window: int) -> Floats:
     return variance_magnitude_squared(variances, level) / 3
 
 
-_TURNING_S = 0.125
-_TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise, and room for a hand's tremor
-_STIRRING = 5.4  # times the median at rest: eight sigma of white noise
-
-
-def turning(gyroscope: TriadSamples, still: Booleans) -> tuple[Booleans, Booleans]:
-    """Mark samples at which the gyroscope turns although the accelerometer rests, (n,) and (n,).
-
-    Turning about the vertical leaves gravity where it is. A mean rate over an eighth of a second that is far from the
-    rate at rest gives it away; the eighths beside it go with it. Two marks make a hysteresis: samples that turn cannot
-    be static, and a static interval cannot begin or end with samples that stir. Between them a hand's tremor may stay.
-
-    Parameters
-    ----------
-    gyroscope : samples [unit]
-    still : (n,) samples at which the accelerometer rests
-
-    Returns
-    -------
-    turns, stirs
-    """
-    length = max(1, round(_TURNING_S * gyroscope.rate_hz))
-    n, blocks = len(gyroscope), len(gyroscope) // length
-    nothing = np.zeros(n, dtype=bool)
-    if blocks < 3:
-        return nothing, nothing
-    means = gyroscope.values[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
-    resting = still[: blocks * length].reshape(blocks, length).all(axis=1)
-    if resting.sum() < 3:
-        return nothing, nothing
-    away = np.abs(means - np.median(means[resting], axis=0))
-    usual, median = np.quantile(away[resting], [0.9, 0.5], axis=0)
-    turns = np.any(away > _TURNING * usual, axis=1)
-    wide = turns.copy()
-    wide[1:] |= turns[:-1]
-    wide[:-1] |= turns[1:]
-    stirs = wide | np.any(away > _STIRRING * median, axis=1)
-    rest = n - blocks * length
-    return (
-        np.append(np.repeat(wide, length), np.full(rest, wide[-1])),
-        np.append(np.repeat(stirs, length), np.full(rest, stirs[-1])),
-    )
-
-
 def trimmed(intervals: StaticIntervals, stirs: Booleans, shortest: int) -> StaticIntervals:
     """Return the intervals without the samples at their ends that stir, where enough is left.
 
     Parameters
     ----------
-    stirs : (n,) from `turning`
+    stirs : (n,) from `turning.mark_rates`
     shortest : least number of samples
     """
     quiet = np.flatnonzero(~stirs)

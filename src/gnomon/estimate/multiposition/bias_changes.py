@@ -26,6 +26,7 @@ _FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
 _DECAYS = (0.04, 0.08, 0.15, 0.3, 0.6)  # time constants over the length of the recording
 _LEAST_SCALE = 0.3  # of the white noise that is known: less is chance
 _FEWEST = 12  # rests
+_FEW, _ENOUGH = 5, 11  # rests on either side that tell a common scale with the bias, and scales and axes with it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,12 +38,14 @@ class BiasChanges:
     steps : indices k of static intervals, ascending: the bias stepped between k - 1 and k
     warm_up_s : time constant of an exponential decay [s]; 0 without
     outlying : indices of static intervals that alone stand out
+    sensor : index k > 0 of the static interval from which on scales and axes are others, too: another sensor; 0 without
     gain : log-likelihood of all changes together
     """
 
     steps: tuple[int, ...] = ()
     warm_up_s: float = 0.0
     outlying: tuple[int, ...] = ()
+    sensor: int = 0
     gain: float = 0.0
 
     def __bool__(self) -> bool:
@@ -51,6 +54,21 @@ class BiasChanges:
     def segments(self, n: int) -> Integers:
         """Return the number of the segment of each of n static intervals, (n,)."""
         return np.searchsorted(np.array(self.steps, dtype=np.int64), np.arange(n), side="right")
+
+
+def functions_of_time(changes: BiasChanges, t_s: Floats, half_s: Floats) -> Floats:
+    """Return what the bias follows at rest, (n, j): one in each segment but the last, and the decay."""
+    n = len(t_s)
+    steps = [(np.arange(n) < k).astype(np.float64) for k in changes.steps]
+    if changes.warm_up_s:
+        steps.append(_decay(t_s, half_s, changes.warm_up_s))
+    return np.stack(steps, axis=1) if steps else np.empty((n, 0))
+
+
+def _decay(t_s: Floats, half_s: Floats, tau_s: Floats | float) -> Floats:
+    """Return the means of an exponential decay over rests."""
+    ratio = np.maximum(half_s / tau_s, 1e-9)
+    return np.asarray(np.exp(-(t_s - t_s[0]) / tau_s) * np.sinh(ratio) / ratio, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,7 +165,8 @@ def _search(t_s: Floats, half_s: Floats, series: Callable[[Floats], _Series], sh
     candidates = _candidates(t_s, half_s, shortest)
     taken: list[int] = []
     total = 0.0
-    whitened = _whitened(t_s, series(np.zeros((n, 3))), candidates)
+    moved = np.zeros((n, 3))
+    whitened = _whitened(t_s, series(moved), candidates)
     for _ in range(_MOST):
         gains = _gains(whitened, candidates, taken) - _price(candidates, n, taken, shortest)
         best = int(np.argmax(gains))
@@ -158,12 +177,14 @@ def _search(t_s: Floats, half_s: Floats, series: Callable[[Floats], _Series], sh
         if whitened[0].pulls > 1:  # the magnitude is not linear in the bias
             moved = _moved(series(np.zeros((n, 3))), candidates, taken)
             whitened = _whitened(t_s, series(moved), candidates)
+    sensor = _other_sensor(series(moved), whitened, taken) if whitened[0].pulls > 1 else 0
     kinds = [candidates.kind[k] for k in taken]
     at = [float(candidates.at[k]) for k in taken]
     return BiasChanges(
         steps=tuple(sorted(int(a) for kind, a in zip(kinds, at, strict=True) if kind == "step")),
         warm_up_s=next((a for kind, a in zip(kinds, at, strict=True) if kind == "warm-up"), 0.0),
         outlying=tuple(sorted(int(a) for kind, a in zip(kinds, at, strict=True) if kind == "single")),
+        sensor=sensor,
         gain=total,
     )
 
@@ -174,8 +195,7 @@ def _candidates(t_s: Floats, half_s: Floats, shortest: int) -> _Candidates:
     at = np.arange(shortest, n - shortest + 1)
     steps = (np.arange(n)[:, None] < at).astype(np.float64)
     tau = np.array(_DECAYS) * span
-    ratio = np.maximum(half_s[:, None] / tau, 1e-9)
-    decays = np.exp(-(t_s[:, None] - t_s[0]) / tau) * np.sinh(ratio) / ratio  # the mean over each rest
+    decays = _decay(t_s[:, None], half_s[:, None], tau)
     return _Candidates(
         values=np.concatenate([steps, decays, np.eye(n)], axis=1),
         places=np.concatenate([np.full(len(at), len(at)), np.full(len(tau), len(tau)), np.full(n, n)]).astype(float),
@@ -215,6 +235,7 @@ class _Whitened:
 
     Attributes
     ----------
+    root : (n, n) inverse root of the noise
     y, design : (n, a), (n, p)
     columns : (n, c d) of the candidates
     pulls : d
@@ -222,6 +243,7 @@ class _Whitened:
     logdet : of the noise over `typical`
     """
 
+    root: Floats
     y: Floats
     design: Floats
     columns: Floats
@@ -246,6 +268,7 @@ def _whitened(t_s: Floats, series: _Series, candidates: _Candidates) -> list[_Wh
             root = np.linalg.inv(factor)
             found.append(
                 _Whitened(
+                    root=root,
                     y=root @ series.y,
                     design=root @ series.design,
                     columns=root @ blocks,
@@ -287,6 +310,37 @@ def _gains(whitened: Sequence[_Whitened], candidates: _Candidates, taken: Sequen
         base = np.maximum(base, _likelihood(squares, freedom, one))
         raised = np.maximum(raised, _likelihood(np.maximum(squares - explained, 0.0), freedom, one))
     return np.asarray(np.sum(raised - base, axis=1), dtype=np.float64)
+
+
+def _other_sensor(series: _Series, whitened: Sequence[_Whitened], taken: Sequence[int]) -> int:
+    """Return from which static interval on all scales and axes are others, beside the bias; 0 where they stay.
+
+    Where one side has too few static intervals for nine parameters, a common factor stands for scales and axes.
+    """
+    n, d = series.pull.shape
+    own = (d * np.array(taken, dtype=np.int64)[:, None] + np.arange(d)).ravel()
+    best, found = 0.0, 0
+    for k in range(_FEW, n - _FEW + 1):
+        few = min(k, n - k) < _ENOUGH
+        price = np.log(n) + 0.5 * (4 if few else 9) * np.log(n) + _MARGIN
+        pairs = [_with_own_parameters(series, one, own, k, few=few) for one in whitened]
+        gain = max(given for _, given in pairs) - max(without for without, _ in pairs) - price
+        if gain > best:
+            best, found = gain, k
+    return found
+
+
+def _with_own_parameters(series: _Series, one: _Whitened, own: Integers, k: int, *, few: bool) -> tuple[float, float]:
+    """Return the log-likelihood without and with parameters of their own before static interval k."""
+    n = len(one.y)
+    before = np.column_stack([np.ones(n), series.pull]) if few else series.design
+    base = _orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1))
+    both = _orthonormal(np.concatenate([base, one.root[:, :k] @ before[:k]], axis=1))
+    freedom = max(n - base.shape[1], 1)
+    without, given = (
+        float(np.sum(_likelihood(np.sum((one.y - q @ (q.T @ one.y)) ** 2, axis=0), freedom, one))) for q in (base, both)
+    )
+    return without, given
 
 
 def _orthonormal(design: Floats) -> Floats:

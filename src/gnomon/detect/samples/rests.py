@@ -1,0 +1,194 @@
+"""The rests of a recording: where the accelerometer is still, which part of each is used, and why others are not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...intervals import Booleans, StaticIntervals, interval_means
+from ...recording import Floats, Integers, TriadSamples
+from .static import runs_below, trimmed
+from .turning import RateMarks, mark_rates
+
+_SURELY_STILL = 10.0  # times the resting level of s^2
+_SAME_ATTITUDE = 0.03  # of half the range of all means
+_MOVED = 1e4  # s^2 between two pieces of a rest: ten times the noise; a touch of the table stays below
+_TURNED = 0.15  # of the fastest motion, between two pieces of a rest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rests:
+    """Rests in order of time.
+
+    Attributes
+    ----------
+    found : (m) rests as the accelerometer shows them, from the first piece of each to the last
+    kept : (m) the part of each that can be used; of one that cannot, all of it
+    reason : (m,) why a rest cannot be used, or ""
+    """
+
+    found: StaticIntervals
+    kept: StaticIntervals
+    reason: tuple[str, ...]
+
+    @classmethod
+    def none(cls) -> "Rests":
+        """Return no rests."""
+        nothing = StaticIntervals(start=np.empty(0, np.int64), stop=np.empty(0, np.int64))
+        return cls(found=nothing, kept=nothing, reason=())
+
+    def __len__(self) -> int:
+        return len(self.reason)
+
+    @property
+    def used(self) -> Booleans:
+        """Which rests can be used, (m,)."""
+        return np.array([not why for why in self.reason], dtype=bool)
+
+    @property
+    def intervals(self) -> StaticIntervals:
+        """What can be used of them."""
+        return self.kept.where(self.used)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What the detectors saw of an accelerometer's samples.
+
+    Attributes
+    ----------
+    samples : accelerometer
+    statistic : (n,) from `static_statistic`
+    saturated : (n,) samples that no static interval may hold
+    marks : what the gyroscope says
+    turned : (n,) gyroscope's distance from its rate at rest, over that of the fastest motion; None without gyroscope
+    """
+
+    samples: TriadSamples
+    statistic: Floats
+    saturated: Booleans
+    marks: RateMarks
+    turned: Floats | None = None
+
+    @classmethod
+    def of(
+        cls,
+        samples: TriadSamples,
+        statistic: Floats,
+        saturated: Booleans,
+        gyroscope: TriadSamples,
+        t_s: tuple[Floats, Floats],
+    ) -> "Motion":
+        """Return the motion of an IMU.
+
+        Parameters
+        ----------
+        gyroscope : its samples; none where there is no gyroscope
+        t_s : (n,), (m,) instants of the accelerometer's and the gyroscope's samples [s]
+        """
+        if not len(gyroscope):
+            return cls(samples=samples, statistic=statistic, saturated=saturated, marks=RateMarks.none(len(samples)))
+        still, (t_accel, t_gyro) = statistic < _SURELY_STILL, t_s
+        if not np.array_equal(t_accel, t_gyro):
+            still = still[np.clip(np.searchsorted(t_accel, t_gyro), 0, len(t_accel) - 1)]
+        marks = mark_rates(gyroscope, still)
+        rest = np.median(gyroscope.values[still] if still.any() else gyroscope.values, axis=0)
+        size = np.abs(gyroscope.values - rest).max(axis=1)
+        fastest = float(np.quantile(size, 0.995))
+        turned = size / fastest if fastest > 0 else np.zeros(len(size))
+        if not np.array_equal(t_accel, t_gyro):
+            at = np.clip(np.searchsorted(t_gyro, t_accel), 0, len(t_gyro) - 1)
+            marks, turned = marks.at(at), turned[at]
+        return cls(samples=samples, statistic=statistic, saturated=saturated, marks=marks, turned=turned)
+
+
+def find_rests(motion: Motion, multiplier: float, shortest: int) -> Rests:
+    """Return the rests at one threshold, and what can be used of each.
+
+    A low threshold breaks a rest into pieces that follow each other in one attitude; they are one rest, of which the
+    longest piece counts. Pieces between which the sensor was moved, as by a full turn, are several rests.
+
+    Parameters
+    ----------
+    motion : what the detectors saw
+    multiplier : threshold on s^2 in units of the resting level
+    shortest : least number of samples in a static interval
+    """
+    found = runs_below(motion.statistic, multiplier, shortest)
+    if not len(found):
+        return Rests(found=found, kept=found, reason=())
+    marks, rest = motion.marks, _numbered(motion, found)
+    usual = _parts(motion, marks.turns, marks.stirs, multiplier, shortest)
+    own = _parts(motion, marks.turns_beyond_tremor, marks.stirs_beyond_tremor, multiplier, shortest)
+    owners = [rest[np.searchsorted(found.start, parts.start, side="right") - 1] for parts in (usual, own)]
+    start, stop, reason = list[int](), list[int](), list[str]()
+    for number in range(int(rest[-1]) + 1):
+        best = next(
+            (
+                longest
+                for parts, owner in zip((usual, own), owners, strict=True)
+                if (longest := _longest(parts, owner == number))
+            ),
+            None,
+        )
+        whole = best or _longest(found, rest == number)
+        assert whole is not None
+        start.append(whole[0])
+        stop.append(whole[1])
+        reason.append(_why(motion, *whole) if best is None else "")
+    begins = np.flatnonzero(np.diff(rest, prepend=-1))
+    ends = np.append(begins[1:], len(rest)) - 1
+    return Rests(
+        found=StaticIntervals(start=found.start[begins], stop=found.stop[ends]),
+        kept=StaticIntervals(start=np.array(start), stop=np.array(stop)),
+        reason=tuple(reason),
+    )
+
+
+def _count(marked: Booleans, intervals: StaticIntervals) -> Integers:
+    """Return how many samples of each interval are marked."""
+    total = np.concatenate([[0], np.cumsum(marked)])
+    return total[intervals.stop] - total[intervals.start]
+
+
+def _parts(motion: Motion, turns: Booleans, stirs: Booleans, multiplier: float, shortest: int) -> StaticIntervals:
+    """Return what can be used of rests, where the gyroscope is told to turn and to stir."""
+    steady = runs_below(np.where(turns, np.inf, motion.statistic), multiplier, shortest)
+    parts = trimmed(steady, stirs, shortest)
+    return parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
+
+
+def _longest(parts: StaticIntervals, own: Booleans) -> tuple[int, int] | None:
+    """Return first sample and one past the last of the longest of some intervals; None where there are none."""
+    if not own.any():
+        return None
+    k = int(np.argmax(np.where(own, parts.stop - parts.start, -1)))
+    return int(parts.start[k]), int(parts.stop[k])
+
+
+def _numbered(motion: Motion, pieces: StaticIntervals) -> Integers:
+    """Return the number of the rest that each piece belongs to, from 0."""
+    if len(pieces) < 2:
+        return np.zeros(len(pieces), dtype=np.int64)
+    means = interval_means(motion.samples.values, pieces)
+    other = np.any(np.abs(np.diff(means, axis=0)) > _SAME_ATTITUDE * 0.5 * np.ptp(means, axis=0), axis=1)
+    if motion.turned is not None:
+        for k in np.flatnonzero(~other):
+            gap = slice(int(pieces.stop[k]), int(pieces.start[k + 1]))
+            other[k] = motion.statistic[gap].max() > _MOVED and motion.turned[gap].max() > _TURNED
+    return np.concatenate([[0], np.cumsum(other)])
+
+
+def _why(motion: Motion, start: int, stop: int) -> str:
+    """Return why a rest cannot be used."""
+    part, marks = slice(start, stop), motion.marks
+    if motion.saturated[part].any() and not marks.turns[part].any():
+        return "the accelerometer is saturated"
+    if marks.apart[part].any():
+        return "the gyroscope's rate is far from that of the rests around it: it turned, or its bias was another"
+    if marks.jumps[part].any():
+        return "the gyroscope's bias stepped, and too little is left on either side"
+    if marks.turns[part].any():
+        return "the gyroscope shows that the sensor turned"
+    if motion.saturated[part].any():
+        return "the accelerometer is saturated"
+    return "too short without its ends, which stir"

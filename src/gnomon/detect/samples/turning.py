@@ -1,0 +1,207 @@
+"""Where a gyroscope turns although the accelerometer rests, judged against the rate around each rest.
+
+Turning about the vertical leaves gravity where it is. Means over an eighth of a second that are far from the rate at
+rest give it away. The rate at rest is that of the same rest, a few seconds to either side: a bias may step, wander, or
+warm up from one rest to the next, and a rest in the hand has a tremor of its own.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ...intervals import Booleans
+from ...recording import Floats, Integers, TriadSamples
+
+_BLOCK_S = 0.125
+_TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise, and room for a hand's tremor
+_STIRRING = 5.4  # times the median at rest: eight sigma of white noise
+_PERCENTILE = 2.44  # the ninetieth percentile of white noise over its median
+_TREMOR = 6.0  # times the usual, at most, that a rest's own tremor may be
+_AROUND = 24  # blocks, three seconds, to either side
+_FEWEST = 4  # blocks of a rest that tells its rate
+_LONG = 64  # blocks; who turns as evenly as noise for eight seconds rests
+_ALIKE = 6.0  # times how much neighbouring rests differ as a rule
+_FAST = 0.25  # of the fastest motion: no bias is as large
+_SPREAD = 10.0  # times the usual distance of rests from their middle
+_MOTION = 20.0  # times what is turning at rest: motion between the rests was recorded
+_JUMP_SIGMA, _JUMP = 8.0, 8  # sigma of a step within a rest; blocks to either side that show it
+_KEPT = 0.6  # of the step that the whole rest must show, too
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateMarks:
+    """What a gyroscope says of the samples of an accelerometer, (n,) each.
+
+    Attributes
+    ----------
+    turns : it turns; such a sample is not static
+    stirs : it stirs; no static interval begins or ends with such a sample
+    turns_beyond_tremor, stirs_beyond_tremor : the same by the tremor of its own rest, where that is more than usual
+    apart : its rate keeps still, but far from that of the rests around
+    jumps : its bias steps here, in the middle of a rest
+    """
+
+    turns: Booleans
+    stirs: Booleans
+    turns_beyond_tremor: Booleans
+    stirs_beyond_tremor: Booleans
+    apart: Booleans
+    jumps: Booleans
+
+    @classmethod
+    def none(cls, n: int) -> "RateMarks":
+        """Return no marks, as without a gyroscope."""
+        nothing = np.zeros(n, dtype=bool)
+        return cls(**dict.fromkeys((f.name for f in fields(cls)), nothing))
+
+    def at(self, index: Integers) -> "RateMarks":
+        """Return the marks of other samples."""
+        return RateMarks(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+def mark_rates(gyroscope: TriadSamples, still: Booleans) -> RateMarks:
+    """Mark samples at which the gyroscope turns although the accelerometer rests.
+
+    Two marks make a hysteresis: samples that turn, with the eighths of a second beside them, cannot be static, and a
+    static interval cannot begin or end with samples that stir. Between them a hand's tremor may stay.
+
+    Parameters
+    ----------
+    gyroscope : samples [unit]
+    still : (n,) samples at which the accelerometer rests
+    """
+    length = max(1, round(_BLOCK_S * gyroscope.rate_hz))
+    n, blocks = len(gyroscope), len(gyroscope) // length
+    if blocks < 3:
+        return RateMarks.none(n)
+    means = gyroscope.values[: blocks * length].reshape(blocks, length, 3).mean(axis=1)
+    resting = still[: blocks * length].reshape(blocks, length).all(axis=1)
+    if resting.sum() < 3:
+        return RateMarks.none(n)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], resting, [False]])))
+    jumps, first, last = _jumps(means, edges[::2], edges[1::2])
+    level = _levels(means, first, last)
+    away = np.abs(means - level)
+    usual, median = np.quantile(away[resting], [0.9, 0.5], axis=0)
+    tremor = _of_nearest(
+        np.array([np.median(away[a:b], axis=0) for a, b in zip(first, last, strict=True)]), first, last, blocks
+    )
+    fastest = float(np.quantile(away[~resting].max(axis=1), 0.98)) if not resting.all() else 0.0
+    apart = _apart(means, first, last, _TURNING * usual, fastest)
+    turns, stirs = _beyond(away, usual, median, apart | jumps)
+    own = np.clip(_PERCENTILE * tremor, usual, _TREMOR * usual), np.clip(tremor, median, _TREMOR * median)
+    turns_own, stirs_own = _beyond(away, *own, apart | jumps)
+    found = RateMarks(
+        turns=turns,
+        stirs=stirs,
+        turns_beyond_tremor=turns_own,
+        stirs_beyond_tremor=stirs_own,
+        apart=apart,
+        jumps=jumps,
+    )
+    return found.at(np.minimum(np.arange(n) // length, blocks - 1))
+
+
+def _beyond(away: Floats, usual: Floats, median: Floats, surely: Booleans) -> tuple[Booleans, Booleans]:
+    """Mark blocks (k,) that turn, with those beside them, and blocks that stir.
+
+    Parameters
+    ----------
+    away : (k, 3) distance from the rate at rest
+    usual, median : (3,) or (k, 3) ninetieth percentile and median of that at rest
+    surely : (k,) blocks that turn anyway
+    """
+    turns = np.any(away > _TURNING * usual, axis=1)
+    wide = turns | surely
+    wide[1:] |= turns[:-1]
+    wide[:-1] |= turns[1:]
+    return wide, wide | np.any(away > _STIRRING * median, axis=1)
+
+
+def _levels(means: Floats, first: Integers, last: Integers) -> Floats:
+    """Return the rate at rest around each block, (k, 3): a running median within its rest, or that of the nearest."""
+    level = np.empty_like(means)
+    window = 2 * _AROUND + 1
+    for a, b in zip(first, last, strict=True):
+        if b - a <= window:
+            level[a:b] = np.median(means[a:b], axis=0)
+            continue
+        running = np.median(np.lib.stride_tricks.sliding_window_view(means[a:b], window, axis=0), axis=2)
+        at = np.arange(b - a) - _AROUND
+        inside = np.clip(at, 0, b - a - window)
+        reach = min(_AROUND, b - a - window)
+        slope = np.zeros((2, 3))
+        if reach >= _FEWEST:  # of a sensor that warms up, carried on to both ends
+            slope = np.array([running[reach] - running[0], running[-1] - running[-1 - reach]]) / reach
+        level[a:b] = running[inside] + (at - inside)[:, None] * np.where((at < 0)[:, None], slope[0], slope[1])
+    resting = np.concatenate([np.arange(a, b) for a, b in zip(first, last, strict=True)])
+    everywhere = np.arange(len(means))
+    right = np.clip(np.searchsorted(resting, everywhere), 0, len(resting) - 1)
+    left = np.maximum(right - 1, 0)
+    nearer = np.abs(resting[left] - everywhere) < np.abs(resting[right] - everywhere)
+    return level[resting[np.where(nearer, left, right)]]
+
+
+def _of_nearest(values: Floats, first: Integers, last: Integers, count: int) -> Floats:
+    """Return of each block the value of the rest that it is in, or of the nearest one, (count, 3)."""
+    middle = 0.5 * (last[:-1] + first[1:])
+    return values[np.searchsorted(middle, np.arange(count), side="right")]
+
+
+def _apart(means: Floats, first: Integers, last: Integers, limit: Floats, fastest: float) -> Booleans:
+    """Mark blocks of rests whose rate is far from that of both neighbours on either side: they turn steadily.
+
+    A bias that stepped is that of the rests before, or of those after. What is as fast as a motion is no bias.
+    """
+    marked = np.zeros(len(means), dtype=bool)
+    told = np.flatnonzero(last - first >= _FEWEST)
+    if len(told) < 4:
+        return marked
+    levels = np.array([np.median(means[first[k] : last[k]], axis=0) for k in told])
+    changes = np.abs(np.diff(levels, axis=0))
+    scale = np.maximum(limit, _ALIKE * 1.4826 * np.median(changes, axis=0))
+    scale = np.where(scale > 0, scale, np.finfo(float).tiny)
+    middle = np.median(levels, axis=0)
+    off = np.abs(levels - middle).max(axis=1)
+    most = max(_FAST * fastest, _SPREAD * float(np.median(off))) if fastest > _MOTION * limit.max() else np.inf
+    out = np.zeros(len(told), dtype=bool)
+    for i, k in enumerate(told):
+        beside = [j for j in (i - 2, i - 1, i + 1, i + 2) if 0 <= j < len(told)]
+        nearest = min(float(np.max(np.abs(levels[i] - levels[j]) / scale)) for j in beside)
+        alone = nearest > 1 and last[k] - first[k] < _LONG
+        out[i] = alone or off[i] > most
+    if 2 * out.sum() > len(told):  # rates that scatter that much are no turns
+        return marked
+    for k in told[out]:
+        marked[first[k] : last[k]] = True
+    return marked
+
+
+def _jumps(means: Floats, first: Integers, last: Integers) -> tuple[Booleans, Integers, Integers]:
+    """Mark the two blocks of a rest between which the rate steps for good, and part the rest there.
+
+    Returns
+    -------
+    marks of blocks, and first and last blocks of what are rests then
+    """
+    marked = np.zeros(len(means), dtype=bool)
+    cuts: list[int] = []
+    for a, b in zip(first, last, strict=True):
+        own = means[a:b]
+        n = len(own)
+        if n < 2 * _FEWEST:
+            continue
+        sums = np.concatenate([np.zeros((1, 3)), np.cumsum(own - own[0], axis=0)])
+        at = np.arange(_FEWEST, n - _FEWEST + 1)
+        low, high = np.maximum(at - _JUMP, 0), np.minimum(at + _JUMP, n)
+        step = (sums[high] - sums[at]) / (high - at)[:, None] - (sums[at] - sums[low]) / (at - low)[:, None]
+        noise = 1.4826 * np.median(np.abs(np.diff(own, axis=0)), axis=0) / np.sqrt(2)
+        sigma = noise * np.sqrt(1 / (at - low) + 1 / (high - at))[:, None]
+        size = np.abs(step) / np.where(sigma > 0, sigma, np.inf)
+        k, axis = np.unravel_index(np.argmax(size), size.shape)
+        whole = np.median(own[at[k] :, axis]) - np.median(own[: at[k], axis])
+        if size[k, axis] > _JUMP_SIGMA and whole / step[k, axis] > _KEPT:
+            cuts.append(int(a + at[k]))
+            marked[cuts[-1] - 1 : cuts[-1] + 1] = True
+    cut = np.array(cuts, dtype=np.int64)
+    return marked, np.sort(np.concatenate([first, cut])), np.sort(np.concatenate([last, cut]))
