@@ -9,7 +9,7 @@ each time a sensor is switched on, by much more than their sigmas say. Whoever k
 """
 
 import difflib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,7 +20,7 @@ from .errors import OptionError
 from .estimate.triads.triad_poses import TriadPrior
 from .models.frames import frame_rotation
 from .options import stated_prior
-from .recording import Floats, Integers
+from .recording import Floats, Integers, Source, recorded_hashes
 from .units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
 TRIADS = {"accelerometer": slice(0, 12), "gyroscope": slice(12, 33), "magnetometer": slice(33, 45)}
@@ -157,6 +157,32 @@ NOTHING = Evidence(known=(), fixed=np.zeros(SCALARS, dtype=bool), value=np.full(
 
 Priors = Calibration | Sequence[Calibration] | None
 """Other calibrations of the same sensor, independent of each other."""
+
+
+def refuse_own_data(prior: Priors, sources: Collection[Source], triads: Collection[str] = tuple(TRIADS)) -> None:
+    """Refuse a prior calibration that was made from one of the recordings that are calibrated now.
+
+    Parameters
+    ----------
+    prior : other calibrations
+    sources : files of the recordings
+    triads : which of them are estimated; a prior that tells of none of these is no evidence for them
+
+    Raises
+    ------
+    OptionError
+        If there is one; its measurements would count twice.
+    """
+    priors = () if prior is None else (prior,) if isinstance(prior, Calibration) else tuple(prior)
+    for one in priors:
+        shared = recorded_hashes(one.provenance.inputs) & recorded_hashes(sources)
+        told = any(getattr(imu, triad) is not None for imu in one.imus.values() for triad in triads)
+        if shared and told:
+            name = next(source.name for source in sources if source.sha256 in shared)
+            raise OptionError(
+                f"--prior holds a calibration that was made from {name}, the very recording that is calibrated: its "
+                "measurements would count twice. Leave it out, or give one that was made from another recording."
+            )
 
 
 def known_beforehand(

@@ -1,5 +1,6 @@
 """What was measured: samples, as recorded, with their stamps and their unit."""
 
+import hashlib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Self
@@ -390,22 +391,24 @@ class Recording:
         stated = Units.parse(units) if isinstance(units, str) else units
         _refuse_swapped(gyro, accel, stated)
         t_gyro, t_accel = t_s if isinstance(t_s, tuple) else (t_s, t_s)
-        return cls(
-            imus={
-                "imu0": ImuSamples(
-                    accelerometer=TriadSamples(
-                        t_ns=_ns_from_s(t_accel),
-                        values=frozen_array(accel),
-                        unit=stated.accelerometer or "m/s^2",
-                    ),
-                    gyroscope=TriadSamples(
-                        t_ns=_ns_from_s(t_gyro),
-                        values=frozen_array(gyro),
-                        unit=stated.gyroscope or "rad/s",
-                    ),
-                )
-            }
+        samples = ImuSamples(
+            accelerometer=TriadSamples(
+                t_ns=_ns_from_s(t_accel), values=frozen_array(accel), unit=stated.accelerometer or "m/s^2"
+            ),
+            gyroscope=TriadSamples(
+                t_ns=_ns_from_s(t_gyro), values=frozen_array(gyro), unit=stated.gyroscope or "rad/s"
+            ),
         )
+        return cls(imus={"imu0": samples}, sources=(_fingerprint(samples),))
+
+
+def _fingerprint(samples: ImuSamples) -> Source:
+    """Return arrays as a source, by which the same recording is known again."""
+    digest = hashlib.sha256()
+    for triad in (samples.accelerometer, samples.gyroscope):
+        digest.update(triad.t_ns.tobytes())
+        digest.update(triad.values.tobytes())
+    return Source(name="recording from memory", sha256=digest.hexdigest())
 
 
 _ABOUT_GRAVITY, _NO_GRAVITY = 0.15, 0.3

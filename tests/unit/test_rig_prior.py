@@ -196,3 +196,21 @@ def test_a_calibration_of_the_cameras_comes_along_with_the_recording(simulation,
     assert any("poses of the cameras to each other are known by cameras.yaml" in text for text in recording.assumptions)
     other, _ = gnomon.read_camera_imu(tmp_path, cam=tmp_path / "camchain.yaml", **files)
     assert other.rig is None
+
+
+def test_cameras_that_were_calibrated_from_this_very_recording_are_no_prior(simulation, tmp_path):
+    """The same corners would count twice: what they told is where the lenses start, and they are estimated along."""
+    save_camera_imu_recording(simulation, tmp_path)
+    calibration = cameras_calibration(2, 2)
+    files = {"imu": tmp_path / "imu.yaml", "target": tmp_path / "target.yaml"}
+    gnomon.save(calibration, tmp_path / "cameras.yaml")
+    elsewhere, _ = gnomon.read_camera_imu(tmp_path, cam=tmp_path / "cameras.yaml", **files)
+    corners = tuple(source for source in elsewhere.sources if "corners" in source.name)
+    own = replace(calibration, provenance=replace(calibration.provenance, inputs=corners))
+    gnomon.save(own, tmp_path / "cameras.yaml")
+    same, _ = gnomon.read_camera_imu(tmp_path, cam=tmp_path / "cameras.yaml", **files)
+    assert [finding.code for finding in same.findings if finding.code == "prior-same-data"]
+    assert not [finding for finding in elsewhere.findings if finding.code == "prior-same-data"]
+    assert (np.diag(same.rig.covariance) >= 1e4 * np.diag(elsewhere.rig.covariance)).all()
+    for name, frames in same.cameras.items():
+        assert (np.diag(frames.lens_covariance) >= 1e4 * np.diag(elsewhere.cameras[name].lens_covariance)).all()

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..detect.samples.repeats import repeated_stretches
 from ..detect.samples.saturation import saturated
 from ..findings import Finding
 from ..recording import Floats, TriadSamples
@@ -10,6 +11,7 @@ from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GR
 _STUCK_S = 0.25
 _SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
 _NOISE_SAMPLES = 10_000
+_MUCH_REPEATED = 0.02  # of all samples
 
 
 def extremes(values: Floats) -> tuple[Floats, Floats]:
@@ -46,7 +48,33 @@ def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
         )
     findings += _saturation(samples, label)
     findings += _stuck(samples, label)
+    findings += check_repeats(samples, label)
     return findings
+
+
+def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return a finding where stretches of samples occur twice, bit by bit; nothing where none does."""
+    repeats = repeated_stretches(samples.values)
+    copies = np.zeros(len(samples), dtype=bool)
+    for repeat in repeats:
+        copies[repeat.second : repeat.second_stop] = True
+    share = float(copies.mean()) if repeats else 0.0
+    if not repeats:
+        return []
+    t_s, longest = samples.t_s, max(repeats, key=lambda repeat: repeat.second_stop - repeat.second)
+    begin, end = t_s[longest.second], t_s[longest.second_stop - 1]
+    places = "" if len(repeats) == 1 else f", the longest of {len(repeats)} stretches"
+    return [
+        Finding(
+            severity="problem" if share > _MUCH_REPEATED else "warning",
+            code="data-repeated",
+            message=f"{label}: the samples from {begin:.2f} to {end:.2f} s are those from {t_s[longest.first]:.2f} s "
+            f"on once more, bit by bit ({100 * share:.2g} % of all samples are copies{places}).",
+            consequence="Copies count as measurements of their own: sigmas are too small, and what was between them is "
+            "not what the sensor did.",
+            cure="Cut the copies out. A file may have been appended to itself, or a logger sent packets twice.",
+        )
+    ]
 
 
 def _saturation(samples: TriadSamples, label: str) -> list[Finding]:

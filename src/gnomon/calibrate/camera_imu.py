@@ -26,7 +26,7 @@ from ..estimate.camera_imu.other_imus import aligned_beside
 from ..estimate.camera_imu.publish import published
 from ..estimate.camera_imu.recording_trust import recording_trust
 from ..estimate.camera_imu.uncertainty import uncertainty
-from ..evidence import Priors
+from ..evidence import Priors, refuse_own_data
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
@@ -82,6 +82,7 @@ def _calibrated(
     recording: Recording, target: Target, options: CameraImuOptions, tell: Progress, prior: Priors
 ) -> Result:
     tell("checking the recording")
+    refuse_own_data(prior, recording.sources)
     recording = with_stated_shutters(recording, options)
     prepared = prepare_camera_imu(recording, target, options)
     gravity = local_gravity(options)

@@ -24,12 +24,13 @@ from ..readers.rig.imu_stream import with_stated
 from ..readers.rig.kalibr_camchain import CameraInput
 from ..readers.rig.kalibr_imu_input import ImuInput
 from ..readers.rig.kalibr_target import read_target
-from ..readers.rig.sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imus, read_rig
-from ..recording import CameraFrames, ImuSamples, Recording
+from ..readers.rig.sensor_inputs import ImuFiles, imu_paths, made_from, read_cameras, read_imus, read_rig
+from ..recording import CameraFrames, ImuSamples, KnownRig, Recording
 from ..units import Units
 from .board_reading import Progress, corners_of_camera, stated_cameras
 
 _RATE_TOLERANCE = 0.05
+_WIDE = 1e4  # of the variances of what the same data told: a ten-thousandth of them is left
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})
 
 
@@ -115,13 +116,39 @@ def read_camera_imu(
 
 def _with_rig(recording: Recording, cam: str | PathLike[str] | None) -> Recording:
     """Return the recording with what a calibration of its cameras alone tells of them together, where there is one."""
-    known = None if cam is None else read_rig(cam)
-    if known is None or cam is None:
+    if cam is None:
         return recording
-    rig = known.of(recording.cameras)
+    known = read_rig(cam)
+    rig = None if known is None else known.of(recording.cameras)
+    if made_from(cam, recording.sources):
+        return _without_prior(recording, rig, Path(cam).name)
+    if rig is None:
+        return recording
     what = "the lenses and the poses of the cameras to each other" if rig.T_cam_cam0 else "the lenses"
     said = f"{what} are known by {Path(cam).name}, and estimated along with its covariance as their prior."
     return replace(recording, rig=rig, assumptions=(*recording.assumptions, said))
+
+
+def _without_prior(recording: Recording, rig: KnownRig | None, name: str) -> Recording:
+    """Return a recording whose cameras were calibrated from this very recording, which therefore is no prior of it.
+
+    Lenses and poses start there and are estimated along; their covariance is made so wide that it adds nothing.
+    """
+    finding = Finding(
+        severity="info",
+        code="prior-same-data",
+        message=f"{name} was made from this very recording. What it says of the cameras is where they start, and is "
+        "estimated along; its covariance is no prior, since its corners would count twice.",
+        cure="Give cameras that were calibrated from other images, where there are some: they add what they know.",
+    )
+    cameras = {
+        camera: frames
+        if frames.lens_covariance is None
+        else replace(frames, lens_covariance=_WIDE * frames.lens_covariance)
+        for camera, frames in recording.cameras.items()
+    }
+    rig = None if rig is None else replace(rig, covariance=_WIDE * rig.covariance)
+    return replace(recording, cameras=cameras, rig=rig, findings=(*recording.findings, finding))
 
 
 def _clocks(images: ImageRecording, cameras: tuple[str, ...]) -> tuple[Finding, ...]:

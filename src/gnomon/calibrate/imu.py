@@ -37,7 +37,7 @@ from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, 
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscaled
 from ..estimate.multiposition.sums import free_jacobian, stretch_sums
 from ..estimate.trust.cluster_trust import Trusted, trusted
-from ..evidence import Evidence, Priors, known_beforehand
+from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding
 from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
@@ -101,6 +101,7 @@ def calibrate_imu(
         if len(recording) != 1:
             return calibrate_several(recording, options, tell, prior, calibrate_imu)
         (recording,) = recording
+    refuse_own_data(prior, recording.sources)
     if by_rests(recording, options):
         return calibrate_poses(recording, options, progress, prior)
     tell("checking the recording")

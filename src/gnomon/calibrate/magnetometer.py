@@ -34,7 +34,7 @@ from ..estimate.triads.magnetometer import (
     stray_samples,
     with_soft_iron_unknown,
 )
-from ..evidence import Evidence, Priors, known_beforehand
+from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions
 from ..recording import Floats, Recording
@@ -80,6 +80,7 @@ def calibrate_magnetometer(
     tell = progress or (lambda _: None)
     tell("checking the recording")
     check_field_options(prior, options)
+    refuse_own_data(prior, recording.sources, ("magnetometer",))
     prepared = prepare_field(recording, options)
     known = _known(prepared, options, prior)
     tell(f"fitting the ellipsoid of {len(prepared.magnetometer)} samples")

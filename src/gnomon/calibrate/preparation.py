@@ -1,7 +1,8 @@
 """Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ..calibration import UNSTATED_GRAVITY, AccelerometerCalibration, Gravity, G
 from ..camera_options import CameraOptions
 from ..detect.samples.noise import resting_noise
 from ..detect.samples.repair import repaired
+from ..detect.samples.repeats import repeated_stretches
 from ..detect.samples.rounding import rounding_variance, smallest_steps
 from ..detect.samples.saturation import saturated
 from ..detect.samples.time_base import TimeBase, time_base
@@ -23,7 +25,7 @@ from ..models.gravity import (
     normal_gravity_m_s2,
 )
 from ..options import CameraImuOptions, ImuOptions
-from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..recording import Floats, ImuSamples, Recording, TriadSamples, recorded_hashes
 from ..triad_options import MagnetometerOptions, TurntableOptions
 
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
@@ -101,6 +103,47 @@ def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset
 def assumed(sentence: str) -> Finding:
     """Return what a reader had to take for granted as a finding."""
     return Finding(severity="info", code="assumed", message=sentence)
+
+
+def recording_names(recordings: Sequence[Recording]) -> list[str]:
+    """Return what each recording is called: its first file, with its number where files are called alike."""
+    files = [recording.sources[0].name if recording.sources else "" for recording in recordings]
+    return [
+        name if name and files.count(name) == 1 else f"recording {i}" + (f" ({name})" if name else "")
+        for i, name in enumerate(files, 1)
+    ]
+
+
+def refuse_same_data(recordings: Sequence[Recording], names: Sequence[str]) -> None:
+    """Refuse recordings of which two hold the same samples, as files or in part.
+
+    Raises
+    ------
+    RecordingError
+        If there are such; the message says where.
+    """
+    for i, j in combinations(range(len(names)), 2):
+        first, second = recordings[i], recordings[j]
+        if recorded_hashes(first.sources) & recorded_hashes(second.sources):
+            raise RecordingError(
+                f"{names[i]} and {names[j]} are the same file: its measurements would count twice. Leave one out."
+            )
+        one, other = _telling_triad(first), _telling_triad(second)
+        shared = [] if one is None or other is None else repeated_stretches(one.values, other.values)
+        if shared and one is not None and other is not None:
+            count = sum(repeat.first_stop - repeat.first for repeat in shared)
+            raise RecordingError(
+                f"{names[i]} and {names[j]} share {count} samples, bit by bit: those of {names[i]} from "
+                f"{one.t_s[shared[0].first]:.2f} s on are those of {names[j]} from {other.t_s[shared[0].second]:.2f} s "
+                "on. They would count twice. Leave one recording out, or cut what they share out of one."
+            )
+
+
+def _telling_triad(recording: Recording) -> TriadSamples | None:
+    """Return the triad by whose samples a recording is known."""
+    for imu in recording.imus.values():
+        return imu.accelerometer if len(imu.accelerometer) else imu.gyroscope
+    return None
 
 
 def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:

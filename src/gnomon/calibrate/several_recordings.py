@@ -20,7 +20,7 @@ from ..parameters import parameters
 from ..recording import Floats, Recording
 from ..sensors import ImuCalibration
 from ..triad_diagnostics import TriadDiagnostics
-from .preparation import stated_options
+from .preparation import recording_names, refuse_same_data, stated_options
 
 Progress = Callable[[str], None]
 CalibrateOne = Callable[[Recording, ImuOptions, Progress], Result]
@@ -51,6 +51,7 @@ def calibrate_several(
     """
     _check_options(options, prior)
     names = recording_names(recordings)
+    refuse_same_data(recordings, names)
     own = replace(options, frame="accel-x")
     results = [
         _named(name, lambda recording=recording, tell=tell: one(recording, own, tell))
@@ -62,15 +63,6 @@ def calibrate_several(
     scalars = scalars_of([result.calibration for result in results], names)
     refuse_other_sensors(scalars, names)
     return _joined(results, names, scalars, recordings, options)
-
-
-def recording_names(recordings: Sequence[Recording]) -> list[str]:
-    """Return what each recording is called: its first file, with its number where files are called alike."""
-    files = [recording.sources[0].name if recording.sources else "" for recording in recordings]
-    return [
-        name if name and files.count(name) == 1 else f"recording {i}" + (f" ({name})" if name else "")
-        for i, name in enumerate(files, 1)
-    ]
 
 
 def _check_options(options: ImuOptions, prior: Priors) -> None:

@@ -29,14 +29,14 @@ from ..errors import DetectionError, InitialisationError, OptionError, SolveErro
 from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
 from ..estimate.turntable.parts import TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, reassign
-from ..evidence import NOTHING, Evidence, Priors, known_beforehand
+from ..evidence import NOTHING, Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding
 from ..recording import Recording
 from ..triad_diagnostics import PeriodCurve
 from ..triad_options import StatedRate, TurntableOptions
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .arguments import check_arguments
-from .preparation import local_gravity, stated_options
+from .preparation import local_gravity, recording_names, refuse_same_data, stated_options
 from .turntable_preparation import prepare_turntable
 
 Progress = Callable[[str], None]
@@ -82,6 +82,10 @@ def calibrate_turntable(
     options = options or TurntableOptions()
     tell = progress or (lambda _: None)
     unknown_scale, free = RATE_SCALE in options.free, tuple(name for name in options.free if name != RATE_SCALE)
+    for recording in recordings:
+        refuse_own_data(prior, recording.sources)
+    if len(recordings) > 1:
+        refuse_same_data(recordings, recording_names(recordings))
     tell("finding the steady parts")
     prepared = prepare_turntable(recordings, rates, rate_of, options)
     prepared = replace(prepared, data=replace(prepared.data, walk=_known_walk(recordings, prepared)))

@@ -90,7 +90,7 @@ def _read(source: PosesInput) -> "tuple[Recording, ...]":
 
 def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
     """Return what had to be assumed; of several recordings each once, with those of which it was."""
-    from ..calibrate.several_recordings import recording_names
+    from ..calibrate.preparation import recording_names
 
     if len(recordings) == 1:
         return list(recordings[0].assumptions)

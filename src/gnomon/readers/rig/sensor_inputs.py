@@ -1,6 +1,6 @@
 """What a camera-IMU calibration is told of its sensors beforehand, in whichever file it stands."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ...recording import KnownRig, frozen_array
+from ...recording import KnownRig, Source, frozen_array, recorded_hashes
 from ..own.calibration_file import load
 from ..own.own_root import is_own
 from ..projects.basalt_json import basalt_of, is_basalt
@@ -70,6 +70,11 @@ def read_rig(path: str | PathLike[str]) -> KnownRig | None:
         return None
     poses = {name: camera.T_cam_body for name, camera in calibration.cameras.items() if name != camera.body}
     return KnownRig(T_cam_cam0=poses, names=calibration.uncertainty.names, covariance=covariance)
+
+
+def made_from(path: str | PathLike[str], sources: Collection[Source]) -> bool:
+    """Tell whether a calibration of gnomon's own was made from one of the files that are read now."""
+    return is_own(path) and bool(recorded_hashes(load(path).provenance.inputs) & recorded_hashes(sources))
 
 
 def imu_paths(files: ImuFiles | None) -> tuple[Path, ...]:

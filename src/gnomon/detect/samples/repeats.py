@@ -1,0 +1,118 @@
+"""Stretches of samples that occur twice, bit by bit: a file appended to itself, or two that share a part.
+
+Sensors repeat single readings by chance, and at rest, coarsely quantised, they do so all the time. Readings that do not
+change are therefore counted once, and a stretch counts from 64 changes in succession on, between at least 32 different
+readings: a noise of one step flips between fewer, and more noise does not repeat itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...recording import Floats, Integers
+
+_LENGTH = 64  # successive different readings
+_DISTINCT = 32  # of them
+_MOST_OFFSETS = 16
+_BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
+_COLUMNS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93)
+
+_Hashes = NDArray[np.uint64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repeat:
+    """A stretch of samples that occurs twice.
+
+    Attributes
+    ----------
+    first, first_stop : where it begins and one past its end
+    second, second_stop : the same of its copy, in the same series or in the other one
+    """
+
+    first: int
+    first_stop: int
+    second: int
+    second_stop: int
+
+
+def repeated_stretches(values: Floats, other: Floats | None = None) -> list[Repeat]:
+    """Return stretches of samples that occur twice, in the order of the copies.
+
+    Parameters
+    ----------
+    values : (n, 3)
+    other : (m, 3) in which copies are looked for; in `values` itself where not given
+    """
+    at, readings = _changes(values)
+    at_other, others = (at, readings) if other is None else _changes(other)
+    if min(len(readings), len(others)) < _LENGTH:
+        return []
+    hashes, hashes_other = _stretch_hashes(_row_hashes(readings)), _stretch_hashes(_row_hashes(others))
+    offsets = _offsets(hashes, hashes_other, same=other is None)
+    found = [run for offset in offsets for run in _runs(readings, others, offset)]
+    ends, ends_other = np.append(at, len(values)), np.append(at_other, len(values if other is None else other))
+    repeats = [
+        Repeat(
+            first=int(ends[start]),
+            first_stop=int(ends[start + count]),
+            second=int(ends_other[start + offset]),
+            second_stop=int(ends_other[start + offset + count]),
+        )
+        for start, count, offset in found
+    ]
+    return sorted(repeats, key=lambda repeat: repeat.second)
+
+
+def _changes(values: Floats) -> tuple[Integers, Floats]:
+    """Return where the reading changes (k,), and the readings from there on (k, 3)."""
+    if not len(values):
+        return np.zeros(0, np.int64), values
+    at = np.flatnonzero(np.append(True, (values[1:] != values[:-1]).any(axis=1)))
+    return at, values[at]
+
+
+def _row_hashes(readings: Floats) -> _Hashes:
+    bits = np.ascontiguousarray(readings).view(np.uint64)
+    mixed = np.zeros(len(bits), np.uint64)
+    for column, factor in enumerate(_COLUMNS):
+        mixed ^= bits[:, column] * np.uint64(factor)
+        mixed ^= mixed >> np.uint64(29)
+        mixed *= np.uint64(_BASE)
+    return mixed ^ (mixed >> np.uint64(32))
+
+
+def _stretch_hashes(rows: _Hashes) -> _Hashes:
+    """Return a hash of the readings i to i + 63 for each i, as differences of one sum modulo 2^64."""
+    powers = np.multiply.accumulate(np.full(len(rows), _BASE, np.uint64))
+    total = np.append(np.uint64(0), np.add.accumulate(rows * powers))
+    back = np.multiply.accumulate(np.full(len(rows), pow(_BASE, -1, 2**64), np.uint64))
+    return (total[_LENGTH:] - total[:-_LENGTH]) * back[: len(rows) - _LENGTH + 1]
+
+
+def _offsets(hashes: _Hashes, others: _Hashes, *, same: bool) -> list[int]:
+    """Return by how much copies are shifted, the most frequent first; every 64th stretch is looked for."""
+    anchors = np.arange(0, len(hashes), _LENGTH)
+    unique, first = np.unique(hashes[anchors], return_index=True)
+    place = np.minimum(np.searchsorted(unique, others), len(unique) - 1)
+    hits = np.flatnonzero(unique[place] == others)
+    shift = hits - anchors[first[place[hits]]]
+    if same:
+        shift = shift[shift >= _LENGTH]
+    values, counts = np.unique(shift, return_counts=True)
+    return [int(value) for value in values[np.argsort(-counts, kind="stable")][:_MOST_OFFSETS]]
+
+
+def _runs(readings: Floats, others: Floats, offset: int) -> list[tuple[int, int, int]]:
+    """Return start and number of the readings that are repeated at an offset, and the offset."""
+    start = max(0, -offset)
+    count = min(len(readings) - start, len(others) - start - offset)
+    alike = (readings[start : start + count] == others[start + offset : start + offset + count]).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], alike.view(np.int8), [0]])))
+    runs = [(start + int(a), int(b - a), offset) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [
+        run
+        for run in runs
+        if run[1] >= _LENGTH and len(np.unique(readings[run[0] : run[0] + _LENGTH], axis=0)) >= _DISTINCT
+    ]

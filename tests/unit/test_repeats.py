@@ -1,0 +1,113 @@
+"""The same data twice: in one file, in two recordings, as a prior, as a lens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gnomon
+from gnomon.assess.signals import check_signal
+from gnomon.detect.samples.repeats import repeated_stretches
+from gnomon.errors import OptionError, RecordingError
+from gnomon.recording import Recording, Source, TriadSamples
+
+OPTIONS = gnomon.ImuOptions(gravity=9.80665)
+
+
+def noise(count, seed=0, step=0.0):
+    values = np.random.default_rng(seed).normal(0, 1, (count, 3))
+    return step * np.rint(values / step) if step else values
+
+
+def triad(values, rate_hz=100.0):
+    return TriadSamples(t_ns=np.arange(len(values)) * int(1e9 / rate_hz), values=values, unit="m/s^2")
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    recording, _ = gnomon.simulate(gnomon.Scenario(intervals=16, t_init_s=20.0, sensor_seed=7), 1)
+    return recording
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5])
+def test_copies_are_found_where_they_are(step):
+    values = noise(3000, step=step)
+    appended = np.vstack([values, values[1000:1400]])
+    (found,) = repeated_stretches(appended)
+    assert abs(found.first - 1000) <= 2
+    assert abs(found.second - 3000) <= 2
+    assert abs(found.second_stop - 3400) <= 2
+    (whole,) = repeated_stretches(np.vstack([values, values]))
+    assert (whole.first, whole.second, whole.second_stop) == (0, 3000, 6000)
+    (between,) = repeated_stretches(values[:2000], values[1500:])
+    assert (between.first, between.first_stop, between.second) == (1500, 2000, 0)
+
+
+def test_samples_that_were_held_are_found_too():
+    values = np.repeat(noise(500), 5, axis=0)  # a slow sensor in a fast log
+    (found,) = repeated_stretches(np.vstack([values, values[500:1500]]))
+    assert (found.first, found.second) == (500, 2500)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.2, 0.5, 1.0, 3.0])
+def test_coarse_noise_at_rest_is_no_copy(sigma):
+    values = np.rint(np.random.default_rng(3).normal(0, sigma, (200_000, 3))) + np.array([0.0, 0.0, 981.0])
+    assert repeated_stretches(values) == []
+
+
+@pytest.mark.parametrize(("count", "severity"), [(30, None), (80, "warning"), (1000, "problem")])
+def test_the_doctor_names_copies_by_their_share(count, severity):
+    values = noise(10_000)
+    findings = [
+        f for f in check_signal(triad(np.vstack([values, values[:count]])), "imu0") if f.code == "data-repeated"
+    ]
+    assert [finding.severity for finding in findings] == ([] if severity is None else [severity])
+
+
+def appended_to_itself(recording: Recording) -> Recording:
+    imu = recording.imus["imu0"]
+
+    def twice(samples: TriadSamples) -> TriadSamples:
+        later = samples.t_ns + samples.t_ns[-1] - samples.t_ns[0] + 10_000_000
+        return replace(
+            samples,
+            t_ns=np.concatenate([samples.t_ns, later]),
+            values=np.concatenate([samples.values, samples.values]),
+        )
+
+    samples = replace(imu, accelerometer=twice(imu.accelerometer), gyroscope=twice(imu.gyroscope))
+    return replace(recording, imus={"imu0": samples})
+
+
+def test_a_recording_appended_to_itself_is_refused(simulated):
+    with pytest.raises(RecordingError, match="bit by bit"):
+        gnomon.calibrate_imu(appended_to_itself(simulated), OPTIONS)
+    rests = replace(OPTIONS, model="static")
+    with pytest.raises(RecordingError, match="bit by bit"):
+        gnomon.calibrate_imu(appended_to_itself(simulated), rests)
+
+
+def test_two_recordings_that_share_samples_are_refused(simulated):
+    imu = simulated.imus["imu0"]
+    part = {
+        name: replace(samples, t_ns=samples.t_ns[500:], values=samples.values[500:])
+        for name, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
+    }
+    later = replace(simulated, imus={"imu0": replace(imu, **part)})
+    with pytest.raises(RecordingError, match=r"recording 1 and recording 2 share \d+ samples"):
+        gnomon.calibrate_imu([simulated, later], OPTIONS)
+    named = replace(simulated, sources=(Source(name="a.csv", sha256="a" * 64),))
+    with pytest.raises(RecordingError, match="the same file"):
+        gnomon.calibrate_imu([named, replace(named, imus=later.imus)], OPTIONS)
+
+
+def test_a_prior_from_the_very_recording_is_refused(simulated):
+    imu = simulated.imus["imu0"]
+    from_memory = Recording.from_arrays(imu.gyroscope.t_s, imu.gyroscope.values, imu.accelerometer.values)
+    found = gnomon.calibrate_imu(from_memory, OPTIONS).calibration
+    with pytest.raises(OptionError, match="the very recording"):
+        gnomon.calibrate_imu(from_memory, OPTIONS, prior=found)
+    settings = Source(name="imu.yaml", sha256="0" * 64)  # the same in both, and no recording
+    other = replace(simulated, sources=(settings,))
+    of_other = replace(found, provenance=replace(found.provenance, inputs=(settings,)))
+    assert gnomon.calibrate_imu(other, OPTIONS, prior=of_other).calibration.verdict != "fail"
