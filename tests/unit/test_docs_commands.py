@@ -114,8 +114,8 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
     run(["simulate-poses", "-o", "known.csv", "--known", "--sensor", "drawn", "--units", "si"])
     run(["simulate-poses", "-o", "counts.csv"])
     run(SIX)
-    for name, rpm in (("slow", "16"), ("fast", "33.33")):
-        run(["simulate-turntable", "-o", name, *DISC, "--rpm", rpm])
+    for name, rpm, seed in (("slow", "16", "1"), ("fast", "33.33", "2")):  # of one seed they would share their noise
+        run(["simulate-turntable", "-o", name, *DISC, "--rpm", rpm, "--seed", seed])
         shutil.copy(f"{name}/recording.npz", f"{name}.csv")  # what a file is follows from its content
     for copy, name in (("session.csv", "fast.csv"), ("rest.csv", "rest.npz"), ("night.csv", "rest.npz")):
         shutil.copy(name, copy)
