@@ -10,6 +10,7 @@ import pytest
 
 import gnomon
 from gnomon.calibration import Covariance, Gravity, Provenance, parameters
+from gnomon.cli import main
 from gnomon.errors import FormatError, OutputError
 from gnomon.findings import Finding
 from gnomon.recording import Source
@@ -203,10 +204,43 @@ def test_unknown_variances_survive(random_calibration, tmp_path):
     calibration = random_calibration()
     matrix = calibration.uncertainty.matrix.copy()
     matrix[-1, :] = matrix[:, -1] = np.nan
-    matrix[-2, -2] = np.inf
     calibration = replace(calibration, uncertainty=Covariance(names=calibration.uncertainty.names, matrix=matrix))
     gnomon.save(calibration, tmp_path / "c.yaml")
     assert np.array_equal(gnomon.load(tmp_path / "c.yaml").uncertainty.matrix, matrix, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        (lambda m, k: m.__setitem__((k[2], k[2]), np.inf), r"the covariance of imu0\..* is inf"),
+        (lambda m, k: m.__setitem__((k[2], k[1]), np.nan), "is nan"),
+        (lambda m, k: m.__setitem__((k[2], k[2]), -1e-9), "is below zero"),
+        (lambda m, k: m.__setitem__((k[2], k[1]), 3 * np.sqrt(m[k[1], k[1]] * m[k[2], k[2]])), "than their variances"),
+        (lambda m, k: m.__setitem__((k[2], k[2]), 0.0), "larger than their variances allow"),
+        (lambda m, k: m.__setitem__(np.ix_(k, k), unlike(np.sqrt(np.diag(m)[k]))), "not positive semi-definite"),
+    ],
+)
+def test_what_is_no_covariance_is_refused(edit, said, random_calibration, tmp_path, capsys):
+    """Each pair of the last one is possible alone: a is like b, b like c, and a unlike c."""
+    calibration = random_calibration()
+    matrix = calibration.uncertainty.matrix.copy()
+    known = np.flatnonzero(np.diag(matrix) > 0)[:3]
+    matrix[known[2], known[0]] = 0.1 * np.sqrt(matrix[known[0], known[0]] * matrix[known[2], known[2]])
+    edit(matrix, known)
+    lower = np.tril(matrix)
+    matrix = lower + np.tril(lower, -1).T
+    calibration = replace(calibration, uncertainty=Covariance(names=calibration.uncertainty.names, matrix=matrix))
+    with np.errstate(invalid="ignore"):
+        gnomon.save(calibration, tmp_path / "c.yaml")
+    with pytest.raises(FormatError, match=said):
+        gnomon.load(tmp_path / "c.yaml")
+    for words in (["show"], ["convert", "--to", "json", "-o", str(tmp_path / "out")]):
+        assert main([*words[:1], str(tmp_path / "c.yaml"), *words[1:]]) == 3
+        assert "Traceback" not in capsys.readouterr().err
+
+
+def unlike(sigma):
+    return np.outer(sigma, sigma) * np.array([[1, 0.9, -0.9], [0.9, 1, 0.9], [-0.9, 0.9, 1]])
 
 
 def test_the_folder_of_a_result_stands_for_its_calibration(random_calibration, tmp_path):

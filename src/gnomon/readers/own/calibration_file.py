@@ -49,6 +49,8 @@ from .own_root import read_own
 SCHEMA_MAJOR = 1
 SCHEMA_MINOR = 6
 
+_ROUNDED = 1e-7
+"""By so much a correlation may pass one, and an eigenvalue for each scalar zero, through rounding."""
 _ALWAYS = ("schema", "verdict", "body_frame", "cameras", "assessment", "provenance", "covariance")
 _OF_IMUS = ("gravity", "imus")
 FIELD_UNITS = ("uT", "local field")
@@ -272,7 +274,10 @@ def _frame(node: Node, imus_node: Node, imus: dict[str, ImuCalibration], minor: 
 
 def _gravity(node: Node) -> Gravity:
     keys = node.mapping(("value", "sigma", "source"))
-    return Gravity(value=keys["value"].number(), sigma=keys["sigma"].number(finite=False), source=keys["source"].text())
+    sigma = keys["sigma"].number(finite=False)
+    if sigma < 0:
+        raise keys["sigma"].fail(f"found {sigma:g}, expected a standard deviation, zero or more.")
+    return Gravity(value=keys["value"].number(), sigma=sigma, source=keys["source"].text())
 
 
 def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
@@ -289,9 +294,37 @@ def _covariance(node: Node, expected: tuple[str, ...]) -> Covariance:
     matrix = np.zeros((len(names), len(names)))
     for i, row in enumerate(rows):
         matrix[i, : i + 1] = matrix[: i + 1, i] = row.floats(i + 1, finite=False)
-    if (np.diag(matrix) < 0).any():
-        raise keys["lower_triangle"].fail(f"the variance of {names[int(np.argmin(np.diag(matrix)))]} is below zero.")
+    _check_covariance(matrix, names, keys["lower_triangle"])
     return Covariance(names=names, matrix=matrix)
+
+
+def _check_covariance(matrix: Floats, names: tuple[str, ...], node: Node) -> None:
+    """Refuse what is the covariance of nothing, as after an edit by hand; a scalar whose row is nan is not known."""
+    known = np.flatnonzero(~np.isnan(matrix).all(axis=1))
+    names, matrix = tuple(names[i] for i in known), matrix[np.ix_(known, known)]
+    endless = np.argwhere(~np.isfinite(matrix))
+    if len(endless):
+        i, j = (int(place) for place in endless[0])
+        raise node.fail(f"the covariance of {names[i]} and {names[j]} is {matrix[i, j]}, expected a finite number.")
+    variance = np.diag(matrix)
+    if (variance < 0).any():
+        raise node.fail(f"the variance of {names[int(np.argmin(variance))]} is below zero.")
+    sigma = np.sqrt(variance)
+    scale = np.where(sigma > 0, sigma, np.finfo(float).tiny)
+    correlation = matrix / scale[:, None] / scale
+    above = np.tril(np.abs(correlation), -1)
+    if names and above.max() > 1 + _ROUNDED:
+        i, j = (int(place) for place in np.unravel_index(int(np.argmax(above)), above.shape))
+        raise node.fail(
+            f"the covariance of {names[i]} and {names[j]} is larger than their variances allow: no covariance is so. "
+            "Take the file as gnomon wrote it."
+        )
+    least = float(np.linalg.eigvalsh(correlation)[0]) if names else 0.0
+    if least < -_ROUNDED * len(names):
+        raise node.fail(
+            f"this is no covariance: it is not positive semi-definite (least eigenvalue {least:.3g} as correlations). "
+            "Take the file as gnomon wrote it."
+        )
 
 
 def _check_sigmas(top: dict[str, Node], calibration: Calibration) -> None:
