@@ -7,6 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.calibration import Covariance
+from gnomon.cli.camera_imu_summary import imu_lines
 from gnomon.errors import FormatError, OptionError
 from gnomon.geometry.rigid_body import acceleration_by_place
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -15,6 +16,7 @@ from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, parameters
 from gnomon.readers.own.calibration_file import load
 from gnomon.readers.projects.kalibr_imu import read_kalibr
+from gnomon.report.imu_origin import origin_figure
 from gnomon.simulate.camera_imu import simulated_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.trust import Need, TrustNote
@@ -366,3 +368,17 @@ def test_a_prior_holds_them(recorded):
     assert (sigma[1:] < 1.01e-4).all()
     assert (np.abs(places) < np.abs(PLACES) + 1e-4).all()
     assert np.abs(places[1, 1]) < 0.9 * np.abs(PLACES[1, 1])
+
+
+def test_report_and_screen_show_the_point(recorded):
+    found = calibrated(recorded, model="auto", gravity=9.80665)
+    figure = origin_figure(found, "imu0")
+    assert figure is not None
+    for words in ("x accelerometer", "y accelerometer", "z accelerometer", "origin", "to cam0"):
+        assert words in figure.svg
+    assert "(p*)" in figure.caption
+    assert origin_figure(calibrated(recorded), "imu0") is None
+    lines = "\n".join(imu_lines(found))
+    places, sigma = (1e3 * of("imu0.accelerometer.lever_arms_m") for of in (found.parameter, found.sigma))
+    assert "imu0 origin        the point of the IMU whose place is known best (p*)" in lines
+    assert f"{places[0, 1]:.2f} +- {sigma[0, 1]:.2f}" in lines

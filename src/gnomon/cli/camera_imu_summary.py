@@ -8,6 +8,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..diagnostics import CameraImuDiagnostics, Result
+from ..models.origin import AXES
 from ..recording import Floats
 from ..writers.camera_entries import camera_entries
 from ..writers.tables import value_text
@@ -52,8 +53,9 @@ def camera_lines(calibration: Calibration) -> Iterator[str]:
 
 
 def imu_lines(calibration: Calibration) -> Iterator[str]:
-    """Yield pose and clock of every IMU beside imu0, and the clocks of accelerometers, with standard deviations."""
+    """Yield the origin of every IMU, pose and clock of those beside imu0, and the clocks of accelerometers."""
     for name, imu in calibration.imus.items():
+        yield from _origin(calibration, name)
         if imu.T_imu_body is not None:
             yield f"  {name} T_imu_body (p_{name} = T_imu_body p_imu0)"
             yield from _pose(calibration, f"{name}.T_imu_body", imu.T_imu_body)
@@ -62,6 +64,18 @@ def imu_lines(calibration: Calibration) -> Iterator[str]:
             shift = _shift(calibration, f"{name}.accelerometer.time_shift")
             yield f"  {name} accelerometer"
             yield f"    time shift       {shift} ms (t_gyr = t_acc + shift)"
+
+
+def _origin(calibration: Calibration, name: str) -> Iterator[str]:
+    """Say of which point of an IMU its poses are, and where its accelerometers sit from there."""
+    imu = calibration.imus[name]
+    arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+    if arms is None or imu.origin is None:
+        return
+    yield f"  {name} origin        {imu.origin.words}; from it, in mm"
+    sigmas = calibration.sigma(f"{name}.accelerometer.lever_arms_m")
+    for axis, arm, sigma in zip(AXES, arms, sigmas, strict=True):
+        yield f"    {axis} accelerometer  {_numbers(1e3 * arm, 1e3 * sigma)}"
 
 
 def _pose(calibration: Calibration, path: str, T: Floats) -> Iterator[str]:

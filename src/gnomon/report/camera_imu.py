@@ -140,12 +140,12 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
 
 
 def _origin(calibration: Calibration) -> str:
-    sensors = [imu.accelerometer for imu in calibration.imus.values() if imu.accelerometer is not None]
-    known = [sensor.lever_arms_m for sensor in sensors if sensor.lever_arms_m is not None]
-    if known:
-        at = next((axis for axis, place in zip("xyz", known[0].tolist(), strict=True) if not any(place)), "x")
-        return f"Its origin is the {at} accelerometer; where the others lie was estimated."
-    return "Its origin is where accelerometer and gyroscope sit, taken as one point."
+    imu = next(iter(calibration.imus.values()))
+    arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+    if arms is None:
+        return "Its origin is where accelerometer and gyroscope sit, taken as one point."
+    where = "a point between its accelerometers" if imu.origin is None else imu.origin.words
+    return f"Its origin is {where}; where each accelerometer lies from it was estimated."
 
 
 def _camera_points(calibration: Calibration, name: str, line_delay_s: float) -> list[str]:

@@ -24,6 +24,7 @@ from .camera_imu_parameters import (
     placed_imu_groups,
     plus_minus,
 )
+from .imu_origin import origin_figure
 from .imu_parameters import readable_unit
 from .numbers import fixed, number
 from .page import Code, Figure, Legend, ParameterGroup, Parameters, Section, Table
@@ -134,13 +135,15 @@ def _started(shift_s: float | None) -> str:
 
 def imu_section(calibration: Calibration) -> Section:
     """Return the IMU's parameters in the letters of document B."""
-    blocks: list[Parameters | Table] = []
+    blocks: list[Parameters | Table | Figure] = []
     several, shown = len(calibration.imus) > 1, 0
     for name, imu in calibration.imus.items():
         caption = gyroscope_quaternion(imu.gyroscope.sensitivity) if imu.gyroscope is not None else ""
         groups = _marked(imu_groups(calibration, name), calibration, name)
         shown += len(groups)
         blocks.append(Parameters(title=name if several else "", groups=groups, caption=caption))
+        drawing = origin_figure(calibration, name)
+        blocks += [] if drawing is None else [drawing]
         table = other_reading(calibration, name)
         if table is not None:
             blocks.append(table)
