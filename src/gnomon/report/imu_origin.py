@@ -96,7 +96,8 @@ def _name(panel: Panel, texts: tuple[str, ...], points: Floats, drawn: Floats) -
         place = labels.take(text, np.concatenate([base + reach * ring * _AROUND for reach in (1.0, 1.4, 1.9)]))
         offset = place - base
         style = svg.text_style("ink", TEXT, "center", bold=text == "origin")
-        panel.text(text, *point.tolist(), style, offset=(float(offset[0]), svg.MIDDLE * TEXT + float(offset[1])))
+        x, y = point.tolist()
+        panel.text(text, x, y, style, offset=(float(offset[0]), svg.MIDDLE * TEXT + float(offset[1])))
 
 
 def _fit(panel: Panel, drawn: Floats) -> None:
