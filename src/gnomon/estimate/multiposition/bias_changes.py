@@ -9,7 +9,7 @@ wander.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,7 +23,8 @@ _MOST = 8  # changes
 _EXTRA = (0.0, 1.0, 10.0, 100.0, 1e4)  # variance of the scatter, in units of the white noise
 _WALK = (0.0, 0.3, 3.0, 30.0, 300.0, 3e4)  # variance that a walk reaches over the recording, in the same unit
 _FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
-_DECAYS = (0.04, 0.08, 0.15, 0.3, 0.6)  # time constants over the length of the recording
+_DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the length of the recording
+_FINER = (0.7, 0.84, 1.0, 1.19, 1.41), (0.92, 0.96, 1.0, 1.04, 1.08)  # times the best of them
 _LEAST_SCALE = 0.3  # of the white noise that is known: less is chance
 _FEWEST = 12  # rests
 _FEW, _ENOUGH = 5, 11  # rests on either side that tell a common scale with the bias, and scales and axes with it
@@ -174,6 +175,9 @@ def _search(t_s: Floats, half_s: Floats, series: Callable[[Floats], _Series], sh
             break
         taken.append(best)
         total += float(gains[best])
+        if "warm-up" in {candidates.kind[k] for k in taken}:
+            candidates = _with_finer_decay(t_s, half_s, series(moved), candidates, taken)
+            whitened = _whitened(t_s, series(moved), candidates)
         if whitened[0].pulls > 1:  # the magnitude is not linear in the bias
             moved = _moved(series(np.zeros((n, 3))), candidates, taken)
             whitened = _whitened(t_s, series(moved), candidates)
@@ -203,6 +207,29 @@ def _candidates(t_s: Floats, half_s: Floats, shortest: int) -> _Candidates:
         at=np.concatenate([at, tau, np.arange(n)]).astype(float),
         single=np.arange(len(at) + len(tau) + n) >= len(at) + len(tau),
     )
+
+
+def _with_finer_decay(
+    t_s: Floats, half_s: Floats, series: _Series, candidates: _Candidates, taken: Sequence[int]
+) -> _Candidates:
+    """Return the candidates with the time constant of the decay that was taken where the likelihood is largest."""
+    decay = next(k for k in taken if candidates.kind[k] == "warm-up")
+    others = [k for k in taken if k != decay]
+    values, at = candidates.values.copy(), candidates.at.copy()
+    for factors in _FINER:
+        tau = at[decay] * np.array(factors)
+        chosen = [*others, *[decay] * len(tau)]
+        trial = _Candidates(
+            values=np.concatenate([values[:, others], _decay(t_s[:, None], half_s[:, None], tau)], axis=1),
+            places=candidates.places[chosen],
+            kind=tuple(candidates.kind[k] for k in chosen),
+            at=at[chosen],
+            single=candidates.single[chosen],
+        )
+        gains = _gains(_whitened(t_s, series, trial), trial, range(len(others)))
+        best = tau[int(np.argmax(gains[len(others) :]))]
+        at[decay], values[:, decay] = best, _decay(t_s, half_s, float(best))
+    return replace(candidates, values=values, at=at)
 
 
 def _price(candidates: _Candidates, n: int, taken: Sequence[int], shortest: int) -> Floats:

@@ -1,0 +1,54 @@
+"""Power cycles, warm-ups, joined files and tremors in a multi-position recording: calibrated, or named."""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import gnomon
+
+SPEC = importlib.util.spec_from_file_location("bias_changes", Path(__file__).parents[2] / "benchmarks/bias_changes.py")
+study = sys.modules["bias_changes"] = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(study)
+
+
+def test_a_power_cycle_costs_no_rest_and_no_sigma():
+    """The reproducer: a step of [.02, -.02, .01] rad/s in the middle of simulation 9021."""
+    recording, truth = gnomon.simulate(gnomon.Scenario(), 9021)
+    imu = recording.imus["imu0"]
+    values = imu.gyroscope.values.copy()
+    values[len(values) // 2 :] += [0.02, -0.02, 0.01]
+    cut = replace(recording, imus={"imu0": replace(imu, gyroscope=replace(imu.gyroscope, values=values))})
+    result = gnomon.calibrate_imu(cut)
+    found = result.calibration.assessment
+    assert (found.intervals_used, found.intervals_found) == (40, 40)
+    bias = result.calibration.parameter("imu0.gyroscope.bias")
+    error = bias - truth.parameter("imu0.gyroscope.bias") - [0.02, -0.02, 0.01]
+    assert (abs(error) < 4 * result.calibration.sigma("imu0.gyroscope.bias")).all()
+    [step] = [f for f in found.findings if f.code == "bias-step"]
+    [segments] = result.diagnostics.bias_segments
+    assert segments.triad == "gyroscope"
+    assert segments.published == 1
+    assert abs(segments.bias[1] - segments.bias[0] - [0.02, -0.02, 0.01]).max() < 1e-3
+    assert step.severity == "info"
+    rests = [f.message for f in gnomon.check(cut) if f.code == "attitudes"]
+    assert "40 rests" in rests[0]  # as many as the calibration counts
+
+
+@pytest.mark.parametrize("seed", range(12, 18))
+def test_faulty_recordings_do_not_pass_falsely(seed):
+    case = study.make_case(study.KINDS[seed % len(study.KINDS)], seed)
+    outcome, detail = study.judge(case)
+    assert outcome in ("right", "warned"), f"{case.what}: {detail}"
+
+
+@pytest.mark.slow
+def test_number_a():
+    outcomes = [study.judge(study.make_case(study.KINDS[k % 6], k))[0] for k in range(300)]
+    assert "rests lost" not in outcomes
+    passed = [one for one in outcomes if one in ("right", "wrong")]
+    assert passed.count("wrong") <= 0.01 * len(passed)
+    healthy = [study.judge(study.make_case("healthy", 1000 + k))[0] for k in range(200)]
+    assert len(healthy) - healthy.count("right") <= 2
