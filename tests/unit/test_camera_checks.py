@@ -42,7 +42,7 @@ def camera(seconds: float = 40.0, rate_hz: float = 20.0, scale: float = 70.0, sw
     count, points = round(seconds * rate_hz), len(BOARD.points)
     t = np.arange(count) / rate_hz
     centre = np.stack([320 + sway * np.sin(0.7 * t), 240 + 0.7 * sway * np.cos(1.1 * t)], axis=1)
-    board = (BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)) / 0.08 * scale
+    board = (BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)) / 0.08 * scale * [1, -1]  # v runs down
     return CameraFrames(
         t_ns=EPOCH + np.rint(t * 1e9).astype(np.int64),
         frame=np.repeat(np.arange(count), points),

@@ -13,6 +13,7 @@ from ..models.target import Target
 from ..recording import CameraFrames, ImuSamples, Integers, Recording
 from .camera_views import FEWEST_CORNERS, Views, image_coverage, views
 from .clock_checks import check_epochs
+from .handedness import check_handedness
 from .image_checks import check_images
 from .motion_checks import check_moving_imu
 
@@ -35,9 +36,10 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at a recording of cameras and IMUs and say what is good or bad about it.
 
     Every warning and every problem states its consequence and its cure. Codes of the cameras: cameras-missing,
-    frames-backward, corners-unknown, corners-outside, frames, frames-few, frames-repeated, corners-few, frame-rate,
-    frame-jitter, frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart, of their stamps
-    stamps-zero and stamps-unit, and of their images those of `check_images`; of the IMUs those of `check_moving_imu`.
+    frames-backward, corners-unknown, corners-outside, frames, frames-few, board-mirrored, frames-repeated, corners-few,
+    frame-rate, frame-jitter, frame-gaps, board-unseen, image-coverage, board-small, stream-short, streams-apart, of
+    their stamps stamps-zero and stamps-unit, and of their images those of `check_images`; of the IMUs those of
+    `check_moving_imu`.
 
     Returns
     -------
@@ -90,6 +92,7 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     usable = frames.t_ns[seen.frame[seen.usable]]
     findings += _repeated(name, frames)
     findings += _useless(name, seen)
+    findings += check_handedness(name, frames, seen.frame[seen.usable], target)
     findings += check_rhythm(name, frames.t_ns)
     findings += _unseen(name, usable)
     findings += _duration(name, usable)

@@ -9,6 +9,7 @@ from ..models.target import Target
 from ..recording import CameraFrames, Integers, Recording
 from .camera_checks import impossible
 from .camera_views import FEWEST_CORNERS, Views, views
+from .handedness import check_handedness
 from .image_checks import check_quality
 
 FEWEST_VIEWS = 3
@@ -22,8 +23,8 @@ _MOST_LOOKED_AT = 60
 def check_views(recording: Recording, target: Target) -> tuple[Finding, ...]:
     """Look at the views of a board and say what is good or bad about them.
 
-    Codes: cameras-missing, frames-backward, corners-unknown, corners-outside, views, views-few, tag-spacing,
-    frames-repeated, and those of the images.
+    Codes: cameras-missing, frames-backward, corners-unknown, corners-outside, views, views-few, board-mirrored,
+    tag-spacing, and those of the images.
 
     Returns
     -------
@@ -52,6 +53,7 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     if frames.quality is not None:
         findings += check_quality(name, frames.quality, len(frames.frame), frames.sigma_px)
     if findings[0].severity != "problem":
+        findings += check_handedness(name, frames, seen.frame[seen.usable], target)
         findings += _spacing(name, frames, seen.frame[seen.usable], target)
     return findings
 

@@ -11,16 +11,20 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
+from ..assess.camera_synchronism import JointResiduals, check_synchronism
 from ..assess.cameras_checks import check_views
 from ..assess.cameras_tables import CamerasEvidence, LensOpinion, describe
 from ..assess.cameras_verdict import assess
 from ..assess.changes import with_changes
+from ..assess.copied_views import without_copies
 from ..assess.trust_findings import trust_note
 from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
 from ..camera_options import CameraOptions
 from ..diagnostics import Result
 from ..errors import DetectionError, GnomonError, RecordingError
-from ..estimate.cameras.solution import solved
+from ..estimate.cameras.holdout import posed
+from ..estimate.cameras.rig import Views
+from ..estimate.cameras.solution import RigSolution, solved
 from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
@@ -36,6 +40,9 @@ Progress = Callable[[str], None]
 
 _MOST_TO_CHOOSE_BY = 40
 """Views by which the lens model is chosen."""
+
+_MOST_TO_SYNCHRONISE = 150
+"""Views by which the cameras' clocks are compared."""
 
 _FEW = {"views-few"}
 
@@ -73,7 +80,8 @@ def calibrate_cameras(
 
 def _calibrated(recording: Recording, target: Target, options: CameraOptions, tell: Progress) -> Result:
     tell("checking the recording")
-    noticed = _checked(recording, target)
+    recording, copied = without_copies(recording)
+    noticed = (*copied, *_checked(recording, target))
     models = stated_models(options.model, tuple(recording.cameras))
     check_baseline(options, len(recording.cameras))
     every = gathered_views(recording.cameras, target)
@@ -100,6 +108,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     if mixed is not None:
         raise RecordingError(str(mixed))
     tell("assessing the result")
+    apart = _synchronism(start.every, solution)
     result = published(solution, options)
     evidence = CamerasEvidence(
         recording=recording,
@@ -123,7 +132,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
         trust=replace(result.trust, models=board.steps),
     )
     diagnostics = describe(evidence)
-    assessment = assess((*noticed, *uncompared), evidence, diagnostics)
+    assessment = assess((*apart, *noticed, *uncompared), evidence, diagnostics)
     note = trust_note(evidence.trust)
     calibration = Calibration(
         imus={},
@@ -152,6 +161,20 @@ def _tested(board: BoardChoice, options: CameraOptions) -> tuple[Unseen, list[Fi
         uncompared.append(comparison_left_out("views that were left out", str(error)))
         used = {name: rms_of(seen) for name, seen in solution.corners.items()}
         return Unseen(rms_px=dict.fromkeys(used, float("nan")), rms_used_px=used), uncompared
+
+
+def _synchronism(every: Views, solution: RigSolution) -> list[Finding]:
+    """Return what residuals about common poses tell of the clocks of several cameras."""
+    together = np.flatnonzero((every.frame >= 0).sum(axis=1) > 1)
+    if len(every.cameras) < 2 or not len(together):
+        return []
+    chosen = together[:: max(len(together) // _MOST_TO_SYNCHRONISE, 1)]
+    seen = posed(every.where(chosen), solution.rig)
+    residuals = {
+        name: JointResiduals(view=one.view, frame=one.frame, point=one.point, residual=one.residual)
+        for name, one in seen.items()
+    }
+    return check_synchronism(every.cameras, residuals, solution.sigma_px)
 
 
 def _checked(recording: Recording, target: Target) -> tuple[Finding, ...]:
