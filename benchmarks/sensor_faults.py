@@ -20,9 +20,10 @@ import gnomon
 from gnomon.errors import GnomonError
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 from gnomon.sensor_noise import Coefficient
-from gnomon.simulate import FieldScenario, simulate_magnetometer
+from gnomon.simulate import FieldScenario, TurntableScenario, simulate_magnetometer, simulate_turntable
 from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.noise_scenario import NoiseScenario
+from gnomon.triad_options import StatedRate
 
 Floats = NDArray[np.float64]
 _BEYOND = 4.0  # sigmas
@@ -297,7 +298,56 @@ def noise_cases() -> Iterator[tuple[str, Case]]:
     yield "healthy: strong random walk", lambda seed: _noise_outcome(seed, _as_it_is, walking)
 
 
-KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {"magnetometer": magnetometer_cases, "noise": noise_cases}
+# ---- turntables
+
+_RPM = np.pi / 30
+
+
+def _turntable_outcome(seed: int, scenario: TurntableScenario, said: tuple[float, ...], factor: float = 1.0) -> Outcome:
+    simulation = simulate_turntable(scenario, seed)
+    rng = np.random.default_rng(seed)
+    by_axis = factor * rng.uniform(0.97, 1.03, 3) if factor != 1 else np.ones(3)
+    recordings: list[Recording] = []
+    for recording in simulation.recordings:
+        imu = recording.imus["imu0"]
+        shown = replace(imu.gyroscope, values=imu.gyroscope.values * by_axis)
+        recordings.append(replace(recording, imus={"imu0": replace(imu, gyroscope=shown)}))
+    rates = [StatedRate(name=f"{rpm:g}rpm", rate_rad_s=rpm * _RPM) for rpm in said]
+    name = "imu0.gyroscope.sensitivity"
+
+    def error(found: gnomon.Calibration) -> tuple[list[Floats], list[Floats], list[Floats]]:
+        off = found.parameter(name) - by_axis[:, None] * simulation.truth.parameter(name)
+        return [off], [found.sigma(name)], [np.full((3, 3), 5e-3)]
+
+    return tried(lambda: gnomon.calibrate_turntable(recordings, rates), error)
+
+
+def turntable_cases() -> Iterator[tuple[str, Case]]:
+    """Yield cases by name."""
+    usual = TurntableScenario(rpm=(100 / 3,), steady_s=12.0, gyroscope_range=10.0)
+    both = replace(usual, rpm=(100 / 3, 45.0), steady_s=8.0)
+    for off in (0.003, 0.01, -0.015):
+        scenario = replace(usual, rate_error=off)
+        yield f"label 33.33, platter {off:+.1%}", lambda seed, s=scenario: _turntable_outcome(seed, s, (33.33,))
+    there = replace(usual, rpm=(33.5,))
+    yield "label 33.33, platter 33.5", lambda seed: _turntable_outcome(seed, there, (33.33,))
+    for factor in (0.72, 0.9, 1.3):
+        yield (
+            f"two speeds, scale {factor}",
+            lambda seed, factor=factor: _turntable_outcome(seed, both, (33.33, 45.0), factor),
+        )
+    drifting = replace(usual, gyroscope_drift=0.02)
+    yield "bias drifts by 0.02 rad/s", lambda seed: _turntable_outcome(seed, drifting, (33.33,))
+    yield "healthy: 33.33", lambda seed: _turntable_outcome(seed, usual, (33.33,))
+    alone = replace(usual, accelerometer=False)
+    yield "healthy: without accelerometer", lambda seed: _turntable_outcome(seed, alone, (33.33,))
+
+
+KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {
+    "magnetometer": magnetometer_cases,
+    "noise": noise_cases,
+    "turntable": turntable_cases,
+}
 
 
 def main() -> None:

@@ -1,10 +1,27 @@
 """What a person may choose about calibrations from magnitudes; the command line is made from these classes."""
 
 from dataclasses import dataclass
+from math import isnan, nan, pi
 from typing import Literal
 
 from .errors import OptionError
 from .ranges import check_ranges
+
+_LABELS_RPM = (16.0, 50 / 3, 33.0, 100 / 3, 33.5, 45.0, 78.0, 78.26)
+_LABEL_SIGMA, _OTHER_SIGMA = 1e-2, 1e-3
+"""Relative: record players may be 1 % off and more (DIN 45500: -1 to +1.5 %); what is on no label was measured."""
+
+
+def default_rate_sigma(rate_rad_s: float) -> float:
+    """Return how well a rate is known of which only the number is stated, relative.
+
+    Examples
+    --------
+    >>> default_rate_sigma(33.33 * pi / 30), default_rate_sigma(33.41 * pi / 30)
+    (0.01, 0.001)
+    """
+    rpm = rate_rad_s * 30 / pi
+    return _LABEL_SIGMA if any(abs(rpm - label) < 1.5e-3 * label for label in _LABELS_RPM) else _OTHER_SIGMA
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,14 +32,19 @@ class StatedRate:
     ----------
     name : as stated, such as "16rpm", or the name of the video
     rate_rad_s : [rad/s], 0 for a turntable at rest
-    sigma_rad_s : its standard deviation [rad/s]; 0 where it is taken as exact
+    sigma_rad_s : its standard deviation [rad/s]; 0 where it is taken as exact. Where it is not stated, that of a record
+        player's label (1 %) for the speeds that are on such labels, else 0.1 %
     turns : turns that a video showed; nan where there was none
     """
 
     name: str
     rate_rad_s: float
-    sigma_rad_s: float = 0.0
-    turns: float = float("nan")
+    sigma_rad_s: float = nan
+    turns: float = nan
+
+    def __post_init__(self) -> None:
+        if isnan(self.sigma_rad_s):
+            object.__setattr__(self, "sigma_rad_s", default_rate_sigma(self.rate_rad_s) * self.rate_rad_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +54,9 @@ class TurntableOptions:
     model: Literal["auto", "basic", "g-sensitivity"] = "auto"
     """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""
 
-    rate_sigma: float = 1e-3
-    """Relative standard deviation of rates that were stated as numbers."""
+    rate_sigma: float | None = None
+    """Relative standard deviation of rates that were stated as numbers: by default 0.01 of speeds that are on the label
+    of a record player (16, 33 1/3, 45, 78 rpm), 0.001 of others."""
 
     sense: Literal["auto", "clockwise", "counterclockwise"] = "auto"
     """Which way the platter turns, seen from above; both triads are taken for right-handed where it is not stated."""
@@ -64,7 +87,7 @@ class TurntableOptions:
 
     def __post_init__(self) -> None:
         check_ranges(self)
-        if not self.rate_sigma >= 0:
+        if self.rate_sigma is not None and not self.rate_sigma >= 0:
             raise OptionError(f"rate_sigma {self.rate_sigma:g} must not be below zero.")
         if self.gravity is not None and not 9.0 < self.gravity < 10.5:
             raise OptionError(

@@ -261,3 +261,42 @@ def test_what_cannot_be_calibrated_is_refused_in_words(changes, rates, kind, wor
     scenario = TurntableScenario(**{**QUICK, **changes})
     with pytest.raises(kind, match=words):
         calibrated(scenario, *rates)
+
+
+def scaled(simulation, factor):
+    """Return the recordings of a sensor that shows so many times what it should, axis by axis."""
+    found = []
+    for recording in simulation.recordings:
+        imu = recording.imus["imu0"]
+        values = imu.gyroscope.values * factor
+        found.append(replace(recording, imus={"imu0": replace(imu, gyroscope=replace(imu.gyroscope, values=values))}))
+    return found
+
+
+@pytest.mark.parametrize("factor", [0.72, 0.9, 1.35])
+def test_a_scale_that_is_far_off_is_found_by_the_ratio_of_the_speeds(factor):
+    scenario = TurntableScenario(rpm=(33.3333, 45.0), steady_s=8.0, poses=12, gyroscope_range=10.0)
+    simulation = simulate_turntable(scenario, 3)
+    by_axis = factor * np.array([0.97, 1.0, 1.05])
+    result = calibrate_turntable(scaled(simulation, by_axis), [stated(33.3333), stated(45.0)])
+    assessment = result.calibration.assessment
+    assert assessment.intervals_used == assessment.intervals_found
+    name = "imu0.gyroscope.sensitivity"
+    ratio = result.calibration.parameter(name) / (by_axis[:, None] * simulation.truth.parameter(name))
+    np.testing.assert_allclose(np.diag(ratio), 1, atol=0.01)
+
+
+@pytest.mark.parametrize(("rpm", "sigma"), [(33.33, 0.01), (33.5, 0.01), (45.0, 0.01), (78.0, 0.01), (33.42, 1e-3)])
+def test_a_label_is_known_to_a_percent(rpm, sigma):
+    rate = StatedRate(name="label", rate_rad_s=rpm * RPM)
+    assert rate.sigma_rad_s == pytest.approx(sigma * rpm * RPM)
+    assert StatedRate(name="exact", rate_rad_s=rpm * RPM, sigma_rad_s=0.0).sigma_rad_s == 0
+
+
+def test_the_sigma_of_a_label_is_that_of_the_scales():
+    simulation = simulate_turntable(TurntableScenario(**QUICK, rate_error=0.012), 0)
+    result = calibrate_turntable(simulation.recordings, [StatedRate(name="16rpm", rate_rad_s=16 * RPM)])
+    name = "imu0.gyroscope.sensitivity"
+    error = np.diag(result.calibration.parameter(name) - simulation.truth.parameter(name))
+    assert np.all(np.abs(error) < 2 * np.diag(result.calibration.sigma(name)))
+    assert np.all(np.abs(error) > 0.5 * np.diag(result.calibration.sigma(name)))

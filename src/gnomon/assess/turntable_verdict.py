@@ -19,7 +19,8 @@ from .turntable_tables import TurntableEvidence, holdout_rms, turntable_trusts
 from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
 
 _RATE_WORTH = 2e-4  # what a video gives
-_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, with that of the rates
+_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, without that of the rates
+_RATE_WARN, _RATE_FAIL = 2e-2, 0.1  # of the rates, which the scales share
 _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
 _HOLDOUT_WARN, _HOLDOUT_FAIL = 2e-3, 2e-2  # of the fastest rate
 _FEW_AXES = 9
@@ -92,7 +93,12 @@ def _uncertainty(evidence: TurntableEvidence) -> Iterator[Finding]:
     fit, sigma = evidence.fit.fit, _relative_sigmas(evidence)
     scale, angle = float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
     by_rate = float(np.min(fit.group_sigma[evidence.parts.data.rates > 0]))
-    grades = (graded(scale, _SCALE_WARN, _SCALE_FAIL), graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
+    own = float(np.sqrt(max(scale**2 - by_rate**2, 0.0))) if fit.scale_known else scale
+    grades = (
+        graded(own, _SCALE_WARN, _SCALE_FAIL),
+        graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD),
+        graded(by_rate if fit.scale_known else 0.0, _RATE_WARN, _RATE_FAIL),
+    )
     severity = min(grades, key=SEVERITIES.__getitem__)
     by_speed = fit.scale_known and by_rate > 0.7 * scale
     what = "scales are known" if fit.scale_known else "scales are known against each other"

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -118,7 +119,8 @@ def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRat
     path = Path(text)
     if not path.exists():
         value = parse_rate(text)
-        return StatedRate(name=text, rate_rad_s=value, sigma_rad_s=command.options.rate_sigma * value), None
+        stated = command.options.rate_sigma
+        return StatedRate(name=text, rate_rad_s=value, sigma_rad_s=nan if stated is None else stated * value), None
     from ..calibrate.platter_rate import rate_from_video
 
     terminal.progress(f"watching {path.name}")

@@ -308,10 +308,14 @@ def _unclear(
             "into view."
         )
     rates = sorted({_rpm(one.rate) for one in possible})
+    does = (
+        f"which the platter does at {', '.join(rates[:6])}{', ...' if len(rates) > 6 else ''}"
+        if rates
+        else "which fits no rate of a platter"
+    )
     return (
-        f"{fact} as seen at {fps:.4g} frames per second, which the platter does at {', '.join(rates[:6])}"
-        f"{', ...' if len(rates) > 6 else ''}. Give the nominal rate (--nominal), record at more frames per second, or "
-        "put one mark on the platter."
+        f"{fact} as seen at {fps:.4g} frames per second, {does}. Give the nominal rate (--nominal), record at more "
+        "frames per second, or put one mark on the platter."
     )
 
 

@@ -13,6 +13,7 @@ _AT_REST = 0.25  # of the slowest speed; less is no turning
 _SAME_PLACE = 0.05  # of the largest distance: means of one cluster
 _UNSCALED = 1.3  # factor by which an uncalibrated axis may be off
 _COST_UNUSED = 0.5  # of a stated speed that no part has
+_FARTHEST, _COST_FAR, _CLEARLY = 1.5, 0.1, 0.1  # factor of a scale; cost of its logarithm; gain for another scale
 _ROUNDS = 10
 
 
@@ -50,7 +51,7 @@ def assign_speeds(means: Floats, speeds: Floats, allowed: Booleans, unit_rad_s: 
         If no part turns.
     """
     if unit_rad_s is not None:
-        zero, size = np.zeros(3), 1 / unit_rad_s
+        zero, size = np.zeros(3), _size_by_ratios(means, speeds, allowed, 1 / unit_rad_s)
     else:
         zero, size = _zero_and_size(means, speeds, allowed)
     scale = np.full(3, size)
@@ -67,6 +68,24 @@ def assign_speeds(means: Floats, speeds: Floats, allowed: Booleans, unit_rad_s: 
         scale = _axis_scales(means - zero, speeds[index], (index != NO_SPEED) & ~rests, size)
     shown = np.linalg.norm((means - zero) / scale, axis=1)
     return Speeds(index=index, zero=zero, scale=scale, shown=shown)
+
+
+def _size_by_ratios(means: Floats, speeds: Floats, allowed: Booleans, nominal: float) -> float:
+    """Return what the sensor shows for 1 rad/s, where its unit says what it should show.
+
+    A scale that is off by up to `_FARTHEST` is found by the ratios of the speeds; the one that the unit says is kept
+    where no other explains the parts clearly better.
+    """
+    radius, turning = np.linalg.norm(means, axis=1), speeds[speeds > 0]
+    moving = radius[radius > _AT_REST * turning.min() * nominal / _FARTHEST]
+    if not len(moving):
+        return nominal
+    sizes = np.outer(np.quantile(moving, np.linspace(0, 1, 21)), 1 / turning).ravel()
+    sizes = np.append(sizes[np.abs(np.log(sizes / nominal)) < np.log(_FARTHEST)], nominal)
+    costs = np.array([
+        _cost(radius / size, speeds, allowed) + _COST_FAR * abs(float(np.log(size / nominal))) for size in sizes
+    ])  # fmt: skip
+    return float(sizes[np.argmin(costs)]) if costs.min() < costs[-1] - _CLEARLY else nominal
 
 
 def reassign(shown: Floats, speeds: Floats, allowed: Booleans, tolerance: float) -> Integers:
