@@ -18,9 +18,16 @@ from numpy.typing import NDArray
 
 import gnomon
 from gnomon.errors import GnomonError
-from gnomon.recording import ImuSamples, Recording, TriadSamples
+from gnomon.recording import ImuSamples, Poses, Recording, TriadSamples
 from gnomon.sensor_noise import Coefficient
-from gnomon.simulate import FieldScenario, TurntableScenario, simulate_magnetometer, simulate_turntable
+from gnomon.simulate import (
+    FieldScenario,
+    PoseScenario,
+    TurntableScenario,
+    simulate_magnetometer,
+    simulate_poses,
+    simulate_turntable,
+)
 from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.noise_scenario import NoiseScenario
 from gnomon.triad_options import StatedRate
@@ -343,10 +350,56 @@ def turntable_cases() -> Iterator[tuple[str, Case]]:
     yield "healthy: without accelerometer", lambda seed: _turntable_outcome(seed, alone, (33.33,))
 
 
+# ---- poses
+
+
+def _pose_outcome(seed: int, scenario: PoseScenario, size: float, shape: Callable[[Floats], Floats]) -> Outcome:
+    simulation = simulate_poses(scenario, seed)
+    n, rng = len(simulation.poses), np.random.default_rng(seed)
+    order = rng.permutation(n) if scenario.attitudes == "sphere" else np.arange(n)
+    way = shape(np.linspace(0, 1, n))
+    direction = rng.standard_normal(3)
+    drift = size * (way - way.mean())[:, None] * direction / np.linalg.norm(direction)
+    poses = Poses(
+        name=tuple(map(str, range(n))),
+        accelerometer=simulation.accelerometer[order] + drift,
+        accelerometer_unit="m/s^2",
+        accelerometer_sigma=np.full((n, 3), 2e-3),
+        t_s=simulation.t_s,
+    )
+    names = "imu0.accelerometer.sensitivity", "imu0.accelerometer.bias"
+    options = gnomon.ImuOptions(gravity=9.80665, frame="accel-z")
+
+    def error(found: gnomon.Calibration) -> tuple[list[Floats], list[Floats], list[Floats]]:
+        off = [found.parameter(name) - simulation.truth.parameter(name) for name in names]
+        return off, [found.sigma(name) for name in names], [np.full((3, 3), 1e-3), np.full(3, 0.01)]
+
+    return tried(lambda: gnomon.calibrate_imu(Recording(imus={}, poses=poses), options), error)
+
+
+def pose_cases() -> Iterator[tuple[str, Case]]:
+    """Yield cases by name."""
+    shapes: dict[str, Callable[[Floats], Floats]] = {
+        "line": lambda x: x,
+        "warm-up": lambda x: np.exp(-4 * x),
+        "step": lambda x: (x > 0.6).astype(np.float64),
+    }
+    for attitudes in ("angrisano18", "sphere"):
+        scenario = PoseScenario(sensor="drawn", units="si", attitudes=attitudes, poses=24)
+        for name, shape in shapes.items():
+            for size in (0.02, 0.05, 0.2):
+                yield (
+                    f"{attitudes}, {name} of {size} m/s^2",
+                    lambda seed, s=scenario, size=size, shape=shape: _pose_outcome(seed, s, size, shape),
+                )
+        yield f"healthy: {attitudes}", lambda seed, s=scenario: _pose_outcome(seed, s, 0.0, shapes["line"])
+
+
 KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {
     "magnetometer": magnetometer_cases,
     "noise": noise_cases,
     "turntable": turntable_cases,
+    "poses": pose_cases,
 }
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from ..calibration import AccelerometerCalibration, Gravity
 from ..estimate.triads.angrisano import AngrisanoFit
 from ..estimate.triads.known_attitudes import StatedAttitudes
+from ..estimate.triads.pose_drift import PoseDrift
 from ..estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ..estimate.triads.triad import TriadFit
 from ..estimate.trust.cluster_trust import Trusted
@@ -78,6 +79,7 @@ class PoseEvidence:
     attitudes : that are more than 10 deg apart
     fit : of the accelerometer
     stated : how the known attitudes agree, or None where none were known
+    drift : of the accelerometer's bias while the poses were recorded, or None where it was not estimated
     gyroscope : at rest, or None
     no_gyroscope : why a gyroscope that was recorded is not calibrated, or ""
     known : beforehand
@@ -94,6 +96,7 @@ class PoseEvidence:
     attitudes: int
     fit: TriadFit
     stated: StatedAttitudes | None
+    drift: PoseDrift | None
     gyroscope: RestingGyroscope | None
     no_gyroscope: str
     known: Evidence

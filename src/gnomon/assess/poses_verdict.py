@@ -4,6 +4,7 @@ import numpy as np
 
 from ..calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ..estimate.triads.angrisano import AngrisanoFit
+from ..estimate.triads.pose_drift import PoseDrift
 from ..estimate.triads.triad_poses import B_, S_
 from ..findings import Finding
 from ..parameters import element_names
@@ -24,6 +25,7 @@ _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _DETERMINED = 9  # attitudes
 _UNIT_FACTOR = 1.5
 _NAMED = 4
+_SIGNIFICANT, _DRIFT_WARN = 4.0, 0.03  # sigmas; m/s^2
 _OF_ROTATIONS = {"saturation", "gaps", "static-start", "time-rounded", "jitter", "gyroscope-missing"}
 
 
@@ -46,6 +48,7 @@ def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Asses
         *_uncertainty_findings(evidence),
         *_observability_findings(evidence),
         *_stated_findings(evidence),
+        *_drift_findings(evidence.drift),
         *_unit_findings(evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
         *left_out_findings(table, evidence.left_out),
         *gravity_findings(evidence.gravity),
@@ -95,6 +98,42 @@ def assess_published(
         intervals_found=len(table.used) + len(left_out),
         intervals_used=len(table.used),
     )
+
+
+def _drift_findings(drift: PoseDrift | None) -> list[Finding]:
+    """Say how far the bias moved from the first pose to the last, and where nothing tells it."""
+    if drift is None:
+        return []
+    size, sigma = float(np.linalg.norm(drift.change)), float(np.linalg.norm(drift.sigma))
+    findings: list[Finding] = []
+    if (np.abs(drift.change) > _SIGNIFICANT * drift.sigma).any():
+        moved = ", ".join(f"{1e3 * value:.2g}" for value in drift.change)
+        findings.append(
+            Finding(
+                severity="warning" if size > _DRIFT_WARN else "info",
+                code="accelerometer-drift",
+                message=f"The accelerometer's bias moved by ({moved}) mm/s^2 from the first pose to the last, "
+                f"+- {1e3 * sigma:.2g}.",
+                consequence="A steady drift is estimated along; the bias is that of the mean of the poses. What it "
+                "does beside a straight line in time is in the scatter of the poses.",
+                cure="Let the sensor warm up before the first pose.",
+            )
+        )
+    if not drift.told.all():
+        axes = " and ".join(_AXES[axis] for axis in np.flatnonzero(~drift.told))
+        findings.append(
+            Finding(
+                severity="info",
+                code="drift-not-told",
+                message=f"The order of the attitudes resembles time: a drift of the accelerometer's bias ({axes}) "
+                "would look like scales and angles.",
+                consequence=f"One of {1e3 * sigma:.2g} mm/s^2 (1 sigma) from the first pose to the last is counted in "
+                "all sigmas; a much larger one would go unseen.",
+                cure="Lay the sensor down in another order, such as each attitude followed by its opposite, or repeat "
+                "the first attitudes at the end.",
+            )
+        )
+    return findings
 
 
 def _model(gyroscope: RestingGyroscope | None) -> str:

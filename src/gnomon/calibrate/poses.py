@@ -25,6 +25,7 @@ from ..calibration import (
 from ..diagnostics import Result
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
+from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
 from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
 from ..estimate.triads.triad import TriadFit, fit_triad
 from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
@@ -127,7 +128,7 @@ def calibrate_poses(
     attitudes = _distinct(poses)
     _require(attitudes, poses, known)
     tell(f"fitting {len(poses)} poses")
-    fit, stated = _fit_accelerometer(prepared, gravity, known, attitudes)
+    fit, stated, drift = _fit_accelerometer(prepared, gravity, known, attitudes)
     fit, trust = robust_triad(fit, "imu0.accelerometer", t_s=poses.t_s, widened=options.covariance == "robust")
     gyroscope, why = _gyroscope(prepared, fit, known, gravity, options)
     tell("assessing the result")
@@ -141,6 +142,7 @@ def calibrate_poses(
         attitudes=attitudes,
         fit=fit,
         stated=stated,
+        drift=drift,
         gyroscope=gyroscope,
         no_gyroscope=why,
         known=known,
@@ -213,7 +215,7 @@ def _require(attitudes: int, poses: Poses, known: Evidence) -> None:
 
 def _fit_accelerometer(
     prepared: PreparedPoses, gravity: Gravity, known: Evidence, attitudes: int
-) -> tuple[TriadFit, StatedAttitudes | None]:
+) -> tuple[TriadFit, StatedAttitudes | None, PoseDrift | None]:
     """Fit the accelerometer to gravity's magnitude, and to the known attitudes where there are some."""
     poses = prepared.poses
     prior = known.triad_prior("accelerometer")
@@ -234,10 +236,11 @@ def _fit_accelerometer(
                 "known attitudes define a body frame of their own, that of the jig, in which a prior calibration does "
                 "not know the accelerometer. Leave out --prior and --fix, or the columns ref_x ref_y ref_z."
             )
-        return _in_jig(poses, problem)
+        return *_in_jig(poses, problem), None
     if attitudes < _FEWEST_DETERMINED and not known.knows("imu0.accelerometer.sensitivity"):
         prior = _assumed_angles(poses, gravity.value, prior)
-    return fit_triad(problem(None, 0.0), prior=prior), None
+    fit, drift = fit_with_drift(problem(None, 0.0), poses.t_s, prior)
+    return fit, None, drift
 
 
 def _agreement(
@@ -252,7 +255,7 @@ def _agreement(
             known, np.concatenate([value.ravel() for _, value in parameters({"": sensor})]), covariance
         )
     try:
-        alone, _ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
+        alone, _, _ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
         gyroscope, _ = _gyroscope(prepared, alone, NOTHING, gravity, options)
     except InitialisationError:
         return prior_used(known)

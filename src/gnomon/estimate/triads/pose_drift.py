@@ -1,0 +1,81 @@
+"""An accelerometer whose bias drifts while poses are recorded, as of a sensor that warms up.
+
+A straight line in time with a mean of zero over the poses is estimated along: measured = S g u + b + d tau. Where the
+order of the attitudes resembles time, gravity's magnitude hardly tells it from scales and angles; there it is held to
+what such sensors do, and counts in the sigmas of all other parameters.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...recording import Floats
+from .triad import TriadFit, fit_triad
+from .triad_poses import G_, PARAMETERS, TriadPoses, TriadPrior
+
+_USUAL_M_S2 = 0.015  # 1.5 mg from the first pose to the last: some kelvin of a consumer's sensor
+_LARGE, _WIDER, _ROUNDS = 2.0, 2.0, 3  # usual drifts; what is found, that the next round allows
+_BY_TIME = np.arange(PARAMETERS)[G_][::3]  # the first column of the g-sensitivity, whose force is time here
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseDrift:
+    """How far the bias moved from the first pose to the last.
+
+    Attributes
+    ----------
+    change, sigma : (3,) with what is usual taken into account [m/s^2]
+    told : (3,) bool, whether the poses tell it
+    """
+
+    change: Floats
+    sigma: Floats
+    told: np.ndarray
+
+
+def fit_with_drift(
+    poses: TriadPoses, t_s: Floats | None, prior: TriadPrior | None
+) -> tuple[TriadFit, PoseDrift | None]:
+    """Fit a triad whose bias moves steadily; bias and covariance are of the mean of the poses.
+
+    Parameters
+    ----------
+    poses : in the order in which they were recorded
+    t_s : (n,) when [s]; None where only the order is known
+    prior : what is known of the triad from elsewhere
+
+    Raises
+    ------
+    InitialisationError
+        If the poses determine no triad.
+    """
+    still = fit_triad(poses, prior=prior)
+    time = np.arange(len(poses), dtype=np.float64) if t_s is None else t_s
+    span = float(np.ptp(time))
+    if not span > 0:
+        return still, None
+    tau = (time - time.mean()) / span
+    timed = replace(poses, force=np.column_stack([tau, np.zeros((len(tau), 2))]))
+    scale = np.linalg.norm(still.sensitivity, axis=1)
+    usual = np.full(3, _USUAL_M_S2)
+    fit, change = still, np.zeros(3)
+    for _ in range(_ROUNDS):
+        fit = fit_triad(timed, g_sensitivity=True, prior=_with_drift(prior, scale * usual))
+        change = fit.g_sensitivity[:, 0] / scale
+        if not (np.abs(change) > _LARGE * usual).any():
+            break
+        usual = np.maximum(usual, _WIDER * float(np.abs(change).max()))
+    sigma = fit.sigma[_BY_TIME] / scale
+    return fit, PoseDrift(change=change, sigma=sigma, told=sigma < 0.5 * usual)
+
+
+def _with_drift(prior: TriadPrior | None, sigma: Floats) -> TriadPrior:
+    """Return the prior with drifts of zero, give or take (3,) [unit], in place of the g-sensitivity."""
+    mean = np.zeros(PARAMETERS) if prior is None else prior.mean.copy()
+    precision = np.zeros((PARAMETERS, PARAMETERS)) if prior is None else prior.precision.copy()
+    fixed = np.zeros(PARAMETERS, dtype=bool) if prior is None else prior.fixed.copy()
+    mean[G_], precision[G_], fixed[G_] = 0.0, 0.0, True
+    precision[:, G_] = 0.0
+    fixed[_BY_TIME] = False
+    precision[_BY_TIME, _BY_TIME] = 1 / sigma**2
+    return TriadPrior(mean=mean, precision=precision, fixed=fixed)
