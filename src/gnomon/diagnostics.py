@@ -299,7 +299,7 @@ class EstimatedParameter:
     value, start : estimate and initial guess; of rotations and directions the small angle from the initial guess
     sigma : standard deviation
     prior_sigma : of the prior; infinite where there is none
-    status : "estimated", "prior" (a stated prior) or "fixed"
+    status : "estimated", "prior" (a stated prior), "considered" (held, its sigma carried into all others), "fixed"
     """
 
     name: str

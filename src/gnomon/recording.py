@@ -35,6 +35,19 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     return array
 
 
+def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
+    """Return the usual one of steps between stamps (n,): the median, or the mean where samples came in packets.
+
+    Parameters
+    ----------
+    steps : [`unit_ns`]
+    """
+    step = float(np.median(steps))
+    together = steps[steps < max(_LONGEST_PAUSE_NS / unit_ns, step)]  # what was cut out between poses is no pause
+    mean = float(np.mean(together)) if len(together) else step
+    return mean if mean > _PACKET_FACTOR * step else step
+
+
 _LARGEST = 1e100  # squares and sums of samples stay finite; no sensor reads a number like that
 
 
@@ -87,11 +100,7 @@ class TriadSamples:
         """Sample rate [Hz]: by the median step, or the mean where samples were stamped in packets; nan if unknown."""
         if len(self) < 2:
             return float("nan")
-        steps = np.diff(self.t_ns)
-        step = float(np.median(steps))
-        together = steps[steps < max(_LONGEST_PAUSE_NS, step)]  # what was cut out between poses is no packet's pause
-        mean = float(np.mean(together)) if len(together) else step
-        step = mean if mean > _PACKET_FACTOR * step else step
+        step = usual_step(np.diff(self.t_ns))
         return 1e9 / step if step > 0 else float("nan")
 
     @property

@@ -129,17 +129,18 @@ def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
             continue  # hundreds of zeros
         values = np.atleast_1d(coordinates(block.name, solution.state.parameters, origin))
         starts = np.atleast_1d(coordinates(block.name, origin, origin))
-        for scalar, value, start in zip(block.scalars(), values, starts, strict=True):
+        for scalar, unit, value, start in zip(block.scalars(), block.units, values, starts, strict=True):
             held = (kind := status.get(scalar, "fixed")) == "fixed"
+            carried = evidence.gravity.sigma if held and scalar == "gravity.magnitude" else 0.0
             found.append(
                 EstimatedParameter(
                     name=scalar,
-                    unit=block.unit,
+                    unit=unit,
                     value=float(value),
                     start=float(start),
-                    sigma=0.0 if held else float(sigma[scalar]),
-                    prior_sigma=float("inf") if held else float(prior[scalar]),
-                    status=kind,
+                    sigma=carried if held else float(sigma[scalar]),
+                    prior_sigma=(carried or float("inf")) if held else float(prior[scalar]),
+                    status="considered" if carried else kind,
                 )
             )
     return tuple(found)

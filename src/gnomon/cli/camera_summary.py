@@ -10,6 +10,7 @@ from rich.table import Table
 from ..calibration import Calibration, CamerasFit
 from ..diagnostics import CamerasDiagnostics, Result
 from ..models.lens_programs import PROGRAMS, knows
+from ..units import share_words
 from ..writers.baselines import baseline_of
 from .summary import common_decimals
 
@@ -24,7 +25,7 @@ def facts(result: Result) -> Iterator[str]:
         yield f"    reprojection     {fit.reprojection_rms_px[name]:.3g} px (rms per axis)"
         if isfinite(fit.holdout_rms_px[name]):
             yield f"    on unseen views  {fit.holdout_rms_px[name]:.3g} px"
-        yield f"    coverage         {100 * fit.coverage[name]:.0f} % of the image"
+        yield f"    coverage         {share_words(fit.coverage[name])} of the image"
     yield from _board(fit)
     yield from _readers(result.calibration)
 

@@ -12,7 +12,7 @@ from . import camera_imu_motion, camera_imu_signals
 from .camera_imu_corners import CornerView, field_magnification
 from .camera_imu_signals import signal_name
 from .imu_parameters import readable_unit
-from .numbers import finite, fixed, largest, number, positive, quantity, rms
+from .numbers import finite, fixed, largest, number, positive, quantity, rms, share
 from .page import Figure, Legend, Section, Table
 
 _AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
@@ -212,7 +212,7 @@ def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerV
     blocks: list[Figure | Table] = []
     if views:
         shares = {name: float(np.mean(view.density.count > 0)) for name, view in views.items()}
-        reached = "; ".join(f"{name} {fixed(100 * share, 0)}\u00a0%" for name, share in shares.items())
+        reached = "; ".join(f"{name} {share(part)}" for name, part in shares.items())
         blocks.append(
             Figure(
                 title="Corners in the image",

@@ -395,7 +395,8 @@ def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> T
 _ALONE = "Faint: fixed."
 _WITH_IMU = (
     "Of rotations and directions the value is the small angle from the start. The priors of estimated parameters are "
-    "weak: they only hold what the recording does not determine. Faint: fixed, or (≤ σ) an entry of the IMU no farther "
+    "weak: they only hold what the recording does not determine. Considered: held at what was stated, whose σ is "
+    "carried into all others. Faint: fixed, or (≤ σ) an entry of the IMU no farther "
     "from an ideal sensor's than its σ, which document B takes for ideal."
 )
 

@@ -163,7 +163,7 @@ def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -
     if not diagnostics.parameters:
         return None
     blocks: list[Figure | Table] = [every_parameter(diagnostics)]
-    free = [p for p in diagnostics.parameters if p.status != "fixed"]
+    free = [p for p in diagnostics.parameters if p.status in ("estimated", "prior")]
     matrix = np.asarray(diagnostics.correlation, dtype=np.float64)
     if len(free) > 1 and matrix.shape == (len(free), len(free)):
         legend = (
@@ -270,13 +270,15 @@ def _gravity(diagnostics: CameraImuDiagnostics) -> Table:
     values, spreads = diagnostics.gravity_target, diagnostics.gravity_sigma
     cells = [plus_minus(float(v), float(s)) for v, s in zip(values, spreads, strict=True)]
     size = float(np.linalg.norm(values))
+    magnitude = next((p for p in diagnostics.parameters if p.name == "gravity.magnitude"), None)
+    spread = 0.0 if magnitude is None else magnitude.sigma
     along = int(np.argmax(np.abs(np.nan_to_num(values))))
     cosine = min(abs(float(values[along])) / size, 1.0) if size > 0 else float("nan")
     towards = f"{'−' if values[along] < 0 else '+'}{'xyz'[along]}"
     return Table(
         title="Gravity in the frame of the target",
         head=("[m/s²]", *"xyz", "size"),
-        rows=(("gravity", *cells, number(size, 6)),),
+        rows=(("gravity", *cells, plus_minus(size, spread)),),
         caption=f"It points along {towards} of the target, but for {number(degrees(np.arccos(cosine)), 3)}°.",
     )
 

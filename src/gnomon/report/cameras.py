@@ -23,7 +23,7 @@ from .cameras_lens import (
 )
 from .cameras_parameters import pose_numbers
 from .cameras_use import use_section
-from .numbers import MISSING, finite, fixed, number, with_sigma
+from .numbers import MISSING, finite, number, share, with_sigma
 from .page import KeyNumber, Page, Prose, Section, typeset
 from .provenance import provenance_section
 from .trust_section import trust_section
@@ -106,7 +106,7 @@ def _fit_numbers(fit: CamerasFit) -> tuple[KeyNumber, KeyNumber, KeyNumber]:
     unknown = f"no view was held out; of the views used {number(used, 3)} px"
     counts = "; ".join(f"{name} {used} of {fit.views_found[name]}" for name, used in fit.views_used.items())
     least = min(fit.coverage, key=lambda name: fit.coverage[name], default="")
-    shares = "; ".join(f"{name} {fixed(100 * share, 0)} %" for name, share in fit.coverage.items())
+    shares = "; ".join(f"{name} {share(part)}" for name, part in fit.coverage.items())
     return (
         KeyNumber(
             label="Hold-out reprojection",
@@ -120,7 +120,7 @@ def _fit_numbers(fit: CamerasFit) -> tuple[KeyNumber, KeyNumber, KeyNumber]:
         ),
         KeyNumber(
             label="Image covered",
-            value=f"{fixed(100 * fit.coverage[least], 0)}\u00a0%" if least else MISSING,
+            value=share(fit.coverage[least]) if least else MISSING,
             note=shares if several else "of its cells hold corners that were used",
         ),
     )

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..assess.cameras_tables import CELLS
 from ..calibration import Calibration
 from ..geometry.so3 import skew
 from ..models.camera import Camera
@@ -68,11 +69,9 @@ def projection_spread(camera: Camera, covariance: Floats, pixels: Floats) -> Pro
     size = (width / columns, height / rows)
     y, x = np.divmod(np.arange(rows * columns), columns)
     corner = np.stack([x * size[0], y * size[1]], axis=1) - 0.5
-    seen = np.zeros(rows * columns, dtype=np.bool_)
-    cell = np.clip(np.floor((pixels + 0.5) / np.array(size)), 0, (columns - 1, rows - 1)).astype(np.int64)
-    seen[cell[:, 1] * columns + cell[:, 0]] = True
-    seen = _closed(seen.reshape(rows, columns)).ravel()
-    by_lens, by_turn, valid = _derivatives(camera, corner + np.array(size) / 2)
+    middle = corner + np.array(size) / 2
+    seen = _with_corners(pixels, middle, camera.resolution)
+    by_lens, by_turn, valid = _derivatives(camera, middle)
     fixed = _per_axis(by_lens, covariance)
     used = valid & (seen if (seen & valid).sum() > 2 else True)
     normal = np.einsum("nki,nkj->ij", by_turn[used], by_turn[used])
@@ -83,15 +82,18 @@ def projection_spread(camera: Camera, covariance: Floats, pixels: Floats) -> Pro
     return ProjectionSpread(corner=corner, size=size, shape=(rows, columns), sigma=sigma, fixed=fixed, seen=seen)
 
 
-def _closed(seen: np.ndarray) -> np.ndarray:
-    """Return cells (rows, columns) in which gaps of one cell are filled."""
+def _with_corners(pixels: Floats, places: Floats, resolution: tuple[int, int]) -> np.ndarray:
+    """Tell of places (n, 2) whether there are corners (m, 2) in their cells of the image, by which coverage is told."""
+    scale = np.array(CELLS[::-1]) / np.array(resolution)
+    last = np.array(CELLS[::-1]) - 1
 
-    def grown(cells: np.ndarray) -> np.ndarray:
-        wide = np.pad(cells, 1)
-        rows, columns = cells.shape
-        return np.any([wide[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
+    def cell(points: Floats) -> tuple[np.ndarray, np.ndarray]:
+        x, y = np.clip(np.floor((points + 0.5) * scale), 0, last).astype(np.int64).T
+        return y, x
 
-    return ~grown(~grown(seen))
+    occupied = np.zeros(CELLS, dtype=np.bool_)
+    occupied[cell(pixels)] = True
+    return occupied[cell(places)]
 
 
 def _derivatives(camera: Camera, pixels: Floats) -> tuple[Floats, Floats, np.ndarray]:

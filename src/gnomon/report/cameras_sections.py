@@ -13,7 +13,7 @@ from .camera_imu_evidence import corner_scatter, field_figure, frames_left_out
 from .cameras_lens import ProjectionSpread, RadialCurve
 from .cameras_pairs import epipolar_errors
 from .cameras_parameters import lens_groups, pose_groups
-from .numbers import MISSING, finite, fixed, number
+from .numbers import MISSING, finite, fixed, number, share
 from .page import Block, Code, Figure, Legend, Parameters, Section, Table
 from .wording import matrix_text
 
@@ -86,8 +86,8 @@ def coverage_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVie
     counts = {name: diagnostics.coverage.get(name, np.ones((1, 1))) for name in views}
     shares = {name: float(np.mean(np.asarray(count) > 0)) for name, count in counts.items()}
     if fit is not None:
-        shares |= {name: share for name, share in fit.coverage.items() if name in shares}
-    reached = "; ".join(f"{name} {fixed(100 * share, 0)}\u00a0%" for name, share in shares.items())
+        shares |= {name: part for name, part in fit.coverage.items() if name in shares}
+    reached = "; ".join(f"{name} {share(part)}" for name, part in shares.items())
     return Section(
         anchor="coverage",
         title="Coverage",
@@ -296,15 +296,14 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
     tried = sorted(tried, key=lambda t: (not isfinite(t.holdout_rms_px), t.holdout_rms_px, t.parameters))
     chosen = next((t for t in tried if t.chosen), None)
 
-    def against(trial: LensTrial) -> str:
-        if chosen is None or trial is chosen or not isfinite(trial.holdout_rms_px / chosen.holdout_rms_px):
+    def against(trial: LensTrial, key: str) -> str:
+        if chosen is None or not isfinite(ratio := getattr(trial, key) / getattr(chosen, key)):
             return MISSING
-        return f"{fixed(100 * (trial.holdout_rms_px / chosen.holdout_rms_px - 1), 1, sign=True)}\u00a0%"
+        return "taken" if trial is chosen else f"{fixed(100 * (ratio - 1), 1, sign=True)}\u00a0%"
 
     rows = tuple(
-        (t.model, str(t.parameters), *(f"{number(v, 4)}\u00a0px" if isfinite(v) else MISSING for v in
-         (t.holdout_rms_px, t.rms_px)), against(t)) for t in tried
-    )  # fmt: skip
+        (t.model, str(t.parameters), *(against(t, key) for key in ("holdout_rms_px", "rms_px"))) for t in tried
+    )
     blocks: list[Block] = []
     if len(tried) > 1:
         blocks.append(
@@ -320,7 +319,7 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
     blocks.append(
         Table(
             title=f"Lens models of {name} in numbers",
-            head=("model", "parameters", "held out", "used", "against the chosen"),
+            head=("model", "parameters", "views held out", "views used"),
             rows=rows,
             marked=tried.index(chosen) if chosen is not None else None,
             caption="rms residual per axis. Views held out took no part in the estimate and have a pose of their own. "

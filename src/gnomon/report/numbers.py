@@ -5,6 +5,7 @@ from math import floor, isfinite, log10
 import numpy as np
 
 from ..recording import Floats
+from ..units import share_words
 
 MISSING = "–"
 """Shown where there is no number."""
@@ -50,6 +51,11 @@ def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
         return MISSING
     rounded = round(value, decimals) + 0.0  # no minus zero
     return f"{rounded:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
+
+
+def share(value: float) -> str:
+    """Return a share of one in percent; the space does not break."""
+    return share_words(value).replace(" %", "\u00a0%")
 
 
 def with_sigma(value: float, sigma: float, *, sign: bool = False) -> tuple[str, str]:

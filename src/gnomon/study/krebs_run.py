@@ -168,7 +168,7 @@ def against_truth(calibration: Calibration, diagnostics: CameraImuDiagnostics, r
     values, sigmas = dict[str, float](), dict[str, float]()
     for parameter in diagnostics.parameters:
         values[parameter.name] = parameter.value
-        if parameter.status != "fixed":
+        if parameter.status in ("estimated", "prior"):
             sigmas[parameter.name] = parameter.sigma
     free = list(sigmas)
     covariance = diagnostics.correlation * np.outer(list(sigmas.values()), list(sigmas.values()))

@@ -10,6 +10,7 @@ from ..calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration,
 from ..errors import OptionError
 from ..models.frames import Floats, frame_rotation
 from ..simulate.truth import TRUTH_METHOD
+from ..units import share_words
 from . import form_entries
 from .camera_entries import IMU_EQUATION, camera_entries, camera_equation, imu_entries
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
@@ -318,7 +319,7 @@ def _cameras_rows(fit: CamerasFit) -> Iterator[Row]:
         yield Row(name=f"{name}, corners used", value=str(fit.corners_used[name]), unit="")
         yield Row(name=f"{name}, reprojection, rms per axis", value=_known(fit.reprojection_rms_px[name]), unit="px")
         yield Row(name=f"{name}, the same of unseen views", value=_known(fit.holdout_rms_px[name]), unit="px")
-        yield Row(name=f"{name}, image covered", value=f"{100 * fit.coverage[name]:.0f}", unit="%")
+        yield Row(name=f"{name}, image covered", value=share_words(fit.coverage[name]).removesuffix(" %"), unit="%")
     if fit.aspect_sigma:
         yield Row(name="board, y over x, less 1", value=value_text(fit.aspect, fit.aspect_sigma), unit="1")
     if fit.bow_sigma_m:

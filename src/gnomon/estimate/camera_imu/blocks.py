@@ -21,12 +21,19 @@ class Block:
     weak_sigma : standard deviation of the prior that keeps what a recording does not determine from running away;
         does not move what it does
     unit : of the scalars
+    pure : how many of them, the first, are pure numbers
     """
 
     name: str
     size: int
     weak_sigma: tuple[float, ...]
     unit: str
+    pure: int = 0
+
+    @property
+    def units(self) -> list[str]:
+        """Unit of each scalar."""
+        return [""] * self.pure + [self.unit] * (self.size - self.pure)
 
     def scalars(self) -> list[str]:
         """Return the names of the scalars, such as "imu0.S_a[0]"; of a single one the block's name."""
@@ -86,7 +93,7 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
             Block(name=f"{name}.T_cam_imu.translation", size=3, weak_sigma=(1.0,) * 3, unit="m"),
             Block(name=f"{name}.time_shift_cam_imu", size=1, weak_sigma=(0.1,), unit="s"),
             Block(name=f"{name}.line_delay", size=1, weak_sigma=(1e-4,), unit="s"),
-            Block(name=f"{name}.intrinsics", size=count, weak_sigma=sigmas[:count], unit="px"),
+            Block(name=f"{name}.intrinsics", size=count, weak_sigma=sigmas[:count], unit="px", pure=count - 4),
         ]
         if len(sigmas) > count:
             found.append(

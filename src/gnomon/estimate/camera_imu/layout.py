@@ -132,7 +132,7 @@ def layout(
             continue
         columns[block.name] = slice(len(names), len(names) + block.size)
         names += scalars
-        units += [block.unit] * block.size
+        units += block.units
         sigma += [prior_sigma.get(name, weak) for name, weak in zip(scalars, block.weak_sigma, strict=True)]
         weak += [name not in prior_sigma for name in scalars]
     draft = Layout(

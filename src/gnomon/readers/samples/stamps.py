@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import Floats, Integers
+from ...recording import Floats, Integers, usual_step
 from ...units import TIME_UNITS_NS
 
 _LARGEST_NS = 9.2e18
@@ -41,13 +41,13 @@ def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) 
     if len(stamps) < 2:
         return "s", "nothing tells otherwise"
     last = float(stamps[-1])
-    step = float(np.median(np.diff(stamps.astype(np.float64))))
-    if not step > 0:
-        step = (last - float(stamps[0])) / (len(stamps) - 1)
-    if not step > 0:
+    steps = np.diff(stamps.astype(np.float64))
+    middle, whole = float(np.median(steps)), (last - float(stamps[0])) / (len(stamps) - 1)
+    if not max(middle, whole) > 0:
         return "s", "nothing tells otherwise"
     with np.errstate(over="ignore"):
-        rates = {unit: 1e9 / np.float64(step * factor) for unit, factor in TIME_UNITS_NS.items()}
+        usual = {unit: usual_step(steps, factor) if middle > 0 else whole for unit, factor in TIME_UNITS_NS.items()}
+        rates = {unit: 1e9 / np.float64(step * TIME_UNITS_NS[unit]) for unit, step in usual.items()}
     if not all(0 < rate < np.inf for rate in rates.values()):  # of no clock
         return "s", "nothing tells otherwise"
     for unit, factor in TIME_UNITS_NS.items():
