@@ -50,6 +50,7 @@ class Candidate:
     verdict : of gnomon's own calibrations, else ""
     recordings : from how many recordings, where the scatter between them is part of its covariance; 0 of a single one
     notes : sentences on what was taken for what the files do not say
+    guessed_sizes : cameras whose size of the image was guessed
     """
 
     name: str
@@ -65,6 +66,7 @@ class Candidate:
     verdict: str = ""
     recordings: int = 0
     notes: tuple[str, ...] = ()
+    guessed_sizes: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for name in ("imus", "cameras", "lenses"):
@@ -100,6 +102,7 @@ class Candidate:
             covariance=_stated_sigmas(found),
             gravity=_KALIBR_GRAVITY if kalibrs else None,
             notes=found.notes,
+            guessed_sizes=found.guessed_sizes,
         )
 
     def renamed(self, names: Mapping[str, str]) -> Self:
@@ -129,7 +132,8 @@ class Candidate:
         covariance = self.covariance
         if covariance is not None:
             covariance = Covariance(names=covariance_names(imus, cameras), matrix=covariance.matrix)
-        return replace(self, imus=imus, cameras=cameras, lenses=lenses, covariance=covariance)
+        sizes = frozenset(names.get(name, name) for name in self.guessed_sizes)
+        return replace(self, imus=imus, cameras=cameras, lenses=lenses, covariance=covariance, guessed_sizes=sizes)
 
     @property
     def bodies(self) -> frozenset[str]:

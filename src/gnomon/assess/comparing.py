@@ -381,6 +381,11 @@ def _lenses(candidates: Sequence[Candidate]) -> Iterator[LensDifference]:
         theirs = second.all_lenses
         for name, lens in first.all_lenses.items():
             if name in theirs:
-                found = lens_difference(name, (first.name, lens), (second.name, theirs[name]))
+                other = theirs[name]
+                if name in first.guessed_sizes:  # the size that is stated holds for both
+                    lens = replace(lens, resolution=other.resolution)  # noqa: PLW2901
+                elif name in second.guessed_sizes:
+                    other = replace(other, resolution=lens.resolution)
+                found = lens_difference(name, (first.name, lens), (second.name, other))
                 if found is not None:
                     yield found

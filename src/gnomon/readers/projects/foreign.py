@@ -99,6 +99,7 @@ class ForeignCalibration:
     residuals : "cam0", "imu0.gyroscope", "imu0.accelerometer", ... -> Residuals
     target : the board, or None
     format : name of the format, such as "Kalibr"
+    guessed_sizes : cameras whose size of the image the file does not state: it was guessed
     """
 
     imus: Mapping[str, ImuCalibration]
@@ -112,6 +113,7 @@ class ForeignCalibration:
     residuals: Mapping[str, Residuals] = field(default_factory=dict[str, Residuals])
     target: Target | None = None
     format: str = ""
+    guessed_sizes: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         for name in ("imus", "sigmas", "cameras", "lenses", "imu_data", "residuals"):

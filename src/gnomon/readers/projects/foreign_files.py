@@ -239,6 +239,8 @@ def _joined(parts: Sequence[ForeignCalibration], paths: Sequence[str | PathLike[
         residuals=together(lambda part: part.residuals),
         target=next((part.target for part, _ in pairs if part.target is not None), None),
         format=" + ".join(dict.fromkeys(part.format for part, _ in pairs)),
+        guessed_sizes=frozenset[str]().union(*(part.guessed_sizes for part in parts))
+        - {name for part in parts for name in (*part.cameras, *part.lenses) if name not in part.guessed_sizes},
     )
 
 

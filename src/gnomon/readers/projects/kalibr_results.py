@@ -76,6 +76,7 @@ def read_kalibr_results(path: str | PathLike[str]) -> ForeignCalibration:
         },
         target=page.target(notes),
         format="Kalibr, results-imucam.txt",
+        guessed_sizes=frozenset(cameras),
     )
 
 
