@@ -5,12 +5,17 @@ RECORDING, which a proposal leaves to the user, is replaced by a recording of th
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
 
+import gnomon
 from gnomon.cli import main
 from gnomon.cli.places import owner_of
+from gnomon.report.cameras_use import NEXT as CAMERA_LINES
+from gnomon.report.page import Code
+from gnomon.report.usage import use_section
 
 STARTS = {
     "imu": "simulate -o log.npz --intervals 14 --t-init-s 12",
@@ -51,8 +56,8 @@ def test_every_proposed_line_runs(start, run, tmp_path):
         run(shlex.split(STARTS[needed]))
     lines, seen = [f"gnomon {STARTS[start]}"], []
     while lines:
-        gnomon, *words = shlex.split(lines.pop())
-        assert gnomon == "gnomon"
+        program, *words = shlex.split(lines.pop())
+        assert program == "gnomon"
         lines += run([RECORDINGS[start] if word == "RECORDING" else word for word in words]).get("next", [])
         seen.append(words[0])
     assert len(seen) > 1
@@ -116,3 +121,36 @@ def test_each_simulated_recording_keeps_its_truth(run, tmp_path):
     assert run(["simulate-poses", "-o", "p.csv"])["truth"] == "p-truth.yaml"
     assert run(["simulate-magnetometer", "-o", "m.npz", "--rests", "3"])["truth"] == "m-truth.yaml"
     assert Path(first).read_bytes() == truth
+
+
+def lines_of(section):
+    """Return the command lines that a section of a report shows."""
+    return [
+        shlex.split(line)[1:]
+        for block in section.blocks
+        if isinstance(block, Code) and "ommand line" in block.title
+        for line in block.text.splitlines()
+    ]
+
+
+def test_the_lines_in_a_report_on_an_imu_run_in_its_folder(run, tmp_path, monkeypatch):
+    run(shlex.split(STARTS["imu"]))
+    run(["imu", "log.npz"])
+    lines = lines_of(use_section(gnomon.load("log-imu")))
+    monkeypatch.chdir(tmp_path / "log-imu")
+    assert {words[0] for words in lines} == {"apply", "show", "convert"}
+    for words in lines:
+        run(["../log.npz" if word == "RECORDING" else word for word in words])
+
+
+def test_the_lines_in_a_report_on_cameras_run_in_its_folder(run, tmp_path, monkeypatch):
+    run(shlex.split(STARTS["camera-imu"]))
+    run(["camera", "rig"])
+    for name in ("imu.yaml", "target.yaml"):
+        shutil.copy(tmp_path / "rig" / name, tmp_path / "rig-camera" / name)
+    monkeypatch.chdir(tmp_path / "rig-camera")
+    lines = [shlex.split(line)[1:] for line in CAMERA_LINES.splitlines()]
+    assert {words[0] for words in lines} == {"camera-imu", "show", "compare"}
+    for words in lines:
+        there = {"RECORDING": "../rig", "ANOTHER/calibration.yaml": "../rig/truth.yaml"}
+        run([there.get(word, word) for word in words])

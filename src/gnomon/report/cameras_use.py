@@ -32,7 +32,7 @@ def use_section(calibration: Calibration) -> Section:
     """Return files, formulas and code for each lens, and what to do next."""
     blocks = [
         Code(title="Files beside this report", text=_FILES),
-        Code(title="Next: the same cameras with an IMU", text=_NEXT),
+        Code(title="Next: the same cameras with an IMU", text=NEXT),
     ]
     for name, entry in calibration.cameras.items():
         of = f" of {name}" if len(calibration.cameras) > 1 else ""
@@ -53,7 +53,7 @@ def use_section(calibration: Calibration) -> Section:
     )
 
 
-_NEXT = """\
+NEXT = """\
 gnomon camera-imu RECORDING --cam calibration.yaml --imu imu.yaml --target target.yaml
 gnomon show calibration.yaml
 gnomon compare calibration.yaml ANOTHER/calibration.yaml"""
