@@ -4,6 +4,7 @@ import numpy as np
 
 from ..findings import Finding
 from ..recording import ImuSamples, Recording, TriadSamples
+from .lost_samples import check_lost_samples
 from .protocol import check_protocol
 from .signals import check_signal
 from .stamps import check_stamps
@@ -21,8 +22,9 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     window_s, multiplier : of the static detector, see `ImuOptions`
 
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
-    rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated; samples-missing,
-    gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady, always-static, attitudes,
+    rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated, samples-skipped;
+    samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady,
+    always-static, attitudes,
     intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses.
 
     Returns
@@ -93,6 +95,7 @@ def _check_imu(name: str, imu: ImuSamples, *, window_s: float, multiplier: float
     if len(gyroscope) > 1:
         findings += check_signal(gyroscope, f"{name} gyroscope")
         findings += check_vibration(accelerometer, gyroscope, name)
+        findings += check_lost_samples(gyroscope, f"{name} gyroscope")
     usable = usable and not any(finding.code == "time-constant" for finding in findings)
     if usable and len(gyroscope) > 1:
         findings += check_triad_clocks(imu, name)
