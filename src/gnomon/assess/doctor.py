@@ -24,8 +24,7 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
     rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated, samples-skipped;
     samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady,
-    always-static, attitudes,
-    intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses.
+    always-static, attitudes, intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses.
 
     Returns
     -------
