@@ -21,6 +21,7 @@ to average out no further.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import chi2, f  # pyright: ignore[reportMissingTypeStubs]
@@ -30,13 +31,13 @@ from ...recording import Floats, Integers
 from ...trust import ParameterChange
 from .clusters import ClusterSums
 
-_CHANCE = 0.003
+_CHANCE = 0.005
 """That a recording in which nothing changed is said to have changed; over all looks."""
 
-_EIGHTHS = 8  # of the recording, at which a change may be
 _FEWEST_IN_PART = 5  # stretches
 _MOST = 3  # changes that are told apart
 _MOST_BORDERS = 48  # that are tried to find when
+_BORDERS_COUNT = 8  # as so many looks: parts whose borders are near each other differ alike
 _LEAST_KNOWN = 1e-3  # of the whole recording's information on a direction; less does not tell how it changed
 _LENGTHS = (1, 3, 9)  # stretches that a cluster has
 _FEWEST_CLUSTERS = 12
@@ -121,11 +122,12 @@ def parameter_changes(
         return ()
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
     blocks, wandering = _blocks(sums, jacobian, names, judged, biases)
-    cuts = _cuts(sums.t_s, np.arange(n) if order is None else order)
-    scan = _Scan(sums=sums, wandering=wandering, looks=len(blocks) * len(cuts))
+    courses = _courses(sums.t_s, np.arange(n) if order is None else order)
+    looks = len(blocks) * sum(min(len(course), _BORDERS_COUNT) for course in courses)
+    scan = _Scan(sums=sums, wandering=wandering, looks=looks)
     found: list[ParameterChange] = []
     for _ in range(min(_MOST, len(blocks))):
-        best = scan.most_certain(blocks, cuts)
+        best = scan.most_certain(blocks, courses)
         if best is None:
             break
         found.append(scan.published(*best, jacobian, names))
@@ -142,7 +144,7 @@ class _Scan:
     ----------
     sums : of stretches
     wandering : (p, b) directions of the biases, or None
-    looks : number of blocks times number of cuts
+    looks : how many independent ones are as likely to find something by chance
     given : changes found before
     """
 
@@ -155,15 +157,49 @@ class _Scan:
         """Return the search for what changed beside this."""
         return replace(self, given=(*self.given, _Term(cut=cut, directions=block.directions)))
 
-    def most_certain(self, blocks: Sequence[_Block], cuts: Sequence[_Cut]) -> tuple[_Block, _Cut] | None:
-        """Return the block and the cut that chance explains least; None where it explains all."""
+    def most_certain(self, blocks: Sequence[_Block], courses: Sequence[Sequence[_Cut]]) -> tuple[_Block, _Cut] | None:
+        """Return the block and the cut that chance explains least; None where it explains all.
+
+        Of each course the cut that explains most is held against the scatter: beside the true border a part of what
+        changed would count as scatter.
+        """
         best, least = None, _CHANCE / self.looks
-        for cut in cuts:
-            for block in blocks:
-                chance = _chance(self._estimate(block, cut), len(self.sums), least)
+        explained = self._explained(blocks, [cut for course in courses for cut in course])
+        ends = np.cumsum([len(course) for course in courses])
+        for course, own in zip(courses, np.split(explained, ends[:-1]), strict=True):
+            for block, at in zip(blocks, np.argmax(own, axis=0), strict=True):
+                chance = _chance(self._estimate(block, course[at]), len(self.sums), least)
                 if chance < least:
-                    best, least = block, chance
-        return None if best is None else (best, self._refined(best, cuts))
+                    best, least = (block, course[at]), chance
+        return best
+
+    def _explained(self, blocks: Sequence[_Block], cuts: Sequence[_Cut]) -> Floats:
+        """Return the squares (cuts, blocks) of changes in units of their ordinary covariance.
+
+        All that is common, and the changes found before, are eliminated once for all parameters of a cut.
+        """
+        size = _size(self.sums)
+        pull, information = self.sums.pull * size, self.sums.information * np.outer(size, size)
+        base, on = _design(self.sums, self.given)
+        normal, right = _normal_equations(self.sums, base, on, size)
+        given = base[:, len(size) :] / size[:, None]
+        shares = [term.cut.share for term in self.given for _ in range(term.directions.shape[1])]
+        wandering = np.zeros((len(size), 0)) if self.wandering is None else self.wandering
+        directions = np.concatenate([wandering, *(block.directions for block in blocks)], axis=1) / size[:, None]
+        starts = np.cumsum([wandering.shape[1], *(block.directions.shape[1] for block in blocks)])
+        found = np.zeros((len(cuts), len(blocks)))
+        for number, cut in enumerate(cuts):
+            along = np.tensordot(cut.share, information, 1)
+            beside = [
+                column @ np.tensordot(own * cut.share, information, 1)
+                for column, own in zip(given.T, shares, strict=True)
+            ]
+            cross = np.concatenate([along, np.reshape(beside, (len(beside), len(size)))]) @ directions
+            by_base = np.linalg.solve(normal, np.column_stack([cross, right]))
+            own = directions.T @ np.tensordot(cut.share**2, information, 1) @ directions - cross.T @ by_base[:, :-1]
+            score = directions.T @ (cut.share @ pull) - cross.T @ by_base[:, -1]
+            found[number] = _squares(own, score, starts)
+        return found
 
     def published(self, block: _Block, cut: _Cut, jacobian: Floats, names: Sequence[str]) -> ParameterChange:
         """Return a change in published units."""
@@ -185,23 +221,28 @@ class _Scan:
         biases = () if self.wandering is None else (_Term(cut=cut, directions=self.wandering),)
         return _estimate(self.sums, (*biases, *self.given), block, cut)
 
-    def _refined(self, block: _Block, cuts: Sequence[_Cut]) -> _Cut:
-        """Return the course by which a change explains most, of a step at the border that does."""
-        n = len(self.sums)
-        borders = np.unique(np.linspace(_FEWEST_IN_PART, n - _FEWEST_IN_PART, _MOST_BORDERS).astype(int))
-        tried = [*(_at(self.sums.t_s, place) for place in borders), *cuts]
-        return max(tried, key=lambda one: _explained(self._estimate(block, one)))
 
-
-def _explained(found: _Estimate | None) -> float:
-    return 0.0 if found is None else float(found.w @ found.w)
+def _squares(information: Floats, score: Floats, starts: Integers) -> list[float]:
+    """Return u' M^-1 u of each block (from one of `starts` to the next), the first rows eliminated, by what is told."""
+    first = slice(0, int(starts[0]))
+    by_first = np.linalg.solve(
+        information[first, first] + _LOOSE * np.eye(first.stop), np.column_stack([information[first], score[first]])
+    )
+    score = score - information[:, first] @ by_first[:, -1]
+    information = information - information[:, first] @ by_first[:, :-1]
+    found: list[float] = []
+    for low, high in pairwise(starts):
+        values, vectors = np.linalg.eigh(information[low:high, low:high])
+        told = values > _LEAST_KNOWN
+        found.append(float(np.sum((vectors.T @ score[low:high])[told] ** 2 / values[told])))
+    return found
 
 
 def _blocks(
     sums: ClusterSums, jacobian: Floats, names: Sequence[str], judged: Booleans, biases: Collection[str]
 ) -> tuple[list[_Block], Floats | None]:
     """Return the blocks that are judged, and the directions of the biases."""
-    size = 1 / np.sqrt(np.maximum(np.diag(sums.total), np.finfo(float).tiny))
+    size = _size(sums)
     covariance = np.linalg.pinv(sums.total * np.outer(size, size), rcond=1e-14, hermitian=True)
     scaled = jacobian * size
     of_row = np.sqrt(np.maximum(np.einsum("mp,pq,mq->m", scaled, covariance, scaled), 0.0))
@@ -227,22 +268,22 @@ def _blocks(
     return blocks, np.concatenate(free, axis=1) if free else None
 
 
-def _cuts(t_s: Floats, order: Integers) -> list[_Cut]:
-    """Return where a recording is cut: at each eighth, its middle apart, and every other stretch apart."""
+def _courses(t_s: Floats, order: Integers) -> list[list[_Cut]]:
+    """Return ways in which something may change: at once, for a while, in every other stretch, steadily."""
     n, k = len(t_s), np.arange(len(t_s))
-    places = dict.fromkeys(round(n * eighth / _EIGHTHS) for eighth in range(1, _EIGHTHS))
-    cuts = [_at(t_s, place) for place in places if _FEWEST_IN_PART <= place <= n - _FEWEST_IN_PART]
+    borders = np.unique(np.linspace(_FEWEST_IN_PART, n - _FEWEST_IN_PART, _MOST_BORDERS).astype(int))
+    courses = [[_at(t_s, int(place)) for place in borders]]
     low, high = n // 4, n - n // 4
     if high - low >= _FEWEST_IN_PART:
         words = f"between {t_s[low]:.4g} and {t_s[high - 1]:.4g} s, against the time before and after"
-        cuts.append(_Cut(share=((k >= low) & (k < high)).astype(np.float64), words=words))
+        courses.append([_Cut(share=((k >= low) & (k < high)).astype(np.float64), words=words)])
     odd = order % 2 == 1
     if _FEWEST_IN_PART <= odd.sum() <= n - _FEWEST_IN_PART:
-        cuts.append(_Cut(share=odd.astype(np.float64), words="every other one against those between"))
+        courses.append([_Cut(share=odd.astype(np.float64), words="every other one against those between")])
     span = float(t_s[-1] - t_s[0])
     if span > 0:
-        cuts.append(_Cut(share=(t_s - t_s[0]) / span, words="steadily, from the first to the last"))
-    return cuts
+        courses.append([_Cut(share=(t_s - t_s[0]) / span, words="steadily, from the first to the last")])
+    return courses
 
 
 def _at(t_s: Floats, place: int) -> _Cut:
@@ -255,12 +296,8 @@ def _at(t_s: Floats, place: int) -> _Cut:
 def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cut) -> _Estimate | None:
     """Estimate a change beside others; None where no direction of it is told by both parts."""
     terms = [*given, _Term(cut=cut, directions=block.directions)]
-    n, p = sums.pull.shape
-    size = 1 / np.sqrt(np.maximum(np.diag(sums.total), np.finfo(float).tiny))
-    design = np.concatenate([np.diag(size), *(term.directions for term in terms)], axis=1)  # (p, k)
-    switched = [np.repeat(term.cut.share[:, None], term.directions.shape[1], axis=1) for term in terms]
-    on = np.concatenate([np.ones((n, p)), *switched], axis=1)  # (n, k): how far columns act on a stretch
-    normal, right = _normal_equations(sums, design, on, size)
+    design, on = _design(sums, terms)
+    normal, right = _normal_equations(sums, design, on, _size(sums))
     k, count = len(normal), block.directions.shape[1]
     rest, tested = slice(0, k - count), slice(k - count, k)
     by_rest = np.linalg.solve(normal[rest, rest], np.column_stack([normal[rest, tested], right[rest]]))
@@ -288,6 +325,19 @@ def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cu
     )
 
 
+def _size(sums: ClusterSums) -> Floats:
+    """Return by what (p,) parameters are multiplied to have information of about one."""
+    return 1 / np.sqrt(np.maximum(np.diag(sums.total), np.finfo(np.float64).tiny))
+
+
+def _design(sums: ClusterSums, terms: Sequence[_Term]) -> tuple[Floats, Floats]:
+    """Return the columns (p, k) of the parameters, scaled, and of changes, and how far (n, k) they act on a stretch."""
+    n, p = sums.pull.shape
+    design = np.concatenate([np.diag(_size(sums)), *(term.directions for term in terms)], axis=1)
+    switched = [np.repeat(term.cut.share[:, None], term.directions.shape[1], axis=1) for term in terms]
+    return design, np.concatenate([np.ones((n, p)), *switched], axis=1)
+
+
 def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Floats) -> tuple[Floats, Floats]:
     """Return matrix (k, k) and right-hand side (k,) of the parameters, scaled, and of all changes."""
     p, k = design.shape
@@ -307,7 +357,7 @@ def _chance(found: _Estimate | None, n: int, least: float = 0.0) -> float:
     """Return how often chance alone makes a change as large; at once where it cannot be less than `least`."""
     if found is None:
         return 1.0
-    if least and chi2.sf(_explained(found) * _INFLATED, len(found.w)) > least:
+    if least and chi2.sf(float(found.w @ found.w) * _INFLATED, len(found.w)) > least:
         return 1.0
     *shorter, longest = _clusters(n)
     by_length = [_chance_with(found, cluster, lasting=False) for cluster in shorter]
