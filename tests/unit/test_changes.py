@@ -167,6 +167,14 @@ def remounted():
     return gnomon.calibrate_imu(gnomon.Recording.from_arrays(t_s, rate, samples.accelerometer.values)).calibration
 
 
+def test_scatter_of_rotations_beyond_the_noise_at_rest_is_named(remounted):
+    """A degree in the middle of the recording makes rotations scatter by ten times their noise."""
+    assert "beyond-noise" in {finding.code for finding in remounted.assessment.findings}
+    recording, _ = gnomon.simulate(gnomon.Scenario(intervals=24, t_init_s=20.0), seed=4)
+    healthy = gnomon.calibrate_imu(recording).calibration.assessment
+    assert not {"beyond-noise", "parameter-changed"} & {finding.code for finding in healthy.findings}
+
+
 def test_a_remounted_gyroscope_is_named(remounted, tmp_path):
     assert remounted.verdict != "pass"
     (finding,) = [f for f in remounted.assessment.findings if f.code == "parameter-changed"]

@@ -75,7 +75,7 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "image-coverage": frozenset({"lens-uncertain"}),
     "parameter-changed": frozenset(
         {
-            *("parts-disagree", "model-incomplete", "holdout-accelerometer", "holdout-rotation", "noise-inflated"),
+            *("parts-disagree", "model-incomplete", "holdout-accelerometer", "holdout-rotation"),
             *("uncertainty-accelerometer", "uncertainty-gyroscope", "beyond-noise", "imprecise", "lens-uncertain"),
         }
     ),

@@ -15,6 +15,7 @@ from .bias_findings import bias_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
 from .imu_tables import ImuEvidence
 from .left_out import left_out_findings as rests_left_out
+from .scatter_findings import rotation_scatter
 from .touched_intervals import touched_findings
 from .trust_findings import model_incomplete, parts_disagree, trust_note
 from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
@@ -60,6 +61,7 @@ def assess(
         *drift_findings(evidence),
         *step_findings(evidence, diagnostics),
         *bias_findings(evidence.instabilities, _unit_per_si(evidence.estimate)),
+        *rotation_scatter(evidence),
         *model_incomplete(evidence.trust),
         *parts_disagree(evidence.trust.splits),
         *_allan_findings(diagnostics),
