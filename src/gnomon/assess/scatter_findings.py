@@ -1,4 +1,4 @@
-"""Scatter well beyond the sensor's white noise at rest, which a fit takes into its sigmas: that it is there, and why."""
+"""Scatter well beyond the sensor's white noise at rest, which a fit takes into its sigmas."""
 
 import numpy as np
 
@@ -23,8 +23,8 @@ def rotation_scatter(evidence: ImuEvidence) -> list[Finding]:
         Finding(
             severity="warning" if extra > _ROTATION_WARN_RAD else "info",
             code="beyond-noise",
-            message=f"Rotations scatter by {1e3 * extra:.2g} mrad, {extra / noise:.0f} times what the gyroscope's white "
-            f"noise at rest makes of them ({1e3 * noise:.2g} mrad).",
+            message=f"Rotations scatter by {1e3 * extra:.2g} mrad, {extra / noise:.0f} times what the gyroscope's "
+            f"white noise at rest makes of them ({1e3 * noise:.2g} mrad).",
             consequence="All sigmas contain it as if it were noise; as a rule it is not, and errs the same way in many "
             "rotations.",
             cure="Look for the cause: gyroscope or accelerometer were remounted or knocked, the scale drifted while it "
