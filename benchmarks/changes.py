@@ -6,8 +6,8 @@
     python benchmarks/changes.py --write                  keep the table in benchmarks/results-changes.md
 
 A fault is edited into a simulated recording, of a size drawn evenly on a log scale, at a random time in its middle
-half. Missed is what passes although the truth at the end or at the beginning of the recording lies beyond four published
-sigmas and beyond what general use needs. Named is what `parameter-changed` tells.
+half. Missed is what passes although the truth at the end or at the beginning of the recording lies beyond four
+published sigmas and beyond what general use needs. Named is what `parameter-changed` tells.
 """
 
 import argparse

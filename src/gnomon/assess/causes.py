@@ -76,7 +76,14 @@ _EXPLAINS: dict[str, frozenset[str]] = {
     "parameter-changed": frozenset(
         {
             *("parts-disagree", "model-incomplete", "holdout-accelerometer", "holdout-rotation"),
-            *("uncertainty-accelerometer", "uncertainty-gyroscope", "beyond-noise", "imprecise", "lens-uncertain"),
+            *(
+                "rotations-left-out",
+                "uncertainty-accelerometer",
+                "uncertainty-gyroscope",
+                "beyond-noise",
+                "imprecise",
+                "lens-uncertain",
+            ),
         }
     ),
     "accelerometer-drift": frozenset({"holdout-accelerometer", "beyond-noise", "model-incomplete", "parts-disagree"}),

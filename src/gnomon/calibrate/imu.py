@@ -35,7 +35,7 @@ from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscaled
-from ..estimate.multiposition.sums import free_jacobian, stretch_sums
+from ..estimate.multiposition.sums import free_jacobian, stretch_sums, with_runs
 from ..estimate.trust.cluster_trust import Trusted, trusted
 from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding
@@ -260,6 +260,7 @@ def _trusted(
         estimate.covariance,
         biases=_BIASES,
         widened=options.covariance == "robust",
+        single=stretch_sums(fit, with_runs(fit)),
     )
 
 
