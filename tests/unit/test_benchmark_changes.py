@@ -9,7 +9,6 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import changes
 
-
 SLOW = pytest.mark.slow
 
 
