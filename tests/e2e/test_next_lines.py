@@ -154,3 +154,17 @@ def test_the_lines_in_a_report_on_cameras_run_in_its_folder(run, tmp_path, monke
     for words in lines:
         there = {"RECORDING": "../rig", "ANOTHER/calibration.yaml": "../rig/truth.yaml"}
         run([there.get(word, word) for word in words])
+
+
+def test_a_simulated_recording_takes_the_place_of_another_kind_as_a_whole(run, tmp_path):
+    def files(place):
+        return sorted(str(path.relative_to(place)) for path in Path(place).rglob("*"))
+
+    both, cameras = STARTS["camera-imu"].replace("-o rig", "-o a"), STARTS["camera"].replace("-o views", "-o a")
+    for first, second in ((both, cameras), (cameras, both)):
+        run(shlex.split(second.replace("-o a", "-o alone")))
+        run(shlex.split(first))
+        run(shlex.split(second))
+        assert files("a") == files("alone")
+        shutil.rmtree("a")
+        shutil.rmtree("alone")

@@ -59,8 +59,14 @@ def test_every_program_reads_a_model_that_every_program_reads():
     [
         (("--for", "openvin"), "Did you mean openvins?"),
         (("--for", "openvins", "--model", "pinhole-radtan"), "chooses among"),
+        (("--for", "vio"), "Uses such as vio are stated to gnomon camera-imu"),
     ],
 )
 def test_wrong_usage(words, message, tmp_path, capsys):
     assert main(["camera", str(tmp_path), *words]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_program_where_a_use_is_stated(tmp_path, capsys):
+    assert main(["imu", str(tmp_path / "log.csv"), "--for", "okvis"]) == 2
+    assert "gnomon camera --for okvis chooses" in " ".join(capsys.readouterr().err.split())

@@ -193,11 +193,13 @@ def simulate_camera_imu(command: commands.SimulateCameraImu, terminal: Terminal)
     """Simulate a recording, write its folder, and return the exit code."""
     from ..simulate import simulate_camera_imu
     from ..writers.camera_imu_recording import CAMERA_FILES, save_camera_imu_recording
+    from ..writers.cameras_recording import CAMERAS_FILES
 
     folder = command.output
     replaced = replaces_simulated(folder, _SIMULATED)
     check_form(command.form, images=command.options.images)
-    with result_folder(folder, own=CAMERA_FILES) as staging:
+    own = (*CAMERA_FILES, *CAMERAS_FILES) if replaced else CAMERA_FILES
+    with result_folder(folder, own=own) as staging:
         terminal.progress("simulating")
         simulation = simulate_camera_imu(command.options, command.seed)
         files = save_camera_imu_recording(simulation, staging, terminal.progress, command.form)

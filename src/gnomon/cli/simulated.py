@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..recording import Recording
 
+OF_IMUS = ("imu.yaml", "groundtruth.txt")
+"""Files beside a simulated recording of cameras and an IMU that one of cameras alone has not."""
+
 
 def write_simulated(recording: "Recording", truth: "Calibration", path: Path, terminal: Terminal, *, then: str) -> int:
     """Write the recording of one sensor as `path`, its truth beside it, and return the exit code.

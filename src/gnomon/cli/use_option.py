@@ -1,9 +1,13 @@
 """The option --for: what a calibration is judged for."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+from ..errors import OptionError
+from ..models.lens_programs import PROGRAMS
 
 if TYPE_CHECKING:
     from ..diagnostics import Result
@@ -23,6 +27,11 @@ def read_use_option(use: str | None) -> "Use | None":
     """
     if use is None:
         return None
+    if use in PROGRAMS and not Path(use).exists():
+        raise OptionError(
+            f"--for {use}: this is a program, and here a use is stated, such as vio. gnomon camera --for {use} chooses "
+            f"lenses that it reads, gnomon convert --to {use} writes its files."
+        )
     from ..calibrate.judging import stated_use
 
     return stated_use(use)

@@ -60,7 +60,8 @@ def check_program(name: str) -> None:
         close = difflib.get_close_matches(name, PROGRAMS, n=1, cutoff=0.4)
         hint = f" Did you mean {close[0]}?" if close else ""
         raise OptionError(
-            f"{name}: it is not known which lenses this program reads.{hint} Known: {', '.join(PROGRAMS)}."
+            f"{name}: it is not known which lenses this program reads.{hint} Known: {', '.join(PROGRAMS)}. "
+            "Uses such as vio are stated to gnomon camera-imu."
         )
 
 
