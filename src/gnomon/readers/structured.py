@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import FormatError
 from ..recording import Floats
 from .files import refuse_special
-from .yaml_limits import refuse_bombs, refuse_deep, refuse_large
+from .yaml_limits import LARGEST_YAML_BYTES, refuse_bombs, refuse_deep, refuse_large
 
 _LARGEST = 1e60
 """The largest number that is read; squares and products of such ones are still finite."""
@@ -187,7 +187,7 @@ def parse_yaml(text: str, path: str | PathLike[str], *, any_tag: bool = False) -
     """
     import yaml
 
-    refuse_large(len(text), path)
+    refuse_large(len(text), path, LARGEST_YAML_BYTES)
     refuse_deep(text, path)
     safe = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     try:

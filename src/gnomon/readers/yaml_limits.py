@@ -11,8 +11,9 @@ from typing import Any
 
 from ..errors import FormatError
 
-LARGEST_BYTES = 32 << 20
-"""Of a structured file. A calibration of a hundred parameters has some hundred kilobytes."""
+LARGEST_BYTES, LARGEST_YAML_BYTES = 32 << 20, 8 << 20
+"""Of a structured file, and of YAML, which takes a second or two for each of its megabytes. A calibration of a hundred
+parameters has some hundred kilobytes."""
 DEEPEST = 50
 """Levels of a structured file; those of calibrations have six."""
 MOST_VALUES, MOST_TIMES = 10_000, 10
@@ -21,17 +22,17 @@ _LONGEST_NUMBER = 1000  # digits; Python refuses more than 4300, slowly
 _DEEP_LINE = re.compile(r"(?m)^[ \t?:-]{50}")  # each level of a block needs a column
 
 
-def refuse_large(size: int, path: str | PathLike[str]) -> None:
-    """Refuse a structured file by its size.
+def refuse_large(size: int, path: str | PathLike[str], largest: int = LARGEST_BYTES) -> None:
+    """Refuse a structured file of more than `largest` bytes.
 
     Raises
     ------
     FormatError
         If it is larger than any calibration.
     """
-    if size > LARGEST_BYTES:
+    if size > largest:
         raise FormatError(
-            f"{path}: the file has {size >> 20} MiB, and no calibration is larger than {LARGEST_BYTES >> 20} MiB. Is "
+            f"{path}: the file has {size >> 20} MiB, and no calibration is larger than {largest >> 20} MiB. Is "
             "this the file that you meant?"
         )
 

@@ -236,8 +236,9 @@ def indexed(parts: Parts) -> Bag:
             opened = [stack.enter_context(reader) for reader in readers()]
             links = [link for reader in opened for link in reader.connections]
             for link in links:
-                if not (isinstance(link.topic, str) and isinstance(link.msgtype, str)):  # as metadata.yaml may have it
-                    raise BrokenBagError(f"topic {link.topic!r} of type {link.msgtype!r}: these are no names")  # noqa: TRY301
+                named: list[Any] = [link.topic, link.msgtype]  # whatever metadata.yaml has there
+                if not all(isinstance(name, str) for name in named):
+                    raise BrokenBagError(f"topic and type {named} are no names")  # noqa: TRY301
                 channel, before = _channel(link), topics.get(link.topic)
                 topics[link.topic] = Topic(
                     name=link.topic,

@@ -6,10 +6,12 @@ _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _JPEG_ALONE = {0x01, *range(0xD0, 0xD9)}  # markers without a length
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
 _TIFF_SHORT = 3
-USUAL_PIXELS = 1 << 25
-"""A picture of so many pixels is decoded however small its file is: 33 megapixels."""
-PIXELS_PER_BYTE = 1100
-"""Beyond that many for each byte of the file, a picture holds nothing: deflate shrinks to a thousandth at most."""
+USUAL_PIXELS = 1 << 26
+"""A picture of so many pixels is decoded however small its file is: 67 megapixels."""
+PIXELS_PER_BYTE = 200
+"""Beyond that many for each byte of the file, a picture holds nothing: noise does not shrink to less."""
+MOST_PIXELS = 1 << 28
+"""No camera has more: 268 megapixels."""
 
 
 def stated_pixels(data: memoryview) -> int:
@@ -24,9 +26,14 @@ def stated_pixels(data: memoryview) -> int:
 def too_many_pixels(data: memoryview) -> str:
     """Return what is wrong with a picture that says it has far more pixels than its file can hold; "" if nothing is."""
     pixels = stated_pixels(data)
-    if pixels <= max(USUAL_PIXELS, PIXELS_PER_BYTE * len(data)):
+    if pixels <= most_pixels(len(data)):
         return ""
     return f"said to have {pixels / 1e6:.0f} megapixels, which are not in its file"
+
+
+def most_pixels(size: int) -> int:
+    """Return how many pixels a picture, or a frame of a video, in a file of so many bytes may have."""
+    return min(max(USUAL_PIXELS, PIXELS_PER_BYTE * size), MOST_PIXELS)
 
 
 def _size(data: memoryview) -> tuple[int, int]:

@@ -21,6 +21,7 @@ from ..read_log import ReadLog
 from .camera_places import CameraPlace
 from .frame_stamps import FrameTable, read_frame_table
 
+_MOST_PIXELS = 1 << 26  # twice those of 8K
 _HEAD = 4096
 _LUMA_FIRST = {"gray", "nv12", "nv21", "nv16", "nv24", "yuva420p", "yuva422p", "yuva444p"} | {
     f"yuv{full}{sampling}p" for full in ("", "j") for sampling in (410, 411, 420, 422, 440, 444)
@@ -111,6 +112,13 @@ def _opened(path: Path, label: str) -> InputContainer:
     if not container.streams.video:
         container.close()
         raise RecordingError(f"{label}: there are no images in this video file.")
+    width, height = container.streams.video[0].width, container.streams.video[0].height
+    if width * height > _MOST_PIXELS:
+        container.close()
+        raise RecordingError(
+            f"{label}: its frames are said to have {width} x {height} pixels, more than any video camera has. Was it "
+            "copied completely?"
+        )
     return container
 
 
