@@ -150,6 +150,11 @@ def test_what_does_not_fit_several_recordings_is_refused(recordings, joined):
         gnomon.calibrate_imu([recordings[0], poses], OPTIONS)
 
 
+def test_no_recording_is_said():
+    with pytest.raises(OptionError, match="no recording"):
+        gnomon.calibrate_imu([])
+
+
 def test_another_sensor_is_named(recordings):
     other = recorded(4, sensor_seed=8)
     with pytest.raises(RecordingError, match=r"not of one sensor.*recording 4 against the others"):

@@ -49,6 +49,8 @@ def calibrate_several(
     OptionError
         If an option does not fit several recordings.
     """
+    if not recordings:
+        raise OptionError("no recording given. Give one, or several of one sensor.")
     _check_options(options, prior)
     names = recording_names(recordings)
     refuse_same_data(recordings, names)

@@ -50,6 +50,8 @@ def trust_facts(note: TrustNote) -> Iterator[str]:
         times = f", {np.median(ratios):.2g} x those of white noise" if ratios else ""
         of = f"clusters of {note.cluster_s:.3g} s" if note.cluster_s else "views"
         yield f"  sigmas             from {note.clusters} {of}{times}"
+    if note.recordings:
+        yield f"  sigmas             of the sensor on another occasion, from {note.recordings} recordings"
     if math.isfinite(note.split_z):
         yield f"  halves and thirds  differ by {note.split_z:.2g} of their sigmas (rms)"
     if note.added:
