@@ -1,5 +1,6 @@
 """Accelerometers that do not sit at one point: simulated, moved between frames and origins, in files, and estimated."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -382,3 +383,22 @@ def test_report_and_screen_show_the_point(recorded):
     places, sigma = (1e3 * of("imu0.accelerometer.lever_arms_m") for of in (found.parameter, found.sigma))
     assert "imu0 origin        the point of the IMU whose place is known best (p*)" in lines
     assert f"{places[0, 1]:.2f} +- {sigma[0, 1]:.2f}" in lines
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size_mm", [0, 2, 10, 20])
+def test_errors_at_p_star_are_what_their_sigmas_say(size_mm):
+    """z of t over recordings of 30 s; GNOMON_STUDY scales their number (50)."""
+    z = []
+    for seed in range(max(6, round(50 * float(os.environ.get("GNOMON_STUDY", "1"))))):
+        arms = np.random.default_rng((seed, 1)).normal(size=6)
+        arms *= 1e-3 * size_mm / np.sqrt(np.mean(arms**2))
+        scenario = CameraImuScenario(duration_s=30.0, accelerometer_arms_m=tuple(arms) if size_mm else ())
+        simulation = simulated_camera_imu(scenario, 400 + seed)
+        found = calibrated(simulation, model="auto", gravity=9.80665)
+        truth = simulation.truth.with_origin(found.imus["imu0"].origin)
+        path = "cam0.T_cam_imu.translation"
+        z.append((found.parameter(path) - truth.parameter(path)) / found.sigma(path))
+    rms = float(np.sqrt(np.mean(np.square(z))))
+    print(f"\narms of {size_mm} mm: z rms of t {rms:.3f}, {np.size(z)} scalars")
+    assert abs(rms - 1) < max(0.1, 2.5 / np.sqrt(2 * np.size(z)))
