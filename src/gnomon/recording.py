@@ -185,6 +185,9 @@ class CameraFrames:
     lens_covariance : (k, k) or None
         Covariance of intrinsics and distortion coefficients, in the order of `Camera.parameters`, where it is known;
         they are estimated along then, with it as their prior.
+    detector_scale_sigma : float
+        How far an unknown bias of the detector may feign another focal length, relative to it; 0 for gnomon's own
+        detector.
 
     Raises
     ------
@@ -202,6 +205,7 @@ class CameraFrames:
     sigma_px: Floats | None = None
     quality: FrameQuality | None = None
     lens_covariance: Floats | None = None
+    detector_scale_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("t_ns", "frame", "point"):

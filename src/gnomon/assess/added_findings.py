@@ -1,6 +1,6 @@
 """What the model took up because the recording proved it to be there, with its size and what to do about it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from ..recording import Floats
 
 _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
 """Beyond these it is doubtful that the stated intrinsics are of this camera."""
+
+_DELAYED, _CERTAIN = "triads-apart", 3.0
 
 
 def added_findings(
@@ -33,6 +35,43 @@ def added_findings(
     if "board" in added and found.board is not None:
         findings.append(_board(found.board.offsets))
     return findings
+
+
+def delays_found(
+    noticed: Sequence[Finding], imus: Sequence[ImuParameters], sigmas_s: Mapping[int, float], *, decided: bool
+) -> list[Finding]:
+    """Return what was noticed before the estimation, with the delays of accelerometers as the estimation tells them.
+
+    Parameters
+    ----------
+    noticed : before the estimation
+    imus : as they were estimated
+    sigmas_s : of the delays that were estimated, by the number of the IMU [s]
+    decided : whether the estimation decided by evidence on those that it does not have
+    """
+    if not sigmas_s and not decided:
+        return list(noticed)
+    told = [finding for finding in noticed if finding.code != _DELAYED]
+    seen = len(told) < len(noticed)
+    return told + [
+        _delay(f"imu{i}", imus[i].accelerometer_shift_s, sigma_s)
+        for i, sigma_s in sigmas_s.items()
+        if (seen or not imus[i].apart) and abs(imus[i].accelerometer_shift_s) > _CERTAIN * sigma_s
+    ]
+
+
+def _delay(name: str, shift_s: float, sigma_s: float) -> Finding:
+    later, earlier = ("accelerometer", "gyroscope") if shift_s < 0 else ("gyroscope", "accelerometer")
+    return Finding(
+        severity="info",
+        code=_DELAYED,
+        message=f"The {later} of {name} comes {1e3 * abs(shift_s):.3g} +- {1e3 * sigma_s:.2g} ms later than its "
+        f"{earlier}.",
+        consequence="The delay was estimated along, so that it bends nothing; the time shifts are those of the "
+        "gyroscope's stamps.",
+        cure="Filters in the sensor do that: give both triads the same one, or correct the accelerometer's stamps by "
+        "this delay where the IMU is used.",
+    )
 
 
 def steps_left_out(failed: Mapping[str, str]) -> list[Finding]:
@@ -102,7 +141,7 @@ def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -
     doubtful = abs(focal) > _FOCAL_WARN or moved > _PRINCIPAL_WARN_PX
     k3 = found.camera.distortion_coeffs[4] if found.camera.distortion == "radtan5" else 0.0
     bent = f"; k3 is {k3:.3g}" if k3 else ""
-    consequence = "The lens was estimated along; with the stated one, translations and the IMU's scales would bend."
+    consequence = "The lens was estimated along: the corners fit clearly better with it than with the stated one."
     cure = "Use the lens of this result, or calibrate the camera anew."
     if doubtful:
         cure = "Check that camchain.yaml is of this camera, lens and resolution."

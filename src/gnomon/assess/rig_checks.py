@@ -27,7 +27,7 @@ from .rig_lens import check_lens
 _EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
 _MIRRORED = 2.0  # times as much as a mirror leaves, what a rotation leaves
 _NEAR = 0.3  # of an entry of the relative axes from -1, 0 or 1
-_DELAY_S, _SIGMAS = 3e-3, 5.0
+_DELAY_S, _SIGMAS = 0.5e-3, 5.0
 _CERTAIN_S, _LATE_S, _LATE_SIGMAS = 3e-3, 4e-3, 5.0
 _LATE_SHARE, _FEWEST_LATE, _FEWEST_FRAMES = 0.04, 8, 60
 _JUMP_S, _JUMP_GAIN = 4e-3, 0.5
@@ -300,8 +300,8 @@ def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding
             f"{earlier}.",
             consequence="One time shift cannot hold for both; what the accelerometer tells (translation, its own "
             "errors) is bent.",
-            cure="Give both the same filter, correct the stamps of one of them by this delay, or let it be estimated: "
-            f"--free {imu}.accelerometer_shift.",
+            cure="Give both the same filter, or correct the stamps of one of them by this delay. gnomon camera-imu "
+            f"estimates it along where the recording proves it, and always with --free {imu}.accelerometer_shift.",
         )
     ]
 

@@ -6,10 +6,11 @@ prepare -> find the board's poses -> align clocks and axes -> first trajectory -
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.added_findings import added_findings, out_of_order, steps_left_out
+from ..assess.added_findings import added_findings, delays_found, out_of_order, steps_left_out
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
 from ..assess.changes import with_changes
@@ -25,7 +26,7 @@ from ..estimate.camera_imu.first_guess import imu_stream, looks
 from ..estimate.camera_imu.other_imus import aligned_beside
 from ..estimate.camera_imu.publish import published
 from ..estimate.camera_imu.recording_trust import recording_trust
-from ..estimate.camera_imu.uncertainty import uncertainty
+from ..estimate.camera_imu.uncertainty import Uncertainty, uncertainty, with_detector_scale
 from ..evidence import Priors, refuse_own_data
 from ..models.target import Target
 from ..options import CameraImuOptions
@@ -109,7 +110,11 @@ def _calibrated(
         raise SolveError(f"{error}{suspected(prepared.findings, prepared.move)}") from error
     chosen = chosen_model(first, options, tell)
     solution, start = chosen.solution, chosen.solution.layout.start
-    certain = uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None)
+    certain = with_detector_scale(
+        uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None),
+        solution.state.parameters,
+        {name: frames.detector_scale_sigma for name, frames in recording.cameras.items()},
+    )
     basic, uncompared = basic_model(start, solution, options, tell)
     tell("assessing the result")
     result = published(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
@@ -145,8 +150,9 @@ def _calibrated(
         *parts_disagree(trust.splits),
     )
     uncertain = Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance)
+    shutters, state = shutters_estimated(prepared.findings, result.cameras, uncertain), solution.state.parameters
     noticed = judged_again(
-        shutters_estimated(prepared.findings, result.cameras, uncertain),
+        delays_found(shutters, state.imus, _delay_sigmas(certain), decided=options.model == "auto"),
         prepared.move,
         diagnostics,
         converged=solution.converged,
@@ -168,3 +174,10 @@ def _calibrated(
         ),
     )
     return Result(calibration=with_changes(calibration, trust), diagnostics=diagnostics)
+
+
+def _delay_sigmas(found: Uncertainty) -> dict[int, float]:
+    """Return the standard deviations of the delays of accelerometers that were estimated, by the number of the IMU."""
+    sigma = np.sqrt(np.diag(found.covariance))
+    delays = {name: k for k, name in enumerate(found.names) if name.endswith(".accelerometer_shift")}
+    return {int(name.partition(".")[0].removeprefix("imu")): float(sigma[k]) for name, k in delays.items()}

@@ -1,6 +1,6 @@
 """From what was measured to the solution with the options' model."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..estimate.camera_imu.batch import Measurements, State
 from ..estimate.camera_imu.choices import choices, lens_prior
 from ..estimate.camera_imu.first_guess import ImuStream, Look, first_parameters, first_state, per_corner
 from ..estimate.camera_imu.first_place import first_place
-from ..estimate.camera_imu.inertial_data import InertialData, apart, triads, well_inside
+from ..estimate.camera_imu.inertial_data import on_trajectory, triads
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
 from ..estimate.camera_imu.knots import knots_per_s
 from ..estimate.camera_imu.layout import Status, layout
@@ -21,7 +21,6 @@ from ..estimate.camera_imu.origin import with_weighed_origin
 from ..estimate.camera_imu.other_imus import Beside, first_imu, with_stated_pose
 from ..estimate.camera_imu.parameters import ImuParameters, Parameters
 from ..estimate.camera_imu.solution import GATE, Solution, solved
-from ..estimate.camera_imu.trajectory import Grid
 from ..estimate.camera_imu.visual_terms import VisualData
 from ..findings import Finding
 from ..options import CameraImuOptions
@@ -192,23 +191,9 @@ def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dic
             visual.append(VisualData(camera=i, exposures=exposures, t_s=look.poses.t_s))
         used.append(consistent if options.robust else np.ones(len(exposures), dtype=bool))
     inertial = [
-        readings for data in rig.prepared.inertial for readings in _on_trajectory(data, parameters, status, grid)
+        readings for data in rig.prepared.inertial for readings in on_trajectory(data, parameters, status, grid)
     ]
     return Measurements(inertial=tuple(inertial), visual=tuple(visual), used=tuple(used))
-
-
-def _on_trajectory(
-    data: InertialData, parameters: Parameters, status: dict[str, Status], grid: Grid
-) -> Iterator[InertialData]:
-    """Yield readings, of clocks that are estimated those that stay on the trajectory while it comes out where.
-
-    Were readings to enter and to leave it at its ends, the cost of two steps could not be compared.
-    """
-    imu = parameters.imus[data.imu]
-    delayed = imu.accelerometer_shift_s != 0 or status[f"imu{data.imu}.accelerometer_shift"] != "fixed"
-    for one in apart(data) if delayed else (data,):
-        moves = data.imu > 0 or (delayed and one.gyroscope is None)
-        yield well_inside(grid, one, imu, MARGIN_S / 2) if moves else one
 
 
 def basic_model(

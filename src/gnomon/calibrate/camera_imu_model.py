@@ -1,9 +1,10 @@
 """Which model a recording asks for: that of the options, and what else it proves to be there (B16).
 
-The model of the IMU, with lever arms of its accelerometers, is estimated first, and beside it is seen what errors of
-the lens and, where corners stay off in the same way from frame to frame, of the board would do. What predicts clusters
-of time that were left out better, by more than chance, joins the model; what does not prove itself in the larger model
-is taken out again. Lever arms are no such choice: which point T_cam_imu is of must not hang on the evidence.
+The model of the IMU, with lever arms of its accelerometers, is estimated first, and beside it is seen what delays of the
+accelerometers, errors of the lens and, where corners stay off in the same way from frame to frame, of the board would
+do. What predicts clusters of time that were left out better, by more than chance, joins the model; what does not prove
+itself in the larger model is taken out again. Lever arms are no such choice: which point T_cam_imu is of must not hang
+on the evidence.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,8 +18,9 @@ from ..estimate.camera_imu.batch import State, linearised
 from ..estimate.camera_imu.choices import choices, imu_blocks, lens_prior
 from ..estimate.camera_imu.cluster_sums import cluster_sums
 from ..estimate.camera_imu.gauss_newton import gauss_newton_step
+from ..estimate.camera_imu.inertial_data import on_trajectory
 from ..estimate.camera_imu.layout import layout
-from ..estimate.camera_imu.model_ladder import ARMS, EXTRAS, LADDER, ladder, step_columns
+from ..estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, ladder, step_columns
 from ..estimate.camera_imu.parameters import Parameters
 from ..estimate.camera_imu.residual_patterns import board_evidence
 from ..estimate.camera_imu.solution import Solution, solved
@@ -35,8 +37,13 @@ _ROUNDS = 3
 _BOARD = "board"
 _BLOCKS = {name: LADDER[name] for name in EXTRAS} | {"k3": ("distortion_coeffs",), _BOARD: ("offsets",)}
 _BOARD_CHANCE = 0.01 / (len(EXTRAS) + 1)
-_BOARD_SHARE = 0.02
-"""Of the residuals' variance, below which a pattern of the corners moves nothing that anybody could see."""
+_BOARD_SHARE, _LENS_SHARE = 0.02, 0.005
+"""Of the corners' variance, which board and lens must explain: less may be the detector's bias that looks the same."""
+
+_LENS = ("intrinsics", "k3")
+_PROMISING = 4.0
+"""Standard deviations of its gain, from which on a step is tried in the larger model: what is left out of a model lasts
+and makes clusters of time long and few, by which nothing can be proved."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,13 +78,14 @@ class Chosen:
 def considered(start: Parameters) -> tuple[str, ...]:
     """Return the blocks beyond the model of which the last linearisations tell what they would do."""
     arms = [f"imu{i}.lever_arms" for i in range(len(start.imus))]
+    delays = [f"imu{i}.accelerometer_shift" for i, imu in enumerate(start.imus) if not imu.apart]
     lenses = [
         f"{entry.name}.{block}"
         for entry in start.cameras
         for block in LADDER["intrinsics"]
         if block == "intrinsics" or len(entry.camera.distortion_coeffs)
     ]
-    return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms)
+    return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms, *delays)
 
 
 def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) -> Chosen:
@@ -94,10 +102,10 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
     steps = {step.name: step for step in base.steps}
     if _BOARD not in stated:
         steps[_BOARD] = _board_step(solution)
-    asked = _asked(steps, stated)
+    asked = _asked(steps, stated, promising=True)
     if {"intrinsics", _BOARD} & set(asked) and "k3" not in stated and _may_have_k3(solution):
         steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated).steps}
-        asked = _asked(steps, stated)
+        asked = _asked(steps, stated, promising=True)
     inside: tuple[str, ...] = ()
     failed: dict[str, str] = {}
     rounds = _ROUNDS
@@ -110,6 +118,8 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
         else:
             rounds, inside = rounds - 1, asked
             steps |= {step.name: step for step in judged.steps}
+            if _BOARD not in stated and set(_LENS) & set(asked):
+                steps[_BOARD] = _board_step(judged.solution)
         asked = tuple(name for name in _asked(steps, stated) if name not in failed)
     told = [
         replace(step, forced=options.model != "auto" or step.name not in LADDER or step.name in EXTRAS)
@@ -133,9 +143,15 @@ def _least(steps: Mapping[str, ModelStep], asked: Sequence[str]) -> str:
     return min(asked, key=lambda name: steps[name].gain - steps[name].needed)
 
 
-def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool]) -> tuple[str, ...]:
-    """Return the steps that prove themselves, of those that nobody has decided on."""
-    return tuple(name for name in (*EXTRAS, _BOARD) if name not in stated and name in steps and steps[name].used)
+def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool], *, promising: bool = False) -> tuple[str, ...]:
+    """Return the steps that prove themselves, or promise to, of those that nobody has decided on."""
+    return tuple(
+        name
+        for name in (*EXTRAS, _BOARD)
+        if name not in stated
+        and (step := steps.get(name)) is not None
+        and (step.used or (promising and name == DELAY and step.gain > _PROMISING * step.gain_sigma > 0))
+    )
 
 
 def _may_have_k3(solution: Solution) -> bool:
@@ -165,7 +181,8 @@ def _judged(solution: Solution, stated: Mapping[str, bool]) -> Chosen:
     number = np.unique(blocks, return_inverse=True)[1].astype(np.int64)
     lasts = memory(found.of_parameters(free), np.eye(len(free)), number)
     clusters, _ = clustered(found, max(lasts, 1))
-    steps = ladder(clusters[0], solution.layout, solution.state.parameters, stated)
+    least = dict.fromkeys(_LENS, _gain(solution, _LENS_SHARE))
+    steps = ladder(clusters[0], solution.layout, solution.state.parameters, stated, least)
     return Chosen(solution=solution, sums=found, steps=steps)
 
 
@@ -173,13 +190,15 @@ def _board_step(solution: Solution) -> ModelStep:
     """Return what the corners of the board would bring, by residuals that stay the same from frame to frame.
 
     Taking a pattern of size s off residuals of size sigma makes their log-likelihood larger by half the sum of
-    s^2 / sigma^2, before anything else is fitted anew; whether the pattern is there, clusters of time tell.
+    s^2 / sigma^2, before anything else is fitted anew; whether the pattern is there, clusters of time tell. Where the
+    corners were estimated, they are put back to their places first: does the lens do without them?
     """
-    pattern, board = board_evidence(solution), solution.state.parameters.board
-    corners = sum(
-        int(fit.valid[inside].sum()) for fit, inside in zip(solution.lin.sums, solution.lin.inside, strict=True)
-    )
-    gain, least = (corners * share / max(1 - share, 0.1) for share in (pattern.share, _BOARD_SHARE))
+    board = solution.state.parameters.board
+    if board is not None and board.offsets.any():
+        parameters = replace(solution.state.parameters, board=replace(board, offsets=np.zeros_like(board.offsets)))
+        solution = replace(solution, state=replace(solution.state, parameters=parameters))
+    pattern = board_evidence(solution)
+    gain, least = _gain(solution, pattern.share), _gain(solution, _BOARD_SHARE)
     spread = abs(gain / pattern.z) if pattern.z else 0.0
     needed = max(spread * NormalDist().inv_cdf(1 - _BOARD_CHANCE), least)
     return ModelStep(
@@ -190,6 +209,14 @@ def _board_step(solution: Solution) -> ModelStep:
         needed=needed,
         used=gain > needed,
     )
+
+
+def _gain(solution: Solution, share: float) -> float:
+    """Return by how much the log-likelihood grows where a share of the corners' variance is explained."""
+    corners = sum(
+        int(fit.valid[inside].sum()) for fit, inside in zip(solution.lin.sums, solution.lin.inside, strict=True)
+    )
+    return corners * share / max(1 - share, 0.1)
 
 
 def _seen_with_k3(solution: Solution, options: CameraImuOptions) -> Solution:
@@ -222,8 +249,15 @@ def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraIm
     """
     state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
     chosen = choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
+    measurements = solution.measurements
+    if DELAY in asked:
+        grid = state.trajectory.grid
+        inertial = (
+            one for data in measurements.inertial for one in on_trajectory(data, state.parameters, chosen.status, grid)
+        )
+        measurements = replace(measurements, inertial=tuple(inertial))
     found = solved(
-        solution.measurements,
+        measurements,
         state,
         layout(origin, chosen.status, chosen.prior_sigma),
         layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),

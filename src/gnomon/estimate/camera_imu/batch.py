@@ -187,7 +187,7 @@ def error_terms(
             probe=1 + 2 * data.imu if probing else None,
             seed=number,
         )
-        for number, data in enumerate(_by_clock(measurements.inertial, state.parameters, layout))
+        for number, data in enumerate(_by_clock(measurements.inertial, state.parameters))
     ]
     visual = [
         VisualTerms(
@@ -210,12 +210,10 @@ def error_terms(
     return inertial, visual
 
 
-def _by_clock(inertial: tuple[InertialData, ...], parameters: Parameters, layout: Layout) -> Iterator[InertialData]:
+def _by_clock(inertial: tuple[InertialData, ...], parameters: Parameters) -> Iterator[InertialData]:
     """Yield the readings, those of triads that share their stamps but not their delay one by one."""
     for data in inertial:
-        shift = f"imu{data.imu}.accelerometer_shift"
-        together = not parameters.imus[data.imu].accelerometer_shift_s and layout.get(shift) is None
-        yield from (data,) if together else apart(data)
+        yield from apart(data) if parameters.imus[data.imu].accelerometer_shift_s else (data,)
 
 
 def mean_weights(trajectory: Trajectory) -> Floats:

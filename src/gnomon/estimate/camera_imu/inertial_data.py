@@ -1,13 +1,15 @@
 """Readings of gyroscopes and accelerometers, and where they lie on the trajectory."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...models.noise import ImuNoise
 from ...recording import Floats
-from .parameters import ImuParameters
+from .initial_trajectory import MARGIN_S
+from .layout import Status
+from .parameters import ImuParameters, Parameters
 from .trajectory import Grid, Places
 
 
@@ -121,6 +123,20 @@ def well_inside(grid: Grid, data: InertialData, imu: ImuParameters, margin_s: fl
     places = [grid.places(at + step) for step in (-margin_s, margin_s)]
     same = places[0].segment == places[1].segment
     return some_readings(data, places[0].inside & places[1].inside & same)
+
+
+def on_trajectory(
+    data: InertialData, parameters: Parameters, status: Mapping[str, Status], grid: Grid
+) -> Iterator[InertialData]:
+    """Yield readings, of clocks that are estimated those that stay on the trajectory while it comes out where.
+
+    Were readings to enter and to leave it at its ends, the cost of two steps could not be compared.
+    """
+    imu = parameters.imus[data.imu]
+    delayed = imu.accelerometer_shift_s != 0 or status[f"imu{data.imu}.accelerometer_shift"] != "fixed"
+    for one in apart(data) if delayed else (data,):
+        moves = data.imu > 0 or (delayed and one.gyroscope is None)
+        yield well_inside(grid, one, imu, MARGIN_S / 2) if moves else one
 
 
 def some_readings(data: InertialData, which: np.ndarray | slice) -> InertialData:

@@ -13,19 +13,21 @@ from .choices import K3
 from .layout import Layout
 from .parameters import Parameters
 
-ARMS = "lever arms"
+ARMS, DELAY = "lever arms", "accelerometer delay"
 
 LADDER = {
     "scale": ("S_a", "S_g"),
     "misalignment": ("M_a", "M_g", "q_bg"),
     "g-sensitivity": ("B_g",),
     ARMS: ("lever_arms",),
+    DELAY: ("accelerometer_shift",),
     "intrinsics": ("intrinsics", "distortion_coeffs"),
     "k3": (),
 }
-"""Step -> blocks, of every sensor that has them; k3 is the last coefficient of radtan5."""
+"""Step -> blocks, of every sensor that has them; k3 is the last coefficient of radtan5. An accelerometer that has
+stamps of its own has a delay in every model."""
 
-EXTRAS = ("intrinsics", "k3")
+EXTRAS = (DELAY, "intrinsics", "k3")
 """Steps beyond the model of the IMU."""
 
 _CHANGES = 3
@@ -33,7 +35,11 @@ _CHANGES = 3
 
 
 def ladder(
-    sums: ClusterSums, layout: Layout, parameters: Parameters, forced: Mapping[str, bool]
+    sums: ClusterSums,
+    layout: Layout,
+    parameters: Parameters,
+    forced: Mapping[str, bool],
+    least: Mapping[str, float],
 ) -> tuple[ModelStep, ...]:
     """Return what each step brings on clusters of time that were left out, in their order.
 
@@ -42,9 +48,16 @@ def ladder(
     sums : of clusters longer than the residuals' memory, over the columns of `layout`
     layout, parameters : where the sums were made
     forced : step -> whether it is in the model, of those on which the recording does not decide
+    least : step -> gain of the log-likelihood that it must bring, however certain it is
     """
     candidates = [
-        Candidate(name=name, columns=columns, away=_away(layout, parameters)[columns], forced=forced.get(name))
+        Candidate(
+            name=name,
+            columns=columns,
+            away=_away(layout, parameters)[columns],
+            forced=forced.get(name),
+            least=least.get(name, 0.0),
+        )
         for name in LADDER
         if len(columns := step_columns(layout, name))
     ]
@@ -62,11 +75,16 @@ def step_columns(layout: Layout, name: str) -> Integers:
         for block, columns in layout.columns.items()
         if block.partition(".")[2] in LADDER[name]
         for column in range(columns.start, columns.stop)
-        if not layout.names[column].endswith(K3)
+        if not layout.names[column].endswith(K3) and not _has_own_stamps(layout, block, name)
     ]
     if name == "k3":
         found = [column for column, scalar in enumerate(layout.names) if scalar.endswith(K3)]
     return np.array(found, dtype=np.int64)
+
+
+def _has_own_stamps(layout: Layout, block: str, name: str) -> bool:
+    """Tell whether a block is the delay of an accelerometer with stamps of its own."""
+    return name == DELAY and layout.start.imus[int(block.partition(".")[0].removeprefix("imu"))].apart
 
 
 def _away(layout: Layout, parameters: Parameters) -> Floats:

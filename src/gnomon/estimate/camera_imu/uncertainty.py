@@ -8,7 +8,7 @@ board, the intrinsics) is tested by the step that it would take if it were free.
 The equations count all errors as independent. What a recording really shows, clusters of time tell (`cluster_sums`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,7 @@ from .batch import mean_weights
 from .cluster_sums import bias_sides, board_follows
 from .gauss_newton import Step
 from .layout import Layout
+from .parameters import Parameters
 from .solution import Solution
 from .trajectory import BIAS, POSE
 
@@ -235,6 +236,38 @@ def _held(name: str, layout: Layout, step: Step, schur_sides: Floats) -> Held | 
         wanted=covariance @ right,
         wanted_sigma=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
     )
+
+
+def with_detector_scale(found: Uncertainty, parameters: Parameters, sigmas: Mapping[str, float]) -> Uncertainty:
+    """Return the uncertainty with that of a bias of the detectors, which feigns another focal length (Schmidt).
+
+    The bias b is not estimated, only considered: what it moves is added. Where the lens is held, that is what its focal
+    length would move; where it was estimated, what goes along with it, C e / (e' C e).
+
+    Parameters
+    ----------
+    parameters : estimate
+    sigmas : of each camera, by name, the standard deviation of b, relative to the focal length
+    """
+    covariance, ordinary = found.covariance, found.ordinary
+    column = {name: i for i, name in enumerate(found.names)}
+    for entry in parameters.cameras:
+        sigma, lens = sigmas.get(entry.name, 0.0), entry.camera
+        if not sigma:
+            continue
+        scalars = [f"{entry.name}.intrinsics[{len(lens.intrinsics) - k}]" for k in (4, 3)]
+        step = dict(zip(scalars, (sigma * lens.intrinsics[-4:-2]).tolist(), strict=True))
+        held = found.held.get(f"{entry.name}.intrinsics")
+        along = np.zeros(len(covariance))
+        for row, name in enumerate(() if held is None else held.names):
+            if held is not None and name in step:
+                along += step[name] * held.by_unit[row]
+        free = [column[name] for name in scalars if name in column]
+        if free:
+            size = np.array([step[name] for name in scalars if name in column])
+            along += found.ordinary[:, free] @ np.linalg.solve(found.ordinary[np.ix_(free, free)], size)
+        covariance, ordinary = (matrix + np.outer(along, along) for matrix in (covariance, ordinary))
+    return replace(found, covariance=covariance, ordinary=ordinary)
 
 
 def with_uncertain(found: Uncertainty, block: str, sigma: float, *, ordinary: bool = False) -> Floats:

@@ -35,12 +35,14 @@ class Candidate:
     columns : (k,) of the sums
     away : (k,) step from the present values to those that a model without the block holds them at
     forced : in the model whatever the recording says (True), never (False), or by evidence (None)
+    least : gain of the log-likelihood that is needed, however certain it is
     """
 
     name: str
     columns: Integers
     away: Floats
     forced: bool | None = None
+    least: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,7 +121,7 @@ class _Bench:
         """Return what a candidate brings to a model."""
         without, larger = self._model(kept), self._model([*kept, candidate])
         gains = without.costs - larger.costs
-        needed = max(self._by_chance(gains), _LEAST_GAIN)
+        needed = max(self._by_chance(gains), _LEAST_GAIN, candidate.least)
         gain = float(gains.sum())
         return Step(
             candidate=candidate,
