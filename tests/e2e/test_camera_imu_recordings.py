@@ -78,6 +78,23 @@ def test_distance_from_the_truth(rendered, name):
 
 
 @RECORDINGS
+def test_the_default_model_holds_a_lens_that_only_a_detectors_bias_contradicts(rendered, name):
+    """The stated lens is the true one; Kalibr's corners ask for another, certain beyond doubt, and explain nothing."""
+    folder, _, result = rendered(name, model="auto")
+    trust = result.diagnostics.trust
+    assert result.calibration.assessment.trust.added == ()
+    (lens,) = (step for step in trust.models if step.name == "intrinsics")
+    assert not lens.used
+    if name != D:
+        assert lens.gain > 5 * lens.gain_sigma
+    assert Rig.from_result(result).distances(truth_of(folder))["translation mm"] < 0.25
+    translation = result.calibration.cameras["cam0"].T_cam_imu[:3, 3]
+    sigma = result.calibration.sigma("cam0.T_cam_imu.translation")
+    assert (np.abs(translation - truth_of(folder).T_cam_imu[:3, 3]) < 3 * sigma).all()
+    assert sigma[2] > 1e-4  # as far as the focal length may be off by the detector's bias
+
+
+@RECORDINGS
 def test_nearer_to_the_truth_than_kalibr(rendered, name):
     """The same corners and samples; Kalibr's own files, of its default weights.
 

@@ -1,10 +1,10 @@
 """Which model a recording asks for: that of the options, and what else it proves to be there (B16).
 
-The model of the IMU, with lever arms of its accelerometers, is estimated first, and beside it is seen what delays of the
-accelerometers, errors of the lens and, where corners stay off in the same way from frame to frame, of the board would
-do. What predicts clusters of time that were left out better, by more than chance, joins the model; what does not prove
-itself in the larger model is taken out again. Lever arms are no such choice: which point T_cam_imu is of must not hang
-on the evidence.
+The model of the IMU, with lever arms of its accelerometers, is estimated first, and beside it is seen what delays of
+the accelerometers, errors of the lens and, where corners stay off in the same way from frame to frame, of the board
+would do. What predicts clusters of time that were left out better, by more than chance, joins the model; what does not
+prove itself in the larger model is taken out again. Lever arms are no such choice: which point T_cam_imu is of must not
+hang on the evidence.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -40,7 +40,7 @@ _BOARD_CHANCE = 0.01 / (len(EXTRAS) + 1)
 _BOARD_SHARE, _LENS_SHARE = 0.02, 0.005
 """Of the corners' variance, which board and lens must explain: less may be the detector's bias that looks the same."""
 
-_LENS = ("intrinsics", "k3")
+_LENS: tuple[str, ...] = ("intrinsics", "k3")
 _PROMISING = 4.0
 """Standard deviations of its gain, from which on a step is tried in the larger model: what is left out of a model lasts
 and makes clusters of time long and few, by which nothing can be proved."""

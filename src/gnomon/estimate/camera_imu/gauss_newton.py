@@ -121,13 +121,16 @@ def moved(state: State, layout: Layout, step: Step) -> State:
 
 
 def _cost_change(lin: Linearisation, following: Linearisation) -> float:
-    """Return how much the cost grew, but for corners that can be imaged at one of both states only.
+    """Return how much the cost grew, but for what counts at one of both states only.
 
-    Where a lens folds back, at the border of a wide image, a step of its coefficients takes corners in or out.
+    A step of the time shift takes exposures at the ends of the trajectory in or out, and where a lens folds back, at
+    the border of a wide image, a step of its coefficients does so with corners.
     """
     change = following.cost - lin.cost
-    for before, after, used in zip(lin.sums, following.sums, lin.inside, strict=True):
-        counted = np.repeat(used, before.lengths)
+    cameras = zip(lin.sums, following.sums, lin.inside, following.inside, strict=True)
+    for before, after, inside, still_inside in cameras:
+        change += float(before.cost[inside & ~still_inside].sum() - after.cost[still_inside & ~inside].sum())
+        counted = np.repeat(inside & still_inside, before.lengths)
         was, now = np.isfinite(before.residual[:, 0]), np.isfinite(after.residual[:, 0])
         change += float(before.corner_cost[counted & was & ~now].sum())
         change -= float(after.corner_cost[counted & now & ~was].sum())

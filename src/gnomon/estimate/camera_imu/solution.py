@@ -138,7 +138,8 @@ def solved(
                 tolerance=_NOISE_AT_REST if settled else _NOISE_ROUGHLY,
             )
             found = judged.found
-            if (at_rest := judged.same and _left(step, previous) < rest) and step.factor.borrowed:
+            at_rest = settled and judged.same and _left(step, previous) < rest  # noise was judged by the strict measure
+            if at_rest and step.factor.borrowed:
                 step = _exact(lin, step)
                 at_rest = _left(step, previous) < rest
             changed = not (judged.same or (changed and step.largest > previous))

@@ -1,0 +1,111 @@
+"""An accelerometer that is late joins the model by evidence, and then bends nothing; one that is not does not."""
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from camera_imu_truth import errors
+from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
+
+SCENARIO = CameraImuScenario(
+    duration_s=20.0, imu_rate_hz=100.0, camera_rate_hz=15.0, target_cols=4, target_rows=4, random_extrinsics=True
+)
+OPTIONS = CameraImuOptions(gravity=SCENARIO.gravity)
+SHIFT = "imu0.accelerometer.time_shift"
+
+
+@cache
+def case(delay_s, seed, options=OPTIONS, **changes):
+    simulation = simulate_camera_imu(replace(SCENARIO, accelerometer_delay_s=delay_s, **changes), seed)
+    return simulation, calibrate_camera_imu(simulation.recording, simulation.target, options)
+
+
+def delay_of(result):
+    value = result.calibration.imus["imu0"].accelerometer.time_shift_s
+    return None if value is None else (value, float(result.calibration.sigma(SHIFT)))
+
+
+def findings_of(result, code):
+    return [finding for finding in result.calibration.assessment.findings if finding.code == code]
+
+
+@pytest.mark.parametrize("delay_s", [1.5e-3, -3e-3])
+def test_a_delay_is_found_and_taken_up(delay_s):
+    simulation, result = case(delay_s, 1)
+    assert result.calibration.assessment.trust.added == ("accelerometer delay",)
+    value, sigma = delay_of(result)
+    assert abs(value + delay_s) < 3.5 * sigma < 2e-4
+    found = errors(result, simulation)
+    others = found.z[[name != "imu0.accelerometer_shift" for name in found.names]]
+    assert 0.6 < np.sqrt(np.mean(others**2)) < 1.4
+    (found,) = findings_of(result, "triads-apart")
+    assert found.severity == "info"
+    assert found.message.startswith(f"The {'accelerometer' if delay_s > 0 else 'gyroscope'} of imu0 comes ")
+    status = {p.name: p.status for p in result.diagnostics.parameters}
+    assert status["imu0.accelerometer_shift"] == "estimated"
+
+
+def test_by_evidence_it_comes_out_as_where_it_was_asked_for():
+    _, by_evidence = case(3e-3, 2)
+    _, asked = case(3e-3, 2, replace(OPTIONS, free=("imu0.accelerometer_shift",)))
+    assert asked.calibration.assessment.trust.added == ()
+    (value, sigma), (other, _) = delay_of(by_evidence), delay_of(asked)
+    assert abs(value - other) < 0.1 * sigma
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_where_there_is_none_the_model_has_none(seed):
+    _, result = case(0.0, seed)
+    assert result.calibration.assessment.trust.added == ()
+    assert delay_of(result) is None
+    assert findings_of(result, "triads-apart") == []
+    (step,) = (step for step in result.diagnostics.trust.models if step.name == "accelerometer delay")
+    assert (step.used, step.forced, step.parameters) == (False, False, 1)
+
+
+def test_a_stated_model_says_that_it_lacks_the_delay():
+    _, result = case(5e-3, 1, replace(OPTIONS, model="full"))
+    assert delay_of(result) is None
+    assert any("accelerometer_shift" in found.message for found in findings_of(result, "model-too-simple"))
+    _, held = case(5e-3, 1, replace(OPTIONS, fix=("imu0.accelerometer_shift",)))
+    assert delay_of(held) is None
+
+
+def test_each_imu_has_a_delay_of_its_own():
+    simulation = simulate_camera_imu(
+        replace(SCENARIO, duration_s=12.0, target_cols=3, imus=2, further_accelerometer_delay_s=4e-3), 4
+    )
+    result = calibrate_camera_imu(simulation.recording, simulation.target, OPTIONS)
+    assert "accelerometer delay" in result.calibration.assessment.trust.added
+    for imu, truth in (("imu0", 0.0), ("imu1", -4e-3)):
+        value = result.calibration.imus[imu].accelerometer.time_shift_s
+        assert abs(value - truth) < 4 * float(result.calibration.sigma(f"{imu}.accelerometer.time_shift"))
+    (found,) = findings_of(result, "triads-apart")
+    assert "imu1" in found.message
+
+
+def test_the_bias_of_an_unknown_detector_is_considered():
+    simulation, known = case(0.0, 1)
+    frames = simulation.recording.cameras["cam0"]
+    assert frames.detector_scale_sigma == 0
+    cameras = {"cam0": replace(frames, detector_scale_sigma=3e-4)}
+    unknown = calibrate_camera_imu(replace(simulation.recording, cameras=cameras), simulation.target, OPTIONS)
+    T = "cam0.T_cam_imu.translation"
+    np.testing.assert_array_equal(unknown.calibration.parameter(T), known.calibration.parameter(T))
+    more = np.sqrt(unknown.calibration.sigma(T) ** 2 - known.calibration.sigma(T) ** 2)
+    # Another focal length moves the board along the optical axis, by that share of its distance.
+    assert more[2] == pytest.approx(3e-4 * SCENARIO.distance_m, rel=0.35)
+    assert (more[:2] < 0.3 * more[2]).all()
+    freed = replace(OPTIONS, model="full", free=("cam0.intrinsics",))
+    of_lens = [
+        calibrate_camera_imu(recording, simulation.target, freed).calibration.sigma("cam0.intrinsics")
+        for recording in (simulation.recording, replace(simulation.recording, cameras=cameras))
+    ]
+    added = np.sqrt(of_lens[1] ** 2 - of_lens[0] ** 2)
+    np.testing.assert_allclose(added[:2], 3e-4 * frames.camera.intrinsics[:2], rtol=1e-3)
