@@ -216,9 +216,12 @@ def _of_each(each: Sequence[Assessment], names: Sequence[str]) -> Iterator[Findi
     for same in found.values():
         first = same[0][1]
         of = list(dict.fromkeys(name for name, _ in same))
-        more = f" and {len(of) - _MOST_NAMED} more" if len(of) > _MOST_NAMED else ""
         if len(of) < len(names) or len({finding.message for _, finding in same}) > 1:
-            first = replace(first, message=f"{', '.join(of[:_MOST_NAMED])}{more}: {first.message}")
+            more = f" and {len(of) - 1 - _MOST_NAMED} more" if len(of) - 1 > _MOST_NAMED else ""
+            too = (
+                f" The like, with other numbers, in {', '.join(of[1 : 1 + _MOST_NAMED])}{more}." if len(of) > 1 else ""
+            )
+            first = replace(first, message=f"{of[0]}: {first.message}{too}")
         yield first
 
 

@@ -9,7 +9,7 @@ from ..diagnostics import JoinedDiagnostics, JoinedRecording
 from ..recording import Floats
 from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
 from .calibration_page import calibration_page
-from .imu_parameters import parameter_groups
+from .imu_parameters import parameter_groups, readable_unit
 from .numbers import MISSING, number, quantity, rms
 from .page import KeyNumber, Page, Parameters, Prose, Section, Table
 from .provenance import provenance_section
@@ -68,7 +68,7 @@ def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
 
 def _amount(name: str, value: float) -> str:
     unit = QUANTITIES[name]
-    return f"{number(value / unit.size, 2)}\u00a0{unit.unit.replace('^2', '²')}"
+    return f"{number(value / unit.size, 2)}\u00a0{readable_unit(unit.unit)}"
 
 
 def _between(diagnostics: JoinedDiagnostics) -> Section:
