@@ -8,6 +8,7 @@ from ..calibration import AccelerometerCalibration, Gravity
 from ..estimate.triads.angrisano import AngrisanoFit
 from ..estimate.triads.known_attitudes import StatedAttitudes
 from ..estimate.triads.pose_drift import PoseDrift
+from ..estimate.triads.rotation_sensitivity import RotationSensitivity
 from ..estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ..estimate.triads.triad import TriadFit
 from ..estimate.trust.cluster_trust import Trusted
@@ -30,7 +31,9 @@ class RestingGyroscope:
     fit : of bias, drift and g-sensitivity to the means
     used : (m,) index of the poses used
     sensitivity : (3, 3) [unit per rad/s], which rests do not show; None where nothing tells it
-    assumed : whether it is what the unit says, and no prior calibration's
+    assumed : whether it is what the unit says, and no prior calibration's nor by rotations
+    turned : what the rotations between the rests say of it; None where they were not used
+    rotation_reasons : why each rotation between rests cannot be used, or ""; none where none was recorded
     bias, g_sensitivity : (3,) [unit], (3, 3) [unit per m/s^2], with what was known beforehand
     covariance : (33, 33) of accelerometer and gyroscope, in the order of `parameters.parameters`
     measured, predicted, variance : (m, 3) means, what the fit says of them [unit], and variance by noise [unit^2]
@@ -56,6 +59,8 @@ class RestingGyroscope:
     timed: bool
     latitude_known: bool
     unit: str
+    turned: RotationSensitivity | None = None
+    rotation_reasons: tuple[str, ...] = ()
 
     @property
     def unit_rad_s(self) -> Floats:

@@ -28,7 +28,12 @@ def gyroscope_findings(gyroscope: RestingGyroscope | None, why_not: str) -> list
                 consequence="The accelerometer's calibration does not suffer.",
             )
         ]
-    findings = [_static_finding(gyroscope), *_scale_findings(gyroscope), *_scatter_findings(gyroscope)]
+    findings = [
+        _static_finding(gyroscope),
+        *_rotation_findings(gyroscope),
+        *_scale_findings(gyroscope),
+        *_scatter_findings(gyroscope),
+    ]
     if not gyroscope.timed:
         findings.append(
             Finding(
@@ -72,6 +77,54 @@ def _static_finding(gyroscope: RestingGyroscope) -> Finding:
     )
 
 
+def _rotation_findings(gyroscope: RestingGyroscope) -> list[Finding]:
+    """Say what the rotations between few rests were used for, and of which gravity shows no angle."""
+    turned, reasons = gyroscope.turned, gyroscope.rotation_reasons
+    if turned is None:
+        if not reasons:
+            return []
+        why = sorted({reason for reason in reasons if reason}) or ["counts tell no scale to count whole turns by"]
+        return [
+            Finding(
+                severity="info",
+                code="rotations-unused",
+                message=f"{len(reasons)} rotations between the rests are not used: {'; '.join(why[:3])}.",
+                consequence="The gyroscope's scales and axes are not measured by them.",
+                cure="Rest in nine attitudes or more, with rotations that the gyroscope can follow between them.",
+            )
+        ]
+    sensitivity = turned.sensitivity
+    size = np.linalg.norm(sensitivity, axis=1)
+    share = 100 * np.sqrt(np.diag(turned.covariance)[[0, 4, 8]]) / size
+    named = [f"{axis} {share[k]:.2g} %" for k, axis in enumerate("xyz") if turned.measured[k]]
+    said = f"known to {', '.join(named)} (1 sigma)" if named else "no better known by them"
+    held = [axis for k, axis in enumerate("xyz") if not turned.measured[k]]
+    findings = [
+        Finding(
+            severity="info",
+            code="rotations-few-attitudes",
+            message=f"{int(turned.used.sum())} of {len(turned.used)} rotations between the rests are used for the "
+            f"gyroscope's scales and axes: scales are {said}; the rotations end within "
+            f"{1e3 * turned.rms_rad:.2g} mrad rms of gravity.",
+            consequence=f"The scale of {' and '.join(held)} is what the unit says." if held else "",
+            cure="Turn about each axis while it is level, by a quarter turn or more." if held else "",
+        )
+    ]
+    if turned.vertical.any():
+        angles = ", ".join(f"{np.degrees(a):.1f}" for a in turned.angle_rad[turned.vertical][:6])
+        findings.append(
+            Finding(
+                severity="info",
+                code="turns-about-vertical",
+                message=f"{int(turned.vertical.sum())} of the rotations were about the vertical: by {angles} deg, as "
+                "the scales above say.",
+                consequence="Gravity shows no angle about the vertical; they say nothing of the scale.",
+                cure="Turn about level axes; a full turn from rest to rest is best.",
+            )
+        )
+    return findings
+
+
 def _scale_findings(gyroscope: RestingGyroscope) -> list[Finding]:
     if gyroscope.sensitivity is None:
         return [
@@ -85,6 +138,8 @@ def _scale_findings(gyroscope: RestingGyroscope) -> list[Finding]:
         ]
     if not gyroscope.assumed:
         return []
+    if gyroscope.turned is not None and gyroscope.turned.measured.any():
+        return []  # said with the rotations
     return [
         Finding(
             severity="info",
@@ -93,7 +148,12 @@ def _scale_findings(gyroscope: RestingGyroscope) -> list[Finding]:
             "take 3 % and 30 mrad.",
             consequence="Bias and g-sensitivity depend on them only by what a stated latitude takes off for the "
             "Earth's rate.",
-            cure="Give a calibration with --prior, or record rotations between the rests, too.",
+            cure="Give a calibration with --prior, or "
+            + (
+                "turn about each axis while it is level."
+                if gyroscope.rotation_reasons
+                else "record rotations between the rests, too."
+            ),
         )
     ]
 

@@ -4,10 +4,13 @@ Rests do not show the gyroscope's sensitivity. It is that of a prior calibration
 what data sheets allow; of counts without prior nothing is known, and the g-sensitivity stays a number in counts.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..assess.pose_tables import RestingGyroscope
 from ..calibration import Gravity
+from ..estimate.triads.rotation_sensitivity import RotationSensitivity, fit_rotation_sensitivity
 from ..estimate.triads.static_g_sensitivity import RestingRates, StaticGSensitivity, fit_static_g_sensitivity
 from ..estimate.triads.triad import TriadFit
 from ..estimate.triads.triad_poses import B_, G_, S_, TriadPrior
@@ -46,6 +49,9 @@ def fit_gyroscope_at_rest(
     used = np.flatnonzero(fit.used)
     prior = known.triad_prior("gyroscope") or TriadPrior.of(np.nan)
     sensitivity, spread = _sensitivity(fit, prior, poses.gyroscope_unit)
+    turned = _by_rotations(prepared, fit, sensitivity, spread)
+    if turned is not None:
+        sensitivity, spread = turned.sensitivity, turned.covariance
     t_s, timed = _times(prepared, used)
     up = fit.direction[used]
     earth, unknown = _earth_rate(up, sensitivity, options.latitude)
@@ -66,7 +72,11 @@ def fit_gyroscope_at_rest(
         fit=found,
         used=used,
         sensitivity=sensitivity,
-        assumed=not prior.precision[S_, S_].any() and not prior.fixed[S_].all(),
+        assumed=not prior.precision[S_, S_].any()
+        and not prior.fixed[S_].all()
+        and (turned is None or not turned.measured.all()),
+        turned=turned,
+        rotation_reasons=() if prepared.rotations is None else prepared.rotations.reason,
         bias=theta[:3],
         g_sensitivity=theta[3:].reshape(3, 3),
         covariance=_joint(fit, spread, by_force, covariance),
@@ -97,6 +107,45 @@ def _sensitivity(fit: TriadFit, prior: TriadPrior, unit: str) -> tuple[Floats | 
     turn = nearest_rotation(fit.sensitivity)  # the axes of the gyroscope are about those of the accelerometer
     sigma = np.where(np.eye(3) > 0, _SCALE_SIGMA, _ANGLE_SIGMA_RAD) / one
     return turn / one, np.diag(sigma.ravel() ** 2)
+
+
+def _by_rotations(
+    prepared: PreparedPoses, fit: TriadFit, sensitivity: Floats | None, spread: Floats
+) -> RotationSensitivity | None:
+    """Return what the rotations between rests that are used say; None where there are none, or nothing is open."""
+    rotations = prepared.rotations
+    if rotations is None or sensitivity is None or not (np.diag(spread) > 0).all():
+        return None
+    used = fit.used[rotations.first] & fit.used[rotations.first + 1]
+    reason = tuple(
+        why if ok else why or "a rest beside it is left out" for why, ok in zip(rotations.reason, used, strict=True)
+    )
+    if all(reason):
+        return None
+    up = fit.direction
+    force = fit.physical(prepared.poses.accelerometer)
+    length = np.linalg.norm(force, axis=1)
+    up = np.where(np.isfinite(up), up, force / length[:, None])
+    by_force = _force_by_accelerometer(fit, force)
+    across = by_force - up[:, :, None] * np.einsum("ni,nip->np", up, by_force)[:, None]
+    return fit_rotation_sensitivity(
+        replace(rotations, reason=reason),
+        up,
+        across / length[:, None, None],
+        fit.covariance[:12, :12],
+        (sensitivity, spread),
+    )
+
+
+def _force_by_accelerometer(fit: TriadFit, force: Floats) -> Floats:
+    """Return derivatives (n, 3, 12) of the specific force by the accelerometer's sensitivity and bias."""
+    back = inverse(fit.sensitivity)
+    by = np.zeros((len(force), 3, 12))
+    for i in range(3):
+        for j in range(3):
+            by[:, :, 3 * i + j] = -force[:, j : j + 1] * back[:, i]
+        by[:, :, 9 + i] = -back[:, i]
+    return by
 
 
 def _times(prepared: PreparedPoses, used: np.ndarray) -> tuple[Floats, bool]:
@@ -130,12 +179,7 @@ def _vertical_rate_unknown(sensitivity: Floats | None, gravity_m_s2: float, opti
 
 def _by_accelerometer(found: StaticGSensitivity, fit: TriadFit, force: Floats) -> Floats:
     """Return derivatives (12, 12) of bias and g-sensitivity by the accelerometer's sensitivity and bias."""
-    back = inverse(fit.sensitivity)
-    by = np.zeros((len(force), 3, 12))  # of the force
-    for i in range(3):
-        for j in range(3):
-            by[:, :, 3 * i + j] = -force[:, j : j + 1] * back[:, i]
-        by[:, :, 9 + i] = -back[:, i]
+    by = _force_by_accelerometer(fit, force)
     moved = np.einsum("aj,njp->anp", found.g_sensitivity, by)  # of what g-sensitivity adds to each mean
     per_axis = -np.einsum("akn,anp->akp", found.gain, moved)
     return np.concatenate([per_axis[:, 0], per_axis[:, 1:].reshape(9, 12)])

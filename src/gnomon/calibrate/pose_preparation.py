@@ -21,7 +21,9 @@ from ..detect.samples.static import (
 )
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, RecordingError
-from ..estimate.multiposition.problem import gyroscope_intervals
+from ..estimate.multiposition.problem import gyroscope_intervals, why_unlinked
+from ..estimate.multiposition.rotations import cut_segments, segments_between
+from ..estimate.triads.rotation_sensitivity import RestRotations
 from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..options import ImuOptions
@@ -50,6 +52,7 @@ class PreparedPoses:
     variance : (n, 3) of the accelerometer's means by noise [unit^2]; zero where nothing tells it
     gyroscope_variance : (n, 3) of the gyroscope's means by noise [unit^2]; zero where nothing tells it
     left_out : name and reason of what gave no mean
+    rotations : between consecutive rests, where they were recorded; or None
     findings : what was noticed
     """
 
@@ -59,6 +62,7 @@ class PreparedPoses:
     variance: Floats
     gyroscope_variance: Floats
     left_out: tuple[tuple[str, str], ...] = ()
+    rotations: RestRotations | None = None
     findings: tuple[Finding, ...] = ()
 
 
@@ -146,7 +150,36 @@ def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
         start_s=start_s,
         stop_s=stop_s,
         left_out=left_out,
+        rotations=_rotations(gyroscope, t_gyro, saturated(gyroscope, options.gyroscope_range), at_rest),
         findings=tuple(finding for finding in findings if finding.code not in {*TOLERATED, "intervals-left-out"}),
+    )
+
+
+def _rotations(
+    gyroscope: TriadSamples, t_s: Floats, clipped: Booleans, at_rest: StaticIntervals
+) -> RestRotations | None:
+    """Return the rotations between consecutive rests; None where none was recorded."""
+    if len(at_rest) < 2 or not len(gyroscope):
+        return None
+    first, lengths = segments_between(t_s, t_s[at_rest.stop[:-1] - 1], t_s[at_rest.start[1:]])
+    longest = [np.max(np.diff(t_s[a : a + n]), initial=0.0) for a, n in zip(first, lengths, strict=True)]
+    if min(longest) > 1e-9 * _GAP_NS:  # the time between poses was cut out
+        return None
+    segments = cut_segments(t_s, gyroscope.values, gyroscope.values, first, lengths)
+    means = interval_means(gyroscope.values, at_rest)
+    _, density = resting_noise(gyroscope.values, at_rest, gyroscope.rate_hz)
+    rest = (at_rest.stop - at_rest.start) / gyroscope.rate_hz
+    took = segments.duration_s[:, None]
+    both = density * (1 / rest[:-1] + 1 / rest[1:])[:, None] / 4 + np.diff(means, axis=0) ** 2 / 12
+    return RestRotations(
+        segments=segments,
+        first=np.arange(len(at_rest) - 1),
+        bias=0.5 * (means[1:] + means[:-1]),
+        variance=density * took + both * took**2,
+        reason=tuple(
+            why_unlinked(t_s, clipped, gyroscope.rate_hz, slice(int(a), int(a + n)))
+            for a, n in zip(first, lengths, strict=True)
+        ),
     )
 
 

@@ -90,7 +90,10 @@ def build_problem(
     scale_a = Scaling.of(means_a.mean(axis=0), means_a - means_a.mean(axis=0))
     rest = np.median(means_g, axis=0)
     scale_g = Scaling.of(rest, segments.gyroscope - rest)
-    unlinked = tuple(_why_unlinked(gyroscope, a, n) for a, n in zip(first, lengths, strict=True))
+    unlinked = tuple(
+        why_unlinked(gyroscope.t_s, gyroscope.saturated, gyroscope.rate_hz, slice(int(a), int(a + n)))
+        for a, n in zip(first, lengths, strict=True)
+    )
     data = MultiPositionData(
         accelerometer=scale_a.scaled(means_a),
         gyroscope=scale_g.scaled(means_g),
@@ -153,12 +156,19 @@ def _segments(accelerometer: TriadStream, gyroscope: TriadStream, first: Integer
     return MotionSegments(gyroscope=cut.gyroscope, accelerometer=np.column_stack(force), dt_s=cut.dt_s, lengths=lengths)
 
 
-def _why_unlinked(gyroscope: TriadStream, first: int, length: int) -> str:
-    part = slice(first, first + length)
-    clipped = int(gyroscope.saturated[part].sum())
+def why_unlinked(t_s: Floats, saturated: Booleans, rate_hz: float, part: slice) -> str:
+    """Return why a rotation cannot be used, or "".
+
+    Parameters
+    ----------
+    t_s, saturated : (n,) instants and clipped samples of the gyroscope
+    rate_hz : of the gyroscope
+    part : the samples of the rotation
+    """
+    clipped = int(saturated[part].sum())
     if clipped:
         return f"the gyroscope is saturated in {clipped} samples"
-    gap = float(np.max(np.diff(gyroscope.t_s[part]), initial=0.0))
-    if gap > max(_LONGEST_GAP_S, _LONGEST_GAP_PERIODS / gyroscope.rate_hz):
+    gap = float(np.max(np.diff(t_s[part]), initial=0.0))
+    if gap > max(_LONGEST_GAP_S, _LONGEST_GAP_PERIODS / rate_hz):
         return f"a gap of {gap:.2f} s in the gyroscope's samples"
-    return "" if length >= 3 else "fewer than three gyroscope samples"
+    return "" if part.stop - part.start >= 3 else "fewer than three gyroscope samples"
