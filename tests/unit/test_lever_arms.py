@@ -22,6 +22,7 @@ from gnomon.simulate.camera_imu import simulated_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.trust import Need, TrustNote
 from gnomon.writers.calibration_file import calibration_text, save
+from gnomon.writers.tables import summary_table
 
 ARMS = (0.0075, -0.0116, 0.0006, 0.0074, -0.0112, 0.0015)
 PLACES = np.array([0.0, 0.0, 0.0, *ARMS]).reshape(3, 3)
@@ -402,3 +403,14 @@ def test_errors_at_p_star_are_what_their_sigmas_say(size_mm):
     rms = float(np.sqrt(np.mean(np.square(z))))
     print(f"\narms of {size_mm} mm: z rms of t {rms:.3f}, {np.size(z)} scalars")
     assert abs(rms - 1) < max(0.1, 2.5 / np.sqrt(2 * np.size(z)))
+
+
+def test_show_names_the_origin(camera_calibration):
+    calibration = with_arms(camera_calibration(2))
+    for origin, words in (
+        ("optimal", "p*"),
+        ("y", "y accelerometer"),
+        ("0.01,0,0", "10 0 0 mm from the x accelerometer"),
+    ):
+        moved = calibration.with_origin(origin)
+        assert {row.name: row.value for row in summary_table(moved).rows}["origin of imu0"] == words

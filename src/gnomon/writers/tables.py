@@ -52,6 +52,7 @@ _FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
 """Form -> the frame of its accelerometer (None: any), and what each triad consists of."""
 
 _TRIADS = ("accelerometer", "gyroscope", "magnetometer")
+_POINTS = {"optimal": "p*", "x": "x accelerometer", "y": "y accelerometer", "z": "z accelerometer"}
 _MAGNETOMETER = "measured = sensitivity m + bias; the sensitivity holds soft iron, the bias hard iron"
 _EQUATIONS = {
     "sensitivity": (
@@ -269,6 +270,7 @@ def summary_table(calibration: Calibration) -> Table:
     rows = [
         Row(name="verdict", value=calibration.verdict, unit=""),
         Row(name="body frame", value=calibration.frame, unit=""),
+        *_origins(calibration),
     ]
     if rests_on_gravity(calibration):
         value = value_text(gravity.value, gravity.sigma)
@@ -283,8 +285,16 @@ def summary_table(calibration: Calibration) -> Table:
     return Table(title="calibration", note=note, rows=tuple(rows))
 
 
+def _origins(calibration: Calibration) -> Iterator[Row]:
+    """Yield which point of each IMU its poses are of, where its accelerometers sit at different ones."""
+    for name, imu in calibration.imus.items():
+        arms = None if imu.accelerometer is None else imu.accelerometer.lever_arms_m
+        if calibration.cameras and arms is not None and imu.origin is not None:
+            yield Row(name=f"origin of {name}", value=_POINTS.get(imu.origin.point, imu.origin.words), unit="")
+
+
 def _truth_table(calibration: Calibration) -> Table:
-    rows = [Row(name="body frame", value=calibration.frame, unit="")]
+    rows = [Row(name="body frame", value=calibration.frame, unit=""), *_origins(calibration)]
     if rests_on_gravity(calibration):
         rows.append(Row(name="gravity", value=_exact_text(calibration.gravity.value, 0.0), unit="m/s^2"))
     note = f"gnomon {calibration.provenance.gnomon_version}; exact: what the recording was simulated with"
