@@ -109,3 +109,16 @@ def test_the_bias_of_an_unknown_detector_is_considered():
     ]
     added = np.sqrt(of_lens[1] ** 2 - of_lens[0] ** 2)
     np.testing.assert_allclose(added[:2], 3e-4 * frames.camera.intrinsics[:2], rtol=1e-3)
+
+
+def test_a_small_error_of_the_lens_is_estimated_or_counted():
+    """0.3 % of the focal length: certain, yet an unknown detector might feign it."""
+    simulation = simulate_camera_imu(replace(SCENARIO, focal_error=3e-3), 1)
+    truth = simulation.truth.cameras["cam0"].T_cam_imu[:3, 3]
+    frames = simulation.recording.cameras["cam0"]
+    for detector, added in ((0.0, ("intrinsics",)), (3e-4, ())):
+        cameras = {"cam0": replace(frames, detector_scale_sigma=detector)}
+        found = calibrate_camera_imu(replace(simulation.recording, cameras=cameras), simulation.target, OPTIONS)
+        assert found.calibration.assessment.trust.added == added
+        sigma = found.calibration.sigma("cam0.T_cam_imu.translation")
+        assert (np.abs(found.calibration.cameras["cam0"].T_cam_imu[:3, 3] - truth) < 3.5 * sigma).all()

@@ -108,12 +108,13 @@ def _calibrated(
         first = estimated(rig, gravity, options, [known_imu(one) for one in known], tell)
     except SolveError as error:
         raise SolveError(f"{error}{suspected(prepared.findings, prepared.move)}") from error
-    chosen = chosen_model(first, options, tell)
+    detectors = {name: frames.detector_scale_sigma for name, frames in recording.cameras.items()}
+    chosen = chosen_model(first, options, tell, own_detector=not any(detectors.values()))
     solution, start = chosen.solution, chosen.solution.layout.start
     certain = with_detector_scale(
         uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None),
         solution.state.parameters,
-        {name: frames.detector_scale_sigma for name, frames in recording.cameras.items()},
+        detectors,
     )
     basic, uncompared = basic_model(start, solution, options, tell)
     tell("assessing the result")

@@ -38,7 +38,8 @@ _BOARD = "board"
 _BLOCKS = {name: LADDER[name] for name in EXTRAS} | {"k3": ("distortion_coeffs",), _BOARD: ("offsets",)}
 _BOARD_CHANCE = 0.01 / (len(EXTRAS) + 1)
 _BOARD_SHARE, _LENS_SHARE = 0.02, 0.005
-"""Of the corners' variance, which board and lens must explain: less may be the detector's bias that looks the same."""
+"""Of the corners' variance, which board and lens must explain: less may be the detector's bias that looks the same.
+Where it is gnomon's own, whose bias is none, a lens need only be certain."""
 
 _LENS: tuple[str, ...] = ("intrinsics", "k3")
 _PROMISING = 4.0
@@ -88,7 +89,7 @@ def considered(start: Parameters) -> tuple[str, ...]:
     return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms, *delays)
 
 
-def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) -> Chosen:
+def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress, *, own_detector: bool = True) -> Chosen:
     """Return the solution with the blocks that the recording asks for.
 
     Parameters
@@ -96,15 +97,17 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
     solution : with the model of the options, and the columns of `considered`
     options : model "auto" adds blocks by evidence; the others are estimated as they are
     tell : called with a sentence at each step
+    own_detector : whether no detector's bias may pass for a lens
     """
+    share = 0.0 if own_detector else _LENS_SHARE
     stated = _stated(solution, options)
-    judged = base = _judged(solution, stated)
+    judged = base = _judged(solution, stated, share)
     steps = {step.name: step for step in base.steps}
     if _BOARD not in stated:
         steps[_BOARD] = _board_step(solution)
     asked = _asked(steps, stated, promising=True)
     if {"intrinsics", _BOARD} & set(asked) and "k3" not in stated and _may_have_k3(solution):
-        steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated).steps}
+        steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated, share).steps}
         asked = _asked(steps, stated, promising=True)
     inside: tuple[str, ...] = ()
     failed: dict[str, str] = {}
@@ -112,7 +115,7 @@ def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress) 
     while rounds and asked != inside:
         tell(f"estimating along: {', '.join(asked) or 'none of them'}")
         try:
-            judged = _judged(_estimated_along(solution, asked, options, tell), stated) if asked else base
+            judged = _judged(_estimated_along(solution, asked, options, tell), stated, share) if asked else base
         except SolveError as error:
             failed[_least(steps, asked)] = str(error)
         else:
@@ -173,7 +176,7 @@ def _stated(solution: Solution, options: CameraImuOptions) -> dict[str, bool]:
     return {name: inside for name, inside in found.items() if inside or name not in _BLOCKS or name in held}
 
 
-def _judged(solution: Solution, stated: Mapping[str, bool]) -> Chosen:
+def _judged(solution: Solution, stated: Mapping[str, bool], share: float) -> Chosen:
     """Return the solution with what each block brings in clusters of time that were left out."""
     found, columns = cluster_sums(solution), solution.layout
     free = columns.free_index[columns.free_index < columns.dense]
@@ -181,7 +184,7 @@ def _judged(solution: Solution, stated: Mapping[str, bool]) -> Chosen:
     number = np.unique(blocks, return_inverse=True)[1].astype(np.int64)
     lasts = memory(found.of_parameters(free), np.eye(len(free)), number)
     clusters, _ = clustered(found, max(lasts, 1))
-    least = dict.fromkeys(_LENS, _gain(solution, _LENS_SHARE))
+    least = dict.fromkeys(_LENS, _gain(solution, share))
     steps = ladder(clusters[0], solution.layout, solution.state.parameters, stated, least)
     return Chosen(solution=solution, sums=found, steps=steps)
 

@@ -22,11 +22,12 @@ from .batch import mean_weights
 from .cluster_sums import bias_sides, board_follows
 from .gauss_newton import Step
 from .layout import Layout
-from .parameters import Parameters
+from .parameters import CameraParameters, Parameters
 from .solution import Solution
 from .trajectory import BIAS, POSE
 
 _FEWEST_STRETCHES = 12
+_ASKED = 3.0  # sigmas
 _LEAST_MEMORY = 1
 """Stretches: the trajectory that is fitted to them makes neighbouring ones alike, however white the noise is."""
 
@@ -242,7 +243,8 @@ def with_detector_scale(found: Uncertainty, parameters: Parameters, sigmas: Mapp
     """Return the uncertainty with that of a bias of the detectors, which feigns another focal length (Schmidt).
 
     The bias b is not estimated, only considered: what it moves is added. Where the lens is held, that is what its focal
-    length would move; where it was estimated, what goes along with it, C e / (e' C e).
+    length would move; where it was estimated, what goes along with it, C e / (e' C e). Where corners ask for another
+    focal length than one that is held, it may as well be that as a bias: b is as large then.
 
     Parameters
     ----------
@@ -255,9 +257,10 @@ def with_detector_scale(found: Uncertainty, parameters: Parameters, sigmas: Mapp
         sigma, lens = sigmas.get(entry.name, 0.0), entry.camera
         if not sigma:
             continue
+        held = found.held.get(f"{entry.name}.intrinsics")
+        sigma = sigma if held is None else max(sigma, _asked_focal(held, entry))
         scalars = [f"{entry.name}.intrinsics[{len(lens.intrinsics) - k}]" for k in (4, 3)]
         step = dict(zip(scalars, (sigma * lens.intrinsics[-4:-2]).tolist(), strict=True))
-        held = found.held.get(f"{entry.name}.intrinsics")
         along = np.zeros(len(covariance))
         for row, name in enumerate(() if held is None else held.names):
             if held is not None and name in step:
@@ -268,6 +271,17 @@ def with_detector_scale(found: Uncertainty, parameters: Parameters, sigmas: Mapp
             along += found.ordinary[:, free] @ np.linalg.solve(found.ordinary[np.ix_(free, free)], size)
         covariance, ordinary = (matrix + np.outer(along, along) for matrix in (covariance, ordinary))
     return replace(found, covariance=covariance, ordinary=ordinary)
+
+
+def _asked_focal(held: Held, entry: CameraParameters) -> float:
+    """Return by how much corners ask for another focal length than the one held, relative to it; 0 by chance."""
+    focal = len(entry.camera.intrinsics) - 4
+    wanted = [
+        (abs(value) / entry.camera.intrinsics[k], abs(value) / sigma)
+        for name, value, sigma in zip(held.names, held.wanted.tolist(), held.wanted_sigma.tolist(), strict=True)
+        if (k := int(name.partition("[")[2][:-1])) in {focal, focal + 1}
+    ]
+    return max((size for size, sigmas in wanted if sigmas > _ASKED), default=0.0)
 
 
 def with_uncertain(found: Uncertainty, block: str, sigma: float, *, ordinary: bool = False) -> Floats:
