@@ -11,6 +11,7 @@ import numpy as np
 
 from ..calibration import Calibration
 from ..findings import Finding
+from ..geometry.so3 import inverse
 from ..models.camera import Camera
 from ..recording import Floats
 from ..requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
@@ -187,7 +188,7 @@ def _sizes(
         magnetometer = calibration.imus[sensor].magnetometer
         assert magnetometer is not None
         field = FIELD_UT if magnetometer.field_unit == "uT" else 1.0
-        yield "heading", *_largest(change, _OF_HEADING / field * np.linalg.inv(magnetometer.sensitivity))
+        yield "heading", *_largest(change, _OF_HEADING / field * inverse(magnetometer.sensitivity))
     elif rest.endswith(".g_sensitivity"):
         matrix = getattr(calibration.imus[sensor], rest.partition(".")[0]).sensitivity
         yield "gyroscope_g_sensitivity", *_largest(change, np.diag(1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)))
