@@ -89,8 +89,8 @@ def fit_rotation_sensitivity(
     beforehand : (3, 3) sensitivity [unit per rad/s] and (9, 9) its covariance
     """
     start, prior = beforehand
-    C = C0 = inverse(start)
-    to_C = -np.kron(C0, C0.T)
+    correction = nominal = inverse(start)  # C of the module's head
+    to_C = -np.kron(nominal, nominal.T)
     information = np.linalg.inv(to_C @ prior @ to_C.T)
     k = rotations.first
     basis = tangent_basis(up[k + 1])
@@ -100,17 +100,17 @@ def fit_rotation_sensitivity(
     regressors = np.concatenate([rate, np.zeros((len(rate), 4))], axis=1)
     extra, rounds = 0.0, 0
     while True:
-        turns = integrate(rotations.segments, rate @ C.T, regressors)
+        turns = integrate(rotations.segments, rate @ correction.T, regressors)
         back = np.einsum("kai,kab->kib", basis, np.swapaxes(turns.rotation, 1, 2))
         residual = np.einsum("kij,ki->kj", basis, up[k + 1] - propagate(turns.rotation, up[k]))
         turned = -np.einsum("kib,kbl->kil", back, skew(up[k]))
         rows = np.einsum("kil,klac->kiac", turned, turns.sensitivity)[..., :3].reshape(len(k), 2, 9)
-        noise = rotations.variance @ (C**2).sum(axis=0) / 3 + extra
+        noise = rotations.variance @ (correction**2).sum(axis=0) / 3 + extra
         white = weight / np.sqrt(np.maximum(noise, 1e-12))
         A, r = (white[:, None, None] * rows).reshape(-1, 9), (white[:, None] * residual).ravel()
         normal = A.T @ A + information
-        step = np.linalg.solve(normal, -A.T @ r - information @ (C - C0).ravel())
-        C = C + step.reshape(3, 3)
+        step = np.linalg.solve(normal, -A.T @ r - information @ (correction - nominal).ravel())
+        correction = correction + step.reshape(3, 3)
         left = residual + rows @ step
         freedom = max(2 * float(weight.sum()) - 9 + float(np.trace(np.linalg.solve(normal, information))), 1.0)
         squares = np.sum(left**2, axis=1)
@@ -119,16 +119,16 @@ def fit_rotation_sensitivity(
         usual = max(float(np.median(size[usable])), 1.0)
         weight = np.where(usable, np.sqrt(np.minimum(_OUTLYING * usual / np.maximum(size, 1e-9), 1.0)), 0.0)
         rounds += 1
-        if np.max(np.abs(step)) < 1e-9 * np.abs(C).max() or rounds == _ROUNDS:
+        if np.max(np.abs(step)) < 1e-9 * np.abs(correction).max() or rounds == _ROUNDS:
             break
     by_up = np.einsum("kij,kiq->kjq", basis, up_by_accelerometer[k + 1]) - np.einsum(
         "kib,kbq->kiq", back, up_by_accelerometer[k]
     )
     moved = -np.linalg.solve(normal, A.T @ (white[:, None, None] * by_up).reshape(-1, by_up.shape[2]))
     covariance = np.linalg.inv(normal) + moved @ accelerometer_covariance @ moved.T
-    S = inverse(C)
+    S = inverse(correction)
     to_S = -np.kron(S, S.T)
-    angle, vertical = _turns(turns.rotation, rotations, rate @ C.T, up[k])
+    angle, vertical = _turns(turns.rotation, rotations, rate @ correction.T, up[k])
     covariance = to_S @ covariance @ to_S.T
     return RotationSensitivity(
         sensitivity=S,
