@@ -258,6 +258,7 @@ class _Sums:
     exact: bool
 
 
+@np.errstate(over="ignore", invalid="ignore")  # beyond single precision they are not exact, and summed up in double
 def _squares(values: Floats, kind: type[Any], *, count: int, levels: int, space: _Space, shift: int = 1) -> _Sums:
     """Return sums over the terms that begin at the first `count` places.
 

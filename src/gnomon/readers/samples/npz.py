@@ -82,7 +82,7 @@ def _read_named(
     if array.stamps is None and rate_hz is None:
         raise RecordingError(f"{where}: no stamps for {array.key} (such as t_{array.key}). State --rate.")
     if array.stamps is None or rate_hz is not None:
-        t_ns = uniform_stamps(len(values), float(rate_hz or 1.0))
+        t_ns = uniform_stamps(len(values), 0.0 if rate_hz is None else rate_hz)
         note += f"); {rate_hz:g} Hz as stated."
     else:
         stamps = np.squeeze(archive[array.stamps])

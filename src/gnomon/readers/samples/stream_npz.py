@@ -19,6 +19,7 @@ from ..zips import ZIP_DAMAGE, array_header, refuse_false_arrays
 from .npz_keys import SensorArray, sensor_arrays
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
 from .stamps import guess_time_unit, to_ns
+from .table import uniform_stamps
 
 _UNITS = {
     "accelerometer": ACCELEROMETER_UNITS_M_S2,
@@ -138,7 +139,7 @@ class _Triad:
                     "Remove such samples; gnomon treats the gap as such."
                 )
             if clock is None:
-                t_ns = np.rint(np.arange(done, done + len(raw)) * (1e9 / (self.rate_hz or 1.0))).astype(np.int64)
+                t_ns = uniform_stamps(len(raw), 0.0 if self.rate_hz is None else self.rate_hz, done)
             else:
                 t_ns = to_ns(next(clock), self.clock_unit, self.path.name)
             yield TriadSamples(t_ns=t_ns, values=values, unit=self.unit)

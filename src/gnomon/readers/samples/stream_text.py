@@ -18,7 +18,7 @@ from ..recordings import inertial_streams, without_magnetometer
 from .column_roles import Roles, roles
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .stamps import guess_time_unit, stamp_kind, to_ns
-from .table import Triad, preamble_rate, read_table
+from .table import Triad, preamble_rate, read_table, uniform_stamps
 from .text_table import Column, Layout, parse, sniff
 
 _HEAD_BYTES = 8 << 20
@@ -167,8 +167,7 @@ def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
     """Return the stamps of a block that begins after `count` rows [ns]."""
     name = plan.path.name
     if not plan.used.time:
-        rows = np.arange(count, count + len(data[0]))
-        return np.rint(rows * (1e9 / (plan.rate_hz or 1.0))).astype(np.int64)
+        return uniform_stamps(len(data[0]), 0.0 if plan.rate_hz is None else plan.rate_hz, count)
     if len(plan.used.time) == 2:
         seconds, rest = (to_ns(data[i], unit or "ns", name) for i, unit in plan.used.time)
         return seconds + rest

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import RecordingError
+from ...ranges import option_range
 from ...recording import Floats, Integers
 from ...units import Units
 from ..files import TextFile
@@ -137,9 +138,21 @@ def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None)
     return to_ns(data[column], unit, file.name), f"{file.name}: time in {unit} ({reason})."
 
 
-def uniform_stamps(count: int, rate_hz: float) -> Integers:
-    """Return stamps k / rate_hz, k = 0 .. count - 1, (count,) int64 [ns]."""
-    return np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+def uniform_stamps(count: int, rate_hz: float, first: int = 0) -> Integers:
+    """Return stamps k / rate_hz, k = first .. first + count - 1, (count,) int64 [ns].
+
+    Raises
+    ------
+    RecordingError
+        If no sensor has such a rate, or the stamps do not fit into 64 bits.
+    """
+    least, most = option_range("rate")
+    if not least <= rate_hz <= most or (first + count) * (1e9 / rate_hz) > np.iinfo(np.int64).max:
+        raise RecordingError(
+            f"the rate {rate_hz:g} Hz of {count} samples is that of no sensor. State one from {least:g} to {most:g} Hz "
+            "with --rate, or correct it in the file."
+        )
+    return np.rint(np.arange(first, first + count) * (1e9 / rate_hz)).astype(np.int64)
 
 
 def preamble_rate(lines: tuple[str, ...]) -> float | None:
