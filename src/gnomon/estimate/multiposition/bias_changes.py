@@ -346,22 +346,22 @@ def _other_sensor(series: _Series, whitened: Sequence[_Whitened], taken: Sequenc
     """
     n, d = series.pull.shape
     own = (d * np.array(taken, dtype=np.int64)[:, None] + np.arange(d)).ravel()
+    bases = [_orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1)) for one in whitened]
     best, found = 0.0, 0
     for k in range(_FEW, n - _FEW + 1):
         few = min(k, n - k) < _ENOUGH
         price = np.log(n) + 0.5 * (4 if few else 9) * np.log(n) + _MARGIN
-        pairs = [_with_own_parameters(series, one, own, k, few=few) for one in whitened]
+        pairs = [_with_own_parameters(series, one, base, k, few=few) for one, base in zip(whitened, bases, strict=True)]
         gain = max(given for _, given in pairs) - max(without for without, _ in pairs) - price
         if gain > best:
             best, found = gain, k
     return found
 
 
-def _with_own_parameters(series: _Series, one: _Whitened, own: Integers, k: int, *, few: bool) -> tuple[float, float]:
+def _with_own_parameters(series: _Series, one: _Whitened, base: Floats, k: int, *, few: bool) -> tuple[float, float]:
     """Return the log-likelihood without and with parameters of their own before static interval k."""
     n = len(one.y)
     before = np.column_stack([np.ones(n), series.pull]) if few else series.design
-    base = _orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1))
     both = _orthonormal(np.concatenate([base, one.root[:, :k] @ before[:k]], axis=1))
     freedom = max(n - base.shape[1], 1)
     without, given = (
