@@ -308,8 +308,11 @@ def test_bad_poses_are_refused_in_words(what, simulation, run, tmp_path, names):
 
 
 def test_whole_recordings_are_no_poses(good_table, write_table, run, tmp_path):
-    for k in range(3):
-        write_table(tmp_path / f"{k}.csv", good_table)
+    rng = np.random.default_rng(4)
+    for k in range(3):  # of their own noise: the same data twice are refused as that
+        noise = 1e-3 * rng.normal(size=good_table.shape)
+        noise[:, 0] = 0
+        write_table(tmp_path / f"{k}.csv", good_table + noise)
     code, _, err = run("imu", tmp_path, "-o", tmp_path / "result")
     assert code == 3
     assert "name it alone" in err

@@ -89,11 +89,12 @@ def _rests(imu: ImuSamples, window_s: float, multiplier: float | None) -> Rests:
     """Return the rests as every calibration finds them."""
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     origin = int(accelerometer.t_ns[0])
+    times = [np.asarray(1e-9 * (triad.t_ns - origin), np.float64) for triad in (accelerometer, gyroscope)]
     detection = detect_rests(
         accelerometer,
         gyroscope,
         saturated(accelerometer),
-        t_s=((accelerometer.t_ns - origin) * 1e-9, (gyroscope.t_ns - origin) * 1e-9),
+        t_s=(times[0], times[1]),
         window_s=window_s,
         multiplier=multiplier,
     )

@@ -19,12 +19,12 @@ that for longer than any cluster lasts. So what the longest clusters certainly s
 to average out no further.
 """
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2, f  # pyright: ignore[reportMissingTypeStubs]
 
 from ...intervals import Booleans
 from ...recording import Floats, Integers
@@ -357,11 +357,11 @@ def _chance(found: _Estimate | None, n: int, least: float = 0.0) -> float:
     """Return how often chance alone makes a change as large; at once where it cannot be less than `least`."""
     if found is None:
         return 1.0
-    if least and chi2.sf(float(found.w @ found.w) * _INFLATED, len(found.w)) > least:
+    if least and _chi_square_tail(float(found.w @ found.w) * _INFLATED, len(found.w)) > least:
         return 1.0
     *shorter, longest = _clusters(n)
-    by_length = [_chance_with(found, cluster, lasting=False) for cluster in shorter]
-    return max([*by_length, _chance_with(found, longest, lasting=True)])
+    by_length = [_chance_with(found, cluster, least, lasting=False) for cluster in shorter]
+    return max([*by_length, _chance_with(found, longest, least, lasting=True)])
 
 
 def _clusters(n: int) -> list[Integers]:
@@ -369,12 +369,29 @@ def _clusters(n: int) -> list[Integers]:
     return [np.arange(n) // length for length in _LENGTHS if length == 1 or n // length >= _FEWEST_CLUSTERS]
 
 
-def _chance_with(found: _Estimate, cluster: Integers, *, lasting: bool) -> float:
-    """Return how often chance makes a change as large where clusters of stretches err on their own."""
+def _chance_with(found: _Estimate, cluster: Integers, least: float, *, lasting: bool) -> float:
+    """Return how often chance makes a change as large where clusters of stretches err on their own.
+
+    Beyond `least` it is a lower bound: of many clusters; fewer make large changes more likely.
+    """
     scatter, freedom = _scatter(found, cluster, lasting=lasting)
     t2 = float(found.w @ np.linalg.solve(scatter, found.w))
     rank = len(found.w)
-    return float(f.sf(t2 / rank, rank, max(freedom, 1.0)))
+    of_many = _chi_square_tail(t2, rank)
+    if of_many > least > 0:
+        return of_many
+    from scipy.special import fdtrc  # loaded where something may have changed  # pyright: ignore[reportMissingTypeStubs]
+
+    return float(fdtrc(rank, max(freedom, 1.0), t2 / rank))
+
+
+def _chi_square_tail(x: float, freedom: int) -> float:
+    """Return how often a chi-square of so many degrees of freedom exceeds x (Abramowitz and Stegun, 26.4.4, 26.4.5)."""
+    half = x / 2
+    tail, odd = (math.erfc(math.sqrt(half)), 1) if freedom % 2 else (math.exp(-half), 0)
+    for k in range(1 if odd else 2, freedom - 1, 2):
+        tail += math.exp(k / 2 * math.log(half) - half - math.lgamma(k / 2 + 1)) if half > 0 else 0.0
+    return tail
 
 
 def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Floats, float]:
