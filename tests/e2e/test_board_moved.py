@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gnomon import CameraImuScenario, simulate_camera_imu
+from gnomon import CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
 from gnomon.assess.board_turn import BoardMove, BoardTurns, board_move
 from gnomon.assess.early_findings import judged_again
 from gnomon.assess.rig_doctor import check_corners
@@ -23,13 +23,13 @@ TWO = replace(ONE, cameras=2, baseline_m=0.11)
 BENT = replace(TWO, focal_error=0.008, principal_point_error_px=4.0, corner_offset_m=5e-4)
 
 
-def moved(simulation, turn_deg, cameras=("cam0", "cam1")):
-    """Return the recording as if the board had been turned about its middle."""
+def moved(simulation, turn_deg, cameras=("cam0", "cam1"), shift_m=(0.0, 0.0, 0.0)):
+    """Return the recording as if the board had been turned about its middle, and shifted."""
     found = {}
     for name, frames in simulation.recording.cameras.items():
         truth, points = simulation.frames[name], simulation.target.points
         middle, true = points.mean(axis=0), simulation.truth.cameras
-        turned = (points - middle) @ rotation_from_rotvec(np.radians(turn_deg)).T + middle
+        turned = (points - middle) @ rotation_from_rotvec(np.radians(turn_deg)).T + middle + shift_m
         view = View(
             path=simulation.trajectory.path,
             T_cam_cam0=true[name].T_cam_imu @ np.linalg.inv(true["cam0"].T_cam_imu),
@@ -120,7 +120,7 @@ def test_what_makes_a_move():
 MOVE = BoardMove(t_s=10.0, turn_rad=0.03, cameras=("cam0",), after_s=10.0)
 
 
-def estimated(*, left_out=0, kick=0.0, sigma_px=0.3, z_rms=1.0, added=()):
+def estimated(*, left_out=0, kick=0.0, sigma_px=0.3, z_rms=1.0, added=(), felt=None, changed=()):
     rng = np.random.default_rng(0)
     t = np.arange(4000) / 200
     residual = 0.01 * rng.normal(size=(4000, 3))
@@ -129,13 +129,17 @@ def estimated(*, left_out=0, kick=0.0, sigma_px=0.3, z_rms=1.0, added=()):
         t_s=t, measured=residual, predicted=np.zeros((4000, 3)), basic=None, used=np.ones(4000, dtype=bool), sigma=0.01,
         unit="rad/s",
     )  # fmt: skip
+    signals = {"imu0.gyroscope": fit}
+    if felt is not None:
+        signals["imu0.accelerometer"] = replace(fit, measured=felt + 0.01 * rng.normal(size=(4000, 3)), unit="m/s^2")
     reasons = ("fits badly as a whole",) * left_out + ("",) * (400 - left_out)
     corners = SimpleNamespace(
-        frame_reason=reasons, frame_used=np.array([not reason for reason in reasons]), sigma_px=sigma_px
-    )
+        frame_reason=reasons, frame_used=np.array([not reason for reason in reasons]), sigma_px=sigma_px,
+        frame_t_s=np.arange(len(reasons)) / 20, frame_corners=np.repeat([0, 16], [20, len(reasons) - 20]),
+    )  # fmt: skip
     steps = tuple(SimpleNamespace(name=name, used=True, forced=False) for name in added)
-    trust = SimpleNamespace(splits=SimpleNamespace(z_rms=z_rms, limit=1.4), models=steps)
-    return SimpleNamespace(signals={"imu0.gyroscope": fit}, corners={"cam0": corners}, trust=trust)
+    trust = SimpleNamespace(splits=SimpleNamespace(z_rms=z_rms, limit=1.4), models=steps, changes=changed)
+    return SimpleNamespace(signals=signals, corners={"cam0": corners}, trust=trust)
 
 
 @pytest.mark.parametrize(
@@ -160,3 +164,38 @@ def test_a_fit_that_explains_the_frames_is_not_failed_by_what_was_seen_before_it
     found = judged_again([jump, other], None, estimated(**{**of, "kick": 0.0}), converged=True)
     assert found[0].severity == ("problem" if severity == "problem" and "kick" not in of else "warning")
     assert found[1].severity == "problem"
+
+
+def test_a_board_that_was_shifted_is_named():
+    simulation = simulate_camera_imu(ONE, 5)
+    shifted = moved(simulation, (0.0, 0.0, 0.0), shift_m=(0.006, -0.008, 0.0))
+    assert told(shifted, simulation.target) == []
+    assessment = calibrate_camera_imu(shifted, simulation.target).calibration.assessment
+    (found,) = [finding for finding in assessment.findings if finding.code == "board-moved"]
+    assert assessment.verdict == "warn"
+    assert ", 9 s after cam0" in found.message
+    assert 5 < float(found.message.partition(" mm")[0].rpartition(" ")[2]) < 12
+
+
+def felt(*, shift_m=0.0, kick_m_s=0.0):
+    """Return what an accelerometer did not feel of a shift within 0.4 s, and what it felt too much of a knock."""
+    t = np.arange(4000) / 200
+    s = np.clip((t - 10.0) / 0.4, -0.5, 0.5)
+    knock = np.where((t >= 10.0) & (t < 10.05), kick_m_s / 0.05, 0.0)
+    return np.stack([knock - shift_m * 2 * np.pi * np.sin(2 * np.pi * s) / 0.4**2, 0 * t, 0 * t], axis=1)
+
+
+def test_what_makes_a_shift():
+    (found,) = judged_again([], None, estimated(felt=felt(shift_m=0.01)), converged=True)
+    assert (found.code, found.severity) == ("board-moved", "warning")
+    assert "by 10 mm" in found.message or "by 9." in found.message
+    assert ", 9 s after cam0" in found.message
+    assert judged_again([], None, estimated(felt=felt()), converged=True) == []
+    assert judged_again([], None, estimated(felt=felt(shift_m=1e-3)), converged=True) == []
+    assert judged_again([], None, estimated(felt=felt(kick_m_s=0.1)), converged=True) == []
+    slipped = (SimpleNamespace(block="cam0.T_cam_imu.translation"),)
+    assert judged_again([], None, estimated(felt=felt(shift_m=0.01), changed=slipped), converged=True) == []
+    late = Finding(severity="warning", code="frames-late", message="Some are late.", consequence="No.", cure="Stamp.")
+    assert judged_again([late], None, estimated(felt=felt(shift_m=0.01)), converged=True) == [late]
+    (turned,) = judged_again([], MOVE, estimated(felt=felt(shift_m=0.01)), converged=False)
+    assert "turned" in turned.message

@@ -65,15 +65,17 @@ class BoardMove:
     Attributes
     ----------
     t_s : when, on the IMU's clock [s]
-    turn_rad : by how much it turned [rad]
+    turn_rad : by how much it turned [rad]; zero where it only shifted
     cameras : that saw it
     after_s : when, since the first of them saw the board [s]
+    shift_m : by how much it shifted at least, where it only shifted [m]
     """
 
     t_s: float
     turn_rad: float
     cameras: tuple[str, ...]
     after_s: float
+    shift_m: float = 0.0
 
 
 def board_turns(t_s: Floats, poses: BoardPoses, differs: Floats, compared: Booleans) -> BoardTurns:
@@ -136,11 +138,23 @@ def _seen(turns: BoardTurns, t_s: float, turn: Floats) -> bool | None:
 
 def moved_finding(move: BoardMove) -> Finding:
     """Return what to say of a board that was moved."""
+    when = f"{move.after_s:.0f} s after {move.cameras[0]} first saw it: {' and '.join(move.cameras)} saw"
+    if move.shift_m > 0:
+        return Finding(
+            severity="warning",
+            code="board-moved",
+            message=f"The board shifted by {1e3 * move.shift_m:.2g} mm or more, {when} a shift that the accelerometer "
+            "did not feel.",
+            consequence="The trajectory is bent there to pass from one place of the board to the other, and what is "
+            "estimated with it.",
+            cure="Fix the board to a wall or a heavy table, and the camera to the IMU. Cut the recording there and use "
+            "the longer part.",
+        )
     return Finding(
         severity="problem",
         code="board-moved",
-        message=f"The board turned by {np.degrees(move.turn_rad):.2g} deg, {move.after_s:.0f} s after "
-        f"{move.cameras[0]} first saw it: {' and '.join(move.cameras)} saw a turn that the gyroscope did not feel.",
+        message=f"The board turned by {np.degrees(move.turn_rad):.2g} deg, {when} a turn that the gyroscope did not "
+        "feel.",
         consequence="Gravity has another direction in the board's frame afterwards, and no trajectory fits.",
         cure="Fix the board to a wall or a heavy table. Cut the recording there and use the longer part.",
     )

@@ -1,7 +1,8 @@
 """What was noticed before the estimation, judged again by what came of it.
 
 Before the estimation every frame has a pose of its own, and errors of lens, board and view look like faults of clocks
-and boards. The estimation weighs them together: what it explains is no reason to refuse its result.
+and boards. The estimation weighs them together: what it explains is no reason to refuse its result. A board that only
+shifted shows there alone: at one moment the trajectory passes from one place to another and the accelerometer does not.
 """
 
 from collections.abc import Sequence
@@ -11,15 +12,28 @@ import numpy as np
 
 from ..diagnostics import CameraImuDiagnostics, SignalFit
 from ..findings import Finding
+from ..recording import Floats
 from .board_turn import BoardMove, moved_finding
 from .camera_imu_tables import MISFIT
 
 _MAY_BE_EXPLAINED = frozenset({"clock-jump", "distortion", "tag-spacing"})
+_JUMPS = frozenset({"frames-late", "frames-repeated", "clock-jump"})
+"""What makes the trajectory jump where the board stays."""
+
 _LEFT_OUT, _PIXELS = 0.05, 1.0
 _WITHIN_S, _WINDOW_S = 1.0, 0.6
 _TIMES = 5.0
 """By how much a moment's contradiction between the trajectory and the gyroscope stands out from the usual one; of sound
 recordings the largest is 2 to 3 times as large."""
+
+_SHIFT_S = 0.25
+"""Half of the time within which a board shifts; its places are compared with as long before and after."""
+
+_SHIFT_M, _SHIFT_TIMES, _SHIFT_USUAL = 2e-3, 5.0, 0.9
+"""A shift is told from where it stands out so far from what nine tenths of the recording show; that of sound ones is
+up to 1.8 times as large, that of a board shifted by 5 mm 6 times."""
+
+_FEWEST = 40  # times as long must a recording be
 
 
 def judged_again(
@@ -34,7 +48,9 @@ def judged_again(
     diagnostics : of the estimation, with its trust
     converged : whether it came to rest
     """
-    told = [*noticed, *([] if move is None else [moved_finding(move)])]
+    jumps = any(finding.code in _JUMPS and finding.severity in ("problem", "warning") for finding in noticed)
+    shown = move or (None if jumps else _shift(diagnostics))
+    told = [*noticed, *([] if shown is None else [moved_finding(shown)])]
     if not (converged and _explains(diagnostics)):
         return told
     held = move is not None and _contradicted(diagnostics.signals, move.t_s)
@@ -75,11 +91,49 @@ def _contradicted(signals: dict[str, SignalFit], t_s: float) -> bool:
     if name is None:
         return True
     fit = signals[name]
-    left = np.where(fit.used[:, None], fit.measured - fit.predicted, 0.0)
-    step_s = float(np.median(np.diff(fit.t_s)))
-    width = max(1, min(round(_WINDOW_S / step_s), len(left) - 1))
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(left, axis=0)]) * step_s
+    total, step_s = _summed(fit)
+    width = max(1, min(round(_WINDOW_S / step_s), len(total) - 2))
     size = np.linalg.norm(total[width:] - total[:-width], axis=1)
     middle = fit.t_s[: len(size)] + _WINDOW_S / 2
     near = np.abs(middle - t_s) < _WITHIN_S
     return bool(near.any() and size[near].max() > _TIMES * float(np.median(size)))
+
+
+def _shift(diagnostics: CameraImuDiagnostics) -> BoardMove | None:
+    """Return where the board shifted: the trajectory's place changes there otherwise than the accelerometer says.
+
+    What the accelerometer read and the trajectory did not do, summed twice, is a place p that the trajectory lacks. A
+    board that shifts makes it step and leaves its velocity. With h half of the time that it takes and velocities taken
+    from as long before and after, the step is p(t + h) - p(t - h) - (p(t - h) - p(t - 2h)) - (p(t + 2h) - p(t + h)).
+    A camera that slipped on its mount steps, too; where the parts of the recording tell that, they tell it alone.
+    """
+    name = next((name for name in diagnostics.signals if name.endswith(".accelerometer")), None)
+    seen = {camera: fit for camera, fit in diagnostics.corners.items() if fit.frame_used.any()}
+    if name is None or not seen:
+        return None
+    if diagnostics.trust is not None and any(".T_cam_imu" in one.block for one in diagnostics.trust.changes):
+        return None
+    fit = diagnostics.signals[name]
+    velocity, step_s = _summed(fit)
+    place, h = np.cumsum(velocity, axis=0) * step_s, max(1, round(_SHIFT_S / step_s))
+    if len(place) < _FEWEST * h:
+        return None
+    before, within, after = (place[k * h :][: len(place) - 4 * h] for k in (0, 1, 3))
+    sooner, moved, later = within - before, after - within, place[4 * h :] - after
+    size = np.linalg.norm(moved - sooner - later, axis=1)
+    least = max(_SHIFT_M, _SHIFT_TIMES * float(np.quantile(size, _SHIFT_USUAL)))
+    told = np.where(np.linalg.norm(later - sooner, axis=1) < size, size, 0.0)
+    k = int(told.argmax())
+    if told[k] < least:
+        return None
+    t_s = float(fit.t_s[k + 2 * h])
+    first = next(iter(seen.values()))
+    after_s = t_s - float(first.frame_t_s[first.frame_corners > 0][0])
+    return BoardMove(t_s=t_s, turn_rad=0.0, cameras=tuple(seen), after_s=after_s, shift_m=float(told[k]))
+
+
+def _summed(fit: SignalFit) -> tuple[Floats, float]:
+    """Return what a triad read and the trajectory did not do, summed over time (n + 1, 3), and the time of a sample."""
+    left = np.where(fit.used[:, None], fit.measured - fit.predicted, 0.0)
+    step_s = float(np.median(np.diff(fit.t_s)))
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(left, axis=0)]) * step_s, step_s
