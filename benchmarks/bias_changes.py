@@ -54,7 +54,7 @@ def make_case(kind: str, seed: int) -> Case:
     if kind == "appended":
         other, _ = gnomon.simulate(replace(scenario), 80_000 + seed)
         share = rng.uniform(0.08, 0.92)
-        imu = _appended(imu, other.imus["imu0"], share)
+        imu = with_another(imu, other.imus["imu0"], share)
         return Case(
             what=f"{kind} at {share:.2f}",
             recording=replace(recording, imus={"imu0": imu}),
@@ -104,7 +104,7 @@ def _with(imu: ImuSamples, **changes: Floats) -> ImuSamples:
     return imu
 
 
-def _appended(first: ImuSamples, second: ImuSamples, share: float) -> ImuSamples:
+def with_another(first: ImuSamples, second: ImuSamples, share: float) -> ImuSamples:
     """Return the beginning of one recording with the end of another one behind it."""
     edge = share * first.accelerometer.t_s[-1]
     triads = {}

@@ -44,6 +44,19 @@ def test_faulty_recordings_do_not_pass_falsely(seed):
     assert outcome in ("right", "warned"), f"{case.what}: {detail}"
 
 
+@pytest.mark.parametrize(("seed", "where"), [(6, "last"), (10, "first")])
+def test_few_rests_of_another_sensor_do_not_pass(seed, where):
+    """Four or five of forty: too few to tell the other sensor's scales by."""
+    first, _ = gnomon.simulate(gnomon.Scenario(intervals=study.INTERVALS), 40_000 + seed)
+    other, _ = gnomon.simulate(gnomon.Scenario(intervals=study.INTERVALS), 80_000 + seed)
+    a, b = first.imus["imu0"], other.imus["imu0"]
+    imu = study.with_another(a, b, 0.91) if where == "last" else study.with_another(b, a, 0.26)
+    result = gnomon.calibrate_imu(replace(first, imus={"imu0": imu}))
+    [finding] = [f for f in result.calibration.assessment.findings if f.code == "sensor-changed"]
+    assert finding.severity in ("warning", "problem")
+    assert result.calibration.assessment.verdict != "pass"
+
+
 @pytest.mark.slow
 def test_number_a():
     outcomes = [study.judge(study.make_case(study.KINDS[k % 6], k))[0] for k in range(300)]

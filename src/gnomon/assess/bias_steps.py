@@ -7,6 +7,7 @@ from ..estimate.multiposition.model import PARAMETERS
 from ..findings import Finding
 from ..recording import Floats
 from .imu_tables import ImuEvidence, interval_numbers
+from .left_out import cluster
 
 _SHOWN = 4  # parts of a recording
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
@@ -101,7 +102,7 @@ def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[
                 if own.any() and np.mean(found.used[own]) < _MOST_USED:
                     row, severity = max(int(np.argmax(own)), 1), "warning"
     if not row:
-        return []
+        return _cluster_finding(evidence, diagnostics)
     return [
         Finding(
             severity="problem" if severity == "problem" else "warning",
@@ -111,6 +112,31 @@ def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[
             consequence="One calibration cannot be right for both parts.",
             cure=f"Cut the recording at {0.5 * (found.stop_s[row - 1] + found.start_s[row]):.1f} s and calibrate the "
             "parts one by one.",
+        )
+    ]
+
+
+def _cluster_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Say that static intervals behind each other do not agree with the others: too few to tell what changed."""
+    rests = diagnostics.intervals
+    usable = np.flatnonzero(evidence.chosen.rests.used)
+    ends = cluster(~rests.used[usable])
+    if ends is None:
+        return []
+    first, last = usable[list(ends)]
+    cuts = [0.5 * float(rests.stop_s[k - 1] + rests.start_s[k]) for k in (first, last + 1) if 0 < k < len(rests.used)]
+    at = " and ".join(f"{cut:.1f} s" for cut in cuts)
+    when = f"between {at}" if len(cuts) > 1 else f"from {at} on" if first else f"until {at}"
+    marked = ~rests.used
+    marked[:first], marked[last + 1 :] = False, False
+    return [
+        Finding(
+            severity="warning",
+            code="sensor-changed",
+            message=f"Static intervals {interval_numbers(marked)} of {len(marked)} do not agree with the others, and "
+            f"lie together: {when} something differs: another sensor, a knock, a clamp, or the temperature.",
+            consequence="They are not used: the result holds for the rest of the recording alone.",
+            cure=f"Find out what was changed there, cut the recording at {at}, and calibrate the longest part alone.",
         )
     ]
 

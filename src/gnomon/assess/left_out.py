@@ -2,11 +2,16 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..findings import Finding
+from ..intervals import Booleans
 from ..recording import Floats
 
 _LISTED = 5
 _MANY = 0.1  # of the rests
+_FEWEST = 3  # rests behind each other
+_CHANCE = 0.05  # that rests left out independently of each other lie as close together
 
 
 def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], label: str = "") -> list[Finding]:
@@ -32,3 +37,29 @@ def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], la
             cure="Let go of the sensor before an interval counts, and power it throughout.",
         )
     ]
+
+
+def cluster(out: Booleans) -> tuple[int, int] | None:
+    """Return the first rest and the last one of those left out behind each other; None where chance explains them.
+
+    Of the stretches that hold three or more, and more left out than used, the one that is least likely where as many
+    are left out independently: the hypergeometric probability, times the places where it may begin.
+
+    Parameters
+    ----------
+    out : (n,) rests that do not agree with the others
+    """
+    at = np.flatnonzero(out)
+    if len(at) < _FEWEST:
+        return None
+    from scipy.stats import hypergeom  # slow to load, and rarely needed
+
+    least, found = _CHANCE, None
+    for k, first in enumerate(at):
+        for held, last in enumerate(at[k + _FEWEST - 1 :], start=_FEWEST):
+            length = last - first + 1
+            places = len(out) - length + 1
+            chance = places * float(hypergeom.sf(held - 1, len(out), len(at), length))
+            if 2 * held > length and chance < least:
+                least, found = chance, (int(first), int(last))
+    return found
