@@ -290,7 +290,7 @@ REFUSED = {
     "intrinsics of another size": Case(
         edit=camera(resolution=[640, 480]), words=("images are of 320 x 240 px", "intrinsics are for 640 x 480 px")
     ),
-    "no lens": Case(layout="euroc", named=("imu", "target"), words=("the lens of cam0", "--cam"), code=USAGE),
+    "no lens": Case(layout="euroc", named=("imu", "target"), words=("--cam is missing", "gnomon camera"), code=USAGE),
     "no board": Case(layout="euroc", named=("imu", "cam"), words=("--target is missing", "target.yaml"), code=USAGE),
     "camera without intrinsics": Case(
         edit=camera(intrinsics=None), words=("camchain.yaml: cam0: the key intrinsics is missing", "fu fv pu pv")

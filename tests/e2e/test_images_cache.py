@@ -132,7 +132,8 @@ def test_a_run_that_is_stopped_midway_leaves_nothing_half_written(walks, tmp_pat
     """While it looks at the images: without a result, without corners, and what was there before stays."""
     out = tmp_path / "out"
     out.mkdir()
-    (out / "calibration.yaml").write_text("of an earlier run\n")
+    before = "# of an earlier run\nprovenance:\n  method: camera-imu\n"
+    (out / "calibration.yaml").write_text(before)
     words = map(str, ["camera-imu", walks.rendered(), *recorded.inputs(walks.rendered()), "-o", out, "--workers", 1])
     with subprocess.Popen(
         [sys.executable, "-m", "gnomon", *words],
@@ -148,7 +149,7 @@ def test_a_run_that_is_stopped_midway_leaves_nothing_half_written(walks, tmp_pat
     assert process.returncode == (-signal.SIGKILL if stop == "SIGKILL" else 130)
     visible = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
     assert visible == ["calibration.yaml"]
-    assert (out / "calibration.yaml").read_text() == "of an earlier run\n"
+    assert (out / "calibration.yaml").read_text() == before
     if stop == "SIGINT":
         assert rest.endswith("gnomon: interrupted; no file is half-written.\n")
         assert "Traceback" not in rest

@@ -123,8 +123,8 @@ def inputs(run, tmp_path_factory):
 
     def imu(number: int) -> None:
         made("simulate", *SMALL, "-o", folder / f"imu{number}.npz", "--seed", number)
-        made("imu", folder / f"imu{number}.npz", "-o", folder / "out", "--no-report")
-        (folder / "out/calibration.yaml").replace(folder / f"cal{number}.yaml")
+        made("imu", folder / f"imu{number}.npz", "-o", folder / f"out{number}", "--no-report")
+        shutil.copy(folder / f"out{number}" / "calibration.yaml", folder / f"cal{number}.yaml")
 
     def field(number: int) -> None:
         made("simulate-magnetometer", "-o", folder / f"field{number}.npz", "--seed", number)
