@@ -125,7 +125,7 @@ def test_tiles(run, tmp_path):
         ("charuco --dictionary 4X4", 'dictionary "4X4": expected one of 4X4_50'),
         ("charuco --cols 20", "there is no marker 50 in 4X4_50; it has markers 0 to 49"),
         ("aprilgrid --cols 30 --rows 20", "there is no tag 587 in the family 36h11"),
-        ("aprilgrid --cols 0", "cols 0 of the aprilgrid must be a whole number of at least 1"),
+        ("aprilgrid --cols 0", "cols 0 is out of range. Give a number from 1 to 1000."),
         ("aprilgrid --spacing 0", "tag_spacing 0 of the aprilgrid must be a finite number greater than zero"),
         ("checkerboard --cols 700 --rows 3", "a checkerboard of 700 x 3 does not fit on A4"),
         ("aprilgrid --tiles", "--tiles needs --size"),
