@@ -94,9 +94,11 @@ def converted(form: str) -> Mapping[str, str]:
     """Return the files of another project, by name."""
     stated = {"imu0": StatedImu(noise=NOISE, update_rate_hz=200.0, topic="/imu0")}
     calibration = gnomon.load(GOLDEN / "calibration-gnomon-1.yaml") if form in _OF_IMUS else camera_imu()
-    return exported(calibration, form, imu=stated if form in _NOISY else None).files
+    scales = {"accelerometer_lsb_per_g": 4096.0, "gyroscope_lsb_per_deg_s": 83.267} if form in _OF_SI else {}
+    return exported(calibration, form, imu=stated if form in _NOISY else None, **scales).files
 
 
+_OF_SI = ("px4", "ardupilot")
 _OF_IMUS = ("imu_tk", "imucal", "px4", "ardupilot")
 _NOISY = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis")
 

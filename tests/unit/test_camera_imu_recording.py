@@ -114,7 +114,7 @@ def test_what_a_scenario_file_does_not_say_keeps_its_default(tmp_path):
         ("imu_gaps_s: [[1, 2, 3]]", r"imu_gaps_s\[0\]: found 3 values, expected 2"),
         ("imu_gaps_s: 1", "imu_gaps_s: found 1, expected a list"),
         ("time_shift_s: null", "time_shift_s: found nothing, expected a number"),
-        ("duration_s: -1", "scenario.yaml: duration_s -1 must be a finite number greater than zero"),
+        ("duration_s: -1", "scenario.yaml: duration_s -1 is out of range. Give a number from 0.001"),
         ("- 1", "found a list, expected keys and values"),
     ],
 )

@@ -237,19 +237,19 @@ def test_what_cannot_be_calibrated_is_refused_in_words() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (MagnetometerOptions(field=48_000.0), "nowhere on Earth"),
-        (MagnetometerOptions(magnetometer_range=-1.0), "greater than zero"),
-        (MagnetometerOptions(dip=100.0), "not between -90 and 90"),
-        (MagnetometerOptions(latitude=-91.0), "not between -90 and 90"),
-        (MagnetometerOptions(fix=("imu0.magnetometer.sensitivity",)), "--field"),
-        (MagnetometerOptions(fix=("imu0.magnetometer.bios",)), "Did you mean"),
-        (MagnetometerOptions(prior=("imu0.magnetometer.bias=1",), model="hard-iron"), "takes no prior"),
+        ({"field": 48_000.0}, "nowhere on Earth"),
+        ({"magnetometer_range": -1.0}, "greater than zero"),
+        ({"dip": 100.0}, "not between -90 and 90"),
+        ({"latitude": -91.0}, "from -90 to 90"),
+        ({"fix": ("imu0.magnetometer.sensitivity",)}, "--field"),
+        ({"fix": ("imu0.magnetometer.bios",)}, "Did you mean"),
+        ({"prior": ("imu0.magnetometer.bias=1",), "model": "hard-iron"}, "takes no prior"),
     ],
 )
 def test_options_that_cannot_be_meant_are_refused(options, words) -> None:
     recording, _ = simulate_magnetometer(FieldScenario(accelerometer=False, duration_s=30.0), 1)
     with pytest.raises(OptionError, match=words):
-        calibrate_magnetometer(recording, options)
+        calibrate_magnetometer(recording, MagnetometerOptions(**options))
 
 
 def test_a_bias_that_is_held_stays() -> None:

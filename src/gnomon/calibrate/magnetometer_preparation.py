@@ -167,8 +167,6 @@ def check_field_options(prior: Priors, options: MagnetometerOptions) -> None:
         )
     if options.dip is not None and not -90 <= options.dip <= 90:
         raise OptionError(f"dip {options.dip:g} deg is not between -90 and 90.")
-    if options.latitude is not None and not -90 <= options.latitude <= 90:
-        raise OptionError(f"latitude {options.latitude:g} deg is not between -90 and 90.")
     if options.magnetometer_range is not None and not options.magnetometer_range > 0:
         raise OptionError(f"magnetometer_range {options.magnetometer_range:g} must be greater than zero.")
     here = "local field" if options.field is None else "uT"

@@ -160,7 +160,7 @@ def _apart(means: Floats, first: Integers, last: Integers, limit: Floats, fastes
     levels = np.array([np.median(means[first[k] : last[k]], axis=0) for k in told])
     changes = np.abs(np.diff(levels, axis=0))
     scale = np.maximum(limit, _ALIKE * 1.4826 * np.median(changes, axis=0))
-    scale = np.where(scale > 0, scale, np.finfo(float).tiny)
+    scale = np.where(scale > 0, scale, max(np.finfo(float).eps * float(np.abs(levels).max()), 1e-100))
     middle = np.median(levels, axis=0)
     off = np.abs(levels - middle).max(axis=1)
     most = max(_FAST * fastest, _SPREAD * float(np.median(off))) if fastest > _MOTION * limit.max() else np.inf
