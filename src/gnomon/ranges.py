@@ -62,7 +62,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 """Name of an option -> its least and its largest value."""
 _ENDINGS: dict[str, tuple[float, float]] = {
-    "seed": (0, 2.0**63 - 1),
+    "seed": (0, 2.0**64),
     "_hz": (1e-3, 1e6),
     "_deg": (-360, 360),
     "_m": (-1e4, 1e4),

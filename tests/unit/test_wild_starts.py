@@ -1,6 +1,7 @@
 """What wild cases brought to light, one by one (`gnomon.study.wild`)."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -71,7 +72,7 @@ def test_a_variance_that_is_zero_but_for_rounding_is_zero():
 
 def test_an_axis_that_never_wanders_keeps_a_finite_weight():
     class Data:
-        drift = (np.zeros((4, 3)), np.zeros((3, 3)))
+        of_gyroscope = SimpleNamespace(of_kind=lambda _: np.ones(3, dtype=bool))
         span_s = (0.0, 10.0)
 
     precision = walk_precision(Data(), np.array([0.0, 1e-6, 1.0]))  # pyright: ignore[reportArgumentType]
