@@ -25,6 +25,7 @@ _WALK = (0.0, 0.3, 3.0, 30.0, 300.0, 3e4)  # variance that a walk reaches over t
 _FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
 _DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the length of the recording
 _FINER = (0.7, 0.84, 1.0, 1.19, 1.41), (0.92, 0.96, 1.0, 1.04, 1.08)  # times the best of them
+_TOLD = 1e-7  # of a column that the model does not explain already
 _LEAST_SCALE = 0.3  # of the white noise that is known: less is chance
 _FEWEST = 12  # rests
 _FEW, _ENOUGH = 5, 11  # rests on either side that tell a common scale with the bias, and scales and axes with it
@@ -346,28 +347,36 @@ def _other_sensor(series: _Series, whitened: Sequence[_Whitened], taken: Sequenc
     """
     n, d = series.pull.shape
     own = (d * np.array(taken, dtype=np.int64)[:, None] + np.arange(d)).ravel()
-    bases = [_orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1)) for one in whitened]
-    best, found = 0.0, 0
-    for k in range(_FEW, n - _FEW + 1):
-        few = min(k, n - k) < _ENOUGH
-        price = np.log(n) + 0.5 * (4 if few else 9) * np.log(n) + _MARGIN
-        pairs = [_with_own_parameters(series, one, base, k, few=few) for one, base in zip(whitened, bases, strict=True)]
-        gain = max(given for _, given in pairs) - max(without for without, _ in pairs) - price
-        if gain > best:
-            best, found = gain, k
-    return found
+    cuts = np.arange(_FEW, n - _FEW + 1)
+    few = np.minimum(cuts, n - cuts) < _ENOUGH
+    without, given = -np.inf, np.full(len(cuts), -np.inf)
+    for one in whitened:
+        base = _orthonormal(np.concatenate([one.design, one.columns[:, own]], axis=1))
+        left = one.y - base @ (base.T @ one.y)
+        squares, freedom = np.sum(left**2, axis=0), max(n - base.shape[1], 1)
+        without = max(without, float(np.sum(_likelihood(squares, freedom, one))))
+        for chosen, before in ((few, np.column_stack([np.ones(n), series.pull])), (~few, series.design)):
+            rest = np.maximum(squares - _explained_before(one, base, left, before, cuts[chosen]), 0.0)
+            given[chosen] = np.maximum(given[chosen], np.sum(_likelihood(rest, freedom, one), axis=1))
+    gains = given - without - (np.log(n) + 0.5 * np.where(few, 4, 9) * np.log(n) + _MARGIN)
+    best = int(np.argmax(gains)) if len(cuts) else -1
+    return int(cuts[best]) if best >= 0 and gains[best] > 0 else 0
 
 
-def _with_own_parameters(series: _Series, one: _Whitened, base: Floats, k: int, *, few: bool) -> tuple[float, float]:
-    """Return the log-likelihood without and with parameters of their own before static interval k."""
-    n = len(one.y)
-    before = np.column_stack([np.ones(n), series.pull]) if few else series.design
-    both = _orthonormal(np.concatenate([base, one.root[:, :k] @ before[:k]], axis=1))
-    freedom = max(n - base.shape[1], 1)
-    without, given = (
-        float(np.sum(_likelihood(np.sum((one.y - q @ (q.T @ one.y)) ** 2, axis=0), freedom, one))) for q in (base, both)
-    )
-    return without, given
+def _explained_before(one: _Whitened, base: Floats, left: Floats, before: Floats, cuts: Integers) -> Floats:
+    """Return the squares that parameters of their own explain before each of some static intervals, (k, axes).
+
+    Parameters
+    ----------
+    base : (n, p) orthonormal, of what is in the model already, which leaves `left` (n, axes)
+    before : (n, c) derivatives by these parameters
+    cuts : (k,) numbers of static intervals
+    """
+    columns = np.moveaxis(np.cumsum(one.root[:, :, None] * before, axis=1)[:, cuts - 1], 1, 0)
+    size = np.linalg.norm(columns, axis=1, keepdims=True)
+    columns = columns / np.where(size > 0, size, 1.0)
+    u, s, _ = np.linalg.svd(columns - base @ (base.T @ columns), full_matrices=False)
+    return np.square(np.einsum("knc,na->kca", u * (s > _TOLD)[:, None, :], left)).sum(axis=1)
 
 
 def _orthonormal(design: Floats) -> Floats:
