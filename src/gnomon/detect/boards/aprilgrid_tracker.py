@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ...images import Grey
 from ...models.target import Target
@@ -21,9 +20,9 @@ from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView
 from .checkerboard import reduced, search_scale
 from .marked import middle_of
+from .optical_flow import carry_corners
 from .tag_places import Booleans, homography, through
 
-_FLOW_WINDOW, _FLOW_LEVELS, _FLOW_STEPS, _FLOW_STEP_PX = 13, 2, 10, 0.05
 _SHIFT_SCALE = 2  # of the reduced image
 _FEWEST_TAGS = 6  # that are followed; fewer tell little of where the others are
 _CARRIED = 0.7  # share of the corners that the flow must carry
@@ -109,31 +108,19 @@ class AprilGridTracker:
         return grid
 
 
-def _shift(before: Grey, now: Grey) -> NDArray[np.float32]:
-    """Return how far most of the picture moved, (2,) [px]: neighbouring tags look too much alike for the flow alone."""
+def _shift(before: Grey, now: Grey) -> Floats:
+    """Return how far most of the picture moved, (2,) [px of these images]; neighbouring tags look alike to the flow."""
     first, second = (reduced(image, _SHIFT_SCALE).astype(np.float32) for image in (before, now))
     height, width = first.shape
     shift, _ = cv2.phaseCorrelate(first, second, cv2.createHanningWindow((width, height), cv2.CV_32F))
-    return _SHIFT_SCALE * np.array(shift, np.float32)
+    return _SHIFT_SCALE * np.array(shift, dtype=np.float64)
 
 
 def _carried(before: _Before, small: Grey, scale: int) -> Floats | None:
     """Return where the tags are by the optical flow, (n, 4, 2) [px]; None where it is lost."""
     corners = before.places[before.seen].reshape(-1, 2)
-    start = ((corners - (scale - 1) / 2) / scale).reshape(-1, 1, 2).astype(np.float32)
-    guess = start + _shift(before.small, small)
-    moved, status, _ = cv2.calcOpticalFlowPyrLK(
-        before.small,
-        small,
-        start,
-        guess,
-        winSize=(_FLOW_WINDOW, _FLOW_WINDOW),
-        maxLevel=_FLOW_LEVELS,
-        criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, _FLOW_STEPS, _FLOW_STEP_PX),
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    now = moved.reshape(-1, 2).astype(np.float64) * scale + (scale - 1) / 2
-    known = status.ravel() == 1
+    guess = corners + scale * _shift(before.small, small)
+    now, known = carry_corners(before.small, small, corners, guess, scale)
     if known.sum() < _CARRIED * len(known):
         return None
     away = np.linalg.norm(through(homography(corners[known], now[known])[None], corners)[0] - now, axis=1)

@@ -24,6 +24,7 @@ from ..corners.straight import LensGuess, corrected
 from .board import BoardView, nothing_seen
 from .checkerboard_grid import Board, board_at, boards_in, completed, middle, steps
 from .lattice import Lattice, find_lattices
+from .optical_flow import carry_corners
 from .saddles import find_saddles
 
 _SEARCH_WIDTH = 480  # an image is reduced by halves until it is narrower
@@ -34,10 +35,8 @@ _RADIUS = 0.65  # of the fit's window over the height of a square
 _FARTHEST = 0.35  # that a corner may move in its refinement, in squares
 _FEWEST = 6
 
-# Of the tracker: a search now and then, the window and levels of the optical flow, and when it stops.
+# Of the tracker: a search now and then.
 _SEARCH_EVERY = 50
-_FLOW_WINDOW, _FLOW_LEVELS = 13, 2
-_FLOW_STEPS, _FLOW_STEP_PX = 15, 0.05
 _FOLLOWED = 0.8  # share of the corners that the flow must carry
 _SAME_PX = 1.0
 
@@ -224,25 +223,13 @@ class CheckerboardTracker:
         if before is None or self._small is None or self._small.shape != small.shape:
             return None
         scale = search_scale(image)
-        start, guess = (
-            ((grid - (scale - 1) / 2) / scale).reshape(-1, 1, 2).astype(np.float32)
-            for grid in (before.grid, before.grid + self._move)
-        )
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(
-            self._small,
-            small,
-            start,
-            guess,
-            winSize=(_FLOW_WINDOW, _FLOW_WINDOW),
-            maxLevel=_FLOW_LEVELS,
-            criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, _FLOW_STEPS, _FLOW_STEP_PX),
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        )
-        carried = status.ravel() == 1
+        corners = before.grid.reshape(-1, 2)
+        guess = (before.grid + self._move).reshape(-1, 2)
+        now, carried = carry_corners(self._small, small, corners, guess, scale)
         if carried.mean() < _FOLLOWED:
             return None
-        places = np.where(carried[:, None], moved.reshape(-1, 2), np.nan) * scale + (scale - 1) / 2
-        grid = completed(places.reshape(before.grid.shape).astype(np.float64))
+        places = np.where(carried[:, None], now, np.nan)
+        grid = completed(places.reshape(before.grid.shape))
         board = board_near(image, grid)
         if grid is None or board is None or board.dark != before.dark:
             return None
