@@ -20,6 +20,8 @@ class Finding:
     message : what was found and where, with numbers and units
     consequence : what follows for the calibration; may be empty
     cure : the next step, in plain words; may be empty
+    subject : what it is about, as a path: a sensor or a parameter of it, such as "cam0.line_delay"; empty for all of it
+    follows_from : code of the finding that is its cause; empty where it stands for itself
     """
 
     severity: Severity
@@ -27,6 +29,8 @@ class Finding:
     message: str
     consequence: str = ""
     cure: str = ""
+    subject: str = ""
+    follows_from: str = ""
 
     def __str__(self) -> str:
         return " ".join(part for part in (self.message, self.consequence, self.cure) if part)

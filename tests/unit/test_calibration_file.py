@@ -248,3 +248,19 @@ def test_the_folder_of_a_result_stands_for_its_calibration(random_calibration, t
     assert gnomon.load(tmp_path).imus.keys() == {"imu0"}
     with pytest.raises(FormatError, match="this is a folder"):
         gnomon.load(tmp_path.parent)
+
+
+def test_findings_keep_their_subject_and_cause(random_calibration, tmp_path):
+    calibration = random_calibration()
+    cause = Finding(severity="warning", code="rolling-shutter", message="m", subject="cam0.line_delay")
+    effect = replace(cause, code="reprojection", subject="", consequence="It follows from: rolling-shutter.")
+    told = (cause, replace(effect, follows_from="rolling-shutter"))
+    assessment = replace(calibration.assessment, findings=told)
+    gnomon.save(replace(calibration, assessment=assessment), tmp_path / "c.yaml")
+    assert gnomon.load(tmp_path / "c.yaml").assessment.findings == told
+    older = (tmp_path / "c.yaml").read_text(encoding="utf-8")
+    for key in ("subject: cam0.line_delay", "follows_from: rolling-shutter"):
+        assert key in older
+        older = "\n".join(line for line in older.split("\n") if key not in line)
+    (tmp_path / "older.yaml").write_text(older, encoding="utf-8")
+    assert gnomon.load(tmp_path / "older.yaml").assessment.findings[1].follows_from == "rolling-shutter"

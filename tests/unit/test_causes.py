@@ -51,3 +51,9 @@ def test_consequences_come_after_causes_of_the_same_severity():
 def test_the_verdict_is_no_better_for_it():
     before = [finding("clock-drift"), finding("clock-jump"), finding("not-converged", "problem")]
     assert min(one.severity for one in before) == "problem" == causes_first(before)[0].severity
+
+
+def test_what_follows_from_a_cause_names_its_code():
+    by_code = {finding.code: finding for finding in causes_first([finding("reprojection"), finding("tag-spacing")])}
+    assert by_code["reprojection"].follows_from == "tag-spacing"
+    assert not by_code["tag-spacing"].follows_from

@@ -115,7 +115,9 @@ def _explained(findings: list[Finding]) -> list[Finding]:
             continue
         worst: Severity = "problem" if any(told[k].severity == "problem" for k in follow) else "warning"
         for k in follow:
-            told[k] = replace(told[k], severity="info", consequence=f"It follows from: {cause}.", cure="")
+            told[k] = replace(
+                told[k], severity="info", consequence=f"It follows from: {cause}.", cure="", follows_from=cause
+            )
         for k, finding in enumerate(told):
             if finding.code == cause and SEVERITIES[worst] < SEVERITIES[finding.severity] < SEVERITIES["info"]:
                 told[k] = replace(finding, severity=worst)

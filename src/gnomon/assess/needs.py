@@ -45,7 +45,6 @@ _KINDS: dict[str, Kind] = {
 _TAKEN_ALONG = 0.5
 """Correlation from which on a bias is as badly known as it is because another part is."""
 
-_FOLLOWED = "It follows from:"
 """Beginning of the consequence of what `causes` explains by another finding."""
 
 _PREFIXES = {
@@ -330,7 +329,7 @@ def _regraded(finding: Finding, severity: Severity) -> Finding:
     """Return what a recording does not determine with another severity, unless a cause was named for it."""
     if finding.code == "rotation-one-axis":
         return replace(finding, severity="info" if severity == "info" else "problem")
-    if finding.code != "not-observable" or finding.consequence.startswith(_FOLLOWED):
+    if finding.code != "not-observable" or finding.follows_from:
         return finding
     return replace(finding, severity=severity)
 

@@ -56,10 +56,13 @@ _OF_AN_IMU = frozenset(
 )
 """Findings on a camera beside an IMU that tell something of the IMU."""
 
+_NAME_THE_IMU = frozenset({"triads-apart", "clock-jump", "clock", "clock-drift", "time-shift"})
+
 
 def about(imu: str, finding: Finding) -> Finding:
     """Return a finding that names the IMU which it is about."""
-    return finding if imu in finding.message else replace(finding, message=f"{imu}: {finding.message}")
+    named = finding if finding.code in _NAME_THE_IMU else replace(finding, message=f"{imu}: {finding.message}")
+    return replace(named, subject=finding.subject or imu)
 
 
 def _beside(
@@ -296,6 +299,7 @@ def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding
         Finding(
             severity="warning",
             code="triads-apart",
+            subject=f"{imu}.accelerometer_shift",
             message=f"The {later} of {imu} comes {1e3 * abs(delay):.2g} ms (+- {1e3 * sigma:.1g}) later than its "
             f"{earlier}.",
             consequence="One time shift cannot hold for both; what the accelerometer tells (translation, its own "
@@ -314,6 +318,7 @@ def _shift(name: str, imu: str, shift_s: float) -> list[Finding]:
         Finding(
             severity="info",
             code="time-shift",
+            subject=f"{name}.time_shift_cam_imu",
             message=f"The stamps of {name} are {abs(shift_s):.2f} s {which} those of {imu}.",
             consequence="The calibration contains it; whoever uses it has to add the same shift, which holds only as "
             "long as both clocks go on as they did.",

@@ -174,7 +174,7 @@ def check_stamps_together(
 
 def _each_once(findings: list[Finding]) -> tuple[Finding, ...]:
     """Return findings without those that another look at the same stamps found as well."""
-    return tuple({(finding.code, finding.message): finding for finding in findings}.values())
+    return tuple(dict.fromkeys(findings))
 
 
 def _order(name: str, t_ns: Integers) -> list[Finding]:

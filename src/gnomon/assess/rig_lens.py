@@ -124,6 +124,7 @@ def _shutter(name: str, fit: LensFit, camera: Camera) -> list[Finding]:
         Finding(
             severity="warning",
             code="rolling-shutter",
+            subject=f"{name}.line_delay",
             message=f"{message}; {stated}.",
             consequence=consequence,
             cure=cure,

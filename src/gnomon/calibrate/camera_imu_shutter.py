@@ -60,8 +60,8 @@ def shutters_estimated(
 
 
 def _told(finding: Finding, cameras: Mapping[str, CameraCalibration], sigmas: Mapping[str, float]) -> Finding:
-    name = finding.message.partition(" ")[0]
-    sigma = sigmas.get(f"{name}.line_delay", 0.0)
+    name = finding.subject.partition(".")[0]
+    sigma = sigmas.get(finding.subject, 0.0)
     if not sigma:
         return finding
     delay = cameras[name].camera.line_delay_s
@@ -74,4 +74,4 @@ def _told(finding: Finding, cameras: Mapping[str, CameraCalibration], sigmas: Ma
 
 
 def _about(name: str, findings: Sequence[Finding]) -> bool:
-    return any(finding.code == _CODE and finding.message.partition(" ")[0] == name for finding in findings)
+    return any(finding.code == _CODE and finding.subject == f"{name}.line_delay" for finding in findings)

@@ -426,9 +426,11 @@ def finding_entry(node: Node) -> Finding:
     FormatError
         If the entry is none.
     """
-    keys = node.mapping(("severity", "code", "message"), ("consequence", "cure"))
+    keys = node.mapping(("severity", "code", "message"), ("consequence", "cure", "subject", "follows_from"))
     keys["severity"].text(("good", "info", "warning", "problem"))
-    return Finding(**{name: item.text() for name, item in keys.items()})  # pyright: ignore[reportArgumentType]
+    found = Finding(**{name: item.text() for name, item in keys.items()})  # pyright: ignore[reportArgumentType]
+    before, said, cause = found.consequence.partition("It follows from: ")  # all that older files say of it
+    return replace(found, follows_from=cause.rstrip(".")) if said and not (before or found.follows_from) else found
 
 
 def provenance_entry(node: Node) -> Provenance:
