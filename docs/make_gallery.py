@@ -4,7 +4,7 @@
     python docs/make_gallery.py board-moved      one of its entries
     python docs/make_gallery.py --no-pictures    the page alone, with the pictures that are there
 
-Every recording is one of the catalogue of faults (src/gnomon/simulate/faults.py), simulated and calibrated as its owner
+Every recording is one of the catalogue of faults (tests/support/faults.py), simulated and calibrated as its owner
 would; titles and symptoms are the catalogue's, and what is quoted is what gnomon said. A picture shows one figure of
 that recording's report. Needs a Chromium for them.
 """
@@ -24,13 +24,14 @@ import numpy as np
 from gnomon import GnomonError, Result, calibrate_camera_imu, calibrate_imu, write_report
 from gnomon.findings import Finding
 from gnomon.options import CameraImuOptions
-from gnomon.simulate.fault_recordings import sound_recording
-from gnomon.simulate.faults import Fault, FaultyRecording, fault_named, faults, simulate_fault
 
 DOCS = Path(__file__).resolve().parent
-sys.path.insert(0, str(DOCS))
+sys.path[:0] = [str(DOCS), str(DOCS.parent / "tests")]
 
 from make_report_picture import find_chromium  # noqa: E402
+
+from support.fault_recordings import sound_recording  # noqa: E402
+from support.faults import Fault, FaultyRecording, fault_named, faults, simulate_fault  # noqa: E402
 
 PAGE, PICTURES = DOCS / "gallery.md", DOCS / "gallery"
 SEED = 1

@@ -119,8 +119,6 @@ _SECTIONS = {
         "simulate_poses",
         "simulate_turntable",
         "simulate_magnetometer",
-        "faults",
-        "simulate_fault",
     ),
     "What one chooses": (
         "ImuOptions",
@@ -140,8 +138,6 @@ _SECTIONS = {
         "ImuPlan",
         "Use",
         "Units",
-        "Fault",
-        "FaultyRecording",
     ),
     "What was measured": ("Recording", "ImuSamples", "TriadSamples", "Poses", "CameraFrames"),
     "What is known beforehand": ("Target", "Camera", "ImuNoise"),

@@ -83,7 +83,6 @@ if TYPE_CHECKING:
     from .report.noise import write_noise_report
     from .requirements import Use
     from .sensor_noise import NoiseResult, SensorNoise
-    from .simulate.faults import Fault, FaultyRecording, faults, simulate_fault
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers import Loss, convert, save, save_camera_imu_files
@@ -116,8 +115,6 @@ _HOMES = {
     "calibrate_cameras": "calibrate",
     "calibrate_imu": "calibrate",
     "Comparison": "assess.comparison",
-    "Fault": "simulate.faults",
-    "FaultyRecording": "simulate.faults",
     "PlanResult": "calibrate.planning",
     "Use": "requirements",
     "judge": "calibrate",
@@ -125,8 +122,6 @@ _HOMES = {
     "read_hardware": "calibrate",
     "check": "assess.doctor",
     "compare": "calibrate.comparison",
-    "faults": "simulate.faults",
-    "simulate_fault": "simulate.faults",
     "write_comparison_report": "report.comparison",
     "convert": "writers",
     "load": "readers",
@@ -171,8 +166,6 @@ __all__ = [
     "Comparison",
     "Covariance",
     "DetectionError",
-    "Fault",
-    "FaultyRecording",
     "FieldScenario",
     "Finding",
     "ForeignCalibration",
@@ -218,7 +211,6 @@ __all__ = [
     "check",
     "compare",
     "convert",
-    "faults",
     "identify_noise",
     "judge",
     "load",
@@ -238,7 +230,6 @@ __all__ = [
     "simulate",
     "simulate_camera_imu",
     "simulate_cameras",
-    "simulate_fault",
     "simulate_magnetometer",
     "simulate_poses",
     "simulate_turntable",

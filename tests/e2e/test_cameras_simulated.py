@@ -13,7 +13,7 @@ from gnomon.camera_options import CameraOptions
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
-from gnomon.simulate.healthy import healthy_cameras
+from support.healthy import healthy_cameras
 
 FEW = {"views": 30}
 

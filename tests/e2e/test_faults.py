@@ -7,10 +7,8 @@ import os
 
 import pytest
 
-from gnomon.simulate.fault_recordings import faulty_recording, sound_recording
-from gnomon.simulate.faults import fault_named, faults
-from gnomon.simulate.healthy import healthy_imu, healthy_rig
-from gnomon.study.faults import (
+from gnomon.study.runs import Workers
+from support.diagnosis import (
     diagnosed,
     doctors_findings,
     healthy,
@@ -19,7 +17,9 @@ from gnomon.study.faults import (
     study_healthy,
     table,
 )
-from gnomon.study.runs import Workers
+from support.fault_recordings import faulty_recording, sound_recording
+from support.faults import fault_named, faults
+from support.healthy import healthy_imu, healthy_rig
 
 IMU = [fault.name for fault in faults() if fault.kind == "imu"]
 RIG = [fault.name for fault in faults() if fault.kind == "camera-imu"]

@@ -9,10 +9,10 @@ import os
 import numpy as np
 import pytest
 
-from gnomon.simulate.wild_imu import wild_imu
-from gnomon.simulate.wild_rig import wild_rig
 from gnomon.study.runs import Workers
-from gnomon.study.wild import judge, judged, study_wild, table
+from support.wild_imu import wild_imu
+from support.wild_judge import judge, judged, study_wild, table
+from support.wild_rig import wild_rig
 
 COUNT = int(os.environ.get("GNOMON_WILD", "1000"))
 FIRST = int(os.environ.get("GNOMON_WILD_SEED", "50000"))

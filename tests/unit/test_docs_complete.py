@@ -31,13 +31,13 @@ from gnomon.readers.samples.npz import __doc__ as npz_keys
 from gnomon.readers.samples.pose_table import pose_column
 from gnomon.recording import FrameQuality
 from gnomon.requirements import QUANTITIES, USES, stated
-from gnomon.simulate.faults import fault_named, faults
 from gnomon.trust import ParameterChange, WeakDirection
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.conversion import FORMATS
 from gnomon.writers.diagnostics_file import diagnostic_arrays
 from gnomon.writers.noise_file import allan_text, noise_document
+from support.faults import fault_named, faults
 
 DOCUMENTED_CODE = re.compile(r"^- (\*\*`.*?)\(", re.MULTILINE)
 SHORT = gnomon.Scenario(intervals=20, t_init_s=20.0, g_sensitivity=3e-4)

@@ -1,4 +1,4 @@
-"""What wild cases brought to light, one by one (`gnomon.study.wild`)."""
+"""What wild cases brought to light, one by one (`support.wild_judge`)."""
 
 import time
 from types import SimpleNamespace

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from .scenario import Scenario
+from gnomon.simulate.scenario import Scenario
+
 from .wild import log_uniform
 
 _MOST_SAMPLES = 60_000

@@ -4,10 +4,10 @@ from math import radians
 
 import numpy as np
 
-from .camera_imu_scenario import CameraImuScenario, MotionName
-from .cameras_scenario import USUAL_LENSES, CamerasScenario
-from .scenario import Scenario
-from .seen_board import BoardName
+from gnomon.simulate.camera_imu_scenario import CameraImuScenario, MotionName
+from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
+from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.seen_board import BoardName
 
 _MOTIONS: tuple[MotionName, ...] = ("gentle", "normal", "tremor", "shaky", "rolling")
 

@@ -1,7 +1,7 @@
 """Wild cases: recordings, options and statements that nobody would make on purpose, with what is true of them.
 
 A case is drawn with several oddities at once, each of a size from harmless to hopeless. What a calibration may say of
-it is judged by `gnomon.study.wild`.
+it is judged by `support.wild_judge`.
 """
 
 from dataclasses import dataclass, replace
@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from ..models.target import Target
-from ..options import CameraImuOptions, ImuOptions
-from ..parameters import moved_into_frame
-from ..recording import Floats, Recording
-from ..sensors import CameraCalibration, ImuCalibration
+from gnomon.models.target import Target
+from gnomon.options import CameraImuOptions, ImuOptions
+from gnomon.parameters import moved_into_frame
+from gnomon.recording import Floats, Recording
+from gnomon.sensors import CameraCalibration, ImuCalibration
 
 WildKind = Literal["imu", "camera-imu"]
 

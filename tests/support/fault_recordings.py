@@ -5,17 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..options import CameraImuOptions, ImuOptions
-from ..recording import CameraFrames, Floats, ImuSamples, Integers, TriadSamples
-from .camera_imu import CameraImuSimulation, simulated_camera_imu
-from .camera_imu_scenario import CameraImuScenario
+from gnomon.options import CameraImuOptions, ImuOptions
+from gnomon.recording import CameraFrames, Floats, ImuSamples, Integers, TriadSamples
+from gnomon.simulate.camera_imu import CameraImuSimulation, simulated_camera_imu
+from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.imu import simulate_imu
+from gnomon.simulate.scenario import Scenario
+
 from .faults import Fault, FaultyRecording, Spoil
-from .imu import simulate_imu
-from .scenario import Scenario
 
 
 def faulty_recording(fault: Fault, seed: int) -> FaultyRecording:
-    """Return a recording with a fault; see `gnomon.simulate.faults`."""
+    """Return a recording with a fault; see `support.faults`."""
     case = sound_recording(fault.scenario, seed)
     return case if fault.spoil is None else fault.spoil(case, np.random.default_rng([seed, 1]))
 

@@ -7,18 +7,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..assess.doctor import check
-from ..assess.rig_doctor import check_corners
-from ..calibrate.camera_imu import calibrate_camera_imu
-from ..calibrate.imu import calibrate_imu
-from ..calibration import Assessment, Verdict
-from ..errors import GnomonError
-from ..findings import Finding
-from ..options import CameraImuOptions
-from ..simulate.fault_recordings import faulty_recording, sound_recording
-from ..simulate.faults import Fault, FaultKind, FaultyRecording, fault_named
-from ..simulate.healthy import healthy_imu, healthy_rig
-from .runs import HERE, Progress, Workers, carry_out
+from gnomon.assess.doctor import check
+from gnomon.assess.rig_doctor import check_corners
+from gnomon.calibrate.camera_imu import calibrate_camera_imu
+from gnomon.calibrate.imu import calibrate_imu
+from gnomon.calibration import Assessment, Verdict
+from gnomon.errors import GnomonError
+from gnomon.findings import Finding
+from gnomon.options import CameraImuOptions
+from gnomon.study.runs import HERE, Progress, Workers, carry_out
+
+from .fault_recordings import faulty_recording, sound_recording
+from .faults import Fault, FaultKind, FaultyRecording, fault_named
+from .healthy import healthy_imu, healthy_rig
 
 _LOUD = ("problem", "warning")
 

@@ -5,7 +5,8 @@ from math import radians
 
 import numpy as np
 
-from ..units import STANDARD_GRAVITY_M_S2
+from gnomon.units import STANDARD_GRAVITY_M_S2
+
 from . import camera_imu_fault_edits as edits
 from .camera_imu_fault_edits import SOUND
 from .fault_recordings import accelerometer, both, frames_of, gyroscope

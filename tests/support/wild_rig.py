@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.rotation_vector import rotation_from_rotvec
-from ..models.noise import ImuNoise
-from ..options import CameraImuOptions
-from ..recording import CameraFrames, ImuSamples, TriadSamples
-from .camera_imu import simulated_camera_imu
-from .camera_imu_scenario import CameraImuScenario
+from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.models.noise import ImuNoise
+from gnomon.options import CameraImuOptions
+from gnomon.recording import CameraFrames, ImuSamples, TriadSamples
+from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.seen_board import INTRINSICS
+
 from .fault_recordings import seconds, warming
-from .seen_board import INTRINSICS
 from .wild import WildCase, in_body_frame, log_uniform, reread, signed_permutation
 
 Edit = Callable[[WildCase, np.random.Generator], WildCase]

@@ -5,11 +5,12 @@ from math import radians
 
 import numpy as np
 
-from ..recording import Floats, TriadSamples
-from ..units import STANDARD_GRAVITY_M_S2
+from gnomon.recording import Floats, TriadSamples
+from gnomon.simulate.scenario import Scenario
+from gnomon.units import STANDARD_GRAVITY_M_S2
+
 from .fault_recordings import accelerometer, both, delayed, gyroscope, some, warming, with_imu
 from .faults import Fault, FaultyRecording
-from .scenario import Scenario
 
 _SOUND = Scenario(intervals=36, t_init_s=30.0, hold_s=(3.0, 4.0), gyroscope_scale=(0.98, 1.02))
 _EVEN = replace(_SOUND, hold_s=(4.0, 4.0), motion_s=(2.0, 2.0))

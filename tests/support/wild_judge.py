@@ -16,19 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, f
 
-from ..calibrate.camera_imu import calibrate_camera_imu
-from ..calibrate.imu import calibrate_imu
-from ..calibration import Calibration, Verdict
-from ..errors import GnomonError
-from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from ..models.gravity import EARTH_RATE_RAD_S
-from ..options import CameraImuOptions, ImuOptions
-from ..parameters import element_names, moved_to_origin, parameters
-from ..recording import Floats
-from ..simulate.wild import WildCase, WildKind
-from ..simulate.wild_imu import wild_imu
-from ..simulate.wild_rig import wild_rig
-from .runs import HERE, Progress, Workers, carry_out
+from gnomon.calibrate.camera_imu import calibrate_camera_imu
+from gnomon.calibrate.imu import calibrate_imu
+from gnomon.calibration import Calibration, Verdict
+from gnomon.errors import GnomonError
+from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.models.gravity import EARTH_RATE_RAD_S
+from gnomon.options import CameraImuOptions, ImuOptions
+from gnomon.parameters import element_names, moved_to_origin, parameters
+from gnomon.recording import Floats
+from gnomon.study.runs import HERE, Progress, Workers, carry_out
+
+from .wild import WildCase, WildKind
+from .wild_imu import wild_imu
+from .wild_rig import wild_rig
 
 Outcome = Literal["right", "refused", "failed", "named", "bad"]
 

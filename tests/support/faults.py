@@ -9,17 +9,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from ..errors import OptionError
-from ..options import CameraImuOptions, ImuOptions
-from .camera_imu_scenario import CameraImuScenario
-from .scenario import Scenario
+from gnomon.errors import OptionError
+from gnomon.options import CameraImuOptions, ImuOptions
+from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+from gnomon.simulate.scenario import Scenario
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..calibration import Calibration
-    from ..models.target import Target
-    from ..recording import Recording
+    from gnomon.calibration import Calibration
+    from gnomon.models.target import Target
+    from gnomon.recording import Recording
 
 FaultKind = Literal["imu", "camera-imu"]
 

@@ -5,15 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..geometry.rotation_vector import right_jacobian, rotation_from_rotvec
-from ..models.gravity import EARTH_RATE_RAD_S, normal_gravity_m_s2
-from ..options import ImuOptions
-from ..recording import Floats, ImuSamples, Recording, TriadSamples
-from ..sensors import ImuCalibration
+from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec
+from gnomon.models.gravity import EARTH_RATE_RAD_S, normal_gravity_m_s2
+from gnomon.options import ImuOptions
+from gnomon.recording import Floats, ImuSamples, Recording, TriadSamples
+from gnomon.sensors import ImuCalibration
+from gnomon.simulate.imu import simulate_imu
+from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.sensor import Converter, converters
+
 from .fault_recordings import seconds, some, warming
-from .imu import simulate_imu
-from .scenario import Scenario
-from .sensor import Converter, converters
 from .wild import (
     WildCase,
     in_body_frame,

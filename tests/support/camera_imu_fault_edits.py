@@ -5,12 +5,13 @@ from math import radians
 
 import numpy as np
 
-from ..geometry.rotation_vector import rotation_from_rotvec
-from ..models.target import Target
-from ..options import CameraImuOptions
-from ..recording import CameraFrames, Floats, TriadSamples
-from .camera_imu_frames import View
-from .camera_imu_scenario import CameraImuScenario
+from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.models.target import Target
+from gnomon.options import CameraImuOptions
+from gnomon.recording import CameraFrames, Floats, TriadSamples
+from gnomon.simulate.camera_imu_frames import View
+from gnomon.simulate.camera_imu_scenario import CameraImuScenario
+
 from .fault_recordings import (
     accelerometer,
     delayed,
