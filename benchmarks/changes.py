@@ -215,32 +215,33 @@ HEALTHY = {
 }
 
 
-def study(names: list[str], seeds: int, healthy: int) -> Iterator[tuple[str, list[Outcome]]]:
+def study(names: list[str], seeds: int, healthy: int, first: int) -> Iterator[tuple[str, list[Outcome]]]:
     """Yield the outcomes of each fault, then those of healthy recordings of each kind."""
     for name in names:
-        fault, rng = FAULTS[name], np.random.default_rng(len(name))
+        fault, rng = FAULTS[name], np.random.default_rng(first + len(name))
         low, high = np.log(fault.sizes)
         sizes = np.exp(rng.uniform(low, high, seeds))
         yield (
             f"{name}, {fault.sizes[0]:g} to {fault.sizes[1]:g} {fault.unit}",
-            [fault.run(name, 1000 + seed, float(size)) for seed, size in enumerate(sizes)],
+            [fault.run(name, first + seed, float(size)) for seed, size in enumerate(sizes)],
         )
     for name, (kind, run) in HEALTHY.items():
         if healthy and (len(names) == len(FAULTS) or any(FAULTS[one].run is run for one in names)):
-            yield f"healthy {name}", [run(kind, 2000 + seed, 0.0) for seed in range(healthy)]
+            yield f"healthy {name}", [run(kind, first + 1000 + seed, 0.0) for seed in range(healthy)]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--healthy", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1000, help="first seed; healthy ones begin 1000 later")
     parser.add_argument("--only", nargs="*", choices=list(FAULTS), default=list(FAULTS))
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     begin = time.process_time()
     columns = ("recordings", "number", "named", "pass", "warn", "fail", "missed")
     table = Table(title="Changes in mid-recording", columns=columns)
-    for name, found in study(options.only, options.seeds, options.healthy):
+    for name, found in study(options.only, options.seeds, options.healthy, options.first):
         counts = [sum(one.verdict == verdict for one in found) for verdict in ("pass", "warn", "fail")]
         cells = [len(found), sum(one.named for one in found), *counts, sum(one.missed for one in found)]
         table.add(name, *map(str, cells))

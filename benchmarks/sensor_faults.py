@@ -222,6 +222,18 @@ def _auto_zero(every_s: float) -> NoiseEdit:
     return edit
 
 
+def _zeroed_before(every_s: float) -> NoiseEdit:
+    """Subtract what the last five seconds of the time before showed."""
+    count, averaged = round(every_s * _AT_REST.rate_hz), round(5 * _AT_REST.rate_hz)
+
+    def edit(values: Floats, rng: np.random.Generator) -> Floats:
+        del rng
+        parts = values[: len(values) // count * count].reshape(-1, count, 3)
+        return (parts[1:] - parts[:-1, -averaged:].mean(axis=1, keepdims=True)).reshape(-1, 3)
+
+    return edit
+
+
 def _grows(factor: float) -> NoiseEdit:
     return lambda values, _: values * np.linspace(1.0, factor, len(values))[:, None]
 
@@ -299,6 +311,14 @@ def noise_cases() -> Iterator[tuple[str, Case]]:
     }
     for name, edit in edits.items():
         yield name, lambda seed, edit=edit: _noise_outcome(seed, edit)
+    long = replace(_AT_REST, duration_s=3 * 3600.0)
+    for name, edit in {
+        **{f"3 h, high-pass {hz} Hz": _high_pass(hz) for hz in (0.003, 0.01, 0.03)},
+        **{f"3 h, auto-zero every {s} s": _auto_zero(s) for s in (60.0, 300.0)},
+        "3 h, zeroed before each 300 s": _zeroed_before(300.0),
+        "3 h, healthy": _as_it_is,
+    }.items():
+        yield name, lambda seed, edit=edit: _noise_outcome(seed, edit, long)
     quiet = replace(_AT_REST, duration_s=1800.0, gyroscope_bias_instability=0.0, gyroscope_random_walk=0.0)
     yield "healthy: half an hour of white noise", lambda seed: _noise_outcome(seed, _as_it_is, quiet)
     walking = replace(_AT_REST, gyroscope_random_walk=4 * _K)
@@ -313,14 +333,15 @@ _RPM = np.pi / 30
 def _turntable_outcome(seed: int, scenario: TurntableScenario, said: tuple[float, ...], factor: float = 1.0) -> Outcome:
     simulation = simulate_turntable(scenario, seed)
     rng = np.random.default_rng(seed)
-    by_axis = factor * rng.uniform(0.97, 1.03, 3) if factor != 1 else np.ones(3)
+    name = "imu0.gyroscope.sensitivity"
+    drawn = np.abs(np.linalg.det(simulation.truth.parameter(name))) ** (1 / 3)  # off by up to 16 %, and told of that
+    by_axis = factor / drawn * rng.uniform(0.98, 1.02, 3)
     recordings: list[Recording] = []
     for recording in simulation.recordings:
         imu = recording.imus["imu0"]
         shown = replace(imu.gyroscope, values=imu.gyroscope.values * by_axis)
         recordings.append(replace(recording, imus={"imu0": replace(imu, gyroscope=shown)}))
     rates = [StatedRate(name=f"{rpm:g}rpm", rate_rad_s=rpm * _RPM) for rpm in said]
-    name = "imu0.gyroscope.sensitivity"
 
     def error(found: gnomon.Calibration) -> tuple[list[Floats], list[Floats], list[Floats]]:
         off = found.parameter(name) - by_axis[:, None] * simulation.truth.parameter(name)

@@ -60,6 +60,25 @@ def test_nothing_is_found_where_nothing_changed(options):
     assert [found(pulls(seed, **options)) for seed in range(12)] == [()] * 12
 
 
+def test_nothing_is_found_where_a_change_takes_all_data_up():
+    """Beside ten parameters and a change of four, fourteen single rows leave nothing that shows how they scatter."""
+    n = 14
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        rows = rng.normal(size=(n, 1, P))
+        error = rng.normal(size=(n, 1))
+        information = np.swapaxes(rows, 1, 2) @ rows
+        whole = np.linalg.solve(information.sum(axis=0), np.einsum("nip,ni->p", rows, error))
+        sums = ClusterSums(
+            t_s=np.arange(n) * 2.0,
+            pull=np.einsum("nip,ni->np", rows, error - rows @ whole),
+            information=information,
+            prior_pull=np.zeros(P),
+            prior_information=np.zeros((P, P)),
+        )
+        assert found(sums) == ()
+
+
 @pytest.mark.parametrize("noise", [1.0, 0.1], ids=["as stated", "levels inflated tenfold by the change"])
 def test_a_change_is_found_where_it_is_with_its_size(noise):
     """Noise levels that a change inflates make all information look smaller; the scatter that is left shows it."""

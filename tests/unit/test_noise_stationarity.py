@@ -6,6 +6,7 @@ from scipy.signal import butter, lfilter
 
 from gnomon.calibrate.noise import identify_noise
 from gnomon.errors import RecordingError
+from gnomon.estimate.allan.high_pass import find_high_pass
 from gnomon.estimate.allan.patterns import find_pattern
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 from gnomon.simulate.noise import noise_blocks
@@ -104,6 +105,37 @@ def test_behind_an_auto_zero_no_bound_hides_a_random_walk() -> None:
     noise, codes = identified((parts - parts.mean(axis=1, keepdims=True)).reshape(-1, 3))
     assert codes["noise-falls"] == "warning"
     assert all(axis.random_walk.most > 0.5 * K for axis in noise.gyroscope.axes)
+    assert not any(axis.random_walk.found or axis.bias_instability.found for axis in noise.gyroscope.axes)
+
+
+def drifting_means(seed: int, walk: float) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((5400, 3)) + walk * np.cumsum(rng.standard_normal((5400, 3)), axis=0)
+
+
+@pytest.mark.parametrize("corner_hz", [0.002, 0.006])
+def test_a_slow_high_pass_is_seen_in_the_spectrum(corner_hz) -> None:
+    keep = np.exp(-2 * np.pi * corner_hz)
+    found = find_high_pass(lfilter([1.0, -1.0], [1.0, -keep], drifting_means(4, 0.1), axis=0), 1.0)
+    assert found is not None
+    assert found.axes.all()
+    assert 0.3 < found.corner_hz / corner_hz < 3
+
+
+def test_a_slow_auto_zero_of_one_axis_is_seen() -> None:
+    means = drifting_means(5, 0.1)
+    parts = means[:, 1].reshape(-1, 300)
+    means[:, 1] = (parts - parts.mean(axis=1, keepdims=True)).ravel()
+    found = find_high_pass(means, 1.0)
+    assert found is not None
+    assert found.axes.tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("walk", [0.0, 0.005, 0.3])
+def test_noise_alone_is_behind_no_high_pass(walk) -> None:
+    for seed in range(5):
+        assert find_high_pass(drifting_means(100 + seed, walk), 1.0) is None
+    assert find_high_pass(drifting_means(1, walk)[:60], 1.0) is None
 
 
 @pytest.mark.parametrize("kind", ["step", "wave", "warm-up"])

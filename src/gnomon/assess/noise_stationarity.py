@@ -1,12 +1,13 @@
 """Is the noise of a resting sensor the same all the time? Levels by segments, frozen and clipped samples, patterns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erf, sqrt
 
 import numpy as np
 
 from ..detect.samples.rest import RestTable
+from ..estimate.allan.high_pass import HighPass, find_high_pass
 from ..estimate.allan.patterns import Pattern, find_pattern
 from ..findings import Finding
 from ..intervals import Booleans
@@ -34,6 +35,7 @@ class Stationarity:
     spread : (3,) relative standard deviation of the noise density over time, beyond chance
     level : (segments, 3) noise of each segment, relative to the mean one
     patterns : of each axis, or None
+    high_pass : what takes slow errors away, or None
     """
 
     frozen: Booleans
@@ -41,6 +43,7 @@ class Stationarity:
     spread: Floats
     level: Floats
     patterns: tuple[Pattern | None, ...]
+    high_pass: HighPass | None
 
 
 def dead_windows(table: RestTable, step: Floats) -> Booleans:
@@ -67,13 +70,19 @@ def judge_stationarity(table: RestTable, step: Floats) -> Stationarity:
     """
     frozen = frozen_windows(table, step)
     spread, level = _levels(table)
-    means = [table.mean[~frozen[:, axis], axis] for axis in range(3)]
+    patterns = [find_pattern(table.mean[~frozen[:, axis], axis], table.duration_s) for axis in range(3)]
+    interval_s = table.samples / table.rate_hz / max(len(table.t_s), 1)
+    waves = np.array([one is not None and one.kind == "wave" for one in patterns])
+    filtered = find_high_pass(table.mean[~frozen.any(axis=1)], interval_s)
+    if filtered is not None and (filtered.axes & waves).any():  # below the wave there is less, too
+        filtered = replace(filtered, axes=filtered.axes & ~waves) if (filtered.axes & ~waves).any() else None
     return Stationarity(
         frozen=frozen,
         clipped=np.array([_clipped(table, step, axis, ~frozen[:, axis]) for axis in range(3)]),
         spread=spread,
         level=level,
-        patterns=tuple(find_pattern(mean, table.duration_s) for mean in means),
+        patterns=tuple(patterns),
+        high_pass=filtered,
     )
 
 

@@ -161,10 +161,10 @@ def _falling(name: str, triad: TriadNoise, fits: tuple[AxisFit, ...]) -> list[Fi
         Finding(
             severity="warning",
             code="noise-falls",
-            message=f"{name} {_named(axes)}: the Allan deviation falls faster than that of white noise to the end.",
-            consequence="Something in the sensor or behind it takes slow errors away (a high-pass filter, auto-zero): "
-            "the recording does not tell bias instability and random walk. What is given for "
-            f"them is from averaging times up to {span(longest)} only, and no bound for longer ones.",
+            message=f"{name} {_named(axes)}: there is less noise at low frequencies than any kind of noise has.",
+            consequence="Something in the sensor or behind it takes slow errors away (a high-pass filter, auto-zero), "
+            "or the bias is drawn back to its mean: the recording does not tell bias instability and random walk. "
+            f"Their bounds are those of averaging times up to {span(longest)} only, and nothing bounds them beyond.",
             cure="Switch the high-pass filter or the auto-zero off, or take both from the data sheet.",
         )
     ]

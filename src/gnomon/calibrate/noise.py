@@ -24,6 +24,7 @@ from ..detect.samples.rounding import smallest_steps
 from ..errors import RecordingError
 from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
+from ..estimate.allan.high_pass import longest_unfiltered_s
 from ..estimate.allan.model import KINDS
 from ..findings import Finding
 from ..options import NoiseOptions
@@ -89,10 +90,10 @@ def identify_noise(
     tell("fitting the Allan variance")
     steady: dict[str, Stationarity] = {}
     with threadpool_limits(1, user_api="blas"):
-        fits = _fitted(curves)
         for name, triad in triads.items():
             steady[name] = judge_stationarity(tables[name], triad.step)
             findings += stationarity_findings(tables[name], steady[name], name)
+        fits = _fitted(curves, steady)
     noise = {name: _triad_noise(curve, fits[name], steady[name]) for name, curve in curves.items()}
     t_init_s = _t_init(curves["gyroscope"]) if "gyroscope" in curves else nan
     findings += assess_noise(noise, fits, t_init_s)
@@ -212,7 +213,7 @@ def _summed(stream: SampleStream, options: NoiseOptions) -> dict[str, _Triad]:
     return {name: triad for name, triad in triads.items() if triad.watch.samples}
 
 
-def _fitted(curves: dict[str, AllanVariance]) -> dict[str, tuple[AxisFit, ...]]:
+def _fitted(curves: dict[str, AllanVariance], steady: dict[str, Stationarity]) -> dict[str, tuple[AxisFit, ...]]:
     """Fit every axis; sensors with as many samples share the covariance of the estimates."""
     known: dict[int, AllanFit] = {}
     fits: dict[str, tuple[AxisFit, ...]] = {}
@@ -222,7 +223,9 @@ def _fitted(curves: dict[str, AllanVariance]) -> dict[str, tuple[AxisFit, ...]]:
         fit = known[curve.samples]
         slopes = curve.slope / curve.rate_hz
         optional = int(np.count_nonzero(curve.tau_s < _FILTERED_S))
-        fits[name] = tuple(fit.fit(curve.straight[:, i], float(slopes[i]), optional) for i in range(3))
+        longest_s = [longest_unfiltered_s(steady[name].high_pass, i) for i in range(3)]
+        unfiltered = [int(np.count_nonzero(curve.tau_s <= one)) if one < np.inf else None for one in longest_s]
+        fits[name] = tuple(fit.fit(curve.straight[:, i], float(slopes[i]), optional, unfiltered[i]) for i in range(3))
     return fits
 
 

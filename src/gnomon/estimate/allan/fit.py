@@ -26,6 +26,7 @@ _FEWEST = 8  # averaging times in a fit
 _ROUNDS = 20
 _EXCESS = 5.0  # sigmas of the weighted squares of the residuals, for a misfit of the model
 _WHITE = KINDS.index("white_noise")
+_SLOWEST = np.array([kind in {"bias_instability", "random_walk"} for kind in KINDS])
 _ALL = np.array([column in KINDS for column in COLUMNS])
 # The shortest averaging times alone show quantisation; where a filter hides them, it takes as much off as that adds.
 _SLOW = np.array([column in {*KINDS[1:], "filter"} for column in COLUMNS])
@@ -50,7 +51,7 @@ class AxisFit:
     misfit : relative misfit of the model at every averaging time (1 sigma, of the Allan variance)
     fitted : (7,) theta of all of COLUMNS in the fit, also of those that are not sure
     first, stop : index of the first averaging time in the fit, and of the first one after it
-    falls : whether the Allan variance falls faster than that of white noise to the end, as behind a high-pass filter
+    falls : whether a high-pass filter takes slow errors away, so that longer averaging times are left out
     delay : of the low-pass filter in the fit [samples]: white noise through one pole shows its time constant; or 0
     other_slope : by how much noise of a slope between the kinds changes theta of white noise, relative
     scatter : (k,) relative standard deviations of the estimates of the Allan variance, in such noise
@@ -103,18 +104,21 @@ class AllanFit:
             dof=np.sqrt(factors.astype(np.float64)),
         )
 
-    def fit(self, straight: Floats, slope: float, optional: int = 0) -> AxisFit:
+    def fit(self, straight: Floats, slope: float, optional: int = 0, unfiltered: int | None = None) -> AxisFit:
         """Fit the Allan variances (k,) of one axis without the straight line through its samples, of this slope.
 
+        Only so many averaging times are `unfiltered` where a filter is known to take slow errors away.
         So many of the shortest averaging times may be left out, where a filter or vibration makes them misfit: up to
         the first one without misfit, or the one of which the least remains.
         """
         straight = np.maximum(straight, _TINY * straight.max())
         stop = self._falls_from(straight)
+        if unfiltered is not None:
+            stop = min(stop, max(unfiltered, _FEWEST))
         falls = stop < len(straight)
         first, misfit = self._part(0, stop)._without_filter(straight[:stop], optional)
         part = self._part(first, stop)
-        found = part._fit(straight[first:stop], slope, _SLOW if first else _ALL, misfit)
+        found = part._fit(straight[first:stop], slope, _SLOW if first else _ALL, misfit, bounded=_SLOWEST & falls)
         noise = np.where(np.arange(len(COLUMNS)) == _FILTER, 0.0, found.fitted)
         scatter = np.sqrt(np.diag(self._scatter(noise))) / (self.design @ noise)
         return replace(found, first=first, stop=stop, falls=falls, scatter=scatter)
@@ -156,8 +160,11 @@ class AllanFit:
             dof=self.dof[first:stop],
         )
 
-    def _fit(self, straight: Floats, slope: float, kinds: Booleans, misfit: float) -> AxisFit:
-        """Take out the kinds of noise that are not worth their place, the least one first."""
+    def _fit(self, straight: Floats, slope: float, kinds: Booleans, misfit: float, bounded: Booleans) -> AxisFit:
+        """Take out the kinds of noise that are not worth their place, the least one first.
+
+        Kinds (4,) that are `bounded` get an upper bound even where they show.
+        """
         found = self._solved(straight, kinds, misfit)
         while True:
             without = {i: self._solved(straight, found.without(i), misfit) for i in found.optional()}
@@ -167,7 +174,7 @@ class AllanFit:
                 break
             found = without[weakest]
         strong = [evidence.get(i, np.inf) > _SIGNIFICANT**2 for i in range(len(KINDS))]
-        sure = (found.kinds & (found.theta > 0))[: len(KINDS)] & np.array(strong)
+        sure = (found.kinds & (found.theta > 0))[: len(KINDS)] & np.array(strong) & ~bounded
         bound = np.array([np.nan if sure[i] else self._bound(straight, found, i, misfit) for i in range(len(KINDS))])
         count = len(KINDS)
         theta = found.theta[:count]

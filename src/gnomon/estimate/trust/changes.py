@@ -41,6 +41,7 @@ _BORDERS_COUNT = 8  # as so many looks: parts whose borders are near each other 
 _LEAST_KNOWN = 1e-3  # of the whole recording's information on a direction; less does not tell how it changed
 _LENGTHS = (1, 3, 9)  # stretches that a cluster has
 _FEWEST_CLUSTERS = 12
+_LEAST_LEFT = 0.01  # of the variance of errors, once a change is in the model: less is rounding, and tells no scatter
 _CERTAIN = 2.0  # standard deviations of a variance
 _POOLED_COUNTS = 12.0  # degrees of freedom that the mean of all directions counts as
 _INFLATED = 100.0  # variances that a change may have inflated, at most
@@ -375,6 +376,8 @@ def _chance_with(found: _Estimate, cluster: Integers, least: float, *, lasting: 
     Beyond `least` it is a lower bound: of many clusters; fewer make large changes more likely.
     """
     scatter, freedom = _scatter(found, cluster, lasting=lasting)
+    if freedom <= 0:
+        return 1.0
     t2 = float(found.w @ np.linalg.solve(scatter, found.w))
     rank = len(found.w)
     of_many = _chi_square_tail(t2, rank)
@@ -397,6 +400,8 @@ def _chi_square_tail(x: float, freedom: int) -> float:
 def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Floats, float]:
     """Return the covariance (r, r) of w as clusters show it, and its degrees of freedom.
 
+    With as many parameters as data nothing is left that shows it: no degree of freedom, and the ordinary covariance.
+
     Parameters
     ----------
     cluster : (n,) number of the cluster of each stretch
@@ -409,6 +414,8 @@ def _scatter(found: _Estimate, cluster: Integers, *, lasting: bool) -> tuple[Flo
     taken = shared @ found.common @ np.swapaxes(shared, 1, 2)
     expected = np.add.reduceat(found.by_errors, first) - taken
     total = expected.sum(axis=0)
+    if np.trace(total) < _LEAST_LEFT * np.trace(found.by_errors.sum(axis=0)):
+        return np.eye(rank), 0.0
     values, vectors = np.linalg.eigh(total)
     root = vectors / np.sqrt(np.maximum(values, 1e-9 * values.max()))
     own = root.T @ (moves.T @ moves) @ root
