@@ -230,13 +230,20 @@ def command_options(command: type) -> Iterator[Option]:
             names = sorted((*aliases, flag), key=len)
             written = ", ".join(f"`{name} {words}`".replace("|", "\\|") for name in names).strip("`")
             default = _default(field.default)
-        yield Option(words=f"`{written}`", meaning=meanings[field.name], default=default)
+        meaning = _help_of(hints[field.name]) or meanings[field.name]
+        yield Option(words=f"`{written}`", meaning=meaning, default=default)
 
 
 def _name_of(hint: Any, name: str) -> str:
     """Return what an argument is called: the name that Annotated gives it, or that of its field."""
     given = (getattr(extra, "name", None) for extra in getattr(hint, "__metadata__", ()))
     return next((found for found in given if found), name)
+
+
+def _help_of(hint: Any) -> str:
+    """Return the help that Annotated gives an argument, where the commands share it."""
+    given = (getattr(extra, "help", None) for extra in getattr(hint, "__metadata__", ()))
+    return next((found for found in given if found), "").replace("|", "\\|")
 
 
 def _unwrapped(hint: Any) -> tuple[Any, str | None, tuple[str, ...]]:

@@ -241,7 +241,7 @@ def test_an_unexpected_error_is_short_unless_asked_for(monkeypatch, run):
     def broken(*_arguments, **_keywords):
         raise ZeroDivisionError("oops")
 
-    monkeypatch.setattr("gnomon.cli.actions.run", broken)
+    monkeypatch.setattr("gnomon.cli.show.Show.run", broken)
     monkeypatch.delenv("GNOMON_DEBUG", raising=False)
     code, _, err = run("show", "x")
     assert code == 1

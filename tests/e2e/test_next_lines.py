@@ -12,7 +12,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.places import owner_of
+from gnomon.cli.output_folder import owner_of
 from gnomon.report.cameras_use import NEXT as CAMERA_LINES
 from gnomon.report.page import Code
 from gnomon.report.usage import use_section

@@ -10,7 +10,7 @@ import pytest
 
 import gnomon
 from gnomon.calibration import Covariance, covariance_names
-from gnomon.cli.poses_actions import averages, joined
+from gnomon.cli.poses import averages, joined
 from gnomon.recording import Recording
 from gnomon.simulate import PoseScenario, simulate_poses
 from gnomon.writers.pose_files import save_pose_files, save_poses

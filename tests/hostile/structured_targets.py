@@ -17,7 +17,7 @@ from cameras_example import cameras_calibration
 from cameras_result import make_cameras_result
 from gnomon.calibrate.corner_cache import kept_corners
 from gnomon.calibration import Calibration, Provenance
-from gnomon.cli.prior_files import read_priors
+from gnomon.cli.inputs import read_priors
 from gnomon.findings import Finding
 from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target as Board

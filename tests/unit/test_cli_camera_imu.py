@@ -14,9 +14,9 @@ import yaml
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.commands import COMMANDS, CameraImu, SimulateCameraImu
-from gnomon.cli.parse import parse
-from gnomon.cli.places import CAMERA_IMU_FILES
+from gnomon.cli.camera_imu import CameraImu, SimulateCameraImu
+from gnomon.cli.commands import COMMANDS, parse
+from gnomon.cli.output_folder import CAMERA_IMU_FILES
 from gnomon.options import CameraImuOptions
 from gnomon.writers.camera_imu_files import CAMERA_IMU_FILES as KALIBR_FILES
 from gnomon.writers.options_file import options_text

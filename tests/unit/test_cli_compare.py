@@ -11,7 +11,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.compare_command import sources_of
+from gnomon.cli.compare import sources_of
 from gnomon.readers.own.calibration_sources import load_any, source_names
 from gnomon.recording import Source
 from gnomon.simulate.truth import TRUTH_METHOD

@@ -9,7 +9,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.cli.topics import topics_of
+from gnomon.cli.command import topics_of
 from gnomon.errors import OptionError
 from image_folders import START, stamps, write_images, write_samples, write_video
 

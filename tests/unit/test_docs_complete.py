@@ -18,10 +18,9 @@ from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, ROOT, shell_commands, text
 from gnomon.calibrate import corner_cache
 from gnomon.calibration import parameters
-from gnomon.cli.commands import COMMANDS, RecordingForm
-from gnomon.cli.parse import parse
-from gnomon.cli.studies import STUDIES
-from gnomon.cli.study_actions import PAGE
+from gnomon.cli.commands import COMMANDS, parse
+from gnomon.cli.convert import RecordingForm
+from gnomon.cli.study import PAGE, STUDIES
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.own.calibration_cameras import SIGMAS

@@ -142,7 +142,7 @@ def test_terminals_are_not_steered(make_result, tmp_path, capsys, evil):
     main(["convert", str(tmp_path / "calibration.yaml"), "--to", "c-header", "-o", str(tmp_path / "out")])
     main(["imu", str(tmp_path / evil.replace("/", "_").replace("\0", ""))])
     terminal = Terminal(as_json=False)
-    terminal.say(evil)
+    terminal.print(evil)
     terminal.progress(evil)
     said = capsys.readouterr()
     for text in (said.out, said.err):

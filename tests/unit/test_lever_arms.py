@@ -8,7 +8,7 @@ import pytest
 
 import gnomon
 from gnomon.calibration import Covariance
-from gnomon.cli.camera_imu_summary import imu_lines
+from gnomon.cli.camera_summary import imu_pose_lines
 from gnomon.errors import FormatError, OptionError
 from gnomon.geometry.rigid_body import acceleration_by_place
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -380,7 +380,7 @@ def test_report_and_screen_show_the_point(recorded):
         assert words in figure.svg
     assert "(p*)" in figure.caption
     assert origin_figure(calibrated(recorded), "imu0") is None
-    lines = "\n".join(imu_lines(found))
+    lines = "\n".join(imu_pose_lines(found))
     places, sigma = (1e3 * of("imu0.accelerometer.lever_arms_m") for of in (found.parameter, found.sigma))
     assert "imu0 origin        the point of the IMU whose place is known best (p*)" in lines
     assert f"{places[0, 1]:.2f} +- {sigma[0, 1]:.2f}" in lines

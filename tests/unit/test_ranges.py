@@ -6,8 +6,7 @@ from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
 
-from gnomon.cli.commands import COMMANDS
-from gnomon.cli.parse import parse
+from gnomon.cli.commands import COMMANDS, parse
 from gnomon.errors import OptionError
 from gnomon.ranges import check_ranges, option_range
 from gnomon.units import parse_rate

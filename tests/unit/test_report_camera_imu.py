@@ -9,7 +9,7 @@ import pytest
 
 from camera_imu_result import C_GYRO_IMU, G_SENSITIVITY, GYRO_SENSITIVITY, T_CAM_IMU, make_camera_imu_result
 from gnomon.calibration import Covariance
-from gnomon.cli.summary import held_facts
+from gnomon.cli.summary import held_lines
 from gnomon.diagnostics import SignalFit
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -166,7 +166,7 @@ def test_what_the_recording_does_not_determine_is_marked(result):
     groups = imu_section(result.calibration).blocks[0].groups
     marked = [group.title for group in groups if "not measured" in group.note]
     assert marked == ["Gyroscope g-sensitivity"]
-    said = " ".join(" ".join(held_facts(result.calibration)).split())
+    said = " ".join(" ".join(held_lines(result.calibration)).split())
     assert said.startswith("not measured imu0.B_g (at least in part): held by an assumption")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.calibration import Assessment
-from gnomon.cli.summary import trust_facts
+from gnomon.cli.summary import trust_lines
 from gnomon.report.page import Figure, Prose, Table
 from gnomon.report.trust_section import trust_section
 from gnomon.trust import Clusters, Trust, TrustNote
@@ -85,7 +85,7 @@ def test_the_terminal_says_where_sigmas_come_from_and_what_a_use_lacks() -> None
         use="vio",
         needs=(NEED,),
     )
-    lines = list(trust_facts(note))
+    lines = list(trust_lines(note))
     assert any("24 clusters of 2 s, 2.5 x those of white noise" in line for line in lines)
     assert any("1 of 1 needs not met" in line for line in lines)
-    assert list(trust_facts(TrustNote())) == []
+    assert list(trust_lines(TrustNote())) == []

@@ -7,7 +7,7 @@ import pytest
 
 from camera_imu_result import make_camera_imu_result
 from gnomon.calibration import Covariance
-from gnomon.cli.camera_imu_summary import imu_lines
+from gnomon.cli.camera_summary import imu_pose_lines
 from gnomon.cli.summary import parameter_lines
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.parameters import covariance_names
@@ -57,7 +57,7 @@ def _sigma(calibration, name):
 
 
 def test_the_terminal_says_pose_and_clock_of_each(result):
-    text = "\n".join(imu_lines(result.calibration))
+    text = "\n".join(imu_pose_lines(result.calibration))
     assert "imu1 T_imu_body (p_imu1 = T_imu_body p_imu0)" in text
     assert "20.00 +- 0.50   -100.00 +- 0.60   5.00 +- 0.70 mm" in text
     assert "44250.0000 +- 0.0020 ms (t_imu0 = t_imu1 + shift)" in text

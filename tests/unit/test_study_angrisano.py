@@ -8,8 +8,7 @@ from io import StringIO
 import numpy as np
 import pytest
 
-from gnomon.cli.study_actions import PAGE, study
-from gnomon.cli.study_command import Study
+from gnomon.cli.study import PAGE, Study
 from gnomon.cli.terminal import Terminal
 from gnomon.errors import OptionError, OutputError
 from gnomon.estimate.triads.angrisano import fit_magnitudes
@@ -183,7 +182,7 @@ def test_tables_are_whole_csv_files(small):
 def run(monkeypatch, small, capsys, *, as_json=False, **options):
     monkeypatch.setattr("gnomon.study.angrisano.study_angrisano", lambda **_: small)
     terminal = Terminal(as_json=as_json)
-    code = study(Study(name="angrisano", **options), terminal)
+    code = Study(name="angrisano", **options).run(terminal)
     terminal.close()
     return code, capsys.readouterr().out
 
@@ -212,11 +211,11 @@ def test_nothing_is_written_where_the_study_fails(monkeypatch, tmp_path):
 
     monkeypatch.setattr("gnomon.study.angrisano.study_angrisano", broken)
     with pytest.raises(OptionError):
-        study(Study(name="angrisano", output=tmp_path / "out"), Terminal(as_json=False))
+        Study(name="angrisano", output=tmp_path / "out").run(Terminal(as_json=False))
     assert not (tmp_path / "out").exists()
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
-        study(Study(name="angrisano", output=tmp_path / "file"), Terminal(as_json=False))
+        Study(name="angrisano", output=tmp_path / "file").run(Terminal(as_json=False))
 
 
 @pytest.mark.parametrize(("options", "word"), [({"runs": 1}, "runs 1"), ({"jobs": 0}, "jobs 0")])

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from gnomon.cli import main
-from gnomon.cli.studies import STUDIES, Parts, StudyEntry
-from gnomon.cli.study_count import StudyCount
+from gnomon.cli.study import STUDIES, Parts, StudyCount, StudyEntry
 from gnomon.cli.study_journal import JOURNAL
 from gnomon.cli.terminal import Terminal
 from gnomon.report.page import KeyNumber, render
@@ -75,8 +74,7 @@ def quick(monkeypatch, tmp_path):
         tables=("largest",),
         load=lambda: parts,
     )
-    for name in ("study_actions", "study_command"):
-        monkeypatch.setattr(f"gnomon.cli.{name}.STUDIES", {"quick": entry, **STUDIES})
+    monkeypatch.setattr("gnomon.cli.study.STUDIES", {"quick": entry, **STUDIES})
     monkeypatch.chdir(tmp_path)
     return made
 
@@ -192,7 +190,7 @@ def test_stages_are_those_of_the_study(name):
 
 
 def test_progress_says_which_stage_of_how_many(capsys, monkeypatch):
-    monkeypatch.setattr("gnomon.cli.study_count.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("gnomon.cli.study.time.monotonic", lambda: next(clock))
     clock = iter(range(0, 4000, 10))
     count = StudyCount(Terminal(as_json=False), ("run", "scan"))
     for name in ("run", "scan"):
@@ -223,7 +221,7 @@ def test_nothing_is_left_where_nothing_was_done(quick, capsys, tmp_path):
 
 def test_lines_of_progress_tell_the_time_left(capsys, monkeypatch):
     clock = iter([10.0 + k for k in range(400)])
-    monkeypatch.setattr("gnomon.cli.study_count.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("gnomon.cli.study.time.monotonic", lambda: next(clock))
     count = StudyCount(Terminal(as_json=False))
     for done in range(100, 201):
         count("draw", done, 200)

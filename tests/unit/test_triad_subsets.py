@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import gnomon
 from gnomon.calibration import Covariance, parameters
-from gnomon.cli.summary import facts, parameter_lines
+from gnomon.cli.summary import parameter_lines, summary_lines
 from gnomon.errors import FormatError, OptionError
 from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.writers.calibration_file import calibration_text
@@ -173,7 +173,7 @@ def test_sigmas_of_a_gyroscope_alone_are_those_of_many_draws(form):
 @pytest.mark.parametrize("triads", SUBSETS)
 def test_the_terminal_says_what_was_counted(triads):
     calibration = subset_calibration(triads, seed=6)
-    said = "\n".join([*facts(calibration), *parameter_lines(calibration)])
+    said = "\n".join([*summary_lines(calibration), *parameter_lines(calibration)])
     assert "17 used of 18" in said
     for name in TRIADS:
         assert (f"imu0 {name} bias [" in said) == (name in triads)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 from ..errors import GnomonError, OptionError, system_error_words
 from ..findings import printable
-from .commands import Command
-from .parse import parse
+from .command import Command
+from .commands import parse
+from .output_folder import recover_interrupted_write, spared_inputs
 from .terminal import Terminal
 
 USAGE, BAD_INPUT, BUG, INTERRUPTED = 2, 3, 1, 130
-"""Exit codes of work that was not finished; those of finished work are in `actions`."""
+"""Exit codes of work that was not finished; those of finished work are in `results`."""
 
 
 _INTERRUPTED = "interrupted; no file is half-written."
@@ -41,9 +42,9 @@ def main(arguments: Sequence[str]) -> int:
         command = _parsed(arguments, terminal)
         if isinstance(command, int):
             return command
-        from .actions import run
-
-        return run(command, terminal)
+        recover_interrupted_write(command)
+        with spared_inputs(command):
+            return command.run(terminal)
     except BrokenPipeError:
         raise
     except (Exception, KeyboardInterrupt) as error:

@@ -1,16 +1,18 @@
-"""What commands that calibrate have in common: their files, their document for programs, their exit codes."""
+"""What commands that calibrate have in common: what they write and print, their document for programs, exit codes."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .command_parts import TableOptions
-from .places import RESULT_FILES
+from .command import TableOptions
+from .output_folder import RESULT_FILES
 from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..diagnostics import Result
+    from ..findings import Finding
+
 
 USABLE, UNUSABLE = 0, 4
 """Exit codes of work that was finished."""
@@ -35,87 +37,101 @@ def write_result(result: "Result", folder: Path, *, report: bool, terminal: Term
         write_report(result, folder / "report.html")
 
 
-def say_assumptions(assumptions: Sequence[str], terminal: Terminal) -> None:
-    """Say what the reader had to assume."""
+def print_assumptions(assumptions: Sequence[str], terminal: Terminal) -> None:
+    """Print what the reader detected or had to assume."""
     for sentence in assumptions:
-        terminal.say(f"understood: {sentence}")
+        terminal.print(f"understood: {sentence}")
     if assumptions:
-        terminal.say("")
+        terminal.print("")
 
 
-def say_verdict(calibration: "Calibration", terminal: Terminal) -> None:
-    """Say the verdict and what it means."""
-    from . import summary
-
-    meaning, style = summary.VERDICTS[calibration.verdict]
-    use = calibration.assessment.trust.use
-    terminal.say(f"{calibration.verdict}: {meaning}" + (f" for {use}" if use else ""), style)
-    say_needs(calibration, terminal)
-
-
-def say_needs(calibration: "Calibration", terminal: Terminal) -> None:
-    """Say what the use needs that the calibration was judged for, and what there is; nothing where there is none."""
+def print_needs(calibration: "Calibration", terminal: Terminal) -> None:
+    """Print what the use needs that the calibration was judged for, and what there is; nothing where there is none."""
     trust = calibration.assessment.trust
     if not trust.needs:
         return
     from ..assess.needs import number_words
 
     floors = any(need.floor for need in trust.needs)
-    terminal.say(f"\n{f'known, needed for {trust.use}':<40}{'sigma':>9}{'between*' if floors else '':>10}{'needed':>8}")
+    terminal.print(
+        f"\n{f'known, needed for {trust.use}':<40}{'sigma':>9}{'between*' if floors else '':>10}{'needed':>8}"
+    )
     for need in trust.needs:
         limit = f"{number_words(need.needed)} {need.unit}"
         floor = number_words(need.floor) if need.floor else ""
-        terminal.say(f"  {need.block:<38}{number_words(need.sigma):>9}{floor:>10}{limit:>15}  {need.verdict}")
+        terminal.print(f"  {need.block:<38}{number_words(need.sigma):>9}{floor:>10}{limit:>15}  {need.verdict}")
     if floors:
-        terminal.say(
+        terminal.print(
             "  * from one recording to the next, as is usual (turn-on, temperature, mounting): one\n"
             "    recording cannot know it. It counts, but for biases, which every use has to follow."
         )
-    terminal.say("")
+    terminal.print("")
 
 
-def say_advice(calibration: "Calibration", terminal: Terminal) -> None:
-    """Say the findings, but for good news."""
+def conclude(
+    calibration: "Calibration",
+    facts: Iterable[str],
+    folder: Path,
+    assumptions: Sequence[str],
+    terminal: Terminal,
+    *,
+    parameters: bool = True,
+    source: TableOptions | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> int:
+    """Print a calibration of an IMU on one screen and as a document, and return the exit code.
+
+    Parameters
+    ----------
+    facts : lines on what it rests on
+    assumptions : of the reader
+    parameters : whether they are printed
+    source : options of the recording, with which further recordings of the sensor are corrected
+    more : of the document
+    """
     from . import summary
 
-    if lines := list(summary.advice(calibration.assessment.findings)):
-        terminal.say("\n" + "\n".join(lines))
-
-
-def say_result(
-    calibration: "Calibration", facts: Iterable[str], folder: Path, terminal: Terminal, *, parameters: bool = True
-) -> None:
-    """Say a result on one screen: verdict, what it rests on, advice, parameters, files."""
-    from . import summary
-
-    say_verdict(calibration, terminal)
-    terminal.say(
-        "\n".join([*facts, *summary.trust_facts(calibration.assessment.trust), *summary.held_facts(calibration)])
-    )
-    say_advice(calibration, terminal)
+    print_summary(calibration, facts, terminal)
     if parameters:
-        terminal.say("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
-        terminal.say("\n".join(summary.parameter_lines(calibration)))
-    say_files(folder, terminal)
+        terminal.print("\nestimate +- standard deviation; rows: sensor axes, columns: body axes")
+        terminal.print("\n".join(summary.parameter_lines(calibration)))
+    print_files(folder, terminal)
+    if source is not None and calibration.verdict != "fail":
+        stated = {"--columns": source.columns, "--rate": source.rate, "--units": source.units}
+        options = [word for name, value in stated.items() if value is not None for word in (name, str(value))]
+        terminal.print("")
+        terminal.propose("apply", folder / "calibration.yaml", "RECORDING", *options, "-o", "corrected.csv")
+    terminal.document({**result_document(calibration, folder, assumptions), **(more or {})})
+    return exit_code(calibration)
 
 
-def say_files(folder: Path, terminal: Terminal, names: Sequence[str] = RESULT_FILES) -> None:
-    """Say which files were written."""
-    terminal.say("")
+def print_summary(calibration: "Calibration", facts: Iterable[str], terminal: Terminal) -> None:
+    """Print the verdict and what it means, what the calibration rests on, and the findings."""
+    from . import summary
+
+    meaning, style = summary.VERDICTS[calibration.verdict]
+    trust = calibration.assessment.trust
+    terminal.print(f"{calibration.verdict}: {meaning}" + (f" for {trust.use}" if trust.use else ""), style)
+    print_needs(calibration, terminal)
+    terminal.print("\n".join([*facts, *summary.trust_lines(trust), *summary.held_lines(calibration)]))
+    print_findings(calibration.assessment.findings, terminal)
+
+
+def print_findings(findings: "Sequence[Finding]", terminal: Terminal) -> None:
+    """Print findings, but for good news."""
+    from . import summary
+
+    if lines := list(summary.finding_lines(findings)):
+        terminal.print("\n" + "\n".join(lines))
+
+
+def print_files(folder: Path, terminal: Terminal, names: Sequence[str] = RESULT_FILES) -> None:
+    """Print which files were written."""
+    terminal.print("")
     there = result_files(folder, names)
     width = max(map(len, there), default=0)
     for stem, path in there.items():
-        terminal.say(f"{stem:<{max(width, 12)}} {path}")
-
-
-def propose_apply(calibration: "Calibration", folder: Path, source: TableOptions, terminal: Terminal) -> None:
-    """Say how recordings of the sensor are corrected; with how its columns had to be stated, which they all need."""
-    if calibration.verdict == "fail":
-        return
-    stated = {"--columns": source.columns, "--rate": source.rate, "--units": source.units}
-    options = [word for name, value in stated.items() if value is not None for word in (name, str(value))]
-    terminal.say("")
-    terminal.propose("apply", folder / "calibration.yaml", "RECORDING", *options, "-o", "corrected.csv")
+        terminal.print(f"{stem:<{max(width, 12)}} {path}")
 
 
 def result_files(folder: Path, names: Sequence[str] = RESULT_FILES) -> dict[str, str]:

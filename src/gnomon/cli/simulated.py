@@ -4,13 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OptionError, OutputError
-from .places import SCENARIO, TRUTH, result_folder, truth_name
+from .output_folder import SCENARIO, TRUTH, result_folder, truth_name
 from .results import USABLE
 from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..calibration import Calibration
     from ..recording import Recording
+
 
 OF_IMUS = ("imu.yaml", "groundtruth.txt")
 """Files beside a simulated recording of cameras and an IMU that one of cameras alone has not."""
@@ -33,8 +34,8 @@ def write_simulated(recording: "Recording", truth: "Calibration", path: Path, te
         names = [file.name for file in save_recording(recording, staging / path.name)]
         save(truth, staging / true)
     for name in names:
-        terminal.say(f"recording    {folder / name}")
-    terminal.say(f"truth        {folder / true}")
+        terminal.print(f"recording    {folder / name}")
+    terminal.print(f"truth        {folder / true}")
     terminal.propose(then, *(folder / name for name in names))
     terminal.document({"recording": [str(folder / name) for name in names], "truth": str(folder / true)})
     return USABLE
@@ -73,13 +74,13 @@ def check_form(form: str, *, images: bool) -> None:
         raise OptionError(f"--form {form} is a form of images. Add --images, or leave out --form.")
 
 
-def say_folder(folder: Path, contents: str, terminal: Terminal, *, replaced: bool) -> None:
+def print_folder(folder: Path, contents: str, terminal: Terminal, *, replaced: bool) -> None:
     """Say what was written of a recording of cameras."""
-    terminal.say(f"recording    {folder}: {contents}")
+    terminal.print(f"recording    {folder}: {contents}")
     if replaced:
-        terminal.say("             the recording that was simulated there before is replaced")
-    terminal.say(f"truth        {folder / TRUTH}")
-    terminal.say(f"scenario     {folder / SCENARIO}")
+        terminal.print("             the recording that was simulated there before is replaced")
+    terminal.print(f"truth        {folder / TRUTH}")
+    terminal.print(f"scenario     {folder / SCENARIO}")
 
 
 def folder_document(folder: Path, names: list[Path]) -> dict[str, object]:

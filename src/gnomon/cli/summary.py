@@ -1,21 +1,33 @@
-"""A calibration on one screen, 80 columns wide, in characters that every terminal has."""
+"""A calibration on one screen, 80 columns wide, in characters that every terminal has; and beside the truth."""
 
 import math
 import textwrap
 from collections.abc import Iterable, Iterator
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..calibration import Calibration, parameters
+from ..calibration import Calibration, element_names, parameters
+from ..diagnostics import Result
 from ..findings import Finding
 from ..recording import Floats
+from ..triad_diagnostics import TriadDiagnostics
 from ..trust import TrustNote
 from ..writers.context import held_names
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 from ..writers.units_text import parameter_unit
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
 WIDTH = 80
+
+
 AXES = "xyz"
+
+
 VERDICTS = {
     "pass": ("usable", "bold green"),
     "warn": ("usable, with reservations", "bold yellow"),
@@ -24,7 +36,7 @@ VERDICTS = {
 """What a verdict means, and its style on a terminal."""
 
 
-def facts(calibration: Calibration) -> Iterator[str]:
+def summary_lines(calibration: Calibration) -> Iterator[str]:
     """Yield lines on what the calibration rests on and how well it predicts what it has not seen."""
     found = calibration.assessment
     gravity = calibration.gravity
@@ -43,7 +55,7 @@ def facts(calibration: Calibration) -> Iterator[str]:
         yield f"  model, body frame  {found.model}, {calibration.frame}"
 
 
-def trust_facts(note: TrustNote) -> Iterator[str]:
+def trust_lines(note: TrustNote) -> Iterator[str]:
     """Yield lines on where the standard deviations come from, whether parts agree, and what a use needs."""
     if note.covariance == "cluster-robust":
         ratios = [ratio for ratio in note.sigma_ratio.values() if math.isfinite(ratio)]
@@ -62,7 +74,7 @@ def trust_facts(note: TrustNote) -> Iterator[str]:
         yield f"  {'for ' + note.use:<18} {words}"
 
 
-def held_facts(calibration: Calibration) -> Iterator[str]:
+def held_lines(calibration: Calibration) -> Iterator[str]:
     """Yield lines on what is held by an assumption, since the recording does not determine it."""
     held = list(dict.fromkeys(name.split("[")[0] for name in held_names(calibration)))
     if held:
@@ -70,7 +82,7 @@ def held_facts(calibration: Calibration) -> Iterator[str]:
         yield from _paragraph(words, "  not measured       ", " " * 21)
 
 
-def advice(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
+def finding_lines(findings: Iterable[Finding], *, good: bool = False) -> Iterator[str]:
     """Yield lines with every finding: what was found, what follows, what to do. Good news only if wanted."""
     marks = {"problem": "[!!]", "warning": "[! ]", "info": "[i ]"} | ({"good": "[ok]"} if good else {})
     for finding in findings:
@@ -155,3 +167,101 @@ def engineering(value: float, unit: str) -> str:
         if abs(value) * factor >= 0.5 or value == 0:
             return f"{value * factor:.3g} {prefix}{unit}"
     return f"{value:.3g} {unit}"
+
+
+def magnetometer_lines(result: Result) -> Iterator[str]:
+    """Yield lines on hard and soft iron, dip, and how well the strength of the field is predicted."""
+    calibration, diagnostics = result.calibration, result.diagnostics
+    assert isinstance(diagnostics, TriadDiagnostics)
+    found = calibration.assessment
+    sensor = calibration.imus["imu0"].magnetometer
+    assert sensor is not None
+    sigma = calibration.sigma("imu0.magnetometer.bias")
+    yield f"  hard iron          {_numbers(sensor.bias, sigma)} {sensor.unit}"
+    shape, spread = soft_iron(sensor.sensitivity), _sigma(sensor.sensitivity, calibration)
+    yield f"  soft iron          {_numbers(100 * shape[:3], 100 * spread[:3])} % (scales)"
+    yield f"                     {_numbers(1e3 * shape[3:], 1e3 * spread[3:])} mrad (xy xz yz)"
+    if diagnostics.dip is not None:
+        dip = np.degrees([diagnostics.dip.estimated_rad, diagnostics.dip.sigma_rad])
+        yield f"  dip of the field   {dip[0]:.2f} +- {dip[1]:.2f} deg below the horizontal"
+    noise = diagnostics.noise
+    yield f"  strength, samples  {100 * noise['magnetometer.error_std']:.3g} % rms, robustly " + (
+        f"{100 * noise['magnetometer.error_spread']:.3g} %"
+    )
+    yield f"  error on unseen    {100 * found.holdout.field_rms:.3g} % of the field (rms)"
+    yield f"  stretches          {found.intervals_used} used of {found.intervals_found}"
+    yield f"  model, body frame  {found.model}, {calibration.frame}; field in {sensor.field_unit}"
+
+
+def soft_iron(sensitivity: Floats) -> Floats:
+    """Return how far the scales of x, y, z are off their mean, then the axes off square, xy xz yz [rad], (6,)."""
+    length = np.linalg.norm(sensitivity, axis=1)
+    rows = sensitivity / length[:, None]
+    cosines = np.array([rows[0] @ rows[1], rows[0] @ rows[2], rows[1] @ rows[2]])
+    return np.concatenate([length / length.mean() - 1, np.arcsin(np.clip(cosines, -1, 1))])
+
+
+def _sigma(sensitivity: Floats, calibration: Calibration) -> Floats:
+    """Return the sigmas of `soft_iron`, (6,)."""
+    step = 1e-6 * float(np.abs(sensitivity).max())
+    moves = step * np.eye(9).reshape(9, 3, 3)
+    jacobian = np.stack([soft_iron(sensitivity + m) - soft_iron(sensitivity - m) for m in moves], axis=1) / (2 * step)
+    covariance = jacobian @ calibration.covariance("imu0.magnetometer.sensitivity") @ jacobian.T
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def _numbers(values: Floats, sigma: Floats) -> str:
+    decimals = common_decimals(sigma)
+    return "  ".join(f"{v:.{decimals}f} +- {s:.{decimals}f}" for v, s in zip(values, sigma, strict=True))
+
+
+def compared(estimate: Calibration, truth: Calibration) -> Iterator[tuple[str, float, float, float]]:
+    """Yield name, estimate, sigma and truth of every scalar that was estimated."""
+    true = truth.in_frame(estimate.frame)
+    known = dict(parameters(true.imus))
+    for path, value in parameters(estimate.imus):
+        names = element_names(path, value.shape)
+        truly = known.get(path, np.zeros_like(value))  # without lever arms they are zero
+        columns = value.ravel(), estimate.sigma(path).ravel(), truly.ravel()
+        for name, number, sigma, expected in zip(names, *columns, strict=True):
+            if sigma > 0:
+                yield name, float(number), float(sigma), float(expected)
+
+
+def comparison_table(estimate: Calibration, truth: Calibration) -> "Table":
+    """Return a table of estimates, their sigmas, the truth, and the errors in sigmas."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, title="estimate and truth", pad_edge=False)
+    table.add_column("parameter", max_width=26)
+    for title in ("estimate", "sigma", "truth", "error/sigma"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for path, rows in groupby(compared(estimate, truth), key=lambda row: row[0].split("[", maxsplit=1)[0]):
+        block = list(rows)
+        numbers = np.array([row[1:] for row in block])
+        power = common_power(numbers[:, 0], numbers[:, 1])
+        decimals = common_decimals(numbers[:, 1] / 10.0**power)
+        scale = f"10^{power} " if power else ""
+        unit = f"[{scale}{parameter_unit(estimate, path)}]"
+        table.add_row(Text(path.removeprefix("imu0."), style="bold"), *[""] * 4)
+        table.add_row(Text(f"  {unit}"), *[""] * 4)
+        for name, number, sigma, expected in block:
+            cells = [f"{value / 10.0**power:.{decimals}f}" for value in (number, sigma, expected)]
+            element = name.removeprefix(path)
+            table.add_row(Text(f"  {element}"), *cells, f"{(number - expected) / sigma:+.2f}")
+        table.add_section()
+    return table
+
+
+def comparison_sentence(estimate: Calibration, truth: Calibration) -> str:
+    """Return how large the errors are for their sigmas."""
+    ratios = np.array([(number - expected) / sigma for _, number, sigma, expected in compared(estimate, truth)])
+    return f"{len(ratios)} parameters: rms of error/sigma {np.sqrt(np.mean(ratios**2)):.2f}, where 1 is expected.\n"
+
+
+def comparison_document(estimate: Calibration, truth: Calibration) -> list[dict[str, Any]]:
+    """Return the same for a program."""
+    keys = ("parameter", "estimate", "sigma", "truth")
+    return [dict(zip(keys, row, strict=True)) for row in compared(estimate, truth)]

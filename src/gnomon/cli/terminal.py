@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -35,10 +36,11 @@ class Terminal:
         self.next_lines: list[str] = []
         logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="gnomon: %(message)s")
 
-    def say(self, text: str, style: str = "") -> None:
+    def print(self, text: str, style: str = "") -> None:
         """Print a result for a person, in colour on a terminal; nothing when the output is JSON."""
         if self.as_json:
             return
+        self.close()
         text = printable(text)
         if style and sys.stdout.isatty():
             from rich.console import Console
@@ -50,6 +52,7 @@ class Terminal:
     def draw(self, thing: "RenderableType") -> None:
         """Print a table; nothing when the output is JSON."""
         if not self.as_json:
+            self.close()
             from rich.console import Console
 
             terminal = sys.stdout.isatty()
@@ -57,18 +60,19 @@ class Terminal:
             Console(file=sys.stdout, width=None if terminal else WIDTH, highlight=False, markup=False).print(thing)
 
     def propose(self, *words: str | PathLike[str]) -> None:
-        """Say which command goes on from here, and keep it for the document.
+        """Print which command goes on from here, and keep it for the document.
 
         Parameters
         ----------
         words : behind gnomon; one in capitals, such as RECORDING, stands for what the user has yet to name
         """
         self.next_lines.append(shlex.join(["gnomon", *map(str, words)]))
-        self.say(f"{'next' if len(self.next_lines) == 1 else '':<12} {self.next_lines[-1]}")
+        self.print(f"{'next' if len(self.next_lines) == 1 else '':<12} {self.next_lines[-1]}")
 
     def document(self, content: Mapping[str, Any]) -> None:
         """Print the JSON document, where it was asked for, with the commands that go on from here."""
         if self.as_json:
+            self.close()
             content = {**content, "next": self.next_lines} if self.next_lines else content
             utf8 = (sys.stdout.encoding or "utf-8").lower() == "utf-8"  # elsewhere, as on Windows, letters are escaped
             sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=not utf8, allow_nan=False) + "\n")
@@ -107,12 +111,12 @@ def _unmarked(text: str) -> "Text":
 
 def plain(value: Any) -> Any:
     """Return a value as JSON knows it: lists for arrays, null for what is not a finite number."""
+    if is_dataclass(value):
+        return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
-        return value
+    if value is None or isinstance(value, bool | int | str | float):
+        return None if isinstance(value, float) and not math.isfinite(value) else value
     if hasattr(value, "tolist"):  # an array or a number of NumPy
         return plain(value.tolist())
     if isinstance(value, list | tuple):

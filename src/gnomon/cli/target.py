@@ -1,19 +1,37 @@
-"""The command that prints boards, as a dataclass from which its options and its help are made."""
+"""The command that prints boards."""
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from ..errors import OptionError
-from .command_parts import Switch, output_option
+from .command import (
+    Command,
+    Json,
+    Switch,
+    output_option,
+)
+from .results import (
+    USABLE,
+)
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..models.target import Target
+
 
 KINDS = ("aprilgrid", "checkerboard", "circlegrid", "charuco")
 
+
 _TO_METRES = {"": 1.0, "m": 1.0, "cm": 100.0, "mm": 1000.0}
+
+
 _LONGEST_M = 5.0
+
+
 _OPTIONS: dict[str, tuple[str, ...]] = {
     "cols": KINDS,
     "rows": KINDS,
@@ -32,8 +50,20 @@ def _optional(metavar: str) -> object:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
 
 
+_ANY_M, _MARKER, _SPACING = 0.1, 0.75, 0.3
+
+
+_COUNTS = {"aprilgrid": (6, 6), "checkerboard": (9, 6), "circlegrid": (7, 6), "charuco": (7, 9)}
+
+
+_ASYMMETRIC = (4, 11)
+
+
+_NEXT = "Print at 100 %, measure both rulers (100 mm), glue it onto glass or aluminium."
+
+
 @dataclass(frozen=True, kw_only=True)
-class PrintTarget:
+class PrintTarget(Command):
     """Draw a calibration board as PDF and SVG at true scale, with rulers and its target.yaml.
 
     Without a size, the board is as large as fits on the paper. Print it at 100 %, measure the rulers, and glue it onto
@@ -72,8 +102,7 @@ class PrintTarget:
     smallest of A4 to A0 that holds the board)."""
     tiles: Annotated[bool, Switch] = False
     """Divide a board that is larger than the paper into pages to be glued together; one sheet is better."""
-    json: Annotated[bool, Switch] = False
-    """Print one JSON document instead of text."""
+    json: Json = False
 
     def __post_init__(self) -> None:
         length_m(self.size, "size")
@@ -91,6 +120,36 @@ class PrintTarget:
             raise OptionError("--marker is a length, which needs --size besides it.")
         if self.tiles and not self.size and self.board in KINDS:
             raise OptionError("--tiles needs --size: without it the board is as large as fits on one sheet.")
+
+    def run(self, terminal: Terminal) -> int:
+        """Write the drawings of a board and say where."""
+        from ..writers.board_sheet import largest_on
+        from ..writers.printed_board import save_target
+
+        board, paper = _board(self), self.paper or ""
+        if self.board in KINDS and self.size is None:
+            paper = paper or "A4"
+            board = largest_on(board, paper)
+        place = self.output or _default(self, board)
+        if place.is_dir():
+            place /= _default(self, board).name
+        printed = save_target(board, place, paper=paper, tiles=self.tiles)
+        width, height = printed.sheet_mm
+        sheets = "a sheet" if printed.pages == 1 else f"{printed.pages} sheets"
+        terminal.print(board.describe())
+        terminal.print(f"on {sheets} of {width:g} x {height:g} mm")
+        for file in printed.files:
+            terminal.print(f"  {file}")
+        terminal.print(_NEXT, "dim")
+        terminal.document(
+            {
+                "files": [str(file) for file in printed.files],
+                "board": board.describe(),
+                "sheet_mm": list(printed.sheet_mm),
+                "pages": printed.pages,
+            }
+        )
+        return USABLE
 
 
 def length_m(text: str | None, name: str) -> float | None:
@@ -116,3 +175,59 @@ def length_m(text: str | None, name: str) -> float | None:
         meant = f" Was {found[1]}mm meant?" if not found[2] else ""
         raise OptionError(f'{name} "{text}" is {value:g} m, which no board has.{meant}')
     return value
+
+
+def _default(command: PrintTarget, board: "Target") -> Path:
+    if command.board in KINDS:
+        return Path(f"{board.kind}-{board.cols}x{board.rows}")
+    return Path(command.board).with_suffix("")
+
+
+def _board(command: PrintTarget) -> "Target":
+    """Return the board that is asked for; of any size where none is stated."""
+    from ..models.target import Target
+
+    if command.board not in KINDS:
+        return _described(command.board)
+    size = length_m(command.size, "size") or _ANY_M
+    usual = _ASYMMETRIC if command.asymmetric else _COUNTS[command.board]
+    cols, rows = _stated(command.cols, usual[0]), _stated(command.rows, usual[1])
+    first = _stated(command.first, 0)
+    match command.board:
+        case "aprilgrid":
+            return Target.aprilgrid(
+                tag_cols=cols,
+                tag_rows=rows,
+                tag_size_m=size,
+                tag_spacing=_stated(command.spacing, _SPACING),
+                border_bits=command.border_bits or 2,
+                first_tag=first,
+            )
+        case "checkerboard":
+            return Target.checkerboard(cols=cols, rows=rows, row_spacing_m=size, col_spacing_m=size)
+        case "circlegrid":
+            return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=command.asymmetric)
+        case _:
+            from ..readers.rig.kalibr_target import dictionary_name
+
+            return Target.charuco(
+                cols=cols,
+                rows=rows,
+                square_size_m=size,
+                marker_size_m=length_m(command.marker, "marker") or round(_MARKER * size, 9),
+                dictionary=dictionary_name(command.dictionary or "4X4_50"),
+                first_marker=first,
+                legacy=command.legacy,
+            )
+
+
+def _stated(value: Any, usual: Any) -> Any:
+    return usual if value is None else value
+
+
+def _described(name: str) -> "Target":
+    from ..readers.rig.kalibr_target import read_target
+
+    if not Path(name).exists():
+        raise OptionError(f"{name}: there is neither such a board nor such a file. Boards are {', '.join(KINDS)}.")
+    return read_target(name)

@@ -1,18 +1,57 @@
-"""What several commands share: annotations of their options, and what a recording does not say about itself."""
+"""What the commands share: annotations of their options, and what a recording does not say about itself."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import tyro
 
 from ..errors import OptionError
 from ..units import Units
 
+if TYPE_CHECKING:
+    from .terminal import Terminal
+
+
 Flat = tyro.conf.arg(name="")
 """Options of a nested class appear without a prefix."""
 
 Switch = tyro.conf.arg(help_behavior_hint="")
+
+Json = Annotated[bool, tyro.conf.arg(help_behavior_hint="", help="Print one JSON document instead of text.")]
+
+Report = Annotated[bool, tyro.conf.arg(help_behavior_hint="", help="Do not make the report.")]
+
+Seed = Annotated[int, tyro.conf.arg(help="All random numbers follow from it.")]
+
+Workers = Annotated[
+    int | None,
+    tyro.conf.arg(
+        help="How many look for the board in the images at once; as many as there are cores where not given."
+    ),
+]
+
+Cache = Annotated[
+    bool,
+    tyro.conf.arg(
+        help_behavior_hint="",
+        help="Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept "
+        "there.",
+    ),
+]
+
+_USE = "What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed"
+
+
+def use_option(text: str) -> object:
+    """Return the annotation of --for; its field is called `use`, since `for` is a word of Python."""
+    return tyro.conf.arg(name="for", metavar="USE", help_behavior_hint="", help=text)
+
+
+ForUse = Annotated[str | None, use_option(f"{_USE}; the verdict is then for that use.")]
+PlannedUse = Annotated[str | None, use_option(f"{_USE}.")]
 
 CalibrationPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")]
 
@@ -21,8 +60,10 @@ FileOption = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
 ImuFiles = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, FileOption]
 """Kalibr's imu.yaml, keyed by the IMUs, or given once for each of them."""
 
+CamFile = Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")]
+
 Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
-"""Options of a bag; `topics.topics_of` reads them."""
+"""Options of a bag; `topics_of` reads them."""
 
 
 def output_option(metavar: str, hint: str = "") -> object:
@@ -30,7 +71,15 @@ def output_option(metavar: str, hint: str = "") -> object:
     return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
 
 
-class FromScenario:
+class Command:
+    """A dataclass whose fields are the options of a command, and their help its help; and what the command does."""
+
+    def run(self, terminal: "Terminal") -> int:
+        """Carry it out, print to the terminal, and return the exit code."""
+        raise NotImplementedError
+
+
+class FromScenario(Command):
     """A command that simulates what a scenario file states."""
 
     scenario_type: ClassVar[type]
@@ -67,6 +116,11 @@ class TableOptions:
         if self.units is not None:
             Units.parse(self.units)
 
+    @property
+    def table(self) -> dict[str, Any]:
+        """The same, as a reader takes it."""
+        return {"columns": self.columns, "rate_hz": self.rate, "units": self.units}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Input(TableOptions):
@@ -101,3 +155,27 @@ class PosesInput(TableOptions):
         TableOptions.__post_init__(self)
         if not self.paths:
             raise OptionError("no recording given. Name a file or a folder, such as gnomon imu recording.csv.")
+
+
+def topics_of(stated: Sequence[str]) -> dict[str, str]:
+    """Return the topics of cameras and IMUs by name, from NAME=TOPIC.
+
+    Raises
+    ------
+    OptionError
+        If one is not of this form, or stands twice.
+
+    Examples
+    --------
+    >>> topics_of(["cam0=/left/image_raw", "imu0=/imu/data"])
+    {'cam0': '/left/image_raw', 'imu0': '/imu/data'}
+    """
+    topics: dict[str, str] = {}
+    for text in stated:
+        name, equals, topic = text.partition("=")
+        if not (equals and topic and re.fullmatch(r"(cam|imu)\d+", name)):
+            raise OptionError(f"--topics {text}: expected NAME=TOPIC, such as cam0=/cam0/image_raw or imu0=/imu0.")
+        if name in topics:
+            raise OptionError(f"--topics {text}: {name} is stated twice.")
+        topics[name] = topic
+    return topics

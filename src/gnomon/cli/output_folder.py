@@ -15,31 +15,45 @@ from ..output import files_together, put_in_place, refuse_input, spare_inputs
 RESULT_FILES = ("calibration.yaml", "report.html", "diagnostics.npz")
 """gnomon's own files in the folder of a result."""
 
+
 CAMERA_FILES = (*RESULT_FILES, "camchain.yaml", "results-cam.txt")
 """The same of a calibration of cameras; the last two are Kalibr's."""
+
 
 CAMERA_IMU_FILES = (*RESULT_FILES, "trajectory.txt", "camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
 """The same of a camera-IMU calibration; the last three are Kalibr's."""
 
+
 NOISE_FILES = ("noise.yaml", "imu.yaml", "allan.csv", "report.html")
 """The same of noise that was identified."""
 
+
 ALL_RESULT_FILES = frozenset((*CAMERA_FILES, *CAMERA_IMU_FILES, *NOISE_FILES))
 
+
 DEMO_RECORDING = "recording.npz"
+
 
 _TELLING = {"comparison.csv": "compare", "study.html": "study", "runs.journal": "study"}
 """File -> the command that alone makes it in the folder of a result."""
 
+
 _RESULTS = ("calibration.yaml", "noise.yaml")
+
+
 _METHOD = re.compile(r"(?m)^provenance:\n(?:[ #].*\n)*? +method: *['\"]?([a-z][a-z-]*)")
+
+
 _COMMANDS = {"cameras": "camera"}
 """Method in a result's provenance -> its command, where that is called otherwise."""
 
+
 SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
+
 
 _TEXTS = ("calibrations", "cam", "prior", "rate", "use")
 """Fields of commands and of their options that may name files, or a folder with a calibration."""
+
 
 _FILES = (".yaml", ".yml", ".json", ".html", ".csv", ".txt", ".npz", ".pdf", ".zip")
 """Endings that nobody gives to a folder."""
@@ -184,7 +198,7 @@ def check_folder(folder: Path) -> None:
         )
 
 
-def finish_moves(command: object) -> None:
+def recover_interrupted_write(command: object) -> None:
     """Put files in their places that a killed process left on the way, in the folders that a command names."""
     for path in set(_paths(command)):
         for folder in (path, path.parent):
@@ -231,10 +245,10 @@ def _inputs(command: object) -> list[Path]:
     words = [str(word) for text in texts for word in (text if isinstance(text, tuple) else (text,))]  # pyright: ignore
     named = [Path(part) for word in words for part in (word, *re.split(r"[=+]", word)) if part]
     folders = [path / "calibration.yaml" for path in named]
-    return [*(path for node in given for path in _paths(node)), *filter(_is_there, (*named, *folders))]
+    return [*(path for node in given for path in _paths(node)), *filter(_exists, (*named, *folders))]
 
 
-def _is_there(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     try:
         return path.exists()
     except (OSError, ValueError):  # a text that is no path

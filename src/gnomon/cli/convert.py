@@ -1,38 +1,99 @@
-"""What `gnomon convert` does: with a calibration, and with a recording of cameras as images."""
+"""The command that writes a calibration, or a recording of cameras as images, in another format."""
 
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
+
+import tyro
 
 from ..errors import GnomonError, OptionError, OutputError
 from ..findings import listed
-from . import commands
-from .places import ALL_RESULT_FILES, check_folder, owner_of
-from .results import USABLE, say_assumptions
+from ..units import Units
+from .command import Command, FileOption, Json, Topics, output_option, topics_of
+from .output_folder import ALL_RESULT_FILES, check_folder, owner_of
+from .results import USABLE, print_assumptions
 from .terminal import Terminal
-from .topics import topics_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from ..images import ImageRecording
     from ..writers.context import StatedImu
 
+
+CalibrationForm = Literal[
+    "imu_tk", "kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis", "px4", "ardupilot", "ros2", "imucal",
+    "c-header", "json", "csv",
+]  # fmt: skip
+
+
+RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
+
+
 _HEAD = 4096
+
+
 _NOISE_FILES = ("imu.yaml", "noise.yaml")
 """Where the noise of an IMU stands in the folder of a result, those that are looked for first before the others."""
 
 
-def convert(command: commands.Convert, terminal: Terminal) -> int:
-    """Write the calibration or the recording in another format, and return the exit code."""
-    of_recordings, of_calibrations = get_args(commands.RecordingForm), get_args(commands.CalibrationForm)
-    command = _of_result(command) if command.to in of_calibrations else command
-    if command.to in of_recordings and (command.to not in of_calibrations or not _is_text(command.path)):
-        return _convert_recording(command, terminal)
-    return _convert_calibration(command, terminal)
+@dataclass(frozen=True, kw_only=True)
+class Convert(Command):
+    """Write a calibration, gnomon's or another project's, in another format, and say what that format cannot hold.
+
+    Or write a recording of cameras and an IMU, whatever it comes in, as a bag or as a folder in EuRoC's layout.
+    """
+
+    paths: Annotated[
+        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
+    ]
+    """A calibration.yaml or the folder of a result, or files of another project that make one calibration, such as
+    Kalibr's camchain-imucam.yaml and imu.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a
+    video."""
+    to: CalibrationForm | RecordingForm
+    """The format: imu_tk, kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis, px4, ardupilot, ros2 (static
+    transforms, camera_info), imucal, c-header, json or csv of a calibration; euroc, ros1, ros2 (SQLite) or mcap of a
+    recording."""
+    output: Annotated[Path | None, output_option("PATH")] = None
+    """Folder for the files, file of a bag (default: beside the calibration or the recording, named after it and the
+    format)."""
+    imu: Annotated[Path | None, tyro.conf.arg(aliases=["--noise"], metavar="FILE", help_behavior_hint="")] = None
+    """Kalibr's imu.yaml or gnomon's noise.yaml with the noise and rate that a format wants (default: imu.yaml or
+    noise.yaml beside the calibration, where there is one)."""
+    accelerometer_lsb_per_g: float | None = None
+    """Counts per g by which the driver divides, such as 16384, where the calibration is of counts; PX4 and ArduPilot
+    need it."""
+    gyroscope_lsb_per_deg_s: float | None = None
+    """The same per deg/s of the gyroscope, such as 131."""
+    topics: Topics = ()
+    """Which topics of a bag are read, such as cam0=/camera/image_raw imu0=/imu/data; found where not given."""
+    imu_table: Annotated[Path | None, FileOption] = None
+    """Table of the IMU's samples, where it is not in the recording."""
+    units: str | None = None
+    """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
+    json: Json = False
+
+    @property
+    def path(self) -> Path:
+        """The first of the paths, which is the only one but for files of another project."""
+        return self.paths[0]
+
+    def __post_init__(self) -> None:
+        if not self.paths:
+            raise OptionError("nothing to convert is given. Name a calibration.yaml or a recording.")
+        topics_of(self.topics)
+        if self.units is not None:
+            Units.parse(self.units)
+
+    def run(self, terminal: Terminal) -> int:
+        """Write the calibration or the recording in another format, and return the exit code."""
+        of_recordings, of_calibrations = get_args(RecordingForm), get_args(CalibrationForm)
+        command = _of_result(self) if self.to in of_calibrations else self
+        if self.to in of_recordings and (self.to not in of_calibrations or not _is_text(command.path)):
+            return _convert_recording(command, terminal)
+        return _convert_calibration(command, terminal)
 
 
-def _of_result(command: commands.Convert) -> commands.Convert:
+def _of_result(command: Convert) -> Convert:
     """Return the command with the calibration of a result's folder in place of the folder, unless images are in it."""
     from ..readers.images.image_recording import holds_images
     from ..readers.own.own_root import calibration_at
@@ -43,7 +104,7 @@ def _of_result(command: commands.Convert) -> commands.Convert:
     return replace(command, paths=(inside, *command.paths[1:]))
 
 
-def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
+def _convert_calibration(command: Convert, terminal: Terminal) -> int:
     from ..readers import load
     from ..readers.projects.foreign_files import is_own, load_foreign
     from ..writers.conversion import convert as write
@@ -69,16 +130,16 @@ def _convert_calibration(command: commands.Convert, terminal: Terminal) -> int:
     losses = write(calibration, command.to, folder, imu=imu, **scales)
     files = [str(path) for path in paths]
     for note in (*notes, *said):
-        terminal.say(f"note:    {note}")
+        terminal.print(f"note:    {note}")
     for name in files:
-        terminal.say(f"written: {name}")
+        terminal.print(f"written: {name}")
     for loss in losses:
-        terminal.say(f"lost:    {loss}")
-    terminal.document({"files": files, "notes": [*notes, *said], "losses": [asdict(loss) for loss in losses]})
+        terminal.print(f"lost:    {loss}")
+    terminal.document({"files": files, "notes": [*notes, *said], "losses": losses})
     return USABLE
 
 
-def _spare_inputs(command: commands.Convert, paths: list[Path]) -> None:
+def _spare_inputs(command: Convert, paths: list[Path]) -> None:
     """Refuse to write over what is converted, and over files of a command's result, which would no longer be one."""
     folder = paths[0].parent
     if owner := owner_of(folder):
@@ -94,7 +155,7 @@ def _spare_inputs(command: commands.Convert, paths: list[Path]) -> None:
             raise OutputError(f"{path}: this file is converted, and would be replaced. Choose another place with -o.")
 
 
-def _noise(command: commands.Convert) -> tuple["Mapping[str, StatedImu] | None", list[str]]:
+def _noise(command: Convert) -> tuple["Mapping[str, StatedImu] | None", list[str]]:
     """Return noise and rate from the file that is given, or that lies beside the calibration, and what to say of it."""
     from ..writers.conversion import WITH_NOISE, stated_imus
 
@@ -115,7 +176,7 @@ def _noise(command: commands.Convert) -> tuple["Mapping[str, StatedImu] | None",
     return None, []
 
 
-def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
+def _convert_recording(command: Convert, terminal: Terminal) -> int:
     from ..readers.images.image_recording import open_images
 
     _refuse_calibration(command)
@@ -131,13 +192,11 @@ def _convert_recording(command: commands.Convert, terminal: Terminal) -> int:
         need_imu=False,
     )
     recording = _with_lenses(recording, command.path)
-    terminal.close()
-    say_assumptions(recording.assumptions, terminal)
+    print_assumptions(recording.assumptions, terminal)
     notes = _write(recording, output, command.to, terminal)
-    terminal.close()
-    terminal.say(f"written: {output} ({_facts(recording)})")
+    terminal.print(f"written: {output} ({_summary_lines(recording)})")
     for note in notes:
-        terminal.say(f"note:    {note}")
+        terminal.print(f"note:    {note}")
     terminal.document({"files": [str(output)], "assumptions": list(recording.assumptions), "notes": notes})
     return USABLE
 
@@ -172,39 +231,39 @@ def _write(recording: "ImageRecording", output: Path, form: str, terminal: Termi
     return notes
 
 
-def _facts(recording: "ImageRecording") -> str:
+def _summary_lines(recording: "ImageRecording") -> str:
     images = [f"{name} {stream.count or 'some'} images" for name, stream in recording.streams.items()]
     samples = [f"{name} {len(imu.gyroscope)} samples" for name, imu in recording.imus.items()]
     return ", ".join(images + samples)
 
 
-def _default_output(command: commands.Convert) -> Path:
+def _default_output(command: Convert) -> Path:
     """Return a place beside the recording, named after it and the format."""
     path = command.path.resolve()
     suffix = {"ros1": ".bag", "mcap": ".mcap"}.get(command.to, "")
     return path.with_name(f"{path.name if path.is_dir() else path.stem}-{command.to}{suffix}")
 
 
-def _refuse_recording(command: commands.Convert) -> None:
+def _refuse_recording(command: Convert) -> None:
     """Refuse to write a recording in a format of calibrations."""
     from ..readers.images.image_recording import holds_images
 
     if command.path.is_dir() or (not _is_calibration(command.path) and holds_images(command.path)):
         raise OptionError(
             f"{command.path}: this is {'a folder' if command.path.is_dir() else 'a recording'}, and {command.to} is a "
-            f"format of calibrations. Recordings are written --to {listed(get_args(commands.RecordingForm))}; of a "
+            f"format of calibrations. Recordings are written --to {listed(get_args(RecordingForm))}; of a "
             "result, give its folder or the calibration.yaml in it."
         )
     if command.topics or command.units or command.imu_table:
         raise OptionError(f"topics, units and imu-table are of recordings; {command.to} is a format of calibrations.")
 
 
-def _refuse_calibration(command: commands.Convert) -> None:
+def _refuse_calibration(command: Convert) -> None:
     """Refuse to write a calibration in a format of recordings."""
     if _is_calibration(command.path):
         raise OptionError(
             f"{command.path}: this is a calibration, and {command.to} is a format of recordings. Calibrations are "
-            f"written --to {listed(get_args(commands.CalibrationForm))}."
+            f"written --to {listed(get_args(CalibrationForm))}."
         )
     if len(command.paths) > 1:
         raise OptionError(f"{command.paths[1]}: of recordings one at a time is converted.")

@@ -1,0 +1,162 @@
+"""The command that compares calibrations."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from ..errors import OptionError
+from .command import Command, Json, Switch, output_option
+from .output_folder import default_folder, owner_of, result_folder
+from .results import UNUSABLE, USABLE, print_findings, result_files
+from .terminal import Terminal, plain
+
+if TYPE_CHECKING:
+    from ..assess.comparison import Comparison, Repeatability
+
+
+PAGE, TABLE = "report.html", "comparison.csv"
+
+
+_STYLES = {"pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compare(Command):
+    """Compare calibrations of one rig, made by any program: who agrees, who stands out and in what, and what repeats.
+
+    Exit code 4 where two calibrations differ by more than the sigmas of both allow.
+    """
+
+    calibrations: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]PATH[+PATH...] ...", help_behavior_hint="")
+    ]
+    """At least two: a calibration.yaml or a result's folder; files of other projects, several of one calibration joined
+    by + (such as camchain-imucam.yaml+imu.yaml), or the folder that holds them: Kalibr's, OpenVINS', Basalt's,
+    imucal's, imu_tk's. NAME= says what it is called (default: the part of the path that tells it from the others)."""
+    rename: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME.OLD=NEW ...", help_behavior_hint="")] = ()
+    """Sensors that are called otherwise in one of them, such as kalibr.cam1=cam0; else they are matched by name."""
+    output: Annotated[Path | None, output_option("DIR")] = None
+    """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""
+    report: Annotated[bool, Switch] = True
+    """Do not make the report, nor the table."""
+    json: Json = False
+
+    def __post_init__(self) -> None:
+        for text in self.rename:
+            left, equals, new = text.partition("=")
+            if not (equals and new and all(left.rpartition("."))):
+                raise OptionError(f"--rename {text}: expected NAME.OLD=NEW, such as kalibr.cam1=cam0.")
+
+    def run(self, terminal: Terminal) -> int:
+        """Compare calibrations, and return the exit code."""
+        from ..calibrate.comparison import compare as compare_calibrations
+        from ..readers.own.calibration_sources import source_names
+
+        sources = sources_of(self.calibrations)
+        guessed = source_names([paths for _, paths in sources])
+        names = [name or guess for (name, _), guess in zip(sources, guessed, strict=True)]
+        renames: dict[str, dict[str, str]] = {}
+        for text in self.rename:
+            old, _, new = text.partition("=")
+            name, _, sensor = old.rpartition(".")
+            renames.setdefault(name, {})[sensor] = new
+        found = compare_calibrations(*(paths for _, paths in sources), names=names, rename=renames)
+        folder = self.output or default_folder((_place(sources[0][1][0]),), "compare")
+        if self.report:
+            _write(found, folder, terminal)
+        _print(found, terminal)
+        files = result_files(folder, (PAGE, TABLE)) if self.report else {}
+        if files:
+            terminal.print("")
+        for path in files.values():
+            terminal.print(f"written: {path}")
+        code = UNUSABLE if found.verdict == "fail" else USABLE
+        terminal.document({**plain(found), "exit_code": code, "files": files})
+        return code
+
+
+def sources_of(texts: tuple[str, ...]) -> list[tuple[str, list[Path]]]:
+    """Return the name, or "", and the paths of each calibration; a path that is there is taken as it stands.
+
+    Examples
+    --------
+    >>> sources_of(("kalibr=run-camchain.yaml+run-imu.yaml",))
+    [('kalibr', [PosixPath('run-camchain.yaml'), PosixPath('run-imu.yaml')])]
+    """
+    found: list[tuple[str, list[Path]]] = []
+    for text in texts:
+        name, equals, rest = text.partition("=")
+        if Path(text).exists() or not equals or "/" in name:
+            name, rest = "", text
+        if not rest:
+            raise OptionError(f"{text}: expected a path behind the name, such as first=monday-imu.")
+        parts = [rest] if Path(rest).exists() else [part for part in rest.split("+") if part]
+        found.append((name, [Path(part) for part in parts]))
+    return found
+
+
+def _place(path: Path) -> Path:
+    """Return the folder of the result that a file is in, or the path as it is."""
+    return path.parent if path.is_file() and owner_of(path.parent.absolute()) else path
+
+
+def _write(found: "Comparison", folder: Path, terminal: Terminal) -> None:
+    from ..output import write_whole
+    from ..report.comparison import write_comparison_report
+    from ..writers.comparison_table import comparison_csv
+
+    with result_folder(folder, "compare", own=(PAGE, TABLE)) as staging:
+        terminal.progress("drawing the report")
+        write_comparison_report(found, staging / PAGE)
+        write_whole(staging / TABLE, comparison_csv(found))
+
+
+def _print(found: "Comparison", terminal: Terminal) -> None:
+    terminal.print(f"{found.verdict}: {found.headline}", _STYLES[found.verdict])
+    width = max(len(one.name) for one in found.calibrations)
+    for one in found.calibrations:
+        sigmas = "truth of a simulation" if one.exact else "with sigmas" if one.sigmas else "without sigmas"
+        terminal.print(f"  {one.name:<{width}}  {one.format}, {one.frame}, {sigmas}")
+    if isfinite(found.z_rms):
+        terminal.print(
+            f"  {found.compared} differences, z rms {found.z_rms:.2f} (1 expected, up to {found.limit:.2f} is chance)"
+        )
+    print_findings(found.findings, terminal)
+    terminal.print("")
+    if found.blocks:
+        terminal.print("\n".join(_lines(found)))
+
+
+def _lines(found: "Comparison") -> Iterator[str]:
+    """Yield a table of the blocks, whose columns are as wide as they must be."""
+    from ..assess.comparison_words import block_words
+
+    two = len(found.calibrations) == 2
+    rows = [("", "differ" if two else "scatter", "sigma", "", "z rms", "max |z|")]
+    for block in found.blocks:
+        known = [item.largest for item in found.differences if item.path == block.path and isfinite(item.largest)]
+        ratios = (f"{block.z_rms:.2f}" if isfinite(block.z_rms) else "-", f"{max(known):.1f}" if known else "-")
+        rows.append((block_words(block.path), *_sizes(found, block), *ratios))
+    padded = [
+        [cell.ljust(max(map(len, column))) if i in {0, 3} else cell.rjust(max(map(len, column))) for cell in column]
+        for i, column in enumerate(zip(*rows, strict=True))
+    ]
+    for cells in zip(*padded, strict=True):
+        yield f"  {'  '.join(cells)}".rstrip()
+
+
+def _sizes(found: "Comparison", block: "Repeatability") -> tuple[str, str, str]:
+    """Return how far a block scatters, or two differ, its sigma, and the unit; root mean squares over its scalars."""
+    from ..assess.comparison_words import typical_size
+
+    numbers = block.scatter, block.predicted
+    pair = [item for item in found.differences if item.path == block.path]
+    if len(found.calibrations) == 2 and pair:  # none where only one has the sensor
+        numbers = pair[0].values, pair[0].sigmas
+    (size, unit), (sigma, _) = (typical_size(block, values) for values in numbers)
+    texts = [f"{number:.2g}" if isfinite(number) else "-" for number in (size, sigma)]
+    return texts[0], texts[1], unit

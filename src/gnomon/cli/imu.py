@@ -1,0 +1,150 @@
+"""The commands for an IMU alone: calibrate it, simulate a recording, and both as a demonstration."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from ..options import ImuOptions
+from ..simulate import Scenario
+from .command import (
+    Command,
+    Flat,
+    ForUse,
+    Json,
+    PosesInput,
+    Report,
+    Seed,
+    output_option,
+)
+from .inputs import judged_result, read_priors, read_use_option
+from .output_folder import (
+    DEMO_RECORDING,
+    RESULT_FILES,
+    TRUTH,
+    check_folder,
+    default_folder,
+    joined_folder,
+    result_folder,
+)
+from .results import conclude, print_assumptions, write_result
+from .simulated import write_simulated
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..recording import Recording
+
+
+_DEMO_SCENARIO = Scenario(g_sensitivity=3e-4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imu(Command):
+    """Calibrate accelerometer and gyroscope from hand-held recordings, or an accelerometer alone from static poses.
+
+    Let the sensor rest for about 50 s, then turn it by hand into many different attitudes and let it rest for a few
+    seconds in each. Several recordings of one sensor, such as of several days, join as recordings: what the sensor
+    itself changes from one to the next (turn-on bias, temperature) is estimated, and is in the sigmas.
+    """
+
+    recording: Annotated[PosesInput, Flat]
+    output: Annotated[Path | None, output_option("DIR")] = None
+    """Folder for calibration.yaml, report.html and diagnostics.npz (default: NAME-imu beside the recording)."""
+    use: ForUse = None
+    report: Report = True
+    json: Json = False
+    options: Annotated[ImuOptions, Flat] = field(default_factory=ImuOptions)
+
+    def run(self, terminal: Terminal) -> int:
+        """Calibrate, write the folder of the result, and return the exit code."""
+        from ..calibrate import calibrate_imu
+        from ..readers.several_recordings import read_several
+        from .summary import summary_lines
+
+        source = self.recording
+        check_folder(self.output or default_folder(source.paths, "imu"))  # before the work
+        use = read_use_option(self.use)
+        terminal.progress("reading the recording")
+        known = read_priors(self.options.prior)
+        recordings = read_several(*source.paths, **source.table)
+        recordings = [known.known_of(recording) for recording in recordings]
+        assumptions = _assumptions(recordings)
+        print_assumptions(assumptions, terminal)  # before anything fails: they often explain why
+        folder_name = default_folder if len(recordings) == 1 else joined_folder
+        folder = self.output or folder_name(source.paths, "imu")
+        with result_folder(folder, "imu") as staging:
+            options = replace(self.options, prior=known.stated)
+            result = calibrate_imu(recordings, options, progress=terminal.progress, prior=known.calibrations)
+            result = judged_result(result, use)
+            write_result(result, staging, report=self.report, terminal=terminal)
+        lines = summary_lines(result.calibration)
+        return conclude(result.calibration, lines, folder, assumptions, terminal, source=source)
+
+
+def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
+    """Return what had to be assumed; of several recordings each once, with those of which it was."""
+    from ..calibrate.preparation import recording_names
+
+    if len(recordings) == 1:
+        return list(recordings[0].assumptions)
+    of: dict[str, list[str]] = {}
+    for name, recording in zip(recording_names(recordings), recordings, strict=True):
+        for sentence in recording.assumptions:
+            of.setdefault(sentence.removeprefix(f"{name}: "), []).append(name)
+    words = ["all recordings" if len(names) == len(recordings) else ", ".join(names) for names in of.values()]
+    return [f"{who}: {sentence}" for who, sentence in zip(words, of, strict=True)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate(Command):
+    """Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml)."""
+
+    output: Annotated[Path, output_option("FILE", "(required)")]
+    """Recording to write, .npz or .csv."""
+    seed: Seed = 0
+    json: Json = False
+    scenario: Annotated[Scenario, Flat] = field(default_factory=Scenario)
+
+    def run(self, terminal: Terminal) -> int:
+        """Simulate, write recording and truth, and return the exit code."""
+        from ..simulate import simulate
+
+        return write_simulated(*simulate(self.scenario, self.seed), self.output, terminal, then="imu")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demo(Command):
+    """Calibrate a simulated recording and compare the result with the truth."""
+
+    output: Annotated[Path, output_option("DIR", "(default: gnomon-demo)")] = Path("gnomon-demo")
+    """Folder for the recording, the truth and the results."""
+    seed: Seed = 0
+    report: Report = True
+    json: Json = False
+
+    def run(self, terminal: Terminal) -> int:
+        """Simulate, calibrate, write both, print them beside the truth, and return the exit code."""
+        from ..calibrate import calibrate_imu
+        from ..readers import read
+        from ..simulate import simulate
+        from ..writers import save
+        from ..writers.recording_file import save_recording
+        from .summary import comparison_document, comparison_sentence, comparison_table, summary_lines
+
+        with result_folder(self.output, "demo", own=(*RESULT_FILES, DEMO_RECORDING, TRUTH)) as staging:
+            terminal.progress("simulating a recording")
+            simulated, truth = simulate(_DEMO_SCENARIO, self.seed)
+            save_recording(simulated, staging / DEMO_RECORDING)
+            save(truth, staging / TRUTH)
+            recording = read(staging / DEMO_RECORDING)  # as a person's own recording would be
+            options = ImuOptions(gravity=_DEMO_SCENARIO.gravity)
+            result = calibrate_imu(recording, options, progress=terminal.progress)
+            write_result(result, staging, report=self.report, terminal=terminal)
+        if not self.json:
+            terminal.draw(comparison_table(result.calibration, truth))
+            terminal.print(comparison_sentence(result.calibration, truth))
+        more = {"comparison": comparison_document(result.calibration, truth)}
+        lines = summary_lines(result.calibration)
+        return conclude(
+            result.calibration, lines, self.output, recording.assumptions, terminal, parameters=False, more=more
+        )

@@ -1,0 +1,178 @@
+"""What options name: other calibrations of the sensor, the use that is judged for, files beside a recording."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import OptionError
+from ..models.lens_programs import PROGRAMS
+
+if TYPE_CHECKING:
+    from ..calibration import Calibration
+    from ..diagnostics import Result
+    from ..models.noise import ImuNoise
+    from ..recording import Recording, Source
+    from ..requirements import Use
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorFiles:
+    """What the files of --prior say.
+
+    Attributes
+    ----------
+    stated : what was no file: NAME=SIGMA
+    calibrations : of the sensor
+    noise : of the IMU, or None
+    sources : the files
+    """
+
+    stated: tuple[str, ...]
+    calibrations: "tuple[Calibration, ...]" = ()
+    noise: "ImuNoise | None" = None
+    sources: "tuple[Source, ...]" = ()
+
+    def known_of(self, recording: "Recording") -> "Recording":
+        """Return the recording with the IMU's noise, and with the files among its sources."""
+        known = self.noted_in(recording)
+        return replace(known, sources=(*known.sources, *self.sources))
+
+    def noted_in(self, recording: "Recording") -> "Recording":
+        """Return the recording with the IMU's noise, where a file states it."""
+        if self.noise is None:
+            return recording
+        imus = {name: replace(samples, noise=self.noise) for name, samples in recording.imus.items()}
+        return replace(recording, imus=imus)
+
+
+def read_priors(prior: tuple[str, ...]) -> PriorFiles:
+    """Read the files among the values of --prior.
+
+    Raises
+    ------
+    OptionError
+        If a value is neither NAME=SIGMA nor a file, or two files state the noise.
+    FormatError
+        If a file cannot be read.
+    """
+    stated = tuple(text for text in prior if "=" in text and not Path(text).exists())
+    files = [Path(text) for text in prior if text not in stated]
+    if not files:
+        return PriorFiles(stated=stated)
+    from ..readers import load
+    from ..readers.files import file_source
+
+    calibrations: list[Calibration] = []
+    noises: list[ImuNoise] = []
+    for path in files:
+        if not path.is_file():
+            raise OptionError(
+                f"--prior {path}: there is no such file. Give a calibration.yaml, a noise.yaml, Kalibr's imu.yaml, or "
+                "NAME=SIGMA, such as imu0.gyroscope.bias=0.01."
+            )
+        noise = _noise(path)
+        if noise is not None:
+            noises.append(noise)
+            continue
+        calibrations.append(load(path))
+        if not calibrations[-1].imus:
+            raise OptionError(
+                f"--prior {path}: this calibration is of cameras alone. Give it to gnomon camera-imu as --cam."
+            )
+    if len(noises) > 1:
+        raise OptionError("--prior states the noise of the IMU in two files. Keep one of them.")
+    return PriorFiles(
+        stated=stated,
+        calibrations=tuple(calibrations),
+        noise=noises[0] if noises else None,
+        sources=tuple(file_source(path) for path in files),
+    )
+
+
+def _noise(path: Path) -> "ImuNoise | None":
+    """Return the noise that a file states, or None where it is no such file."""
+    from ..readers.own.noise_file import is_noise, load_noise
+    from ..readers.projects.foreign_files import is_own
+
+    if is_noise(path):
+        return load_noise(path).imu_noise()
+    if is_own(path):
+        return None
+    from ..readers.rig.sensor_inputs import read_imus
+
+    return next(iter(read_imus(path, []).values())).noise
+
+
+def read_use_option(use: str | None) -> "Use | None":
+    """Return what a use needs; None where none is stated. Called before the work, so that typing errors cost none.
+
+    Raises
+    ------
+    OptionError
+        If there is no such use; FormatError where its file is not as it should be.
+    """
+    if use is None:
+        return None
+    if use in PROGRAMS and not Path(use).exists():
+        raise OptionError(
+            f"--for {use}: this is a program, and here a use is stated, such as vio. gnomon camera --for {use} chooses "
+            f"lenses that it reads, gnomon convert --to {use} writes its files."
+        )
+    from ..calibrate.judging import stated_use
+
+    return stated_use(use)
+
+
+def judged_result(result: "Result", use: "Use | None") -> "Result":
+    """Return a result whose calibration is judged for a use, where one is stated."""
+    if use is None:
+        return result
+    from ..calibrate.judging import judge
+
+    return replace(result, calibration=judge(result.calibration, use))
+
+
+_BESIDE = {"cam": "camchain.yaml", "imu": "imu.yaml", "target": "target.yaml"}
+"""Option -> Kalibr's file that is taken from the recording's folder."""
+
+
+def files_beside(
+    recording: Path, stated: Mapping[str, Path | tuple[Path, ...] | None]
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return Kalibr's files by the option that names them, as stated or beside a recording, and what was taken.
+
+    Parameters
+    ----------
+    stated : option, such as "cam" -> its value
+    """
+    folder = recording if recording.is_dir() else recording.parent
+    files: dict[str, Any] = {option: path or None for option, path in stated.items()}
+    taken = [option for option, path in files.items() if path is None and (folder / _BESIDE[option]).is_file()]
+    files |= {option: folder / _BESIDE[option] for option in taken}
+    *first, last = [_BESIDE[option] for option in taken] or [""]
+    names = f"{', '.join(first)} and {last}" if first else last
+    are = "is" if len(taken) == 1 else "are"
+    return files, (f"{names} in the recording's folder {are} used.",) if taken else ()
+
+
+def refuse_overwriting(folder: Path, recording: Path, inputs: Mapping[str, Any], files: tuple[str, ...]) -> None:
+    """Refuse a folder in which the result, some `files`, would take the place of an input: both know an imu.yaml.
+
+    Raises
+    ------
+    OptionError
+        If the folder is that of the recording, or a file of the result would be one of the inputs.
+    """
+    place = folder.resolve()
+    if recording.is_dir() and place == recording.resolve():
+        raise OptionError(
+            f"{folder}: this is the recording's folder, whose {files[-2]} the result would replace. "
+            "Choose another folder with -o."
+        )
+    for option, file in inputs.items():
+        for path in file if isinstance(file, tuple) else (file,) if file else ():
+            if path.resolve() in {place / name for name in files}:
+                raise OptionError(
+                    f"{path}: the result would replace this file of --{option}. Choose another folder with -o."
+                )

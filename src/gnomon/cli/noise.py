@@ -1,0 +1,155 @@
+"""The commands on noise."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from ..errors import OptionError
+from ..options import NoiseOptions
+from ..simulate.noise_scenario import NoiseScenario
+from .command import Command, Flat, Input, Json, Report, Seed, output_option
+from .output_folder import NOISE_FILES, default_folder, result_folder
+from .results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from ..sensor_noise import Coefficient, SensorNoise, TriadNoise
+
+
+_LEGEND = """\
+N white noise, B bias instability (floor of the curve: 0.664 B), K random walk,
+Q quantisation, R rate ramp; +- standard deviation, < upper bound"""
+
+
+_VERDICTS = {
+    "pass": ("usable", "bold green"),
+    "warn": ("usable, with reservations", "bold yellow"),
+    "fail": ("do not use this noise", "bold red"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise(Command):
+    """Identify the noise of an IMU from a long recording at rest: white noise, bias instability, random walk.
+
+    Let the sensor lie where nothing can move it, at an even temperature, for 3 hours or longer.
+    """
+
+    recording: Annotated[Input, Flat]
+    output: Annotated[Path | None, output_option("DIR")] = None
+    """Folder for noise.yaml, Kalibr's imu.yaml, allan.csv and report.html (default: NAME-noise beside the
+    recording)."""
+    report: Report = True
+    json: Json = False
+    options: Annotated[NoiseOptions, Flat] = field(default_factory=NoiseOptions)
+
+    def run(self, terminal: Terminal) -> int:
+        """Identify the noise of an IMU, write and say it, and return the exit code."""
+        from ..calibrate.noise import identify_noise
+        from ..report.noise import write_noise_report
+        from ..writers.noise_file import noise_document, save_noise_files
+
+        source = self.recording
+        folder = self.output or default_folder(source.paths, "noise")
+        with result_folder(folder, "noise", own=NOISE_FILES) as staging:
+            result = identify_noise(source.paths, self.options, terminal.progress, **source.table)
+            save_noise_files(result, staging)
+            if self.report:
+                terminal.progress("drawing the report")
+                write_noise_report(result, staging / "report.html")
+        found = result.noise
+        assumptions = [finding.message for finding in found.findings if finding.code == "assumed"]
+        code = UNUSABLE if found.verdict == "fail" else USABLE
+        print_assumptions(assumptions, terminal)
+        _print(found, terminal)
+        print_files(folder, terminal, NOISE_FILES)
+        if code == USABLE:
+            terminal.print("")
+            terminal.propose("camera-imu", "RECORDING", "--imu", folder / "imu.yaml")
+        terminal.document(
+            {
+                "verdict": found.verdict,
+                "exit_code": code,
+                "assumptions": assumptions,
+                "files": result_files(folder, NOISE_FILES),
+                "noise": noise_document(found),
+            }
+        )
+        return code
+
+
+def show_noise(path: Path, terminal: Terminal) -> int:
+    """Show a noise.yaml."""
+    from ..readers.own.noise_file import load_noise
+    from ..writers.noise_file import noise_document
+
+    found = load_noise(path)
+    _print(found, terminal)
+    terminal.document(noise_document(found))
+    return USABLE
+
+
+def _print(found: "SensorNoise", terminal: Terminal) -> None:
+    meaning, style = _VERDICTS[found.verdict]
+    terminal.print(f"{found.verdict}: {meaning}", style)
+    for sensor, triad in found.triads.items():
+        terminal.print("\n".join(_lines(sensor, triad)))
+    terminal.print(_LEGEND, "dim")
+    print_findings(found.findings, terminal)
+
+
+def _lines(sensor: str, triad: "TriadNoise") -> Iterator[str]:
+    """Yield the coefficients of a sensor, a line for each kind of noise, 80 columns wide."""
+    import numpy as np
+
+    from ..sensor_noise import COEFFICIENTS, SYMBOLS, UNITS
+    from .summary import common_decimals, common_power
+
+    yield f"\n{sensor:<15}{'x':<18}{'y':<18}z"
+    for name in COEFFICIENTS:
+        found = [axis.coefficients()[name] for axis in triad.axes]
+        values = np.array([one.most for one in found])
+        sigmas = np.array([one.sigma if one.found else one.bound / 10 for one in found])
+        power = common_power(values, sigmas)
+        decimals = min(common_decimals(sigmas / 10.0**power), 4)
+        cells = "".join(_cell(one, 10.0**-power, decimals) for one in found)
+        unit = f"10^{power} {UNITS[sensor][name]}" if power else UNITS[sensor][name]
+        yield f"  {SYMBOLS[name]}  {cells}{unit}"
+
+
+def _cell(found: "Coefficient", factor: float, decimals: int) -> str:
+    if not found.found:
+        return f"< {factor * found.bound:.{decimals}f}".ljust(18)
+    return f"{factor * found.value:.{decimals}f} +- {factor * found.sigma:.{decimals}f}".ljust(18)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateNoise(Command):
+    """Make a long recording of a simulated IMU at rest, with noise of known coefficients."""
+
+    output: Annotated[Path, output_option("FILE", "(required)")]
+    """Recording to write, .npz."""
+    seed: Seed = 0
+    json: Json = False
+    scenario: Annotated[NoiseScenario, Flat] = field(default_factory=NoiseScenario)
+
+    def run(self, terminal: Terminal) -> int:
+        """Write a recording of simulated noise, say where, and return the exit code."""
+        from ..sensor_noise import SENSOR_UNITS
+        from ..simulate.noise import noise_blocks
+        from ..writers.noise_recording import save_blocks
+
+        scenario = self.scenario
+        if self.output.suffix != ".npz":
+            raise OptionError(f"{self.output}: such long recordings are written as .npz. Name the file so.")
+        sensors: dict[str, Any] = {
+            sensor: (unit, noise_blocks(scenario, sensor, self.seed)) for sensor, unit in SENSOR_UNITS.items()
+        }
+        with result_folder(self.output.parent, own=()) as staging:
+            save_blocks(staging / self.output.name, sensors, samples=scenario.samples, rate_hz=scenario.rate_hz)
+        terminal.print(f"recording    {self.output}")
+        terminal.propose("noise", self.output)
+        truth = {sensor: scenario.of(sensor) for sensor in SENSOR_UNITS}
+        terminal.document({"recording": str(self.output), "samples": scenario.samples, "truth": truth})
+        return USABLE

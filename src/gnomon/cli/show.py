@@ -1,0 +1,181 @@
+"""The commands that use a calibration: show it, apply it to a recording."""
+
+import re
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from ..errors import OptionError
+from ..units import Units
+from .command import (
+    CalibrationPath,
+    Command,
+    Flat,
+    Input,
+    Json,
+    output_option,
+    use_option,
+)
+from .noise import show_noise
+from .results import (
+    USABLE,
+    calibration_document,
+    print_assumptions,
+    print_needs,
+)
+from .terminal import WIDTH, Terminal
+
+if TYPE_CHECKING:
+    from ..writers.tables import Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show(Command):
+    """Show a calibration as tables with standard deviations; files of other projects without."""
+
+    calibration: CalibrationPath
+    """A calibration.yaml, a noise.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and
+    results-imucam.txt, OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
+    form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
+    """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
+    use: Annotated[
+        str | None,
+        use_option(
+            "Judge it for vio, ahrs, gimbal, phone, or a YAML file that states what is needed; general takes back what "
+            "it was judged for."
+        ),
+    ] = None
+    json: Json = False
+
+    def run(self, terminal: Terminal) -> int:
+        """Print the tables, and return the exit code."""
+        from ..readers import load
+        from ..readers.own.noise_file import is_noise
+        from ..readers.own.own_root import calibration_at, is_own
+        from ..writers.tables import form_tables, summary_table
+
+        path = Path(calibration_at(self.calibration))
+        own = is_own(path)
+        if self.use is not None and (not own or is_noise(path)):
+            raise OptionError(
+                f"{path}: only a calibration.yaml of gnomon's can be judged for a use: it has the standard "
+                "deviations. Leave out --for."
+            )
+        if not own:
+            return _show_foreign(path, self.form, terminal)
+        if is_noise(path):
+            return show_noise(path, terminal)
+        calibration = load(path)
+        if self.use is not None:
+            from ..calibrate.judging import judge
+
+            calibration = judge(calibration, self.use)
+        print_needs(calibration, terminal)
+        _print_tables((summary_table(calibration), *form_tables(calibration, self.form)), terminal)
+        from . import summary
+
+        if lines := [*summary.held_lines(calibration), *summary.finding_lines(calibration.assessment.findings)]:
+            terminal.print("\n".join(lines))
+        terminal.document(calibration_document(calibration))
+        return USABLE
+
+
+def _show_foreign(path: Path, form: str, terminal: Terminal) -> int:
+    from ..readers.projects.foreign_files import load_foreign
+    from ..writers.foreign_tables import foreign_document, foreign_tables
+
+    foreign = load_foreign(path)
+    print_assumptions(foreign.notes, terminal)
+    _print_tables(foreign_tables(foreign, form), terminal)
+    terminal.document(foreign_document(foreign))
+    return USABLE
+
+
+def _print_tables(tables: "Sequence[Table]", terminal: Terminal) -> None:
+    for table in tables:
+        names = max(len(row.name) for row in table.rows)
+        values = max(len(row.value) for row in table.rows)
+        terminal.print(table.title, "bold")
+        terminal.print("\n".join(textwrap.wrap(table.note, WIDTH - 1)), "dim")
+        for row in table.rows:
+            terminal.print(f"  {row.name:<{names}}  {row.value:>{values}}  {row.unit}".rstrip())
+        terminal.print("")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Apply(Command):
+    """Turn a recording into specific force and angular rate with a calibration; of any length, in little memory."""
+
+    calibration: CalibrationPath
+    """A calibration.yaml."""
+    recording: Annotated[Input, Flat]
+    output: Annotated[Path, output_option("FILE", "(required)")]
+    """CSV file to write."""
+    imu: str | None = None
+    """Which IMU of a calibration of several recorded the samples, such as imu1; told by the name of the file, as of
+    imu1.csv or imu1/data.csv, where not given."""
+    json: Json = False
+
+    def run(self, terminal: Terminal) -> int:
+        """Write the corrected samples of a recording, and return the exit code."""
+        from ..readers import load
+        from ..writers.apply import apply_files
+
+        source = self.recording
+        imus = load(self.calibration).imus
+        if not imus:
+            raise OptionError(
+                f"{self.calibration}: this calibration is of cameras alone; only samples of an IMU are corrected. Give "
+                "the calibration of the IMU."
+            )
+        name = _chosen_imu(self, tuple(imus))
+        imu = imus[name]
+        rows = apply_files(
+            imu,
+            *_tables(source.paths, name),
+            output=self.output,
+            imu=name,
+            columns=source.columns,
+            rate_hz=source.rate,
+            units=None if source.units is None else Units.parse(source.units),
+        )
+        terminal.print(f"{rows} rows in {self.output}")
+        if imu.accelerometer is not None and imu.accelerometer.lever_arms_m is not None:
+            terminal.print(
+                "Lever arms were not applied: each component of the specific force is that at its accelerometer."
+            )
+        terminal.document({"rows": rows, "file": str(self.output)})
+        return USABLE
+
+
+def _chosen_imu(command: Apply, imus: tuple[str, ...]) -> str:
+    """Return which IMU of a calibration recorded the samples: as stated, the only one, or by the name of the file."""
+    known = f"{command.calibration}: this calibration is of {', '.join(imus)}"
+    if command.imu is not None:
+        if command.imu not in imus:
+            raise OptionError(f"{known}, not of {command.imu}. Choose one of them with --imu.")
+        return command.imu
+    if len(imus) == 1:
+        return imus[0]
+    path = command.recording.path
+    called = path.parent.name if path.stem == "data" else path.name
+    named = [name for name in imus if re.match(rf"{name}(?!\d)", called)]
+    if len(named) != 1:
+        raise OptionError(f"{known}. Say with --imu which of them recorded {path}.")
+    return named[0]
+
+
+def _tables(paths: Sequence[Path], imu: str) -> Sequence[Path]:
+    """Return the tables of one IMU of a folder of several; of anything else the paths themselves."""
+    from ..readers.rig.camera_folder import holds_imu, imu_files, recording_folder
+
+    if len(paths) != 1 or not paths[0].is_dir() or not holds_imu(recording_folder(paths[0])):
+        return paths
+    files = imu_files(recording_folder(paths[0]))
+    if len(files) == 1 and imu == "imu0":
+        return paths
+    if imu not in files:
+        raise OptionError(f"{paths[0]}: there are samples of {', '.join(files)}, and none of {imu}. Give its table.")
+    return files[imu]

@@ -1,0 +1,351 @@
+"""The command that repeats published experiments; of each there is an entry in STUDIES, and study/NAME.py."""
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Protocol
+
+import tyro
+
+from ..errors import OptionError
+from .command import Command, Json, Seed, output_option
+from .output_folder import result_folder
+from .results import USABLE
+from .study_journal import FileJournal, study_journal
+from .terminal import Terminal
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+    from rich.progress import TaskID
+
+    from ..report.page import Page
+    from ..study.runs import Progress, Workers
+    from ..study.tables import Claim, StudyTable
+
+
+class Found(Protocol):
+    """What every study tells of itself."""
+
+    @property
+    def runs(self) -> int:
+        """How many there were, as --runs counts them."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Where the random numbers came from."""
+        ...
+
+
+class CarryOut(Protocol):
+    """A study's function."""
+
+    def __call__(self, *, runs: int, workers: "Workers", seed: int, progress: "Progress | None") -> Any:
+        """Carry it out."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Parts:
+    """The functions of a study.
+
+    Attributes
+    ----------
+    carry_out : does the runs, and returns what was found
+    claims, tables, page : of what was found
+    """
+
+    carry_out: CarryOut
+    claims: Callable[[Any], "Iterable[Claim]"]
+    tables: Callable[[Any], "Iterable[StudyTable]"]
+    page: Callable[[Any], "Page"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyEntry:
+    """A study, as far as it can be told without loading it.
+
+    Attributes
+    ----------
+    about : one sentence
+    counted : what --runs counts
+    runs : how many of them the document's numbers need
+    minutes : that these take on one core
+    stages : what it does one after the other, as progress names it
+    tables : names of its tables
+    load : returns its functions
+    """
+
+    about: str
+    counted: str
+    runs: int
+    minutes: float
+    stages: tuple[str, ...]
+    tables: tuple[str, ...]
+    load: Callable[[], Parts]
+
+
+def _angrisano() -> Parts:
+    from ..report.study_angrisano import angrisano_page
+    from ..study.angrisano import claims, study_angrisano, tables
+
+    return Parts(carry_out=study_angrisano, claims=claims, tables=tables, page=angrisano_page)
+
+
+def _krebs() -> Parts:
+    from ..report.study_krebs import krebs_page
+    from ..study.krebs import study_krebs
+    from ..study.krebs_claims import claims, tables
+
+    return Parts(carry_out=study_krebs, claims=claims, tables=tables, page=krebs_page)
+
+
+def _tedaldi() -> Parts:
+    from ..report.study_tedaldi import tedaldi_page
+    from ..study.tedaldi import study_tedaldi
+    from ..study.tedaldi_claims import claims, tables
+
+    return Parts(carry_out=study_tedaldi, claims=claims, tables=tables, page=tedaldi_page)
+
+
+STUDIES: Mapping[str, StudyEntry] = {
+    "tedaldi": StudyEntry(
+        about="document A, an IMU from rests and rotations: Tables 4.1 to 4.5, gnomon beside what was published",
+        counted="recordings of each of 40 parameter sets",
+        runs=30,
+        minutes=15,
+        stages=("recording",),
+        tables=("claims", "parameters", "document_a", "signals"),
+        load=_tedaldi,
+    ),
+    "krebs": StudyEntry(
+        about="document B, camera and IMU before a board: its sigmas at three noise levels, and what neglect costs",
+        counted="recordings of 90 s of each of seven series",
+        runs=100,
+        minutes=50,
+        stages=("recording", "changed parameter", "setting", "recording without noise"),
+        tables=("claims", "parameters", "table_5_3", "runs", "independence", "settings"),
+        load=_krebs,
+    ),
+    "angrisano": StudyEntry(
+        about="document C, the accelerometer from magnitudes: its sigmas, and the starts from which it converges",
+        counted="experiments of each of three settings",
+        runs=500,
+        minutes=15,
+        stages=("experiment", "scan of starts"),
+        tables=("claims", "parameters", "runs", "starts", "iterations"),
+        load=_angrisano,
+    ),
+}
+"""The studies by their names."""
+
+
+PAGE = "study.html"
+
+
+_OLD_JOURNAL = "unfinished.journal"  # of gnomon before studies kept it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(Command):
+    """Repeat the experiment of a document many times with simulated sensors, and say whether its claims hold.
+
+    A study that was interrupted goes on where it was when the same command is given again. Without a name, list the
+    studies and what they cost.
+    """
+
+    name: Annotated[
+        str | None,
+        tyro.conf.Positional,
+        tyro.conf.arg(metavar=f"[{{{','.join(STUDIES)}}}]", help_behavior_hint=""),
+    ] = None
+    """tedaldi: document A's simulations. krebs: document B's. angrisano: document C's experiment."""
+    output: Annotated[Path | None, output_option("DIR")] = None
+    """Folder for study.html and the tables as CSV (default: gnomon-study-NAME)."""
+    runs: int | None = None
+    """How many runs of each kind (the list says what is counted); as many as the document's numbers need where not
+    given."""
+    jobs: int = 1
+    """Processes that share them; the result does not depend on it."""
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    """Let the workers of an existing Dask cluster do them, such as tcp://host:8786; needs gnomon[dask]."""
+    seed: Seed = 0
+    json: Json = False
+
+    def __post_init__(self) -> None:
+        if self.name is not None and self.name not in STUDIES:
+            near = get_close_matches(self.name, STUDIES, 1)
+            meant = f"Did you mean {near[0]}?" if near else f"There are: {', '.join(STUDIES)}."
+            raise OptionError(f"there is no study {self.name}. {meant}")
+        if self.runs is not None and self.runs < 2:
+            raise OptionError(f"runs {self.runs} must be at least 2, since one has no scatter.")
+        if self.jobs < 1:
+            raise OptionError(f"jobs {self.jobs} must be at least 1.")
+        if self.jobs > 1 and self.scheduler is not None:
+            raise OptionError("the workers of --scheduler do all the work. Leave out --jobs.")
+        if self.scheduler is not None and not self.scheduler.strip():
+            raise OptionError("--scheduler is empty. Give the address that the scheduler prints, tcp://host:8786.")
+
+    def run(self, terminal: Terminal) -> int:
+        """Carry out a study, write its folder, and return the exit code.
+
+        A claim that does not hold is a result like any other: the exit code is that of work which was finished.
+        """
+        if self.name is None:
+            return _list_studies(terminal)
+        entry = STUDIES[self.name]
+        folder = self.output or Path(f"gnomon-study-{self.name}")
+        every = {f"{table}.csv" for known in STUDIES.values() for table in known.tables}
+        with result_folder(folder, "study", own=(PAGE, _OLD_JOURNAL, *every)) as staging:
+            parts = entry.load()
+            with study_journal(folder, self.name, terminal.progress) as journal:
+                found = _carried_out(self, parts, entry, journal, terminal)
+            names = _write(found, parts, staging, terminal)
+        stated = list(parts.claims(found))
+        _print_claims(stated, terminal)
+        terminal.print(f"page   {folder / PAGE}")
+        terminal.document(
+            {
+                "study": self.name,
+                "runs": found.runs,
+                "seed": found.seed,
+                "claims": stated,
+                "files": {Path(name).stem: str(folder / name) for name in names},
+            }
+        )
+        return USABLE
+
+
+def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: FileJournal, terminal: Terminal) -> Found:
+    from ..study.runs import Workers
+
+    count = StudyCount(terminal, entry.stages)
+    try:
+        return parts.carry_out(
+            runs=command.runs or entry.runs,
+            workers=Workers(jobs=command.jobs, scheduler=command.scheduler or "", journal=journal, count=count),
+            seed=command.seed,
+            progress=count.progress,
+        )
+    except KeyboardInterrupt as stop:
+        if len(journal) == 0:
+            raise
+        raise KeyboardInterrupt(f"interrupted; {journal.kept}") from stop
+    finally:
+        count.close()
+
+
+def _write(found: Found, parts: Parts, staging: Path, terminal: Terminal) -> list[str]:
+    """Write tables and page, and return the names of the files."""
+    from ..output import write_whole
+    from ..report.page import render
+
+    contents: dict[str, str | bytes] = {f"{table.name}.csv": table.csv() for table in parts.tables(found)}
+    terminal.progress("drawing the page")
+    contents[PAGE] = render(parts.page(found))
+    for name, content in contents.items():
+        write_whole(staging / name, content)
+    return sorted(contents)
+
+
+def _print_claims(stated: "Sequence[Claim]", terminal: Terminal) -> None:
+    for claim in stated:
+        word = "too few runs to tell:" if claim.holds is None else "holds " if claim.holds else "FAILS "
+        terminal.print(f"{word} {claim.claim}", "bold red" if claim.holds is False else "")
+        terminal.print(f"       expected {claim.expected}; found {claim.found}", "dim")
+    terminal.print("")
+
+
+def _list_studies(terminal: Terminal) -> int:
+    for name, entry in STUDIES.items():
+        terminal.print(name, "bold")
+        terminal.print(f"  {entry.about}")
+        terminal.print(f"  {entry.runs} {entry.counted}: about {entry.minutes:g} minutes on one core", "dim")
+    terminal.print("")
+    terminal.print("gnomon study NAME --jobs N; --runs FEWER for a glance.")
+    terminal.document(
+        {
+            "studies": {
+                name: {
+                    "about": entry.about,
+                    "runs": entry.runs,
+                    "counted": entry.counted,
+                    "minutes": entry.minutes,
+                    "tables": entry.tables,
+                }
+                for name, entry in STUDIES.items()
+            }
+        }
+    )
+    return USABLE
+
+
+_TOLD = 20  # lines at most, where there is no terminal
+
+
+class StudyCount:
+    """Shows how many runs are done; what `progress` says between takes the place of the bar.
+
+    Parameters
+    ----------
+    terminal : where it is shown
+    stages : names of the runs that a study does one after the other
+    """
+
+    def __init__(self, terminal: Terminal, stages: tuple[str, ...] = ()) -> None:
+        self._terminal, self._stages = terminal, stages
+        self._name, self._began, self._first = "", 0.0, 0
+        self._bar: Bar | None = None
+        self._task: TaskID | None = None
+
+    def progress(self, step: str) -> None:
+        """Say which step the work is at."""
+        self.close()
+        self._terminal.progress(step)
+
+    def __call__(self, name: str, done: int, total: int) -> None:
+        """Show that so many runs of that name are done."""
+        if name != self._name or done <= self._first:
+            self.close()
+            self._name, self._began, self._first = name, time.monotonic(), done
+            self._begin(self._titled(name), done, total)
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done)
+            if done == total:
+                self.close()
+        elif done * _TOLD // total > (done - 1) * _TOLD // total:
+            sys.stderr.write(f"{self._titled(name)} {done} of {total}{self._left(done, total)}\n")
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._name = ""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = self._task = None
+
+    def _titled(self, name: str) -> str:
+        if name not in self._stages or len(self._stages) == 1:
+            return name
+        return f"stage {self._stages.index(name) + 1} of {len(self._stages)}: {name}"
+
+    def _begin(self, title: str, done: int, total: int) -> None:
+        if not sys.stderr.isatty():
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        self._terminal.close()
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._task = self._bar.add_task(title, total=total, completed=done)
+        self._bar.start()
+
+    def _left(self, done: int, total: int) -> str:
+        seconds = (time.monotonic() - self._began) * (total - done) / max(done - self._first, 1)
+        if done == total or seconds < 1:
+            return ""
+        of_what = " of this stage" if self._name in self._stages[:-1] else ""
+        return f", {seconds:.0f} s{of_what} left" if seconds < 100 else f", {seconds / 60:.0f} min{of_what} left"
