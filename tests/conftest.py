@@ -5,6 +5,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: threads of small products only wait for each other
+
 import hypothesis
 import numpy as np
 import pytest
@@ -34,7 +36,10 @@ from gnomon.diagnostics import (
 )
 from gnomon.findings import Finding
 from gnomon.recording import Source
+from tiers import pytest_addoption, pytest_collection_modifyitems, pytest_configure
 from trust_example import example_trust
+
+__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure"]
 
 # The same examples on every run, and no limits by the clock, which a busy machine exceeds: what fails here fails for
 # everyone.

@@ -1,0 +1,93 @@
+"""The quick tier of the tests: what a newcomer needs to believe the tool works, and what is run after each change.
+
+`pytest --quick` leaves out what durations.json says is costly, and keeps what is marked `main`: one job of each kind,
+from a recording to the report. `pytest --record-durations` (`make durations`) writes that file: CPU seconds of each
+test over 0.1 s, and of the fixtures of each file over 0.5 s. CPU times on one machine tell costly from cheap well
+enough on all; no test fails by the clock.
+"""
+
+import json
+import os
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DURATIONS = Path(__file__).with_name("durations.json")
+QUICK_CALL_S, QUICK_FIXTURES_S = 0.25, 1.5
+LONG_S = 3.0
+"""A test that takes longer is marked `long`, by somebody who has asked himself why."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("tiers")
+    group.addoption("--quick", action="store_true", help="leave out what tests/durations.json says is costly")
+    group.addoption("--record-durations", action="store_true", help="write tests/durations.json; run all tests")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out costly tests where that is asked for; refuse a long one that is not marked as such."""
+    known = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {"calls": {}, "fixtures": {}}
+    unmarked = [
+        item.nodeid
+        for item in items
+        if known["calls"].get(item.nodeid, 0.0) > LONG_S
+        and not any(item.get_closest_marker(name) for name in ("long", "slow"))
+    ]
+    if unmarked and not config.getoption("--record-durations"):
+        raise pytest.UsageError(
+            f"over {LONG_S:g} s and not marked `long`: {', '.join(unmarked)}. Make them shorter, or mark them."
+        )
+    if config.getoption("--quick"):
+        costly = [item for item in items if _is_costly(item, known)]
+        if costly:
+            config.hook.pytest_deselected(items=costly)
+            items[:] = [item for item in items if not _is_costly(item, known)]
+
+
+def _is_costly(item: pytest.Item, known: dict[str, dict[str, float]]) -> bool:
+    call, fixtures = known["calls"].get(item.nodeid, 0.0), known["fixtures"].get(item.nodeid.split("::")[0], 0.0)
+    return not item.get_closest_marker("main") and (call > QUICK_CALL_S or fixtures > QUICK_FIXTURES_S)
+
+
+def _cpu_s() -> float:
+    return sum(os.times()[:4])  # of this process and its children
+
+
+class Recorder:
+    """Gathers CPU times: measured where a test runs, sent with its reports, written where the session ends."""
+
+    def __init__(self) -> None:
+        self.calls: dict[str, float] = {}
+        self.fixtures: dict[str, float] = {}
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[Any]) -> Generator[None, Any, Any]:
+        report = yield
+        report.user_properties = [("cpu_s", _cpu_s() - self.start_s)]
+        self.start_s = _cpu_s()
+        return report
+
+    def pytest_runtest_logstart(self) -> None:
+        self.start_s = _cpu_s()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        seconds = dict(report.user_properties).get("cpu_s", 0.0)
+        if report.when == "call":
+            self.calls[report.nodeid] = seconds
+        else:
+            file = report.nodeid.split("::")[0]
+            self.fixtures[file] = self.fixtures.get(file, 0.0) + seconds
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if not hasattr(session.config, "workerinput"):
+            calls = {name: round(s, 2) for name, s in sorted(self.calls.items()) if s > 0.1}
+            fixtures = {name: round(s, 2) for name, s in sorted(self.fixtures.items()) if s > 0.5}
+            text = json.dumps({"calls": calls, "fixtures": fixtures}, indent=0, ensure_ascii=False)
+            DURATIONS.write_text(text + "\n", encoding="utf-8")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--record-durations"):
+        config.pluginmanager.register(Recorder(), "durations")
