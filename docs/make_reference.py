@@ -1,9 +1,9 @@
-"""Write the generated pages of the reference: docs/cli.md and docs/python.md.
+"""Write the generated pages of the reference: docs/cli.md, docs/python.md and docs/symptoms.md.
 
     python docs/make_reference.py
 
-Both follow from the code: the commands from their dataclasses, the Python names from `gnomon.__all__` and their
-docstrings. A test fails where the pages are older than the code.
+All follow from the code: the commands from their dataclasses, the Python names from `gnomon.__all__` and their
+docstrings, the symptoms from the catalogue of findings. A test fails where the pages are older than the code.
 """
 
 import ast
@@ -22,6 +22,7 @@ import tyro.conf
 import gnomon
 from gnomon.camera_options import CameraOptions
 from gnomon.cli.commands import COMMANDS
+from gnomon.findings import read_catalogue
 from gnomon.options import CameraImuOptions, ImuOptions, NoiseOptions
 from gnomon.simulate import (
     CameraImuPlan,
@@ -189,7 +190,26 @@ def main() -> None:
 
 def pages() -> dict[str, str]:
     """Return the text of every generated page by its name."""
-    return {"cli.md": _cli_page(), "python.md": _python_page()}
+    return {"cli.md": _cli_page(), "python.md": _python_page(), "symptoms.md": _symptoms_page()}
+
+
+def _symptoms_page() -> str:
+    parts = [GENERATED]
+    for entry in read_catalogue():
+        if "section" in entry:
+            parts.append(f"\n## {entry['section']}\n")
+        if "page" in entry or "text" in entry:
+            text = entry.get("page", entry.get("text", ""))
+            parts.append(_wrapped(text) if text.startswith("- ") else f"\n{text}\n")
+        if "when" in entry:
+            codes = [entry["code"].partition("/")[0], *entry.get("together", [])]
+            names = ", ".join(f"**`{code}`**" for code in codes)
+            parts.append(_wrapped(f"- {names} ({entry['when']}): {entry['explained']}"))
+    return re.sub("\n{3,}", "\n\n", "\n".join(parts)).strip("\n") + "\n"
+
+
+def _wrapped(item: str) -> str:
+    return textwrap.fill(item, 120, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def _cli_page() -> str:

@@ -1,8 +1,16 @@
-"""What was noticed: a fact, what follows from it, and what to do about it."""
+"""What was noticed: a fact, what follows from it, and what to do about it.
+
+The texts are those of the catalogue, `findings.yaml`; code gives facts, and `make_finding` fills them in.
+"""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from functools import cache
+from math import pi
+from pathlib import Path
+from string import Formatter
+from typing import Any, Literal
 
 Severity = Literal["good", "info", "warning", "problem"]
 """good: checked and fine; info: good to know; warning: the result suffers; problem: the result cannot be used."""
@@ -34,6 +42,62 @@ class Finding:
 
     def __str__(self) -> str:
         return " ".join(part for part in (self.message, self.consequence, self.cure) if part)
+
+
+CATALOGUE = Path(__file__).with_suffix(".yaml")
+
+_SCALED = re.compile("(%|m|u|deg)?(.*)", re.DOTALL)
+_SCALE = {"%": 100, "m": 1e3, "u": 1e6, "deg": 180 / pi}
+
+
+class _Template(Formatter):
+    """Texts whose numbers may be shown in other units: {share:%.0f}, {shift_s:m.2g} for ms, {angle_rad:deg.1f}."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        scale, spec = _SCALED.fullmatch(format_spec).groups()  # pyright: ignore[reportOptionalMemberAccess]
+        return format(_SCALE[scale] * value if scale else value, spec)
+
+
+_TEMPLATE = _Template()
+
+
+def read_catalogue() -> list[dict[str, Any]]:
+    """Return the catalogue of findings in its order; its first lines say what the keys mean."""
+    import yaml
+
+    return yaml.load(CATALOGUE.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+
+
+@cache
+def _templates() -> dict[str, dict[str, Any]]:
+    return {entry["code"]: entry for entry in read_catalogue() if "code" in entry}
+
+
+def make_finding(
+    key: str, /, *, severity: Severity | None = None, case: str | tuple[str, ...] = "", **facts: object
+) -> Finding:
+    """Return the finding of the catalogue with these facts in its texts; a good one has no consequence and no cure.
+
+    Parameters
+    ----------
+    key : the code, and after a slash which variant of its texts
+    severity : None for that of the catalogue
+    case : which of several texts holds, where the catalogue has several; else that of "else", or none
+    facts : what the texts name
+    """
+    entry = _templates()[key]
+    cases = (case,) if isinstance(case, str) else case
+    texts = {name: _text(entry.get(name, ""), cases, facts) for name in ("message", "consequence", "cure", "subject")}
+    graded: Severity = severity or entry["severity"]
+    if graded == "good":
+        texts["consequence"] = texts["cure"] = ""
+    return Finding(severity=graded, code=key.partition("/")[0], **texts)
+
+
+def _text(template: str | Mapping[str, str], cases: tuple[str, ...], facts: Mapping[str, object]) -> str:
+    if not isinstance(template, str):
+        template = next((template[case] for case in (*cases, "else") if case in template), "")
+    return _TEMPLATE.vformat(template, (), facts).strip()
 
 
 _STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..estimate.camera_imu.layout import Layout
 from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats
 
 _FOCAL_WARN, _PRINCIPAL_WARN_PX = 0.03, 15.0
@@ -62,40 +62,19 @@ def delays_found(
 
 def _delay(name: str, shift_s: float, sigma_s: float) -> Finding:
     later, earlier = ("accelerometer", "gyroscope") if shift_s < 0 else ("gyroscope", "accelerometer")
-    return Finding(
-        severity="info",
-        code=_DELAYED,
-        message=f"The {later} of {name} comes {1e3 * abs(shift_s):.3g} +- {1e3 * sigma_s:.2g} ms later than its "
-        f"{earlier}.",
-        consequence="The delay was estimated along, so that it bends nothing; the time shifts are those of the "
-        "gyroscope's stamps.",
-        cure="Filters in the sensor do that: give both triads the same one, or correct the accelerometer's stamps by "
-        "this delay where the IMU is used.",
+    return make_finding(
+        "triads-apart/estimated", name=name, shift_s=abs(shift_s), sigma_s=sigma_s, later=later, earlier=earlier
     )
 
 
 def steps_left_out(failed: Mapping[str, str]) -> list[Finding]:
     """Say which steps the recording asks for, but could not be estimated: step -> reason."""
-    return [
-        Finding(
-            severity="warning",
-            code="step-left-out",
-            message=f"The recording asks for {name} in the model, but with it the estimation failed: {reason}",
-            consequence="The result is that of the model without it, which leaves something out.",
-            cure="State what is known of it (--prior, --fix), or record for longer, about and along all three axes.",
-        )
-        for name, reason in failed.items()
-    ]
+    return [make_finding("step-left-out", name=name, reason=reason) for name, reason in failed.items()]
 
 
 def comparison_left_out(what: str, reason: str) -> Finding:
     """Say that something could not be estimated that would only have been compared with the result."""
-    return Finding(
-        severity="info",
-        code="comparison-left-out",
-        message=f"There is no comparison with {what}, which could not be estimated: {reason}",
-        consequence="The result does not depend on it.",
-    )
+    return make_finding("comparison-left-out", what=what, reason=reason)
 
 
 def out_of_order(columns: Layout, found: Parameters) -> list[Finding]:
@@ -107,16 +86,7 @@ def out_of_order(columns: Layout, found: Parameters) -> list[Finding]:
             continue
         if np.any(imu.S_g != 1):
             continue  # somebody knows it
-        findings.append(
-            Finding(
-                severity="warning",
-                code="model-too-simple",
-                message=f"The g-sensitivity of imu{i} is estimated, and its gyroscope's scale is taken for ideal.",
-                consequence="Scale and misalignment, 1 % of the rate as a rule, pass for g-sensitivity and bias; "
-                "the stated sigmas do not hold that.",
-                cure=f"Estimate them, too: --model full, or --free imu{i}.S_g --free imu{i}.M_g.",
-            )
-        )
+        findings.append(make_finding("model-too-simple/scale-fixed", i=i))
     return findings
 
 
@@ -125,13 +95,7 @@ def _lever_arms(name: str, imu: ImuParameters) -> Finding:
         f"{axis} at {' '.join(f'{1e3 * value:.1f}' for value in place)} mm"
         for axis, place in zip("xyz", imu.places.tolist(), strict=True)
     )
-    return Finding(
-        severity="info",
-        code="lever-arms-found",
-        message=f"The accelerometers of {name} do not sit at one point: seen from its origin, {apart}.",
-        consequence=f"The model holds that; its origin, which T_cam_imu is of, is {imu.origin.words}.",
-        cure="Where a filter takes the IMU for one point, fast rotation will look like acceleration by that much.",
-    )
+    return make_finding("lever-arms-found", name=name, apart=apart, words=imu.origin.words)
 
 
 def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -> Finding:
@@ -148,11 +112,13 @@ def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -
     elif not board_told:
         consequence = "A board that is not flat looks the same in so short a recording: either may be wrong."
         cure = "See that the board is flat, or record for 20 s: that tells the two apart."
-    return Finding(
+    return make_finding(
+        "lens-found",
         severity="warning" if doubtful or not board_told else "info",
-        code="lens-found",
-        message=f"The lens of {found.name} is not as stated: focal length {100 * focal:+.2g} %, principal point "
-        f"{moved:.2g} px away{bent}.",
+        name=found.name,
+        focal=focal,
+        moved=moved,
+        bent=bent,
         consequence=consequence,
         cure=cure,
     )
@@ -160,13 +126,7 @@ def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -
 
 def _board(offsets: Floats) -> Finding:
     rms, most = (1e3 * f(np.linalg.norm(offsets, axis=1)) for f in (_rms, np.max))
-    return Finding(
-        severity="info",
-        code="board-found",
-        message=f"Corners of the board lie {rms:.2g} mm (rms, at most {most:.2g} mm) from their places, in all frames.",
-        consequence="Print, plate or detector; the corners' places were estimated along.",
-        cure="A flat board, printed sharply and lit evenly, needs less of it.",
-    )
+    return make_finding("board-found/rig", rms=rms, most=most)
 
 
 def _rms(values: Floats) -> float:

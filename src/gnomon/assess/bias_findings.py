@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from ..estimate.trust.cluster_trust import Instability
-from ..findings import Finding
+from ..findings import Finding, make_finding
 
 _SHOWN_IN = {"accelerometer": "m/s^2", "gyroscope": "rad/s", "magnetometer": "of the field"}
 
@@ -23,14 +23,13 @@ def bias_findings(instabilities: Sequence[Instability], per_si: Mapping[str, flo
         triad = one.block.split(".")[1]
         scale = 1 / per_si[triad]
         findings.append(
-            Finding(
-                severity="info",
-                code="bias-instability",
-                message=f"The {triad}'s bias changed during the recording by {scale * one.size:.2g} "
-                f"{_SHOWN_IN[triad]} ({one.where}), {one.size / one.sigma:.1f} times what its noise explains.",
-                consequence="The bias given is the mean over this recording, and so is its sigma. After the next "
-                "switching on, or in another warmth, expect a change at least as large.",
-                cure="Let the sensor warm up before recording, and estimate the bias anew wherever the sensor is used.",
+            make_finding(
+                "bias-instability/recordings",
+                triad=triad,
+                moved=scale * one.size,
+                unit=_SHOWN_IN[triad],
+                where=one.where,
+                sigmas=one.size / one.sigma,
             )
         )
     return findings

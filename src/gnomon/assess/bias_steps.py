@@ -4,7 +4,7 @@ import numpy as np
 
 from ..diagnostics import BiasSegments, ImuDiagnostics
 from ..estimate.multiposition.model import PARAMETERS
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats
 from .imu_tables import ImuEvidence, interval_numbers
 from .left_out import cluster
@@ -41,26 +41,15 @@ def drift_findings(evidence: ImuEvidence) -> list[Finding]:
         size = float(np.abs(moved).max())
         if functions.of_kind("warm-up").any():
             findings.append(
-                Finding(
-                    severity="info",
-                    code="warm-up",
-                    message=f"The {triad}'s bias moved by up to {_shown(triad, float(np.ptp(moved, axis=0).max()))} "
-                    f"like that of a sensor that warms up: with a time constant of {fit.changes[k].warm_up_s:.0f} s.",
-                    consequence="The course is part of the model; the bias given is its mean over the recording, which "
-                    "is not the one of the warm sensor.",
-                    cure="Let the sensor warm up before it is used or calibrated.",
+                make_finding(
+                    "warm-up",
+                    triad=triad,
+                    moved=_shown(triad, float(np.ptp(moved, axis=0).max())),
+                    warm_up_s=fit.changes[k].warm_up_s,
                 )
             )
         elif size > 0:
-            findings.append(
-                Finding(
-                    severity="info",
-                    code=f"{triad}-drift",
-                    message=f"The {triad}'s bias wandered by up to {_shown(triad, size)} during the recording.",
-                    consequence="The wandering is part of the model; the bias given is its mean over time.",
-                    cure="Let the sensor warm up before it is used or calibrated.",
-                )
-            )
+            findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, size)))
     return findings
 
 
@@ -75,13 +64,8 @@ def step_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Fi
         marked[evidence.rows] = functions.at_rest[:, alone].any(axis=1)
         several = int(marked.sum()) > 1
         findings.append(
-            Finding(
-                severity="info",
-                code="rates-left-out",
-                message=f"The gyroscope's mean in static interval{'s' if several else ''} {interval_numbers(marked)} "
-                f"of {len(marked)} is not used: it does not go with the others.",
-                consequence="Gravity of these intervals and the rotations beside them are used.",
-                cure="Let go of the sensor in every attitude, and power it throughout.",
+            make_finding(
+                "rates-left-out", plural="s" if several else "", intervals=interval_numbers(marked), count=len(marked)
             )
         )
     return findings
@@ -104,14 +88,12 @@ def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[
     if not row:
         return _cluster_finding(evidence, diagnostics)
     return [
-        Finding(
+        make_finding(
+            "sensor-changed/gap",
             severity="problem" if severity == "problem" else "warning",
-            code="sensor-changed",
-            message=f"Between {found.stop_s[row - 1]:.1f} s and {found.start_s[row]:.1f} s the accelerometer's scales "
-            "or axes changed, not its bias alone: another sensor, another range, or another mounting from there on.",
-            consequence="One calibration cannot be right for both parts.",
-            cure=f"Cut the recording at {0.5 * (found.stop_s[row - 1] + found.start_s[row]):.1f} s and calibrate the "
-            "parts one by one.",
+            stop_s=found.stop_s[row - 1],
+            start_s=found.start_s[row],
+            between_s=0.5 * (found.stop_s[row - 1] + found.start_s[row]),
         )
     ]
 
@@ -130,13 +112,8 @@ def _cluster_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list
     marked = ~rests.used
     marked[:first], marked[last + 1 :] = False, False
     return [
-        Finding(
-            severity="warning",
-            code="sensor-changed",
-            message=f"Static intervals {interval_numbers(marked)} of {len(marked)} do not agree with the others, and "
-            f"lie together: {when} something differs: another sensor, a knock, a clamp, or the temperature.",
-            consequence="They are not used: the result holds for the rest of the recording alone.",
-            cure=f"Find out what was changed there, cut the recording at {at}, and calibrate the longest part alone.",
+        make_finding(
+            "sensor-changed/intervals", intervals=interval_numbers(marked), count=len(marked), when=when, at=at
         )
     ]
 
@@ -156,15 +133,16 @@ def _step_finding(evidence: ImuEvidence, one: BiasSegments) -> Finding:
     more = f"; and {len(where) - _SHOWN} more" if len(where) > _SHOWN else ""
     t_s = evidence.accelerometer.t_s[evidence.accelerometer.intervals.start]
     few = int(np.sum(t_s >= one.start_s[one.published])) < _SHORT
-    return Finding(
+    return make_finding(
+        "bias-step",
         severity="warning" if few else "info",
-        code="bias-step",
-        message=f"The {one.triad}'s bias stepped by {'; by '.join(where[:_SHOWN])}{more}, as after switching off and "
-        "on, or where recordings were joined.",
-        consequence="Each part has a bias of its own, and the rotation across the step is not used. The bias given is "
-        f"that of the last part. Bias by parts [{unit}]: {'; '.join(parts[-_SHOWN:])}."
-        + (f" The last part has fewer than {_SHORT} static intervals." if few else ""),
-        cure="Power the sensor throughout, and estimate the bias anew after each switching on.",
+        triad=one.triad,
+        where="; by ".join(where[:_SHOWN]),
+        more=more,
+        case="few" if few else "",
+        unit=unit,
+        parts="; ".join(parts[-_SHOWN:]),
+        short=_SHORT,
     )
 
 

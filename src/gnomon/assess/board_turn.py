@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..estimate.camera_imu.board_poses import BoardPoses
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats
 
@@ -140,24 +140,8 @@ def moved_finding(move: BoardMove) -> Finding:
     """Return what to say of a board that was moved."""
     when = f"{move.after_s:.0f} s after {move.cameras[0]} first saw it: {' and '.join(move.cameras)} saw"
     if move.shift_m > 0:
-        return Finding(
-            severity="warning",
-            code="board-moved",
-            message=f"The board shifted by {1e3 * move.shift_m:.2g} mm or more, {when} a shift that the accelerometer "
-            "did not feel.",
-            consequence="The trajectory is bent there to pass from one place of the board to the other, and what is "
-            "estimated with it.",
-            cure="Fix the board to a wall or a heavy table, and the camera to the IMU. Cut the recording there and use "
-            "the longer part.",
-        )
-    return Finding(
-        severity="problem",
-        code="board-moved",
-        message=f"The board turned by {np.degrees(move.turn_rad):.2g} deg, {when} a turn that the gyroscope did not "
-        "feel.",
-        consequence="Gravity has another direction in the board's frame afterwards, and no trajectory fits.",
-        cure="Fix the board to a wall or a heavy table. Cut the recording there and use the longer part.",
-    )
+        return make_finding("board-moved/shifted", shift_m=move.shift_m, when=when)
+    return make_finding("board-moved/turned", turn_rad=move.turn_rad, when=when)
 
 
 def _agreeing(total: Floats, covariance: Floats) -> Floats:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.target import Target
 from ..recording import CameraFrames, ImuSamples, Integers, Recording
 from .camera_views import FEWEST_CORNERS, Views, image_coverage, views
@@ -48,15 +48,7 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
     findings = [finding for name, imu in recording.imus.items() for finding in check_moving_imu(name, imu)]
     findings += [finding for finding in check_epochs(all_stamps(recording)) if finding.severity == "problem"]
     if not recording.cameras:
-        findings.append(
-            Finding(
-                severity="problem",
-                code="cameras-missing",
-                message="There is no camera in this recording.",
-                consequence="Only an IMU alone can be calibrated from it, if it rests in many attitudes.",
-                cure="Give the folder with the corners of the camera, or calibrate with gnomon imu.",
-            )
-        )
+        findings.append(make_finding("cameras-missing/rig"))
     for name, frames in recording.cameras.items():
         findings += _check_camera(name, frames, target)
         for imu in beside(name, recording.cameras, recording.imus):
@@ -104,23 +96,18 @@ def impossible(name: str, frames: CameraFrames, target: Target) -> Finding | Non
     """Return why no calibration can use the frames of a camera, or None."""
     back = np.flatnonzero(np.diff(frames.t_ns) <= 0)
     if len(back):
-        return Finding(
-            severity="problem",
-            code="frames-backward",
-            message=f"{name}: the stamp of frame {int(back[0]) + 1} is not later than that of the frame before, as in "
-            f"{len(back)} of {len(frames.t_ns)} frames.",
-            consequence="The order of the frames is not known.",
-            cure="Sort the frames by their stamps, and give each stamp once.",
+        return make_finding(
+            "frames-backward/corners", name=name, frame=int(back[0]) + 1, count=len(back), frames=len(frames.t_ns)
         )
     beyond = (frames.point < 0) | (frames.point >= len(target.points))
     if beyond.any():
-        return Finding(
-            severity="problem",
-            code="corners-unknown",
-            message=f"{name}: {int(np.count_nonzero(beyond))} of {len(beyond)} corners are not on the target, which "
-            f"has points 0 to {len(target.points) - 1}; the first is point {frames.point[int(np.argmax(beyond))]}.",
-            consequence="The board is another one, so that nothing fits.",
-            cure="Give the target of the board that was seen.",
+        return make_finding(
+            "corners-unknown",
+            name=name,
+            unknown=int(np.count_nonzero(beyond)),
+            corners=len(beyond),
+            last=len(target.points) - 1,
+            point=frames.point[int(np.argmax(beyond))],
         )
     return _outside(name, frames)
 
@@ -130,13 +117,13 @@ def _outside(name: str, frames: CameraFrames) -> Finding | None:
     outside = (u < -0.5) | (v < -0.5) | (u > width - 0.5) | (v > height - 0.5)
     if np.count_nonzero(outside) <= 0.5 * len(outside):
         return None
-    return Finding(
-        severity="problem",
-        code="corners-outside",
-        message=f"{name}: {int(np.count_nonzero(outside))} of {len(outside)} corners lie outside the image of "
-        f"{width} x {height} px.",
-        consequence="Intrinsics and resolution are those of another camera or image size.",
-        cure="Give the camchain of this camera, at the size of the images in which the corners were detected.",
+    return make_finding(
+        "corners-outside",
+        name=name,
+        outside=int(np.count_nonzero(outside)),
+        corners=len(outside),
+        width=width,
+        height=height,
     )
 
 
@@ -146,18 +133,14 @@ def _count(name: str, frames: CameraFrames, seen: Views, target: Target) -> Find
     message = f"{name}: {len(frames.t_ns)} frames in {span_s:.1f} s, the board in {usable} of them"
     if usable >= _ENOUGH_FRAMES:
         corners = int(np.median(seen.corners[seen.usable]))
-        return Finding(
-            severity="good",
-            code="frames",
-            message=f"{message}, usually {corners} of its {len(target.points)} corners.",
-        )
+        return make_finding("frames/corners", message=message, corners=corners, points=len(target.points))
     few = usable < FEWEST_FRAMES
-    return Finding(
+    return make_finding(
+        "frames-few",
         severity="problem" if few else "warning",
-        code="frames-few",
-        message=f"{message} ({FEWEST_CORNERS} corners or more, not on one line).",
-        consequence="They do not tell how the camera moved." if few else "The result will be uncertain.",
-        cure="Record for a minute at 20 Hz, with the board in sight and sharp.",
+        case="few" if few else "",
+        message=message,
+        fewest_corners=FEWEST_CORNERS,
     )
 
 
@@ -175,13 +158,12 @@ def _repeated(name: str, frames: CameraFrames) -> list[Finding]:
         return []
     share = len(same) / max(int(np.count_nonzero(count)), 1)
     return [
-        Finding(
+        make_finding(
+            "frames-repeated",
             severity="warning" if share > _REPEATED else "info",
-            code="frames-repeated",
-            message=f"{name}: {len(same)} frames ({100 * share:.2g} %) show the same corners as the frame before, to "
-            "the last digit: the same image was delivered twice, under a new stamp.",
-            consequence="The camera seems to stand still and then to jump; such frames bend the result.",
-            cure="Look at the driver's buffers and at the load of the computer; record at a lower frame rate.",
+            name=name,
+            count=len(same),
+            share=share,
         )
     ]
 
@@ -193,13 +175,14 @@ def _useless(name: str, seen: Views) -> list[Finding]:
     share = useless / len(seen.usable)
     many = share > _MANY
     return [
-        Finding(
+        make_finding(
+            "corners-few",
             severity="warning" if many else "info",
-            code="corners-few",
-            message=f"{name}: {useless} of {len(seen.usable)} frames with corners have fewer than {FEWEST_CORNERS} of "
-            "them, or all on one line.",
-            consequence="Such frames tell no pose of their own.",
-            cure="Keep the board in sight; more light and a shorter exposure keep it sharp." if many else "",
+            case="many" if many else "",
+            name=name,
+            useless=useless,
+            frames=len(seen.usable),
+            fewest_corners=FEWEST_CORNERS,
         )
     ]
 
@@ -210,24 +193,15 @@ def check_rhythm(name: str, t_ns: Integers) -> list[Finding]:
     period = float(np.median(steps))
     findings: list[Finding] = []
     if 1e9 / period < _SLOW_HZ:
-        findings.append(
-            Finding(
-                severity="warning",
-                code="frame-rate",
-                message=f"{name}: {1e9 / period:.2g} frames a second.",
-                consequence="Between frames the trajectory rests on the IMU alone, whose errors are to be found.",
-                cure="Record at 20 Hz.",
-            )
-        )
+        findings.append(make_finding("frame-rate", name=name, rate_hz=1e9 / period))
     if float(np.median(np.abs(steps - period))) > _JITTER * period:
         findings.append(
-            Finding(
-                severity="warning",
-                code="frame-jitter",
-                message=f"{name}: the stamps are irregular: half of the steps are {period * 1e-6:.3g} ms or less, "
-                f"their mean is {steps.mean() * 1e-6:.3g} ms, the longest {steps.max() * 1e-6:.4g} ms.",
-                consequence="Such stamps may tell when frames arrived, not when they were exposed.",
-                cure="Stamp the frames at their exposure, or use the camera's own clock.",
+            make_finding(
+                "frame-jitter",
+                name=name,
+                period_ms=period * 1e-6,
+                mean_ms=steps.mean() * 1e-6,
+                longest_ms=steps.max() * 1e-6,
             )
         )
         return findings
@@ -237,13 +211,16 @@ def check_rhythm(name: str, t_ns: Integers) -> list[Finding]:
         longest = int(gaps[np.argmax(steps[gaps])])
         severe = lost > _LOST_SHARE * len(t_ns)
         findings.append(
-            Finding(
+            make_finding(
+                "frame-gaps",
                 severity="warning" if severe else "info",
-                code="frame-gaps",
-                message=f"{name}: {len(gaps)} gap{'s' * (len(gaps) > 1)}, about {lost} frames missing; the longest "
-                f"lasts {steps[longest] * 1e-9:.3g} s, {_seconds(t_ns, longest):.2f} s after the start.",
-                consequence="The IMU bridges short gaps; long ones leave the trajectory loose.",
-                cure="Record to a faster disk, or at a lower frame rate." if severe else "",
+                case="severe" if severe else "",
+                name=name,
+                count=len(gaps),
+                plural="s" * (len(gaps) > 1),
+                lost=lost,
+                longest_s=steps[longest] * 1e-9,
+                at=_seconds(t_ns, longest),
             )
         )
     return findings
@@ -258,16 +235,7 @@ def _unseen(name: str, usable: Integers) -> list[Finding]:
     length_s = float(usable[longest + 1] - usable[longest]) * 1e-9
     if length_s <= _UNSEEN_S:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="board-unseen",
-            message=f"{name}: the board is out of sight for {length_s:.1f} s, from {_seconds(usable, longest):.1f} s "
-            "after it was first seen.",
-            consequence="There the trajectory rests on the IMU alone and tells little.",
-            cure="Move so that the board stays in the image.",
-        )
-    ]
+    return [make_finding("board-unseen", name=name, length_s=length_s, at=_seconds(usable, longest))]
 
 
 def _duration(name: str, usable: Integers) -> list[Finding]:
@@ -276,14 +244,12 @@ def _duration(name: str, usable: Integers) -> list[Finding]:
         return []
     short = length_s < _SHORT_S
     return [
-        Finding(
+        make_finding(
+            "stream-short/camera",
             severity="problem" if short else "warning",
-            code="stream-short",
-            message=f"{name}: the board is seen for {length_s:.1f} s.",
-            consequence="That is too short to find the time shift and the biases."
-            if short
-            else "Biases are uncertain.",
-            cure="Record for a minute, and turn about all three axes.",
+            case="short" if short else "",
+            name=name,
+            length_s=length_s,
         )
     ]
 
@@ -295,26 +261,16 @@ def _image(name: str, frames: CameraFrames, seen: Views) -> list[Finding]:
     extent = float(np.median(seen.extent_px[seen.usable])) / float(np.hypot(*frames.camera.resolution))
     good = covered >= _COVERED
     findings.append(
-        Finding(
+        make_finding(
+            "image-coverage/recorded",
             severity="good" if good else "warning",
-            code="image-coverage",
-            message=f"{name}: corners were seen in {100 * covered:.0f} % of the image.",
-            consequence=""
-            if good
-            else "Errors of the intrinsics in the rest of the image stay hidden, and bend the pose.",
-            cure="" if good else "Let the board come into every part of the image.",
+            case="good" if good else "",
+            name=name,
+            covered=covered,
         )
     )
     if extent < _SMALL:
-        findings.append(
-            Finding(
-                severity="warning",
-                code="board-small",
-                message=f"{name}: the board usually spans {100 * extent:.0f} % of the image's diagonal.",
-                consequence="A small board tells the pose badly, and with it the translation between camera and IMU.",
-                cure="Come closer, so that the board fills half of the image.",
-            )
-        )
+        findings.append(make_finding("board-small/rig", name=name, extent=extent))
     return findings
 
 
@@ -340,13 +296,13 @@ def check_common_time(
     some = common > 0
     found = f"only {common:.1f} s" if some else "no time"
     return [
-        Finding(
+        make_finding(
+            "streams-apart",
             severity="warning" if some and common < _SHORT_S else "info",
-            code="streams-apart",
-            message=f"{camera} and {imu_name} have {found} in common by their stamps ({camera} lasts "
-            f"{(last - first) * 1e-9:.1f} s, {imu_name} {samples.duration_s:.1f} s).",
-            consequence="Their clocks are taken for unrelated; the time shift is searched over everything.",
-            cure="If they have one clock, check that both streams are of one recording and that their stamps have the "
-            "same unit.",
+            camera=camera,
+            imu_name=imu_name,
+            found=found,
+            camera_s=(last - first) * 1e-9,
+            duration_s=samples.duration_s,
         )
     ]

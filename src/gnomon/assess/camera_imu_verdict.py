@@ -6,7 +6,7 @@ from ..calibration import Assessment, CameraImuFit
 from ..diagnostics import CameraImuDiagnostics, NoiseLevel
 from ..estimate.camera_imu.first_guess import imu_stream
 from ..estimate.camera_imu.model_ladder import LADDER
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import MISFIT, CameraImuEvidence
 from .clock_drift import check_drift
@@ -103,15 +103,7 @@ def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
     if evidence.solution.converged:
         return []
     accepted = sum(step.accepted for step in evidence.solution.iterations)
-    return [
-        Finding(
-            severity="problem",
-            code="not-converged",
-            message=f"The batch estimation did not come to rest within {accepted} iterations.",
-            consequence="Its parameters are not a minimum.",
-            cure="Check the target's size, the intrinsics and the units of the IMU; move about all three axes.",
-        )
-    ]
+    return [make_finding("not-converged/rig", accepted=accepted)]
 
 
 def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
@@ -122,27 +114,9 @@ def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
     for look in evidence.looks:
         axes, score = look.alignment.axes, look.alignment.score
         if axes[1] < _ONE_AXIS * axes[0]:
-            findings.append(
-                Finding(
-                    severity="problem",
-                    code="rotation-one-axis",
-                    message=f"{look.name} turned about one axis only: {axes[0]:.2g} rad/s (rms) about it, "
-                    f"{axes[1]:.2g} rad/s about any other.",
-                    consequence="The translation along that axis, and much of the gyroscope, are not determined.",
-                    cure="Turn about all three axes: nod, shake and roll.",
-                )
-            )
+            findings.append(make_finding("rotation-one-axis", name=look.name, axis_rate=axes[0], second_rate=axes[1]))
         if score < _EXPLAINED and not fits:
-            findings.append(
-                Finding(
-                    severity="warning",
-                    code="rotation-disagrees",
-                    message=f"The gyroscope explains {100 * max(score, 0):.0f} % of the rotation of {look.name} "
-                    "before the batch estimation.",
-                    consequence="The time shift may be wrong, or the frames are stamped irregularly.",
-                    cure="Check that both streams are of one recording, and how frames are stamped.",
-                )
-            )
+            findings.append(make_finding("rotation-disagrees", score=max(score, 0), name=look.name))
     return findings
 
 
@@ -163,12 +137,8 @@ def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> 
     vital = [name for name in held if any(part in name for part in PLACES_AND_CLOCKS)]
     return [
         *findings,
-        Finding(
-            severity="problem" if vital else "warning",
-            code="not-observable",
-            message=f"The recording does not determine {_listed(vital or list(held))}.",
-            consequence="Their values are those of the start, and their sigmas those of a weak prior.",
-            cure="Record again: turn about all three axes, move to and fro along all three, one to two minutes.",
+        make_finding(
+            "not-observable/rig", severity="problem" if vital else "warning", parameters=_listed(vital or list(held))
         ),
     ]
 
@@ -185,13 +155,11 @@ def _residuals(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -
         severity = _graded(sigma, _PIXELS_WARN, _PIXELS_FAIL)
         if severity is not None:
             findings.append(
-                Finding(
+                make_finding(
+                    "reprojection/rig",
                     severity="problem" if severity == "problem" else "warning",
-                    code="reprojection",
-                    message=f"Corners of {look.name} lie {sigma:.2g} px (one sigma, per axis) from where they should; "
-                    "0.05 to 0.5 px is usual.",
-                    consequence="The lens model is not that of this camera, or the board is not the stated one.",
-                    cure="Check camchain.yaml (camera, model, resolution) and target.yaml; calibrate the camera anew.",
+                    name=look.name,
+                    sigma=sigma,
                 )
             )
     return findings
@@ -210,12 +178,14 @@ def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Findin
         counts.pop("no board found", None)
         why = ", ".join(f"{count} {_plainly(reason)}" for reason, count in counts.items())
         findings.append(
-            Finding(
+            make_finding(
+                "frames-left-out",
                 severity="info" if severity is None else "problem" if severity == "problem" else "warning",
-                code="frames-left-out",
-                message=f"{name}: {left} of {found} frames with corners were left out: {why}.",
-                consequence="" if severity is None else "What is left may be too little, or a biased choice.",
-                cure="" if severity is None else "Move slower or light the board better, so that frames are sharp.",
+                case="unjudged" if severity is None else "",
+                name=name,
+                left=left,
+                found=found,
+                why=why,
             )
         )
     return findings
@@ -241,14 +211,12 @@ def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
     scale = evidence.solution.state.parameters.target_scale + offset
     way = "smaller" if scale < 1 else "larger"
     return [
-        Finding(
+        make_finding(
+            "target-scale",
             severity="problem" if severity == "problem" else "warning",
-            code="target-scale",
-            message=f"The accelerometer says that the board is {100 * abs(scale - 1):.2g} % {way} than stated "
-            f"(+- {100 * sigma:.1g} %).",
-            consequence="Translations and the accelerometer's scale are wrong by about that.",
-            cure="Measure the board and correct target.yaml (tagSize, or the spacing of the corners); for AprilGrids "
-            "check tagSpacing too. If the board is right, check the unit of the accelerometer and local gravity.",
+            scale=abs(scale - 1),
+            way=way,
+            sigma=sigma,
         )
     ]
 
@@ -272,15 +240,12 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
         if grades == {None}:
             continue
         findings.append(
-            Finding(
+            make_finding(
+                "intrinsics-doubtful",
                 severity="problem" if "problem" in grades else "warning",
-                code="intrinsics-doubtful",
-                message=f"The corners contradict the intrinsics of {look.name}: focal length off by "
-                f"{100 * relative.max():.2g} %, principal point by {shift.max():.2g} px.",
-                consequence="Extrinsics and the accelerometer's scale follow that error: 0.3 % of the focal length "
-                "are some 2 mm of translation.",
-                cure="Check that camchain.yaml is of this camera, lens and resolution; calibrate the camera anew, or "
-                f"let them be estimated: --prior {look.name}.intrinsics=5.",
+                name=look.name,
+                focal=relative.max(),
+                centre_px=shift.max(),
             )
         )
     return findings
@@ -298,16 +263,7 @@ def _model(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> li
             wanting.append(step.name)
     if not wanting:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="model-too-simple",
-            message=f"The residuals ask for {_listed(wanting)}, which the model {_model_name(evidence)} holds at the "
-            "values of an ideal IMU.",
-            consequence="Extrinsics, time shift and biases take up what the model leaves out, by many of their sigmas.",
-            cure="Estimate the full model: --model full, or name what to estimate with --free.",
-        )
-    ]
+    return [make_finding("model-too-simple/suggested", wanting=_listed(wanting), model=_model_name(evidence))]
 
 
 def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
@@ -321,13 +277,11 @@ def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
         inverse = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3] @ found[:3, :3])))
         if angle > _GUESS_RAD:
             findings.append(
-                Finding(
-                    severity="warning",
-                    code="extrinsics-contradicted",
-                    message=f"T_cam_imu as stated for {look.name} is turned by {np.degrees(angle):.0f} deg from the "
-                    "estimate." + (" It is the inverse, T_imu_cam." if inverse < _GUESS_RAD else ""),
-                    consequence="The statement was not used.",
-                    cure="Check its convention: p_cam = T_cam_imu p_imu, camera x right, y down, z forward.",
+                make_finding(
+                    "extrinsics-contradicted",
+                    case="inverse" if inverse < _GUESS_RAD else "",
+                    name=look.name,
+                    angle=angle,
                 )
             )
     return findings
@@ -341,14 +295,13 @@ def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
 def _walks(diagnostics: CameraImuDiagnostics) -> list[Finding]:
     """Say where biases wander more than stated; of a weaker walk a recording says little."""
     return [
-        Finding(
-            severity="info",
-            code="walk-differs",
-            message=f"The bias of {level.name.removesuffix(_WALK)} wanders {level.estimated / level.used:.2g} times as "
-            f"strongly as was assumed, {level.estimated:.3g} instead of {level.used:.3g} {level.unit}.",
-            consequence="Sigmas for independent errors are too small; those from clusters of time hold this wandering.",
-            cure="Warm-up, vibration, or errors of lens and board look like this. Compare with a recording at rest "
-            "(gnomon noise), or let the biases follow (--noise coloured).",
+        make_finding(
+            "walk-differs",
+            name=level.name.removesuffix(_WALK),
+            ratio=level.estimated / level.used,
+            estimated=level.estimated,
+            used=level.used,
+            unit=level.unit,
         )
         for level in diagnostics.noise
         if level.name.endswith(_WALK) and level.estimated > _NOISE_FACTOR * level.used
@@ -357,13 +310,16 @@ def _walks(diagnostics: CameraImuDiagnostics) -> list[Finding]:
 
 def _white_noise(levels: list[NoiseLevel]) -> list[Finding]:
     return [
-        Finding(
+        make_finding(
+            "noise-differs",
             severity="warning" if level.estimated > _NOISE_FACTOR * level.used else "info",
-            code="noise-differs",
-            message=f"The noise of {level.name} is {level.estimated / level.nominal:.2g} times the stated one: "
-            f"{level.estimated:.3g} instead of {level.nominal:.3g} {level.unit}.",
-            consequence="The found level was used." if level.used == level.estimated else _use(level),
-            cure="Vibration raises it; a filter in the sensor lowers it. Put the found level into your filter.",
+            case="own-noise" if level.used == level.estimated else "",
+            name=level.name,
+            ratio=level.estimated / level.nominal,
+            estimated=level.estimated,
+            nominal=level.nominal,
+            unit=level.unit,
+            use=_use(level),
         )
         for level in levels
         if np.isfinite(level.nominal) and not 1 / _NOISE_FACTOR < level.estimated / level.nominal < _NOISE_FACTOR

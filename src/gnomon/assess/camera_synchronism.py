@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import CameraFrames, Floats
 
 _LONGEST_S = 0.5
@@ -120,13 +120,12 @@ def _delay(sums: list[tuple[Floats, ...]]) -> tuple[float, float, float]:
 
 def _finding(first: str, name: str, delay_s: float, moved_px: float) -> Finding:
     late = "later" if delay_s > 0 else "earlier"
-    return Finding(
+    return make_finding(
+        "cameras-unsynchronised",
         severity="problem" if moved_px > _BENDS_PX else "warning",
-        code="cameras-unsynchronised",
-        message=f"{name} took its images about {1e3 * abs(delay_s):.2g} ms {late} than {first} those of the same "
-        f"stamps: its residuals follow the motion of the board, which went on by {moved_px:.2g} px (rms) in between.",
-        consequence="One pose of the board cannot be true of both: the pose of the cameras to each other and their "
-        "lenses are bent, and corners seem bad that are not.",
-        cure="Trigger the cameras together, or hold the board still for each view. Cameras with an IMU are calibrated "
-        "with gnomon camera-imu, which estimates the time shift of each.",
+        name=name,
+        delay_s=abs(delay_s),
+        late=late,
+        first=first,
+        moved_px=moved_px,
     )

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..diagnostics import CamerasDiagnostics
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .cameras_tables import CamerasEvidence
 
 _ASPECT_WARN, _BOW_WARN = 0.005, 0.005
@@ -26,14 +26,12 @@ def board_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -
 def _aspect(evidence: CamerasEvidence) -> Finding:
     aspect, sigma = evidence.solution.rig.board.aspect, evidence.sigma("target.aspect")
     way = "longer" if aspect > 0 else "shorter"
-    return Finding(
+    return make_finding(
+        "board-aspect",
         severity="warning" if abs(aspect) > _ASPECT_WARN else "info",
-        code="board-aspect",
-        message=f"The board is {1e3 * abs(aspect):.3g} +- {1e3 * sigma:.1g} permille {way} along its y axis, against "
-        "its x axis, than target.yaml states.",
-        consequence="The model has taken that up, with x as stated. If y is right instead, all lengths are wrong by as "
-        "much; with one camera alone that concerns the poses of the board only.",
-        cure="Print without scaling to the page; measure the board along both axes.",
+        aspect=abs(aspect),
+        sigma=sigma,
+        way=way,
     )
 
 
@@ -42,13 +40,14 @@ def _bow(evidence: CamerasEvidence) -> Finding:
     along = int(np.argmax(np.abs(bow)))
     size = evidence.target.size_m[along]
     way = "towards the viewer" if bow[along] > 0 else "away from the viewer"
-    return Finding(
+    return make_finding(
+        "board-bow",
         severity="warning" if abs(bow[along]) > _BOW_WARN * size else "info",
-        code="board-bow",
-        message=f"The board is not flat: along {'xy'[along]} its middle bulges by {1e3 * abs(bow[along]):.2g} +- "
-        f"{1e3 * evidence.sigma(f'target.bow[{along}]'):.1g} mm {way}, over {1e3 * size:.0f} mm.",
-        consequence="The model has taken that up, as a parabola that stays the same in all views.",
-        cure="Glue the board onto glass, aluminium or a thick panel.",
+        axis="xy"[along],
+        bow=abs(bow[along]),
+        sigma=evidence.sigma(f"target.bow[{along}]"),
+        way=way,
+        size=size,
     )
 
 
@@ -57,12 +56,8 @@ def _corners(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> Find
     rms, most = 1e3 * float(np.sqrt(np.mean(offsets**2))), 1e3 * float(offsets.max())
     points = diagnostics.board_points
     pitch = 1e3 * float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    return Finding(
-        severity="warning" if rms > _CORNERS_WARN * pitch else "info",
-        code="board-found",
-        message=f"Corners of the board lie {rms:.2g} mm (rms, at most {most:.2g} mm) from their places, in all views.",
-        consequence="Print, plate or detector; the corners' places were estimated along.",
-        cure="A flat board, printed sharply and lit evenly, needs less of it; check the spacing in target.yaml.",
+    return make_finding(
+        "board-found/cameras", severity="warning" if rms > _CORNERS_WARN * pitch else "info", rms=rms, most=most
     )
 
 
@@ -71,26 +66,9 @@ def _size(evidence: CamerasEvidence) -> list[Finding]:
         return []
     if "target.scale" not in evidence.names:
         length = 1e3 * float(np.linalg.norm(list(evidence.cameras.values())[1].T_cam_body[:3, 3]))
-        return [
-            Finding(
-                severity="info",
-                code="board-size-untold",
-                message=f"Only the stated size of the board tells metres: were it 1 % larger, the distance of the "
-                f"cameras, {length:.2f} mm, would be {0.01 * length:.2f} mm more.",
-                cure="Measure the board over many squares, or state the distance of the cameras with --baseline.",
-            )
-        ]
+        return [make_finding("board-size-untold", length=length, of_length=0.01 * length)]
     off, sigma = evidence.scale - 1, evidence.sigma("target.scale")
     if abs(off) < max(_SIZE, _SIGNIFICANT * sigma):
         return []
     way = "larger" if off > 0 else "smaller"
-    return [
-        Finding(
-            severity="warning",
-            code="board-size",
-            message=f"By the stated distance of the cameras the board is {100 * abs(off):.2g} +- {100 * sigma:.1g} % "
-            f"{way} than target.yaml states.",
-            consequence="All lengths of this result follow the stated distance, and the lenses depend on neither.",
-            cure="Measure the board over many squares and correct target.yaml, or the baseline.",
-        )
-    ]
+    return [make_finding("board-size", off=abs(off), sigma=sigma, way=way)]

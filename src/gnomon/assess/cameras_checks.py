@@ -4,7 +4,7 @@ import numpy as np
 
 from ..detect.boards.board import BoardView
 from ..detect.boards.tag_spacing import tag_spacing
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.target import Target
 from ..recording import CameraFrames, Integers, Recording
 from .camera_checks import impossible
@@ -31,14 +31,7 @@ def check_views(recording: Recording, target: Target) -> tuple[Finding, ...]:
     Findings camera by camera; severity "problem" means that they cannot be calibrated.
     """
     if not recording.cameras:
-        return (
-            Finding(
-                severity="problem",
-                code="cameras-missing",
-                message="There is no camera in this recording.",
-                cure="Give a folder with images, or with corners that were detected in them.",
-            ),
-        )
+        return (make_finding("cameras-missing/views"),)
     return tuple(
         finding for name, frames in recording.cameras.items() for finding in _check_camera(name, frames, target)
     )
@@ -65,17 +58,14 @@ def _count(name: str, frames: CameraFrames, seen: Views) -> Finding:
         "one line)."
     )
     if usable >= ENOUGH_VIEWS:
-        return Finding(severity="good", code="views", message=message)
+        return make_finding("views", message=message)
     few = usable < FEWEST_VIEWS
-    return Finding(
+    return make_finding(
+        "views-few/found",
         severity="problem" if few else "warning",
-        code="views-few",
+        case="few" if few else "",
         message=message,
-        consequence=f"A lens cannot be told from fewer than {FEWEST_VIEWS} views."
-        if few
-        else "Nothing is left over to test the result with, and its sigmas are rough.",
-        cure="Take 20 to 60 views: near and far, tilted by 20 to 45 degrees to all four sides, and with the board in "
-        "every corner of the image.",
+        fewest_views=FEWEST_VIEWS,
     )
 
 
@@ -88,16 +78,7 @@ def _spacing(name: str, frames: CameraFrames, usable: Integers, target: Target) 
     gap = tag_spacing([_board_view(frames, first, last) for first, last in ends.T], target)
     if gap is None or abs(gap - target.tag_spacing) <= _OTHER_GAP:
         return []
-    return [
-        Finding(
-            severity="problem",
-            code="tag-spacing",
-            message=f"{name}: in the images the gap between the tags is {gap:.2f} of the side of a tag; target.yaml "
-            f"states tagSpacing {target.tag_spacing:.3g}.",
-            consequence="Tags that are not where they are said to be bend every pose and the lens with them.",
-            cure="Measure a tag and the gap beside it; tagSpacing is the gap over the side. Correct target.yaml.",
-        )
-    ]
+    return [make_finding("tag-spacing/implausible", name=name, gap=gap, tag_spacing=target.tag_spacing)]
 
 
 def _board_view(frames: CameraFrames, first: int, last: int) -> BoardView:

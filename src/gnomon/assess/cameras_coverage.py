@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnostics import CamerasDiagnostics, CornerFit
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.camera import Camera
 from ..recording import Floats
 from .camera_views import image_coverage
@@ -37,27 +37,20 @@ def _coverage(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Find
     findings: list[Finding] = []
     if share < _COVERED:
         findings.append(
-            Finding(
-                severity="warning",
-                code="image-coverage",
-                message=f"{name}: corners were seen in {100 * share:.0f} % of the image"
-                f"{f', none in {where}' if empty else ''}.",
-                consequence="There the lens is extrapolated: its distortion and its centre may be wrong by pixels.",
-                cure=f"Hold the board into {where or 'every part of the image'}, also nearer, so that it fills half of "
-                "the image, and partly out of it where the board allows that.",
+            make_finding(
+                "image-coverage/cameras",
+                name=name,
+                share=share,
+                none_in=f", none in {where}" if empty else "",
+                where=where or "every part of the image",
             )
         )
     elif empty:
         sigma = max(corner_sigma_px(evidence, name)[_REGIONS.index(region)] for region in empty)
         loud = len(empty) > 1 or sigma > _UNCERTAIN_PX
         findings.append(
-            Finding(
-                severity="warning" if loud else "info",
-                code="image-corners-unseen",
-                message=f"{name}: no corner of the board was seen in {where} of the image (a quarter of its width and "
-                f"height); by the other views the lens is known to {sigma:.2g} px there.",
-                consequence="That holds if the model is right there too, which nothing tests.",
-                cure=f"Hold the board into {where}.",
+            make_finding(
+                "image-corners-unseen", severity="warning" if loud else "info", name=name, where=where, sigma=sigma
             )
         )
     return findings
@@ -116,15 +109,7 @@ def _size(name: str, fit: CornerFit) -> list[Finding]:
     share = float(np.median(np.linalg.norm(extent, axis=1))) / float(np.hypot(*fit.resolution))
     if share >= _SMALL:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="board-small",
-            message=f"{name}: the board usually spans {100 * share:.0f} % of the image's diagonal.",
-            consequence="A small board hardly shows perspective, which tells the focal length, nor the distortion.",
-            cure="Come closer, so that the board fills half of the image, or print a larger one.",
-        )
-    ]
+    return [make_finding("board-small/cameras", name=name, share=share)]
 
 
 def attitude_spread(evidence: CamerasEvidence) -> float:
@@ -140,15 +125,8 @@ def _attitudes(evidence: CamerasEvidence) -> list[Finding]:
         return []
     one = spread < _ONE_ATTITUDE
     return [
-        Finding(
-            severity="warning",
-            code="attitudes-alike",
-            message=f"The board has {'one and the same' if one else 'nearly the same'} attitude in all {count} views: "
-            f"its normal varies by {np.degrees(spread):.1f} degrees (rms).",
-            consequence="A longer focal length and a board farther away look nearly the same then, all the more where "
-            "the board faces the camera.",
-            cure="Tilt the board, or the camera, by 20 to 45 degrees: to the left, to the right, up and down, and turn "
-            "it by a quarter about the viewing direction in some views.",
+        make_finding(
+            "attitudes-alike", alike="one and the same" if one else "nearly the same", count=count, spread=spread
         )
     ]
 

@@ -1,11 +1,11 @@
 """What a calibration of cameras says of lenses and views: what was found, what follows, what to do next."""
 
-from math import degrees, radians
+from math import radians
 
 import numpy as np
 
 from ..diagnostics import CamerasDiagnostics, CornerFit
-from ..findings import Finding, Severity
+from ..findings import Finding, Severity, make_finding
 from ..models.camera import Camera
 from ..recording import Floats
 from .cameras_coverage import attitude_spread, listed, unseen_corners
@@ -32,16 +32,7 @@ def lens_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) ->
     """
     findings: list[Finding] = []
     if not evidence.solution.converged:
-        findings.append(
-            Finding(
-                severity="problem",
-                code="not-converged",
-                message=f"The estimation did not come to rest within {len(evidence.solution.steps)} iterations.",
-                consequence="Its parameters are not a minimum.",
-                cure="Take more views, tilted and in every part of the image; check the target file; allow more with "
-                "--max-iterations.",
-            )
-        )
+        findings.append(make_finding("not-converged/cameras", steps=len(evidence.solution.steps)))
     findings += [_other_model(opinion, diagnostics) for opinion in evidence.opinions]
     for name, fit in diagnostics.corners.items():
         findings += [*_residuals(name, fit), *_unseen(name, evidence), *_uncertain(name, fit, evidence)]
@@ -55,18 +46,17 @@ def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Findi
     px = {trial.model: trial.holdout_rms_px for trial in diagnostics.trials if trial.camera == opinion.camera}
     stated, better = px[opinion.stated], px[opinion.better]
     grade = graded(stated / better, _WORSE_WARN, _WORSE_FAIL)
-    return Finding(
+    return make_finding(
+        "lens-model",
         severity="info" if grade == "good" else grade,
-        code="lens-model",
-        message=f"{opinion.camera}: {opinion.stated}, as stated, predicts views that it has not seen to {stated:.3g} "
-        f"px (rms per axis), {opinion.better} to {better:.3g} px; its log-likelihood there is larger by "
-        f"{opinion.gain:.3g} +- {opinion.gain_sigma:.2g}.",
-        consequence="What the model cannot bend goes into focal length, poses and board."
-        if grade != "good"
-        else "The difference is certain, and too small to matter.",
-        cure=f"Give --model {opinion.camera}={opinion.better}, or have it chosen without --model, --among and --for."
-        if grade != "good"
-        else "",
+        case="grade-good" if grade != "good" else "",
+        camera=opinion.camera,
+        stated_model=opinion.stated,
+        stated=stated,
+        better_model=opinion.better,
+        better=better,
+        gain=opinion.gain,
+        gain_sigma=opinion.gain_sigma,
     )
 
 
@@ -74,34 +64,14 @@ def _residuals(name: str, fit: CornerFit) -> list[Finding]:
     grade = graded(fit.sigma_px, _PIXELS_WARN, _PIXELS_FAIL)
     if grade == "good":
         return []
-    return [
-        Finding(
-            severity=grade,
-            code="reprojection",
-            message=f"Corners of {name} lie {fit.sigma_px:.2g} px (one sigma, per axis) from where they should; 0.05 "
-            "to 0.5 px is usual.",
-            consequence="No lens model that was tried is that of this camera, or the board is not the stated one.",
-            cure="Check target.yaml: kind, rows and columns, spacing. Check that all images are of one camera with one "
-            "zoom and one focus, and that they are sharp.",
-        )
-    ]
+    return [make_finding("reprojection/cameras", severity=grade, name=name, rms_px=fit.sigma_px)]
 
 
 def _unseen(name: str, evidence: CamerasEvidence) -> list[Finding]:
     used, unseen = evidence.rms_px[name], evidence.unseen_px[name]
     if not unseen > _UNSEEN_WORSE * used:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="holdout-reprojection",
-            message=f"{name}: views that the estimate has not seen are off by {unseen:.2g} px (rms per axis), those "
-            f"it was made from by {used:.2g} px.",
-            consequence="The lens follows the views at hand more than the camera: too few of them, or one among them "
-            "that nothing else supports.",
-            cure="Take more views: 20 to 60, tilted, near and far, in every part of the image.",
-        )
-    ]
+    return [make_finding("holdout-reprojection", name=name, unseen=unseen, used=used)]
 
 
 def _uncertain(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Finding]:
@@ -119,13 +89,13 @@ def _uncertain(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Fin
     if grades == ("good", "good"):
         return []
     return [
-        Finding(
+        make_finding(
+            "lens-uncertain",
             severity="problem" if "problem" in grades else "warning",
-            code="lens-uncertain",
-            message=f"{name}: the focal length is known to {100 * relative:.2g} % only, the principal point to "
-            f"{centre:.2g} px (one sigma).",
-            consequence="Distances and directions by this camera are wrong by as much.",
-            cure=_what_would_tell(fit, evidence),
+            name=name,
+            relative=relative,
+            centre=centre,
+            advice=_what_would_tell(fit, evidence),
         )
     ]
 
@@ -169,13 +139,13 @@ def _place(name: str, evidence: CamerasEvidence) -> list[Finding]:
     if grades == {"good"}:
         return []
     return [
-        Finding(
+        make_finding(
+            "baseline-uncertain",
             severity="problem" if "problem" in grades else "warning",
-            code="baseline-uncertain",
-            message=f"{name}: its place against cam0, {1e3 * length:.4g} mm away, is known to {1e3 * apart:.2g} mm and "
-            f"{degrees(turn):.2g} degrees only (one sigma).",
-            consequence="Depth by both cameras is wrong by as many per cent.",
-            cure="Take more views that both cameras see, with the board near and far.",
+            name=name,
+            length=length,
+            apart=apart,
+            turn=turn,
         )
     ]
 
@@ -192,15 +162,14 @@ def view_findings(diagnostics: CamerasDiagnostics) -> list[Finding]:
         which = ", ".join(f"{k} (at {fit.frame_t_s[k]:.2f} s, off by {fit.frame_rms[k]:.2g} px)" for k in left[:_SHOWN])
         more = f" and {len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
         findings.append(
-            Finding(
+            make_finding(
+                "views-left-out",
                 severity="info" if grade == "good" else grade,
-                code="views-left-out",
-                message=f"{name}: {len(left)} of {taken} views were left out since they fit badly as a whole (blurred, "
-                f"or misdetected): image {which}{more}, counted from 0.",
-                consequence="" if grade == "good" else "What is left may be too little, or a biased choice.",
-                cure=""
-                if grade == "good"
-                else "Hold board and camera still for each picture, with more light and a short exposure.",
+                name=name,
+                count=len(left),
+                taken=taken,
+                which=which,
+                more=more,
             )
         )
     return findings

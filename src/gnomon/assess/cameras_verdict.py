@@ -2,7 +2,7 @@
 
 from ..calibration import Assessment, CamerasFit
 from ..diagnostics import CamerasDiagnostics
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .camera_views import image_coverage
 from .cameras_board import board_findings
 from .cameras_checks import ENOUGH_VIEWS
@@ -73,13 +73,7 @@ def _few_used(noticed: tuple[Finding, ...], diagnostics: CamerasDiagnostics) -> 
         return []
     counts = {name: int(fit.frame_used.sum()) for name, fit in diagnostics.corners.items()}
     return [
-        Finding(
-            severity="warning",
-            code="views-few",
-            message=f"{name}: only {count} of the views are used.",
-            consequence="Its sigmas are rough, and few views test the result.",
-            cure=f"Let {ENOUGH_VIEWS} views or more be used (--views).",
-        )
+        make_finding("views-few/used", name=name, count=count, enough_views=ENOUGH_VIEWS)
         for name, count in counts.items()
         if count < ENOUGH_VIEWS
     ]
@@ -91,18 +85,7 @@ def _incomplete(evidence: CamerasEvidence) -> list[Finding]:
     if not wide or clusters is None:
         return []
     listed = ", ".join(f"{one.block} {one.ratio:.2g} times" for one in wide[:3])
-    return [
-        Finding(
-            severity="info",
-            code="model-incomplete",
-            message="Errors that the corners of a view have in common make parameters scatter more than independent "
-            f"errors would: {listed}.",
-            consequence="Motion blur, a rolling shutter, a board that bends in the hand, or a lens that no model is "
-            f"exactly. The stated sigmas come from the scatter between {clusters.count} views or groups of them: they "
-            "hold what differs from one to the next, not what errs the same way in all.",
-            cure="Hold board and camera still, or put the camera on a tripod.",
-        )
-    ]
+    return [make_finding("model-incomplete/cameras", listed=listed, stretches=clusters.count)]
 
 
 def _sigma(evidence: CamerasEvidence, name: str) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..calibration import Calibration
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..geometry.so3 import inverse
 from ..models.camera import Camera
 from ..recording import Floats
@@ -117,15 +117,13 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
         severity = "problem" if "problem" in grades else "warning" if "warning" in grades else "info"
         told = "; ".join(_told(change, need, use) for change, need in zip(own, needed, strict=True))
         beyond = severity != "info"
-        yield Finding(
+        yield make_finding(
+            "parameter-changed",
             severity=severity,
-            code="parameter-changed",
-            message=f"Something changed during the recording: {told}. Where: {own[0].where}.",
-            consequence="The result is a mean that holds for neither part: true errors are as large as the change, "
-            "whatever the stated sigmas say."
-            if beyond
-            else "The result is the mean of it.",
-            cure=f"{_SCALES[own[0].quantity].cure}; then record again, or calibrate each part alone." if beyond else "",
+            case="beyond" if beyond else "",
+            told=told,
+            where=own[0].where,
+            cure=_SCALES[own[0].quantity].cure,
         )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..images import Arrivals
 from ..recording import Floats, Integers
 
@@ -101,15 +101,7 @@ def _copied(names: list[str]) -> list[Finding]:
     """Say whose stamps are those of arrival."""
     if not names:
         return []
-    return [
-        Finding(
-            severity="info",
-            code="clock-copied",
-            message=f"The stamps of {', '.join(names)} are the times of arrival, to the nanosecond.",
-            consequence="Either the file was converted, or there were no other stamps: then they hold the jitter of "
-            "the transport. Whether clocks drift cannot be told from them.",
-        )
-    ]
+    return [make_finding("clock-copied", names=", ".join(names))]
 
 
 def _wrong_stamps(name: str, stream: Arrivals) -> Finding | None:
@@ -122,14 +114,7 @@ def _wrong_stamps(name: str, stream: Arrivals) -> Finding | None:
     factor = _factor(stamped / received) if received > 0 and stamped > 0 else None
     if factor is None:
         return None
-    return Finding(
-        severity="problem",
-        code="stamps-unit",
-        message=f"{name}: its stamps span {stamped:.4g} s, its messages came in over {received:.4g} s: they are in a "
-        f"unit {factor:g} times as large as was understood.",
-        consequence="Frames and samples of different streams do not meet, and every rate is wrong by that.",
-        cure="Write the stamps in nanoseconds (header.stamp as seconds and nanoseconds), or repair the driver.",
-    )
+    return make_finding("stamps-unit/received", name=name, stamped=stamped, received=received, factor=factor)
 
 
 def zero_stamps(name: str, t_ns: Integers) -> Finding | None:
@@ -137,13 +122,7 @@ def zero_stamps(name: str, t_ns: Integers) -> Finding | None:
     zero = int(np.count_nonzero(t_ns == 0))
     if zero < 2:  # time may start at zero
         return None
-    return Finding(
-        severity="problem",
-        code="stamps-zero",
-        message=f"{name}: {zero} of {len(t_ns)} messages are stamped zero.",
-        consequence="When they were taken is not known.",
-        cure="Let the driver fill in header.stamp at the exposure, or at the sample, and record again.",
-    )
+    return make_finding("stamps-zero", name=name, zero=zero, messages=len(t_ns))
 
 
 def _factor(ratio: float) -> float | None:
@@ -255,34 +234,22 @@ def _has(jump: _Jump, name: str, others: tuple[_Jump, ...], other: str, arrivals
 
 
 def _recorder_jump(jump: _Jump) -> Finding:
-    return Finding(
-        severity="info",
-        code="clock-jump",
-        message=f"The recorder's clock jumped by {jump.size_s:+.3g} s, {jump.at_s:.1f} s after the start; the streams' "
-        "stamps did not.",
-        consequence="The stamps are good; only the times of arrival are not.",
-    )
+    return make_finding("clock-jump/recorder", size_s=jump.size_s, at_s=jump.at_s)
 
 
 def _stream_jump(name: str, jump: _Jump) -> Finding:
-    return Finding(
-        severity="problem",
-        code="clock-jump",
-        message=f"{name}: its clock jumped by {-jump.size_s:+.3g} s against the recorder's, {jump.at_s:.1f} s after "
-        "the start.",
-        consequence="One time shift cannot hold before and after.",
-        cure="Cut the recording there and use the longer part; switch off what sets the clock while recording (NTP).",
-    )
+    return make_finding("clock-jump/stream", name=name, size_s=-jump.size_s, at_s=jump.at_s)
 
 
 def _fit_findings(name: str, fit: ClockFit) -> list[Finding]:
     return [
-        Finding(
-            severity="good",
-            code="clock",
-            message=f"{name}: the recorder's clock gains {1e6 * fit.slope:+.1f} +- {1e6 * fit.sigma:.2g} ppm on its "
-            f"own; half of its messages arrive within {_time(fit.spread_s)} of the earliest possible time, the latest "
-            f"after {_time(fit.latest_s)}.",
+        make_finding(
+            "clock/recorder",
+            name=name,
+            slope=fit.slope,
+            sigma=fit.sigma,
+            spread=_time(fit.spread_s),
+            latest=_time(fit.latest_s),
         )
     ]
 
@@ -316,14 +283,15 @@ def drift_finding(camera: str, imu: str, *, drift: float, sigma: float, length_s
     """
     if abs(drift) * 1e6 <= DRIFT_PPM or abs(drift) <= SIGMAS * sigma:
         return None
-    return Finding(
-        severity="warning",
-        code="clock-drift",
-        message=f"The clocks of {camera} and {imu} drift apart by {1e6 * drift:+.0f} +- {1e6 * sigma:.2g} ppm ({how}): "
-        f"the time shift changes by {1e3 * drift * length_s:+.2g} ms over {length_s:.0f} s.",
-        consequence="One time shift is the mean of them: frames at both ends are early or late by half of that, which "
-        "turns into errors of translation and IMU model.",
-        cure="Stamp both by one clock (hardware trigger, or PTP), record shorter, or correct the stamps by this drift.",
+    return make_finding(
+        "clock-drift",
+        camera=camera,
+        imu=imu,
+        drift=drift,
+        sigma=sigma,
+        how=how,
+        growth_ms=1e3 * drift * length_s,
+        length_s=length_s,
     )
 
 
@@ -356,13 +324,13 @@ def _units_apart(stamps: Mapping[str, Integers]) -> list[Finding]:
         factor = _factor(own / length) if name != reference else None
         if factor is not None:
             findings.append(
-                Finding(
-                    severity="problem",
-                    code="stamps-unit",
-                    message=f"{name} lasts {own:.4g} s by its stamps, {reference} {length:.4g} s: one of them has "
-                    f"another unit, by a factor of {max(factor, 1 / factor):g}.",
-                    consequence="Frames and samples do not meet.",
-                    cure='Write all stamps in nanoseconds, or state the unit (--units, for example "us").',
+                make_finding(
+                    "stamps-unit/streams",
+                    name=name,
+                    own=own,
+                    reference=reference,
+                    length=length,
+                    factor=max(factor, 1 / factor),
                 )
             )
     return findings
@@ -375,14 +343,4 @@ def _epochs_apart(stamps: Mapping[str, Integers]) -> list[Finding]:
         return []
     since_1970 = ", ".join(name for name, yes in unix.items() if yes)
     since_start = ", ".join(name for name, yes in unix.items() if not yes)
-    return [
-        Finding(
-            severity="info",
-            code="stamps-epoch",
-            message=f"The stamps of {since_1970} count from 1970, those of {since_start} from another moment, such as "
-            "the start of a device.",
-            consequence="The time shift is searched over everything and comes out large. That works; but two devices "
-            "with clocks of their own may drift apart.",
-            cure="Stamp all streams by one clock, or let a filter that uses the result add the same time shift.",
-        )
-    ]
+    return [make_finding("stamps-epoch", since_1970=since_1970, since_start=since_start)]

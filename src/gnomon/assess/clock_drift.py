@@ -12,7 +12,7 @@ import numpy as np
 from ..estimate.camera_imu.alignment import GyroscopeIntegral, gyroscope_integral
 from ..estimate.camera_imu.board_poses import BoardPoses
 from ..estimate.camera_imu.first_guess import ImuStream
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..recording import Floats
 from .clock_checks import drift_finding
@@ -72,12 +72,7 @@ def _warning(name: str, imu: str, poses: BoardPoses, drift: ClockDrift) -> Findi
 
 
 def _steady(name: str, imu: str, drift: ClockDrift) -> Finding:
-    return Finding(
-        severity="good",
-        code="clock",
-        message=f"The clocks of {name} and {imu} keep together: they drift by {1e6 * drift.drift:+.1f} +- "
-        f"{1e6 * drift.sigma:.2g} ppm, by the rotation that both felt.",
-    )
+    return make_finding("clock/together", name=name, imu=imu, drift=drift.drift, sigma=drift.sigma)
 
 
 def clock_drift(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> ClockDrift | None:

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from ..calibration import Covariance
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.origin import Origin
 from ..parameters import element_names, moved_to_origin
 from ..recording import Floats
@@ -74,26 +74,17 @@ def origin_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
         having = {one.name: longest for one in held if (longest := _longest(one, imu)) > 0}
         if having and rest:
             most = max(having.values())
-            yield Finding(
-                severity="info",
-                code="lever-arms-in-some",
-                message=f"{listed(list(having))} knows where each accelerometer of {imu} sits; in "
-                f"{listed([one.name for one in rest])} they are at one point.",
-                consequence="Translations were compared at the point that such a model finds, p*; it may be off it by "
-                f"some {1e3 * _OFF_P_STAR * most:.2g} mm.",
+            yield make_finding(
+                "lever-arms-in-some",
+                having=listed(list(having)),
+                imu=imu,
+                rest=listed([one.name for one in rest]),
+                off_mm=1e3 * _OFF_P_STAR * most,
             )
         for first, second in combinations(rest, 2):
             apart = _points_apart(first, second, imu)
             if apart > _MATTERS_M:
-                yield Finding(
-                    severity="info",
-                    code="origins-differ",
-                    message=f"{first.name} and {second.name} take the accelerometers of {imu} to be at one point, each "
-                    "at that which its own motion tells.",
-                    consequence="If they sit 10 mm apart, the translations of the cameras differ by some "
-                    f"{1e3 * apart:.2g} mm for it. Neither can be moved to the point of the other.",
-                    cure="Calibrate with lever arms (--model auto).",
-                )
+                yield make_finding("origins-differ", first=first.name, second=second.name, imu=imu, apart=apart)
 
 
 def _longest(one: Candidate, imu: str) -> float:

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import recorded_hashes
 from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ..trust import Verdict
@@ -58,7 +58,7 @@ def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: S
         *_occasions(comparison),
         *_own_axes(comparison),
         *_biases(comparison),
-        *(Finding(severity="info", code="restated", message=note) for note in notes),
+        *(make_finding("restated", note=note) for note in notes),
     ]
     verdict: Verdict = "pass"
     if any(_certain(comparison, item) for item in beyond):
@@ -178,23 +178,24 @@ def _headline(comparison: Comparison, beyond: Sequence[Difference], known: bool)
 
 def _disagreement(comparison: Comparison, beyond: Sequence[Difference]) -> Iterator[Finding]:
     for name in comparison.outside:
-        yield Finding(
+        yield make_finding(
+            "stands-out",
             severity="problem" if any(_certain(comparison, item) for item in beyond) else "warning",
-            code="stands-out",
-            message=f"{_outside_text(comparison, name)}.",
-            consequence="The others agree among themselves.",
-            cure=f"Look at how {name} was made: the recording, the model, the board, the lens and the weights.",
+            outside=_outside_text(comparison, name),
+            name=name,
         )
     for first, second in dict.fromkeys((item.first, item.second) for item in beyond):
         if {first, second} & set(comparison.outside):
             continue
         items = [item for item in beyond if (item.first, item.second) == (first, second)]
-        yield Finding(
+        yield make_finding(
+            "calibrations-differ",
             severity="problem" if any(_certain(comparison, item) for item in items) else "warning",
-            code="calibrations-differ",
-            message=f"{first} and {second} differ in {_pair_text(comparison, items)}.",
-            consequence=_what_it_means(comparison, items),
-            cure=_how_to_tell(comparison, (first, second)),
+            first=first,
+            second=second,
+            pair=_pair_text(comparison, items),
+            meaning=_what_it_means(comparison, items),
+            how_to_tell=_how_to_tell(comparison, (first, second)),
         )
 
 
@@ -225,13 +226,12 @@ def _too_much_scatter(comparison: Comparison) -> Iterator[Finding]:
     if not comparison.z_rms > comparison.limit or sum(one.sigmas for one in comparison.calibrations) < 2:
         return  # of one alone the differences tell
     worst = max((b for b in comparison.blocks if b.judged and np.isfinite(b.z_rms)), key=lambda b: b.z_rms)
-    yield Finding(
-        severity="warning",
-        code="scatter-beyond-sigma",
-        message=f"The calibrations scatter by {comparison.z_rms:.2g} times their sigmas, where up to "
-        f"{comparison.limit:.2g} is chance; most in the {block_words(worst.path)} ({worst.z_rms:.2g} times).",
-        consequence="Their sigmas are too small, or the rig changed between the recordings.",
-        cure="Take the scatter of the table of repeatability for the uncertainty.",
+    yield make_finding(
+        "scatter-beyond-sigma",
+        z_rms=comparison.z_rms,
+        limit=comparison.limit,
+        block=block_words(worst.path),
+        worst_z_rms=worst.z_rms,
     )
 
 
@@ -246,15 +246,11 @@ def _assumed(comparison: Comparison) -> Iterator[Finding]:
         text = f"the {block_words(item.path)} by {size_text(block, item.values, item.z)} ({sigma_text(item)})"
         named.setdefault(holding[0], {}).setdefault(item.path, text)
     for name, texts in named.items():
-        yield Finding(
-            severity="warning",
-            code="held-elsewhere-found",
-            message=f"{name} holds at ideal or given values what another finds to differ: "
-            f"{_first_of(list(texts.values()))}.",
-            consequence=f"What {name} does not model is in its other parameters.",
-            cure=f"Calibrate the lens of {name} anew, or calibrate both with the same one."
-            if all(comparison.block(path).kind == "lens" for path in texts)
-            else f"Calibrate {name} with the larger model (Kalibr: --imu-models scale-misalignment).",
+        yield make_finding(
+            "held-elsewhere-found",
+            case="lens" if all(comparison.block(path).kind == "lens" for path in texts) else "",
+            name=name,
+            found=_first_of(list(texts.values())),
         )
 
 
@@ -283,17 +279,18 @@ def _lenses(comparison: Comparison) -> Iterator[Finding]:
             else ("; their resolutions are {}x{} and {}x{}".format(*lens.resolutions[0], *lens.resolutions[1]))
         )
         turn = float(np.degrees(np.linalg.norm(lens.turn)))
-        yield Finding(
+        yield make_finding(
+            "lenses-differ",
             severity="warning" if lens.turned_rms_px > _LENS_PX else "info",
-            code="lenses-differ",
-            message=f"The images of {lens.camera} in {lens.first} and {lens.second} ({models}) differ by "
-            f"{lens.rms_px:.2g} px rms, and by {lens.turned_rms_px:.2g} px after a turn of the camera by {turn:.2g} deg"
-            f"{sizes}.",
-            consequence="The pose of a camera takes up what its lens leaves, so that the poses differ as well.",
-            cure="Look at which lens models they have and where in the image each had corners; calibrate both with "
-            "the same model."
-            if alone
-            else "Calibrate both with the same intrinsics, to compare the rest.",
+            case="alone" if alone else "",
+            camera=lens.camera,
+            first=lens.first,
+            second=lens.second,
+            models=models,
+            rms_px=lens.rms_px,
+            turned_rms_px=lens.turned_rms_px,
+            turn=turn,
+            sizes=sizes,
         )
 
 
@@ -304,11 +301,8 @@ def _sensors_in_some(comparison: Comparison) -> Iterator[Finding]:
         there = [one.name for one in comparison.calibrations if sensor in one.sensors]
         if len(there) < len(comparison.calibrations):
             rest = [one.name for one in comparison.calibrations if one.name not in there]
-            yield Finding(
-                severity="info",
-                code="only-in-some",
-                message=f"{sensor} is in {listed(there)} only, not in {listed(rest, 'or')}.",
-                cure=f"If it is called otherwise there, rename it: --rename {rest[0]}.OTHER={sensor}.",
+            yield make_finding(
+                "only-in-some", sensor=sensor, there=listed(there), rest=listed(rest, "or"), missing_in=rest[0]
             )
 
 
@@ -317,13 +311,13 @@ def _gravities(candidates: Sequence[Candidate]) -> Iterator[Finding]:
     taken = {one.name: one.gravity.value for one in candidates if one.gravity is not None}
     low, high = (choose(taken, key=taken.__getitem__, default="") for choose in (min, max))
     if low and taken[high] - taken[low] > _GRAVITY * taken[high]:
-        yield Finding(
-            severity="info",
-            code="gravity-differs",
-            message=f"{low} takes gravity for {taken[low]:.6g} m/s^2, {high} for {taken[high]:.6g}.",
-            consequence=f"If they were recorded at one place, up to {100 * (taken[high] / taken[low] - 1):.2g} % of "
-            "the difference of the accelerometers' scales comes from it.",
-            cure="State --latitude and --altitude, or --gravity, of each recording.",
+        yield make_finding(
+            "gravity-differs",
+            low=low,
+            low_m_s2=taken[low],
+            high=high,
+            high_m_s2=taken[high],
+            difference=taken[high] / taken[low] - 1,
         )
 
 
@@ -334,34 +328,21 @@ def _knowledge(comparison: Comparison) -> Iterator[Finding]:
     if silent:
         verb, part = ("states", "it takes") if len(silent) == 1 else ("state", "they take")
         rest = f"z is by the sigmas of {listed(stating)} alone" if stating else "there is no z at all"
-        yield Finding(
-            severity="info",
-            code="sigmas-not-stated",
-            message=f"{listed(silent)} {verb} no standard deviations: where {part} part, {rest}.",
-        )
+        yield make_finding("sigmas-not-stated", silent=listed(silent), verb=verb, part=part, rest=rest)
     groups: dict[str, list[str]] = {}
     for one in comparison.calibrations:
         for shared in recorded_hashes(one.inputs):
             groups.setdefault(shared, []).append(one.name)
     for names in dict.fromkeys(map(tuple, groups.values())):
         if len(names) > 1:
-            yield Finding(
-                severity="info",
-                code="same-recording",
-                message=f"{listed(names)} were made from the same recording.",
-                consequence="Their errors are alike, so that agreement proves little and z comes out too small.",
-                cure="Compare with a calibration from another recording.",
-            )
+            yield make_finding("same-recording", names=listed(names))
 
 
 def _own_axes(comparison: Comparison) -> Iterator[Finding]:
     named = [one.name for one in comparison.calibrations if one.frame == "user" and one.verdict]
     if named:
-        yield Finding(
-            severity="info",
-            code="user-axes",
-            message=f"{listed(named)} {'states' if len(named) == 1 else 'state'} axes of the user's own.",
-            consequence=f"All was compared in body frame {comparison.frame}; how those axes lie to the sensor was not.",
+        yield make_finding(
+            "user-axes", named=listed(named), verb="states" if len(named) == 1 else "state", frame=comparison.frame
         )
 
 
@@ -369,14 +350,8 @@ def _occasions(comparison: Comparison) -> Iterator[Finding]:
     """Say that sigmas of one recording were widened by what a sensor itself changes to the next one."""
     names = [one.name for one in comparison.calibrations if one.one_occasion]
     if names:
-        yield Finding(
-            severity="info",
-            code="different-recordings",
-            message=f"{listed(names)} {'is' if len(names) == 1 else 'are'} of one recording each: their sigmas of "
-            "scale, axes, g-sensitivity and bias are widened by what a sensor itself changes from one recording to the "
-            f"next (turn-on, temperature, mounting), as is usual: {_usual()}.",
-            consequence="How a camera is mounted was taken as unchanged: nothing is added to poses and time shifts.",
-            cure="Join recordings of one sensor (gnomon imu A B C) to measure it instead.",
+        yield make_finding(
+            "different-recordings", names=listed(names), verb="is" if len(names) == 1 else "are", usual=_usual()
         )
 
 
@@ -396,10 +371,6 @@ def _biases(comparison: Comparison) -> Iterator[Finding]:
         span = np.ptp(block.values, axis=0)
         if not span.any():
             continue
-        yield Finding(
-            severity="info",
-            code="bias-instability",
-            message=f"The {block_words(block.path)} moved by up to {size_text(block, span, np.full(3, np.nan))} "
-            "between the calibrations.",
-            consequence="Biases change from one switching on to the next; they do not count towards the verdict.",
+        yield make_finding(
+            "bias-instability/compared", block=block_words(block.path), size=size_text(block, span, np.full(3, np.nan))
         )

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..geometry.so3 import inverse
 from ..recording import Floats
@@ -41,13 +41,15 @@ def pose_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
                 yield _inverted(name, first.name, second.name, one.link)
             shifts = one.shift_s, other.shift_s
             if min(map(abs, shifts)) > _SHIFT_S and abs(sum(shifts)) < _INVERSE * abs(shifts[0] - shifts[1]):
-                yield Finding(
-                    severity="problem",
-                    code="shift-sign",
-                    message=f"The time shifts of {name} in {first.name} and {second.name} have opposite signs: "
-                    f"{1e3 * shifts[0]:.3f} and {1e3 * shifts[1]:.3f} ms.",
-                    consequence=_OPPOSITE[one.shift],
-                    cure=_SIGNS[one.shift],
+                yield make_finding(
+                    "shift-sign",
+                    name=name,
+                    first=first.name,
+                    second=second.name,
+                    first_s=shifts[0],
+                    second_s=shifts[1],
+                    opposite=_OPPOSITE[one.shift],
+                    signs=_SIGNS[one.shift],
                 )
 
 
@@ -89,13 +91,14 @@ _POSES = {
 
 
 def _inverted(sensor: str, first: str, second: str, link: str) -> Finding:
-    return Finding(
-        severity="problem",
-        code="pose-inverted",
-        message=f"{link} of {sensor} in {first} is nearly the inverse of that in {second}.",
-        consequence=f"One of them maps the other way{_OTHER_WAY.get(link, '')}, and stands under the name of its "
-        "inverse.",
-        cure=_POSES.get(link, _POSES["T_cam_cam0"]),
+    return make_finding(
+        "pose-inverted",
+        link=link,
+        sensor=sensor,
+        first=first,
+        second=second,
+        other_way=_OTHER_WAY.get(link, ""),
+        convention=_POSES.get(link, _POSES["T_cam_cam0"]),
     )
 
 

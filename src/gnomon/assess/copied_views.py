@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import CameraFrames, Recording
 
 _FEW = 0.02
@@ -50,11 +50,12 @@ def _copies(frames: CameraFrames) -> tuple[dict[int, int], int]:
 def _finding(name: str, copies: Mapping[int, int], views: int) -> Finding:
     share = len(copies) / views
     frame, original = next(iter(copies.items()))
-    return Finding(
+    return make_finding(
+        "views-copied",
         severity="warning" if share > _FEW else "info",
-        code="views-copied",
-        message=f"{name}: {len(copies)} of {views} views have the corners of an earlier one to the last digit, such as "
-        f"that of frame {frame + 1}, which is that of frame {original + 1}.",
-        consequence="They are the same images once more and tell nothing new: each counts once.",
-        cure="Give each image once; look for copies of files, or for a driver that delivers an image again.",
+        name=name,
+        count=len(copies),
+        views=views,
+        frame=frame + 1,
+        original=original + 1,
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import ImuSamples, Recording, TriadSamples
 from .lost_samples import check_lost_samples
 from .protocol import check_protocol
@@ -54,12 +54,8 @@ def _check_poses(recording: Recording) -> list[Finding]:
     enough = count >= _POSES
     return [
         *findings,
-        Finding(
-            severity="good" if enough else "warning",
-            code="poses",
-            message=f"{count} {what} of one pose each.",
-            consequence="" if enough else "Nine parameters of the accelerometer need nine attitudes or more.",
-            cure="" if enough else "Record 18 or more attitudes, all axes up and down and between.",
+        make_finding(
+            "poses", severity="good" if enough else "warning", case="enough" if enough else "", count=count, what=what
         ),
     ]
 
@@ -68,19 +64,11 @@ def _check_imu(name: str, imu: ImuSamples, *, window_s: float, multiplier: float
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     if len(accelerometer) < 2 or len(gyroscope) == 1:
         return [
-            Finding(
-                severity="problem",
-                code="samples-missing",
-                message=f"{name}: {len(accelerometer)} accelerometer samples, {len(gyroscope)} gyroscope samples.",
-                consequence="There is nothing to calibrate from.",
-                cure="Record some minutes: at rest first, then in 20 or more attitudes.",
-            )
+            make_finding("samples-missing/imu", name=name, accelerometer=len(accelerometer), gyroscope=len(gyroscope))
         ]
     findings: list[Finding] = []
     if len(gyroscope) == 0:
-        findings.append(
-            Finding(severity="info", code="gyroscope-missing", message=f"{name}: no gyroscope in this recording.")
-        )
+        findings.append(make_finding("gyroscope-missing/imu", name=name))
         findings += check_stamps(accelerometer, f"{name} accelerometer")
     elif np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
         findings += check_stamps(accelerometer, name)
@@ -111,11 +99,7 @@ def _clocks(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> 
     if common > 0.9 * longest:
         return []
     return [
-        Finding(
-            severity="problem" if common == 0 else "warning",
-            code="clocks-apart",
-            message=f"{name}: accelerometer and gyroscope have only {common:.1f} s of {longest:.1f} s in common.",
-            consequence="The gyroscope can be calibrated only where both were recorded.",
-            cure="Check that both files are of one recording and that their stamps have one unit and one clock.",
+        make_finding(
+            "clocks-apart", severity="problem" if common == 0 else "warning", name=name, common=common, longest=longest
         )
     ]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.target import Target
 from ..recording import CameraFrames, Integers
 from .camera_views import Booleans
@@ -34,18 +34,7 @@ def check_handedness(name: str, frames: CameraFrames, usable: Integers, target: 
     else:
         what = f"in {np.count_nonzero(mirrored)} of {len(mirrored)} views alone the points run as in a mirror"
         since = "some images are mirrored, or their corners are numbered in another way"
-    return [
-        Finding(
-            severity="warning",
-            code="board-mirrored",
-            message=f"{name}: {what}: {since}.",
-            consequence="Of mirrored images the principal point, the pose of the camera and everything seen through it "
-            "are mirrored; nothing in the residuals shows that. Where only the numbering is, the lens is right, and "
-            "the board's z axis points away from the viewer.",
-            cure="Look at one image: is writing readable in it? If not, switch off the mirroring of the camera or its "
-            "driver, or flip u back to width - 1 - u. Else number the corners as target.yaml does.",
-        )
-    ]
+    return [make_finding("board-mirrored", name=name, what=what, since=since)]
 
 
 def _from_behind(frames: CameraFrames, usable: Integers, target: Target) -> Booleans:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import CameraFrames, Floats, FrameQuality, Integers
 
 Booleans = NDArray[np.bool_]
@@ -114,11 +114,13 @@ def check_quality(name: str, quality: FrameQuality, corners: int, sigma_px: Floa
 
 def _good(name: str, quality: FrameQuality, sigma_px: Floats | None) -> Finding:
     corners = "" if sigma_px is None or not len(sigma_px) else f"; corners known to {np.median(sigma_px):.2g} px"
-    return Finding(
-        severity="good",
-        code="images",
-        message=f"{name}: the images are sharp (blur {_median(quality.blur_px):.2f} px) and well exposed (the board's "
-        f"black is {_median(quality.black):.0f}, its white {_median(quality.white):.0f} of 255){corners}.",
+    return make_finding(
+        "images/detected",
+        name=name,
+        blur_px=_median(quality.blur_px),
+        black=_median(quality.black),
+        white=_median(quality.white),
+        corners=corners,
     )
 
 
@@ -134,29 +136,21 @@ def blur_findings(name: str, blur_px: Floats, limit_px: float = BLURRED_PX, wher
         return []
     sharpest, share = float(np.quantile(known, _SHARPEST)), float(np.mean(known > limit_px))
     if sharpest > limit_px:
-        return [
-            Finding(
-                severity="warning",
-                code="out-of-focus",
-                message=f"{name}: even the sharpest images are blurred by {sharpest:.1f} px at {where} (standard "
-                f"deviation), usually by {np.median(known):.1f} px; a focused lens has 0.5 to 0.8 px.",
-                consequence="Corners come out uncertain, and the tags' codes cannot be read from far away.",
-                cure="Focus the lens on the board, switch autofocus off, and calibrate the intrinsics at that focus.",
-            )
-        ]
+        return [make_finding("out-of-focus", name=name, sharpest=sharpest, where=where, usual_px=np.median(known))]
     if share <= _SOME_BLURRED:
         return []
     many = share > _BLURRED_SHARE
     return [
-        Finding(
+        make_finding(
+            "motion-blur",
             severity="warning" if many else "info",
-            code="motion-blur",
-            message=f"{name}: {100 * share:.0f} % of the images are blurred at {where} by more than {limit_px:g} px "
-            f"(standard deviation), the worst by {known.max():.1f} px; the sharpest by {sharpest:.1f} px.",
-            consequence="Their corners are uncertain or lost, and just the fast motion that tells most goes missing."
-            if many
-            else "Their corners count less.",
-            cure="More light and a shorter exposure (1 to 5 ms) first; then move more slowly." if many else "",
+            case="many" if many else "",
+            name=name,
+            share=share,
+            where=where,
+            limit_px=limit_px,
+            worst_px=known.max(),
+            sharpest=sharpest,
         )
     ]
 
@@ -170,38 +164,28 @@ def _exposure(name: str, quality: FrameQuality) -> list[Finding]:
     findings: list[Finding] = []
     if np.mean(clipped) > _BADLY_LIT_SHARE:
         findings.append(
-            Finding(
-                severity="warning",
-                code="images-bright",
-                message=f"{name}: the board's white is clipped in {100 * np.mean(clipped):.0f} % of the images (it "
-                f"reads {np.median(white[clipped]):.0f} of 255).",
-                consequence="Clipped white eats into black: corners of tags are drawn towards it by a part of the "
-                "blur, always to the same side.",
-                cure="A shorter exposure, or less gain, until the board's white reads 150 to 220.",
+            make_finding(
+                "images-bright/detected", name=name, clipped=np.mean(clipped), median_white=np.median(white[clipped])
             )
         )
     if np.mean(dark) > _BADLY_LIT_SHARE:
         findings.append(
-            Finding(
-                severity="warning",
-                code="images-dark",
-                message=f"{name}: the board is dark in {100 * np.mean(dark):.0f} % of the images: its white reads "
-                f"{np.median(white[dark]):.0f} of 255, its black {np.median(black[dark]):.0f}.",
-                consequence="Noise and grey steps are a large part of the edges: corners come out uncertain or are "
-                "not found.",
-                cure="More light on the board, or more gain; a longer exposure blurs.",
+            make_finding(
+                "images-dark/detected",
+                name=name,
+                dark=np.mean(dark),
+                median_white=np.median(white[dark]),
+                median_black=np.median(black[dark]),
             )
         )
     elif np.mean(flat) > _BADLY_LIT_SHARE:
         findings.append(
-            Finding(
-                severity="warning",
-                code="images-flat",
-                message=f"{name}: the board has little contrast in {100 * np.mean(flat):.0f} % of the images: black "
-                f"reads {np.median(black[flat]):.0f}, white {np.median(white[flat]):.0f} of 255.",
-                consequence="Noise is a large part of the edges: corners come out uncertain or are not found.",
-                cure="Keep lamps and windows out of the image and off the board (matt paper), clean the lens, and "
-                "switch compression and gamma off.",
+            make_finding(
+                "images-flat/detected",
+                name=name,
+                flat=np.mean(flat),
+                median_black=np.median(black[flat]),
+                median_white=np.median(white[flat]),
             )
         )
     return findings
@@ -216,14 +200,14 @@ def _dropped(name: str, dropped: Mapping[str, int], corners: int) -> list[Findin
     ordered = sorted(dropped.items(), key=lambda item: -item[1])
     why = ", ".join(f"{number} {reason}" for reason, number in ordered if number)
     return [
-        Finding(
+        make_finding(
+            "corners-dropped",
             severity="warning" if many else "info",
-            code="corners-dropped",
-            message=f"{name}: {count} of {count + corners} corners that were found were left out: {why}.",
-            consequence="What is left may be too little, or only the easy views." if many else "",
-            cure="Keep the board away from the image's border, in focus and evenly lit, and move more slowly."
-            if many
-            else "",
+            case="many" if many else "",
+            name=name,
+            dropped=count,
+            corners=count + corners,
+            why=why,
         )
     ]
 
@@ -231,17 +215,7 @@ def _dropped(name: str, dropped: Mapping[str, int], corners: int) -> list[Findin
 def _uncertain(name: str, sigma_px: Floats | None) -> list[Finding]:
     if sigma_px is None or not len(sigma_px) or float(np.median(sigma_px)) <= _UNCERTAIN_PX:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="corners-uncertain",
-            message=f"{name}: corners are known to {np.median(sigma_px):.2g} px only (median sigma per axis); 0.02 to "
-            "0.1 px is usual.",
-            consequence="Extrinsics and time shift come out as much less certain.",
-            cure="Sharper images with more contrast and less gain; come closer, so that the board fills half of the "
-            "image.",
-        )
-    ]
+    return [make_finding("corners-uncertain", name=name, median_sigma_px=np.median(sigma_px))]
 
 
 # ---- where the board is ----
@@ -259,14 +233,14 @@ def check_sight(name: str, sight: Sight) -> list[Finding]:
     where = ", ".join(part for part in (where, f"{len(away)} away from the edges" if len(away) else "") if part)
     times = f"It was lost {len(lost)} time{'s' * (len(lost) > 1)}: {where}{_blur_before(sight, away)}." if where else ""
     return [
-        Finding(
+        make_finding(
+            "board-rare",
             severity="warning" if rare else "info",
-            code="board-rare",
-            message=f"{name}: the board is in {100 * share:.0f} % of the images. {times}".rstrip(),
-            consequence="The other images tell nothing; the IMU alone carries the trajectory over them."
-            if rare
-            else "",
-            cure=_keep_in_sight(sides, len(away)) if rare else "",
+            case="rare" if rare else "",
+            name=name,
+            share=share,
+            times=times,
+            sides=_keep_in_sight(sides, len(away)),
         )
     ]
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..images import Grey
 from ..models.camera import Camera
 from ..recording import Floats
@@ -117,40 +117,23 @@ def check_sizes(name: str, looks: Sequence[ImageLook], camera: Camera | None) ->
     if not sizes:
         return []
     if len(sizes) > 1:
-        return [
-            Finding(
-                severity="problem",
-                code="image-size",
-                message=f"{name}: the images have several sizes: {', '.join(f'{w} x {h}' for w, h in sizes[:4])} px.",
-                consequence="One set of intrinsics belongs to one size.",
-                cure="Record one camera at one resolution, or cut the recording where that changed.",
-            )
-        ]
+        return [make_finding("image-size/mixed", name=name, sizes=", ".join(f"{w} x {h}" for w, h in sizes[:4]))]
     if camera is not None and sizes[0] != camera.resolution:
         (width, height), (stated_width, stated_height) = sizes[0], camera.resolution
         return [
-            Finding(
-                severity="problem",
-                code="image-size",
-                message=f"{name}: the images are {width} x {height} px, the intrinsics are of {stated_width} x "
-                f"{stated_height} px.",
-                consequence="Intrinsics of another size do not fit.",
-                cure="Give the camchain of this resolution: calibrate the intrinsics at the size that you record.",
+            make_finding(
+                "image-size/stated",
+                name=name,
+                width=width,
+                height=height,
+                stated_width=stated_width,
+                stated_height=stated_height,
             )
         ]
     same = 1 - len({look.digest for look in looks}) / len(looks)
     if len(looks) < 3 or same <= _SAME:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="images-same",
-            message=f"{name}: {100 * same:.0f} % of {len(looks)} images from all over the recording are the same to "
-            "the last pixel.",
-            consequence="The camera, or what recorded it, hung.",
-            cure="Check the camera's link, and record again.",
-        )
-    ]
+    return [make_finding("images-same", name=name, same=same, images=len(looks))]
 
 
 def check_looks(name: str, looks: Sequence[ImageLook]) -> list[Finding]:
@@ -165,11 +148,12 @@ def check_looks(name: str, looks: Sequence[ImageLook]) -> list[Finding]:
     findings = [*blur_findings(name, blur, _BLURRED_PX, "strong edges"), *_light(name, low, high, clipped)]
     if not findings and np.isfinite(blur).any():
         findings.append(
-            Finding(
-                severity="good",
-                code="images",
-                message=f"{name}: the images are sharp (blur {np.nanmedian(blur):.2f} px at strong edges) and well "
-                f"exposed (grey levels {np.median(low):.0f} to {np.median(high):.0f}).",
+            make_finding(
+                "images/sampled",
+                name=name,
+                blur_px=np.nanmedian(blur),
+                median_low=np.median(low),
+                median_high=np.median(high),
             )
         )
     return findings
@@ -180,33 +164,12 @@ def _light(name: str, low: Floats, high: Floats, clipped: Floats) -> list[Findin
     levels = f"grey levels {np.median(low):.0f} to {np.median(high):.0f} of 255"
     if np.mean(bright) > _MANY:
         return [
-            Finding(
-                severity="warning",
-                code="images-bright",
-                message=f"{name}: {100 * np.mean(bright):.0f} % of the images are too bright: some "
-                f"{100 * np.median(clipped[bright]):.0f} % of their pixels read 250 to 255.",
-                consequence="Where the board is clipped, its corners are drawn towards black, always to the same side.",
-                cure="A shorter exposure, or less gain, until the board's white reads 150 to 220.",
+            make_finding(
+                "images-bright/sampled", name=name, bright=np.mean(bright), median_clipped=np.median(clipped[bright])
             )
         ]
     if np.mean(dark) > _MANY:
-        return [
-            Finding(
-                severity="warning",
-                code="images-dark",
-                message=f"{name}: {100 * np.mean(dark):.0f} % of the images are dark ({levels}).",
-                consequence="Noise is a large part of the edges: corners come out uncertain or are not found.",
-                cure="More light, or more gain; a longer exposure blurs. Is the lens cap off?",
-            )
-        ]
+        return [make_finding("images-dark/sampled", name=name, dark=np.mean(dark), levels=levels)]
     if np.mean(flat) > _MANY:
-        return [
-            Finding(
-                severity="warning",
-                code="images-flat",
-                message=f"{name}: {100 * np.mean(flat):.0f} % of the images have little contrast ({levels}).",
-                consequence="Noise is a large part of the edges: corners come out uncertain or are not found.",
-                cure="Check lens and lamps; switch compression and gamma off.",
-            )
-        ]
+        return [make_finding("images-flat/sampled", name=name, flat=np.mean(flat), levels=levels)]
     return []

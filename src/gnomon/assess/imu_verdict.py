@@ -8,7 +8,7 @@ from ..calibration import Assessment, Gravity, Holdout
 from ..diagnostics import ImuDiagnostics
 from ..estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
 from ..estimate.multiposition.scaling import ImuEstimate
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .bias_findings import bias_findings
@@ -106,15 +106,7 @@ def convergence_findings(converged: bool, iterations: int | None = None) -> list
     if converged:
         return []
     within = "" if iterations is None else f" within {iterations} steps"
-    return [
-        Finding(
-            severity="problem",
-            code="not-converged",
-            message=f"The fit did not settle{within}.",
-            consequence="Its parameters are not a minimum.",
-            cure="Record again with more attitudes, and with rotations about all three axes.",
-        )
-    ]
+    return [make_finding("not-converged/imu", within=within)]
 
 
 def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
@@ -122,24 +114,8 @@ def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
     still = graded(holdout.accelerometer_rms, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
     turned = graded(holdout.rotation_rms, _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD)
     return [
-        Finding(
-            severity=still,
-            code="holdout-accelerometer",
-            message="Static intervals that were left out show gravity to "
-            f"{1e3 * holdout.accelerometer_rms:.2f} mm/s^2 rms.",
-            consequence="" if still == "good" else "The accelerometer does not show the same gravity in all attitudes.",
-            cure="" if still == "good" else "Hold the sensor stiller, better lying on something, and check its range.",
-        ),
-        Finding(
-            severity=turned,
-            code="holdout-rotation",
-            message="Rotations that were left out end within "
-            f"{1e3 * holdout.rotation_rms:.2f} mrad rms of the measured gravity.",
-            consequence="" if turned == "good" else "The gyroscope's rotations do not agree with the accelerometer.",
-            cure=""
-            if turned == "good"
-            else "Check that gyroscope and accelerometer have one clock and no lost samples, and turn more slowly.",
-        ),
+        make_finding("holdout-accelerometer/imu", severity=still, accelerometer_rms=holdout.accelerometer_rms),
+        make_finding("holdout-rotation", severity=turned, rotation_rms=holdout.rotation_rms),
     ]
 
 
@@ -166,14 +142,7 @@ def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Findi
         grades = (graded(scale, _SCALE_WARN, _SCALE_FAIL), graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
         severity = min(grades, key=SEVERITIES.__getitem__)
         findings.append(
-            Finding(
-                severity=severity,
-                code=f"uncertainty-{triad}",
-                message=f"The {triad}'s scales are known to {100 * scale:.3f} % and its axes to {1e3 * angle:.2f} mrad "
-                "(1 sigma, worst axis).",
-                consequence="" if severity == "good" else "That is coarser than such a recording can give.",
-                cure="" if severity == "good" else cure,
-            )
+            make_finding(f"uncertainty-{triad}/imu", severity=severity, scale=scale, angle=angle, cure=cure)
         )
     return findings
 
@@ -229,13 +198,7 @@ def _observability_findings(evidence: ImuEvidence) -> list[Finding]:
         ("the gyroscope's g-sensitivity", "g-sensitivity", G_, missing_attitude(evidence)),
     )
     return weak_findings(weak, with_camera=False) + [
-        Finding(
-            severity="problem",
-            code="not-observable",
-            message=f"This recording does not determine {int(held[part].sum())} of the numbers of {what}.",
-            consequence="They are held by a weak assumption and must not be used as measured.",
-            cure=cure,
-        )
+        make_finding("not-observable/imu", count=int(held[part].sum()), what=what, cure=cure)
         for what, word, part, cure in groups
         if held[part].any() and word not in said
     ]
@@ -264,15 +227,7 @@ def axis_findings(sensitivity: Floats) -> list[Finding]:
         )
     elif np.array_equal(along, np.arange(3)):
         guess = "Most likely all signs of the gyroscope are flipped."
-    return [
-        Finding(
-            severity="warning",
-            code="axes-differ",
-            message=f"Seen from the accelerometer's axes, gyroscope {', '.join(words)}; its axes are {hand}.",
-            consequence="The calibration holds for data recorded the same way; in other software it may surprise.",
-            cure=guess,
-        )
-    ]
+    return [make_finding("axes-differ/imu", words=", ".join(words), hand=hand, guess=guess)]
 
 
 def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit: str) -> list[Finding]:
@@ -291,13 +246,13 @@ def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit
             if triad == "gyroscope" and not others:
                 fits = f" So they would be if the sample rate were {ratio:.3g} times what the stamps say."
             findings.append(
-                Finding(
-                    severity="warning",
-                    code="unit",
-                    message=f"The {triad}'s values are {ratio:.3g} times what {unit} would give.{fits}",
-                    consequence="The calibration corrects it, but whoever expects that unit elsewhere will be misled.",
-                    cure="State the unit of the recording with --units"
-                    + (", or the true sample rate (--rate)." if triad == "gyroscope" and not others else "."),
+                make_finding(
+                    "unit/far",
+                    triad=triad,
+                    ratio=ratio,
+                    unit=unit,
+                    fits=fits,
+                    case="rate" if triad == "gyroscope" and not others else "",
                 )
             )
     return findings
@@ -312,12 +267,12 @@ def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
         out = int((~rotations.used).sum())
         reasons = sorted({why for why in rotations.reason if why})
         findings.append(
-            Finding(
+            make_finding(
+                "rotations-left-out",
                 severity="warning" if out > 0.1 * len(rotations.used) else "info",
-                code="rotations-left-out",
-                message=f"{out} of {len(rotations.used)} rotations left out: {'; '.join(reasons[:3])}.",
-                consequence="The gyroscope is calibrated from the others.",
-                cure="Turn more slowly than the gyroscope's range.",
+                out=out,
+                rotations=len(rotations.used),
+                reasons="; ".join(reasons[:3]),
             )
         )
     return findings
@@ -331,13 +286,14 @@ def _model_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[
     basic, full = by_name["basic"], by_name["g-sensitivity"]
     how = "as stated" if step.forced else "chosen"
     return [
-        Finding(
-            severity="good",
-            code="model",
-            message=f"Gyroscope model {full.model if step.used else basic.model} ({how}): left-out stretches of time "
-            f"gain {step.gain:.0f} of log-likelihood with g-sensitivity, where {step.needed:.0f} would be needed to "
-            f"prove it; left-out rotations are predicted to {1e3 * full.rotation_rms:.2f} mrad with it, "
-            f"{1e3 * basic.rotation_rms:.2f} mrad without.",
+        make_finding(
+            "model",
+            model=full.model if step.used else basic.model,
+            how=how,
+            gain=step.gain,
+            needed=step.needed,
+            full_rms=full.rotation_rms,
+            basic_rms=basic.rotation_rms,
         )
     ]
 
@@ -346,21 +302,5 @@ def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     allan = diagnostics.allan
     if allan is None or not np.isfinite(allan.t_init_s):
         held = float(diagnostics.intervals.stop_s[0] - diagnostics.intervals.start_s[0])
-        return [
-            Finding(
-                severity="info",
-                code="t-init",
-                message=f"The initial static part ({held:.0f} s) is too short to show where the gyroscope's noise "
-                "averages out.",
-                consequence="The bias is nevertheless estimated from all static intervals together.",
-                cure="Let the sensor lie still for a minute before the first rotation to see the curve flatten.",
-            )
-        ]
-    return [
-        Finding(
-            severity="good",
-            code="t-init",
-            message=f"The gyroscope's Allan deviation flattens at {allan.t_init_s:.0f} s; "
-            f"the initial static part lasts {allan.static_s:.0f} s.",
-        )
-    ]
+        return [make_finding("t-init/short", held=held)]
+    return [make_finding("t-init/unknown", t_init_s=allan.t_init_s, static_s=allan.static_s)]

@@ -11,7 +11,7 @@ from ..calibration import Assessment, Calibration, Holdout
 from ..diagnostics import Result
 from ..errors import RecordingError
 from ..estimate.trust.between_recordings import Block, join_estimates
-from ..findings import Finding, Severity
+from ..findings import Finding, Severity, make_finding
 from ..parameters import parameters
 from ..recording import Floats
 from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
@@ -239,15 +239,12 @@ def standing_out_findings(scalars: Scalars, names: Sequence[str]) -> Iterator[Fi
         strange = shape & (size > _STRANGE * usual) & (np.abs(z[i]) > _STRANGE_SIGMAS)
         if strange.any():
             at = int(np.argmax(np.where(strange, np.abs(z[i]), 0.0)))
-            yield Finding(
-                severity="warning",
-                code="recording-stands-out",
-                message=f"{name} is not foretold by the others: its {_place_words(scalars, at)} differs by "
-                f"{_amount(scalars.quantity[at], float(size[at]))}, {abs(z[i, at]):.1f} sigma of what such a recording "
-                "may differ.",
-                consequence="The scatter between recordings is as large as this one makes it, and with it all sigmas.",
-                cure="Look at the report of that recording alone. If the sensor was another one, was set otherwise or "
-                "was much warmer or colder there, leave it out.",
+            yield make_finding(
+                "recording-stands-out/one",
+                name=name,
+                place=_place_words(scalars, at),
+                amount=_amount(scalars.quantity[at], float(size[at])),
+                z=abs(z[i, at]),
             )
 
 
@@ -259,26 +256,16 @@ def _two_differ(scalars: Scalars, names: Sequence[str], usual: Floats, shape: np
     strange = shape & scalars.estimated & (size > _STRANGE * usual) & (z > _STRANGE_SIGMAS)
     if strange.any():
         at = int(np.argmax(np.where(strange, z, 0.0)))
-        yield Finding(
-            severity="warning",
-            code="recording-stands-out",
-            message=f"{names[0]} and {names[1]} differ by more than one sensor does from recording to recording: "
-            f"their {_place_words(scalars, at)} by {_amount(scalars.quantity[at], float(size[at]))} ({z[at]:.1f} sigma "
-            "of what is usual).",
-            consequence="All sigmas are as large as this difference makes them.",
-            cure="Look at the reports of both alone. If the sensor was another one, was set otherwise or was much "
-            "warmer or colder, calibrate each alone; a third recording tells which one is strange.",
+        yield make_finding(
+            "recording-stands-out/two",
+            first=names[0],
+            second=names[1],
+            place=_place_words(scalars, at),
+            amount=_amount(scalars.quantity[at], float(size[at])),
+            z=z[at],
         )
 
 
 def _joined(scatter: Mapping[str, float], names: Sequence[str]) -> Finding:
     words = ", ".join(f"{QUANTITIES[quantity].words} {_amount(quantity, value)}" for quantity, value in scatter.items())
-    return Finding(
-        severity="info",
-        code="recordings-joined",
-        message=f"{len(names)} recordings are joined as recordings. From one to the next the sensor itself changes by "
-        f"(standard deviation): {words}.",
-        consequence="Parameters are the mean over the recordings; their sigmas are those of the sensor on another "
-        "occasion, this scatter included. Biases are those of no single switching-on.",
-        cure="Let whatever uses it follow the biases, or rest for some seconds after switching on and take them anew.",
-    )
+    return make_finding("recordings-joined", count=len(names), words=words)

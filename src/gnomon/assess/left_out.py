@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats
 
@@ -29,12 +29,14 @@ def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], la
     listed = [f"{k + 1} ({start_s[k]:.1f} to {stop_s[k]:.1f} s): {reason[k]}" for k in out[:_LISTED]]
     more = f"; and {len(out) - _LISTED} more, which the report lists" if len(out) > _LISTED else ""
     return [
-        Finding(
+        make_finding(
+            "intervals-left-out",
             severity="warning" if len(out) > _MANY * len(reason) else "info",
-            code="intervals-left-out",
-            message=f"{label}{len(out)} of {len(reason)} static intervals left out: {'; '.join(listed)}{more}.",
-            consequence="What they measured is not in the result; the rest of the recording is used.",
-            cure="Let go of the sensor before an interval counts, and power it throughout.",
+            label=label,
+            count=len(out),
+            total=len(reason),
+            listed="; ".join(listed),
+            more=more,
         )
     ]
 

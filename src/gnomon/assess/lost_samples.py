@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats, TriadSamples
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
@@ -28,17 +28,7 @@ def check_lost_samples(samples: TriadSamples, label: str) -> list[Finding]:
     share = (doubled - none) / max(len(extra), 1)
     if len(extra) < _FEWEST_STEEP or doubled < _FEWEST + _TIMES * none or share < _SHARE_WARN:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="samples-skipped",
-            message=f"{label}: about {100 * share:.1g} % of the samples are missing: {doubled} of {len(extra)} steps "
-            "in smooth motion are twice as long as those beside them, and the recording has no stamps to tell of gaps.",
-            consequence="Times are too short by as much: angles from rates come out too small, and the gyroscope's "
-            "scales wrong.",
-            cure="Record with stamps or a sample counter, or with a faster link.",
-        )
-    ]
+    return [make_finding("samples-skipped", label=label, share=share, doubled=doubled, count=len(extra))]
 
 
 def _extra_steps(values: Floats) -> Floats:

@@ -6,7 +6,7 @@ the sign of the dip tells from a sensor that is turned by R (see `gnomon.estimat
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .magnetometer_tables import FieldEvidence
 
 _SIGNIFICANT = 4.0  # sigmas
@@ -32,47 +32,23 @@ def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
     if not telling:
         return [_unchecked(found, near_equator=True)]
     if np.sign(found) != expected:
-        return [
-            Finding(
-                severity="problem",
-                code="magnetometer-handedness",
-                message=f"The field dips by {found:.1f} deg; {by}, asks for the other sign.",
-                consequence="An axis of the magnetometer has the wrong sign, or two are swapped, and directions of the "
-                "field are wrong by up to 180 deg; or the accelerometer shows -1 g up, and only the dip is wrong.",
-                cure="Check that the accelerometer's upward axis reads +1 g at rest, then the signs and the order of "
-                "the magnetometer's columns: turned to magnetic north, each axis reads most.",
-            )
-        ]
-    checked = Finding(
-        severity="good",
-        code="magnetometer-handedness",
-        message=f"The field dips the way that {by}, asks for: both sensors are right-handed.",
-    )
+        return [make_finding("magnetometer-handedness/good", found=found, by=by)]
+    checked = make_finding("magnetometer-handedness/wrong", by=by)
     if stated is None or abs(found - stated) <= max(_OFF_DEG, _SIGNIFICANT * sigma):
         return [checked]
     return [
         checked,
-        Finding(
-            severity="warning",
-            code="magnetometer-dip",
-            message=f"The field dips by {found:.1f} +- {sigma:.1g} deg; {stated:g} deg was stated.",
-            consequence="The field of the place is bent by iron, or how the sensors lie to each other is wrong.",
-            cure="Record outdoors, away from iron, and check the stated dip.",
-        ),
+        make_finding("magnetometer-dip", found=found, sigma=sigma, stated=stated),
     ]
 
 
 def _unchecked(found_deg: float, *, near_equator: bool) -> Finding:
     hemisphere = "north" if found_deg > 0 else "south"
     why = "there the sign of the dip tells nothing" if near_equator else "neither --dip nor --latitude was stated"
-    return Finding(
-        severity="info",
-        code="magnetometer-handedness",
-        message=f"Handedness was not checked: {why}. The field dips by {found_deg:.1f} deg, as {hemisphere} of the "
-        "magnetic equator.",
-        consequence="If that is not where you are, an axis of the magnetometer has the wrong sign or two are swapped, "
-        "and directions are wrong, or the accelerometer shows -1 g up.",
-        cure="State --dip, such as from the WMM, to check it."
-        if near_equator
-        else "State --dip, such as from the WMM, or --latitude, to check it.",
+    return make_finding(
+        "magnetometer-handedness/unchecked",
+        case="near-equator" if near_equator else "",
+        why=why,
+        found_deg=found_deg,
+        hemisphere=hemisphere,
     )

@@ -5,7 +5,7 @@ import numpy as np
 from ..calibration import Assessment, Holdout
 from ..estimate.triads.blocks import FEWEST_BLOCKS
 from ..evidence import NAMES, TRIADS, Evidence
-from ..findings import Finding, Severity
+from ..findings import Finding, Severity, make_finding
 from ..recording import Floats
 from ..units import MAGNETOMETER_UNITS_UT
 from .bias_findings import bias_findings
@@ -81,18 +81,7 @@ def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:
     total = fit.holdout_rms / field
     unexplained = float(np.sqrt(max(total**2 - noise**2, 0.0)))
     severity = graded(unexplained, _UNEXPLAINED_WARN, _UNEXPLAINED_FAIL)
-    return [
-        Finding(
-            severity=severity,
-            code="holdout-magnetometer",
-            message=f"Stretches that were left out show the strength of the field to {100 * total:.2g} % rms, of which "
-            f"the sensor's noise makes {100 * noise:.2g} %.",
-            consequence="" if severity == "good" else "The field differs from place to place, or the sensor bends it.",
-            cure=""
-            if severity == "good"
-            else "Record outdoors or in the middle of a room, away from iron and cables; turn the sensor in one place.",
-        )
-    ]
+    return [make_finding("holdout-magnetometer", severity=severity, total=total, noise=noise)]
 
 
 def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
@@ -108,13 +97,13 @@ def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
     offset = float((sigma[9:] / rows).max()) / evidence.strength
     severity = graded(max(scale, angle, offset), _SIGMA_WARN, _SIGMA_FAIL)
     return [
-        Finding(
+        make_finding(
+            "uncertainty-magnetometer",
             severity=severity,
-            code="uncertainty-magnetometer",
-            message=f"Hard iron is known to {100 * offset:.2g} % of the field, soft iron to {100 * scale:.2g} % "
-            f"(scales) and {1e3 * angle:.2g} mrad (axes; 1 sigma, worst axis).",
-            consequence="" if severity == "good" else "A heading from it errs by as much.",
-            cure="" if severity == "good" else _missing(evidence)[0] or "Record longer, in one place away from iron.",
+            offset=offset,
+            scale=scale,
+            angle=angle,
+            advice=_missing(evidence)[0] or "Record longer, in one place away from iron.",
         )
     ]
 
@@ -148,15 +137,7 @@ def _missing(evidence: FieldEvidence) -> tuple[str, float]:
 def _coverage_findings(evidence: FieldEvidence) -> list[Finding]:
     cure, share = _missing(evidence)
     severity: Severity = "warning" if share < _COVER_WARN else "good"
-    return [
-        Finding(
-            severity=severity,
-            code="magnetometer-coverage",
-            message=f"The field was seen from {100 * share:.0f} % of all directions.",
-            consequence="" if severity == "good" else "Elsewhere the calibration is extrapolated.",
-            cure="" if severity == "good" else cure,
-        )
-    ]
+    return [make_finding("magnetometer-coverage", severity=severity, share=share, cure=cure)]
 
 
 def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
@@ -166,23 +147,23 @@ def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
         more = f" and {len(found.stretches) - _MOST_NAMED} more" if len(found.stretches) > _MOST_NAMED else ""
         share = float(np.sum(found.stretches[:, 1] - found.stretches[:, 0])) / float(np.ptp(evidence.t_s))
         findings.append(
-            Finding(
+            make_finding(
+                "magnetometer-disturbed",
                 severity="warning" if share > _STRAY_WARN else "info",
-                code="magnetometer-disturbed",
-                message=f"The field has another strength at {named}{more} ({100 * share:.2g} % of the time).",
-                consequence="These stretches are not used; nearby ones may be disturbed a little.",
-                cure="Keep away from iron, magnets and currents, and from the table.",
+                named=named,
+                more=more,
+                share=share,
             )
         )
     if found.single:
         share = found.single / len(evidence.t_s)
         findings.append(
-            Finding(
+            make_finding(
+                "magnetometer-outliers",
                 severity="warning" if share > _STRAY_WARN else "info",
-                code="magnetometer-outliers",
-                message=f"{found.single} single samples ({100 * share:.2g} %) lie far off and are not used.",
-                consequence="",
-                cure="Check the bus and the reading of the sensor." if share > _STRAY_WARN else "",
+                case="many" if share > _STRAY_WARN else "",
+                single=found.single,
+                share=share,
             )
         )
     return findings
@@ -191,24 +172,15 @@ def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
 def _correlation_findings(evidence: FieldEvidence) -> list[Finding]:
     fit = evidence.fit
     findings = [
-        Finding(
+        make_finding(
+            "magnetometer-correlated",
             severity="info" if fit.sigma_factor > 2 else "good",
-            code="magnetometer-correlated",
-            message=f"Errors of the strength are correlated in time: sigmas come from blocks of "
-            f"{fit.blocks.length_s:.1f} s and are {fit.sigma_factor:.1f} times those of independent errors.",
+            length_s=fit.blocks.length_s,
+            sigma_factor=fit.sigma_factor,
         )
     ]
     if not fit.blocks.long_enough:
-        findings.append(
-            Finding(
-                severity="info",
-                code="magnetometer-short",
-                message=f"Errors are correlated for so long that the recording holds hardly {FEWEST_BLOCKS} "
-                "independent stretches.",
-                consequence="The sigmas themselves are known to some 20 % only, and may be too small.",
-                cure="Record for two or three minutes.",
-            )
-        )
+        findings.append(make_finding("magnetometer-short", fewest_blocks=FEWEST_BLOCKS))
     return findings
 
 
@@ -224,22 +196,14 @@ def _strength_findings(evidence: FieldEvidence) -> list[Finding]:
     likely = _EARTH_UT[0] < shown < _EARTH_UT[1]
     stated = "" if evidence.field is None else f"; {evidence.field:.3g} uT was stated"
     if not likely:
-        return [
-            Finding(
-                severity="warning",
-                code="magnetometer-field",
-                message=f"By its unit, {evidence.unit}, the sensor was in a field of {shown:.3g} uT; that of the earth "
-                f"is 22 to 67 uT{stated}.",
-                consequence="Either the unit is another one, or iron strengthened or weakened the field everywhere.",
-                cure="State the unit with --units, and record away from iron.",
-            )
-        ]
+        return [make_finding("magnetometer-field/implausible", unit=evidence.unit, shown=shown, stated=stated)]
     return [
-        Finding(
-            severity="info",
-            code="magnetometer-field",
-            message=f"By its unit, {evidence.unit}, the sensor was in a field of {shown:.3g} uT{stated}.",
-            cure="" if evidence.field is not None else "State its strength with --field to have the result in uT.",
+        make_finding(
+            "magnetometer-field/stated",
+            case="field-known" if evidence.field is not None else "",
+            unit=evidence.unit,
+            shown=shown,
+            stated=stated,
         )
     ]
 
@@ -247,40 +211,16 @@ def _strength_findings(evidence: FieldEvidence) -> list[Finding]:
 def _alignment_findings(evidence: FieldEvidence, beside_accelerometer: bool) -> list[Finding]:
     dip = evidence.dip
     if not beside_accelerometer:
-        return [
-            Finding(
-                severity="info",
-                code="magnetometer-alone",
-                message="Without accelerometer the result is in the magnetometer's own frame, mag-x.",
-                consequence="Strengths alone do not tell how it stands to other sensors.",
-                cure="Record the accelerometer too, to have both in one frame.",
-            )
-        ]
+        return [make_finding("magnetometer-alone")]
     if dip is None or evidence.imu.accelerometer is None:
-        return [
-            Finding(
-                severity="warning",
-                code="magnetometer-alignment",
-                message="How the magnetometer stands to the accelerometer cannot be told from this recording.",
-                consequence="The result is in the magnetometer's own frame, mag-x.",
-                cure="Turn the sensor through more attitudes, slowly, or pause in each of them for a second or two.",
-            )
-        ]
+        return [make_finding("magnetometer-alignment/unknown")]
     iron = evidence.fit.iron
     words = f"The field dips by {np.degrees(dip.dip_rad):.2f} +- {np.degrees(evidence.dip_sigma_rad):.2f} deg"
     sigma = _alignment_sigma(evidence)
     if iron.in_own_frame:
         words += f"; the magnetometer's frame is known in that of the accelerometer to {1e3 * sigma:.2g} mrad"
     severity: Severity = "warning" if sigma > _ALIGNED_WARN_RAD else "info"
-    return [
-        Finding(
-            severity=severity,
-            code="magnetometer-alignment",
-            message=f"{words} (1 sigma).",
-            cure="Pause in each attitude for a second or two, or give the accelerometer's calibration with --prior, to "
-            "know it more closely.",
-        )
-    ]
+    return [make_finding("magnetometer-alignment/known", severity=severity, words=words)]
 
 
 def _alignment_sigma(evidence: FieldEvidence) -> float:
@@ -306,16 +246,7 @@ def _left_out_findings(evidence: FieldEvidence) -> list[Finding]:
     chi_squared = float(fit.left_out[:count] @ inverse @ fit.left_out[:count])
     if chi_squared < count + _SIGNIFICANT * np.sqrt(2 * count):
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="soft-iron-left-out",
-            message=f"The hard-iron model leaves out soft iron of up to {100 * np.abs(shape).max():.2g} %, which the "
-            "recording shows.",
-            consequence="All sigmas are widened by that.",
-            cure="Leave --model out: the full model estimates them.",
-        )
-    ]
+    return [make_finding("soft-iron-left-out", shape=np.abs(shape).max())]
 
 
 def _held(evidence: FieldEvidence) -> tuple[str, ...]:
@@ -329,12 +260,10 @@ def _held_findings(evidence: FieldEvidence) -> list[Finding]:
     if not held:
         return []
     return [
-        Finding(
-            severity="problem",
-            code="not-observable",
-            message=f"This recording does not determine {len(held)} of the numbers of the magnetometer.",
-            consequence="They are held by a weak assumption and must not be used as measured.",
-            cure=_missing(evidence)[0] or "Turn the sensor through all attitudes.",
+        make_finding(
+            "not-observable/magnetometer",
+            count=len(held),
+            advice=_missing(evidence)[0] or "Turn the sensor through all attitudes.",
         )
     ]
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import ImuSamples, TriadSamples, measurable
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 from .protocol import looks_like, why_no_gravity
@@ -77,30 +77,13 @@ def _in_si(samples: TriadSamples, units: dict[str, float | None]) -> TriadSample
 
 def _incomplete(label: str, samples: TriadSamples) -> Finding | None:
     if len(samples) < 2:
-        return Finding(
-            severity="problem",
-            code="samples-missing",
-            message=f"{label}: {len(samples)} samples.",
-            consequence="Both triads are needed.",
-            cure="Record both the accelerometer and the gyroscope.",
-        )
+        return make_finding("samples-missing/rig", label=label, samples=len(samples))
     if samples.unit == "count":
-        return Finding(
-            severity="problem",
-            code="unit",
-            message=f"{label}: the samples are raw counts, whose scale is not known.",
-            consequence="A camera tells the motion in metres and radians.",
-            cure="Convert them: calibrate the IMU alone (gnomon imu) and apply that (gnomon apply).",
-        )
+        return make_finding("unit/counts", label=label)
     lost = ~np.logical_and.reduce(measurable(samples.values), axis=1)
     if lost.any():
-        return Finding(
-            severity="problem",
-            code="samples-lost",
-            message=f"{label}: {np.count_nonzero(lost)} of {len(lost)} samples are NaN or infinite, the first is "
-            f"sample {np.argmax(lost)}.",
-            consequence="Nothing can be computed with them.",
-            cure="Leave out these samples; a gap is treated as such.",
+        return make_finding(
+            "samples-lost", label=label, lost=np.count_nonzero(lost), samples=len(lost), first=np.argmax(lost)
         )
     return None
 
@@ -117,24 +100,12 @@ def _rate(name: str, gyroscope: TriadSamples) -> list[Finding]:
     rate_hz, duration_s = gyroscope.rate_hz, gyroscope.duration_s
     if rate_hz < _SLOW_HZ:
         findings.append(
-            Finding(
-                severity="problem" if rate_hz < _SLOWEST_HZ else "warning",
-                code="imu-rate",
-                message=f"{name}: {rate_hz:.3g} samples a second.",
-                consequence="The motion of a hand is faster than that; between samples it is unknown.",
-                cure="Record at 200 Hz.",
+            make_finding(
+                "imu-rate", severity="problem" if rate_hz < _SLOWEST_HZ else "warning", name=name, rate_hz=rate_hz
             )
         )
     if duration_s < _SHORT_S:
-        findings.append(
-            Finding(
-                severity="problem",
-                code="stream-short",
-                message=f"{name}: its samples span {duration_s:.1f} s.",
-                consequence="That is too short to find the time shift and the biases.",
-                cure="Record for a minute, and turn about all three axes.",
-            )
-        )
+        findings.append(make_finding("stream-short/imu", name=name, duration_s=duration_s))
     return findings
 
 
@@ -148,14 +119,13 @@ def _gravity(name: str, accelerometer: TriadSamples) -> list[Finding]:
     message = f"{name}: the accelerometer usually reads {found:.3f} m/s^2, expected about 9.81."
     message += looks_like(found, "m/s^2")
     if ratio <= _PLAUSIBLE:
-        return [Finding(severity="good", code="gravity-magnitude", message=message)]
+        return [make_finding("gravity-magnitude/good", message=message)]
     return [
-        Finding(
+        make_finding(
+            "gravity-magnitude/motion",
             severity="problem" if ratio > _POSSIBLE else "warning",
-            code="gravity-magnitude",
             message=message,
-            consequence=why_no_gravity(found, message),
-            cure='State the unit (--units, for example "g deg/s"); record acceleration with gravity in it.',
+            found=why_no_gravity(found, message),
         )
     ]
 
@@ -175,24 +145,12 @@ def _motion(name: str, imu: ImuSamples) -> list[Finding]:
     else:
         return []
     return [
-        Finding(severity="warning", code="rate-magnitude", message=found, consequence=consequence, cure=cure),
+        make_finding("rate-magnitude", found=found, consequence=consequence, cure=cure),
     ]
 
 
 def _silent(name: str, still: bool) -> Finding:
     """Return what to say where the gyroscope shows only noise; `still` where the accelerometer does, too."""
     if still:
-        return Finding(
-            severity="problem",
-            code="imu-still",
-            message=f"{name}: gyroscope and accelerometer show nothing but noise.",
-            consequence="An IMU at rest cannot be related to the camera.",
-            cure="Wave camera and IMU together in front of the board, about all three axes.",
-        )
-    return Finding(
-        severity="problem",
-        code="gyroscope-silent",
-        message=f"{name}: the gyroscope shows nothing but noise, the accelerometer shows motion.",
-        consequence="Without rotation the IMU cannot be related to the camera.",
-        cure="Turn camera and IMU about all three axes; if you did, check that the gyroscope is switched on.",
-    )
+        return make_finding("imu-still", name=name)
+    return make_finding("gyroscope-silent/motion", name=name)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..calibration import Assessment, Calibration
-from ..findings import Finding, Severity
+from ..findings import Finding, Severity, make_finding
 from ..recording import Floats
 from ..requirements import (
     BETWEEN_RECORDINGS,
@@ -344,11 +344,12 @@ def _imprecise(found: tuple[Need, ...], use: Use) -> Iterator[Finding]:
             for need in found
             if (need.verdict, need.cure) == (verdict, action)
         ]
-        yield Finding(
+        yield make_finding(
+            "use-imprecise",
             severity="problem" if verdict == "fail" else "warning",
-            code="use-imprecise",
-            message=f"{use.name} needs {'; '.join(parts_of_it)} (one sigma).",
-            cure=action,
+            name=use.name,
+            parts_of_it="; ".join(parts_of_it),
+            action=action,
         )
 
 
@@ -371,25 +372,13 @@ def _turn_on(calibration: Calibration, asked: list[Offer], use: Use) -> Iterator
             parts_of_it.append(f"the {offer.words} by {number_words(usual / quantity.size)} {quantity.unit}")
     if parts_of_it:
         source = f"as measured in {trust.recordings} recordings" if trust.recordings else "as is usual"
-        yield Finding(
-            severity="info",
-            code="use-turn-on",
-            message=f"{use.name} is judged by the biases while it was recorded. At the next switching-on and at "
-            f"another temperature they are others, {source}: {', '.join(parts_of_it)} (one sigma).",
-            cure="Let whatever uses it follow the biases, or rest for some seconds after switching on and take them "
-            "anew.",
-        )
+        yield make_finding("use-turn-on", name=use.name, source=source, parts_of_it=", ".join(parts_of_it))
 
 
 def _not_estimated(asked: list[Offer], use: Use) -> Iterator[Finding]:
     missing = [offer.words for offer in asked if not offer.sigma > 0]
     if missing:
-        yield Finding(
-            severity="info",
-            code="use-not-estimated",
-            message=f"{use.name} needs the {', the '.join(missing)}, which this calibration did not estimate.",
-            consequence="What the model holds it at, zero or a value known beforehand, was not judged.",
-        )
+        yield make_finding("use-not-estimated", name=use.name, missing=", the ".join(missing))
 
 
 def _why(general: Assessment, verdict: str, use: Use) -> Finding:
@@ -399,11 +388,7 @@ def _why(general: Assessment, verdict: str, use: Use) -> Finding:
         if _rank(verdict) > _rank(general.verdict)
         else f"what general use asks beyond that is not needed for {use.name}"
     )
-    return Finding(
-        severity="info",
-        code="use-verdict",
-        message=f"The verdict for {use.name} is {verdict}, that for general use {general.verdict}: {reason}.",
-    )
+    return make_finding("use-verdict", name=use.name, verdict=verdict, general=general.verdict, reason=reason)
 
 
 def _rank(verdict: str) -> int:
@@ -436,9 +421,11 @@ def general_precision(calibration: Calibration) -> Iterator[Finding]:
     """Yield what is known worse than general use asks."""
     for need in needs(calibration, GENERAL_RIG if calibration.cameras else GENERAL_IMU):
         if need.verdict != "pass":
-            yield Finding(
+            yield make_finding(
+                "imprecise/general",
                 severity="problem" if need.verdict == "fail" else "warning",
-                code="imprecise",
-                message=f"The {need.block} is known to {number_words(need.sigma)} {need.unit} only (one sigma).",
+                block=need.block,
+                sigma=number_words(need.sigma),
+                unit=need.unit,
                 cure=need.cure,
             )

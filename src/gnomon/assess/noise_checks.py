@@ -6,7 +6,7 @@ import numpy as np
 
 from ..detect.samples.rest import RestTable
 from ..errors import RecordingError
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats, Integers
 
@@ -83,7 +83,7 @@ def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding
     kept = np.flatnonzero(~frozen)
     stir, turned = _stirred_and_turned(table, kept)
     if not turned.any() and not stir.windows.any():
-        return [Finding(severity="good", code="noise-still", message=f"{sensor}: nothing moved it.")]
+        return [make_finding("noise-still", sensor=sensor)]
     marked = stir.windows | turned
     first, last = _span(table, marked)
     start, stop = _longest_still(table, marked | frozen)
@@ -100,15 +100,16 @@ def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding
             + (f"{advice}, or record again where nothing can move it." if enough else "Record again, with it at rest.")
         )
     return [
-        Finding(
+        make_finding(
+            "noise-stirred",
             severity="warning" if stir.share > _NOTABLE else "info",
-            code="noise-stirred",
-            message=f"{sensor}: something shook it {where} after the start, in {int(stir.windows.sum())} windows of a "
-            f"second; that adds {100 * stir.share:.1g} % to its noise.",
-            consequence="Coefficients come out a little too large."
-            if stir.share > _NOTABLE
-            else "That is too little to matter.",
-            cure=f"Leave it out: --start-s {start:.0f} --stop-s {stop:.0f}." if stir.share > _NOTABLE else "",
+            case="notable" if stir.share > _NOTABLE else "",
+            sensor=sensor,
+            where=where,
+            windows=int(stir.windows.sum()),
+            share=stir.share,
+            start=start,
+            stop=stop,
         )
     ]
 
@@ -182,40 +183,24 @@ def check_samples(table: RestTable, step: Floats, sensor: str) -> list[Finding]:
     if table.lost:
         some = table.lost > _LOST_SHARE * table.samples
         findings.append(
-            Finding(
+            make_finding(
+                "noise-gaps",
                 severity="warning" if some else "info",
-                code="noise-gaps",
-                message=f"{sensor}: {table.gaps} gap{'s' * (table.gaps > 1)}, about {table.lost} samples lost; the "
-                f"longest lasts {table.longest_gap_s:.4g} s from {table.longest_gap_at_s:.4g} s on.",
-                consequence="The samples before and after a gap are taken for neighbours; white noise does not care, "
-                "slow noise looks a little faster than it is.",
-                cure="Record with a faster link, or cut the recording at the longest gap." if some else "",
+                case="some" if some else "",
+                sensor=sensor,
+                gaps=table.gaps,
+                plural="s" * (table.gaps > 1),
+                lost=table.lost,
+                longest_gap_s=table.longest_gap_s,
+                longest_gap_at_s=table.longest_gap_at_s,
             )
         )
     if table.repeats > _REPEATED:
-        findings.append(
-            Finding(
-                severity="warning",
-                code="noise-repeated",
-                message=f"{sensor}: {100 * table.repeats:.0f} % of the samples repeat the one before in all axes.",
-                consequence="The sensor is slower than the recording, or its steps are coarse; the shortest averaging "
-                "times do not show its noise.",
-                cure="Record at the rate of the sensor, with its finest resolution.",
-            )
-        )
+        findings.append(make_finding("noise-repeated", sensor=sensor, repeats=table.repeats))
     sigma = np.sqrt(np.median(table.variance, axis=0))
     coarse = sigma < _COARSE * np.where(np.isfinite(step), step, 0.0)
     if coarse.any():
         axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(coarse))
         worst = int(np.argmax(np.where(coarse, step / np.maximum(sigma, 1e-300), 0)))
-        findings.append(
-            Finding(
-                severity="warning",
-                code="noise-coarse",
-                message=f"{sensor} {axes}: samples scatter by {sigma[worst]:.3g}, the steps of the converter are "
-                f"{step[worst]:.3g}.",
-                consequence="What is smaller than a step is hidden, or jumps; the noise is not that of the sensor.",
-                cure="Set the smallest range or the finest resolution.",
-            )
-        )
+        findings.append(make_finding("noise-coarse", sensor=sensor, axes=axes, sigma=sigma[worst], step=step[worst]))
     return findings

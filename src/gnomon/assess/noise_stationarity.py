@@ -9,7 +9,7 @@ import numpy as np
 from ..detect.samples.rest import RestTable
 from ..estimate.allan.high_pass import HighPass, find_high_pass
 from ..estimate.allan.patterns import Pattern, find_pattern
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats
 
@@ -154,14 +154,15 @@ def _frozen_findings(table: RestTable, found: Stationarity, sensor: str) -> list
         start, stop = _longest(np.asarray(found.frozen.any(axis=1), dtype=bool))
         cure += f", or leave it out: --start-s {table.t_s[start]:.0f} --stop-s {table.t_s[stop]:.0f}"
     return [
-        Finding(
+        make_finding(
+            "noise-frozen",
             severity="problem" if len(at) > _MOST_FROZEN * len(table.t_s) else "warning",
-            code="noise-frozen",
-            message=f"{sensor} {_named(axes.tolist())}: one value throughout in {len(at)} windows of a second, "
-            f"between {first:.0f} s and {last:.0f} s.",
-            consequence="The sensor, or what reads it, stood still there: the noise comes out too small. Its sigma is "
-            "widened by how much it changes over time.",
-            cure=f"{cure}.",
+            sensor=sensor,
+            axes=_named(axes.tolist()),
+            windows=len(at),
+            first=first,
+            last=last,
+            cure=cure,
         )
     ]
 
@@ -179,12 +180,12 @@ def _clipped_findings(found: Stationarity, sensor: str) -> list[Finding]:
         return []
     worst = float(found.clipped.max())
     return [
-        Finding(
+        make_finding(
+            "noise-clipped",
             severity="problem" if worst > _CLIPPED_FAIL else "warning",
-            code="noise-clipped",
-            message=f"{sensor} {_named(axes.tolist())}: {100 * worst:.2g} % of the samples are at an end of the range.",
-            consequence="What is beyond it is cut off: the noise comes out too small.",
-            cure="Choose a wider range of the sensor, or check where the values are cut off.",
+            sensor=sensor,
+            axes=_named(axes.tolist()),
+            worst=worst,
         )
     ]
 
@@ -198,16 +199,17 @@ def _level_findings(table: RestTable, found: Stationarity, sensor: str) -> list[
     low, high = int(np.argmin(level)), int(np.argmax(level))
     length = table.duration_s / len(level)
     return [
-        Finding(
-            severity="warning",
-            code="noise-uneven",
-            message=f"{sensor} {_named(axes)}: the noise is not the same all the time; that of {'xyz'[worst]} is "
-            f"{level[low]:.2g} of its mean from {low * length:.0f} s to {(low + 1) * length:.0f} s and "
-            f"{level[high]:.2g} from {high * length:.0f} s to {(high + 1) * length:.0f} s.",
-            consequence="There is no one number for it. The white noise is that of the whole recording; its sigma is "
-            "widened by how much it changes.",
-            cure="Look for what was switched on, vibration and warmth; record again, or a part of it (--start-s, "
-            "--stop-s).",
+        make_finding(
+            "noise-uneven",
+            sensor=sensor,
+            axes=_named(axes),
+            axis="xyz"[worst],
+            low_level=level[low],
+            low_from_s=low * length,
+            low_to_s=(low + 1) * length,
+            high_level=level[high],
+            high_from_s=high * length,
+            high_to_s=(high + 1) * length,
         )
     ]
 
@@ -225,16 +227,7 @@ def _pattern_findings(found: Stationarity, sensor: str) -> list[Finding]:
         f"{'xyz'[axis]} {words[one.kind].format(size=abs(one.size), time=one.time_s, unit=_WORDS[sensor])}"
         for axis, one in by_axis
     ]
-    return [
-        Finding(
-            severity="warning",
-            code="noise-pattern",
-            message=f"{sensor}: the mean shows what is no noise: {'; '.join(seen)}.",
-            consequence="The Allan deviation takes it for bias instability and random walk, which are too large by it; "
-            "their sigmas are widened to their values.",
-            cure="Let the sensor warm up, keep the temperature even, leave out where it steps (--start-s, --stop-s).",
-        )
-    ]
+    return [make_finding("noise-pattern", sensor=sensor, seen="; ".join(seen))]
 
 
 def _named(axes: Sequence[int]) -> str:

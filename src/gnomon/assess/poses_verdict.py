@@ -6,7 +6,7 @@ from ..calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ..estimate.triads.angrisano import AngrisanoFit
 from ..estimate.triads.pose_drift import PoseDrift
 from ..estimate.triads.triad_poses import B_, S_
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..parameters import element_names
 from ..recording import Floats
 from ..triad_diagnostics import PoseTable, TriadDiagnostics
@@ -109,30 +109,13 @@ def _drift_findings(drift: PoseDrift | None) -> list[Finding]:
     if (np.abs(drift.change) > _SIGNIFICANT * drift.sigma).any():
         moved = ", ".join(f"{1e3 * value:.2g}" for value in drift.change)
         findings.append(
-            Finding(
-                severity="warning" if size > _DRIFT_WARN else "info",
-                code="accelerometer-drift",
-                message=f"The accelerometer's bias moved by ({moved}) mm/s^2 from the first pose to the last, "
-                f"+- {1e3 * sigma:.2g}.",
-                consequence="A steady drift is estimated along; the bias is that of the mean of the poses. What it "
-                "does beside a straight line in time is in the scatter of the poses.",
-                cure="Let the sensor warm up before the first pose.",
+            make_finding(
+                "accelerometer-drift", severity="warning" if size > _DRIFT_WARN else "info", moved=moved, sigma=sigma
             )
         )
     if not drift.told.all():
         axes = " and ".join(_AXES[axis] for axis in np.flatnonzero(~drift.told))
-        findings.append(
-            Finding(
-                severity="info",
-                code="drift-not-told",
-                message=f"The order of the attitudes resembles time: a drift of the accelerometer's bias ({axes}) "
-                "would look like scales and angles.",
-                consequence=f"One of {1e3 * sigma:.2g} mm/s^2 (1 sigma) from the first pose to the last is counted in "
-                "all sigmas; a much larger one would go unseen.",
-                cure="Lay the sensor down in another order, such as each attitude followed by its opposite, or repeat "
-                "the first attitudes at the end.",
-            )
-        )
+        findings.append(make_finding("drift-not-told", axes=axes, sigma=sigma))
     return findings
 
 
@@ -164,31 +147,15 @@ def _attitude_findings(evidence: PoseEvidence) -> list[Finding]:
     if evidence.known.knows("imu0.accelerometer.sensitivity"):
         return []
     if evidence.stated is None and count < _DETERMINED:
-        return [
-            Finding(
-                severity="warning",
-                code="few-attitudes",
-                message=f"{message} They show the accelerometer's scales and bias, not the angles between its axes.",
-                consequence="The axes are taken as perpendicular, give or take 20 mrad; their sigmas say so.",
-                cure="Record 18 or more attitudes, all axes up and down and between, or give --prior.",
-            )
-        ]
-    return redundancy_findings(evidence.fit) or [Finding(severity="good", code="attitudes", message=message)]
+        return [make_finding("few-attitudes", message=message)]
+    return redundancy_findings(evidence.fit) or [make_finding("attitudes/poses", message=message)]
 
 
 def _holdout_findings(holdout_m_s2: float, gravity_m_s2: float) -> list[Finding]:
     if not np.isfinite(holdout_m_s2):
         return []
     grade = graded(holdout_m_s2, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
-    return [
-        Finding(
-            severity=grade,
-            code="holdout-accelerometer",
-            message=f"Poses that were left out show gravity to {1e3 * holdout_m_s2:.2f} mm/s^2 rms.",
-            consequence="" if grade == "good" else "The accelerometer does not show the same gravity in all attitudes.",
-            cure="" if grade == "good" else "Let the sensor lie on something in each pose, and check its range.",
-        )
-    ]
+    return [make_finding("holdout-accelerometer/poses", severity=grade, holdout_m_s2=holdout_m_s2)]
 
 
 def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
@@ -203,13 +170,13 @@ def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
         grade = of_angle if SEVERITIES[of_angle] < SEVERITIES[grade] else grade
     axes = "its axes" if own_frame else "its axes in the jig"
     return [
-        Finding(
+        make_finding(
+            "uncertainty-accelerometer",
             severity=grade,
-            code="uncertainty-accelerometer",
-            message=f"The accelerometer's scales are known to {100 * scale:.3f} % and {axes} to {1e3 * angle:.2f} mrad "
-            "(1 sigma, worst axis).",
-            consequence="" if grade == "good" else "That is coarser than such poses can give.",
-            cure="" if grade == "good" else missing_attitude(fit.direction[fit.used]),
+            scale=scale,
+            axes=axes,
+            angle=angle,
+            advice=missing_attitude(fit.direction[fit.used]),
         )
     ]
 
@@ -228,12 +195,11 @@ def _observability_findings(evidence: PoseEvidence) -> list[Finding]:
     held = evidence.fit.held_by_prior
     groups = (("scales and axes", S_), ("bias", B_))
     return [
-        Finding(
-            severity="problem",
-            code="not-observable",
-            message=f"These poses leave {int(held[part].sum())} of the numbers of the accelerometer's {what} open.",
-            consequence="They are held by a weak assumption and must not be used as measured.",
-            cure=missing_attitude(evidence.fit.direction[evidence.fit.used]),
+        make_finding(
+            "not-observable/poses",
+            count=int(held[part].sum()),
+            what=what,
+            advice=missing_attitude(evidence.fit.direction[evidence.fit.used]),
         )
         for what, part in groups
         if held[part].any()
@@ -249,30 +215,15 @@ def _stated_findings(evidence: PoseEvidence) -> list[Finding]:
     for k in np.flatnonzero(stated.wrong)[:_NAMED]:
         guess = f" It fits with {stated.guess[k]}." if stated.guess[k] else ""
         findings.append(
-            Finding(
-                severity="warning",
-                code="attitude-misstated",
-                message=f"{evidence.poses.name[k]}: gravity is {np.degrees(stated.angle_rad[k]):.0f} deg away from the "
-                f"attitude that was stated.{guess}",
-                consequence="Only the magnitude of gravity is used there.",
-                cure="Correct ref_x ref_y ref_z of this pose: at rest, the axis that points up reads +g.",
+            make_finding(
+                "attitude-misstated/pose", name=evidence.poses.name[k], angle_rad=stated.angle_rad[k], guess=guess
             )
         )
     if int(stated.wrong.sum()) > _NAMED:
         names = ", ".join(evidence.poses.name[k] for k in np.flatnonzero(stated.wrong)[_NAMED:])
-        findings.append(
-            Finding(severity="warning", code="attitude-misstated", message=f"So do the attitudes of {names}.")
-        )
+        findings.append(make_finding("attitude-misstated/others", names=names))
     if stated.mirrored:
-        findings.append(
-            Finding(
-                severity="warning",
-                code="jig-mirrored",
-                message="The known attitudes fit only if the jig's axes are left-handed, seen from the sensor's axes.",
-                consequence="The calibration holds for data recorded the same way; an axis has a wrong sign somewhere.",
-                cure="Check the signs and the order of ref_x ref_y ref_z, and of the sensor's columns.",
-            )
-        )
+        findings.append(make_finding("jig-mirrored"))
     return [*findings, _jig_finding(evidence)]
 
 
@@ -283,13 +234,7 @@ def _jig_finding(evidence: PoseEvidence) -> Finding:
     words = [f"{_AXES[i]} along {'-' if rows[i, along[i]] < 0 else '+'}{_AXES[along[i]]}" for i in range(3)]
     off = float(np.degrees(np.arccos(np.clip(np.abs(rows[np.arange(3), along]), 0, 1)).max()))
     sigma = np.degrees(evidence.stated.sigma_rad)
-    return Finding(
-        severity="info",
-        code="jig-alignment",
-        message=f"In the jig the sensor lies with {', '.join(words)}, to within {off:.2g} deg; the known attitudes "
-        f"agree with each other to {sigma:.2g} deg about each axis.",
-        consequence="The body frame is that of the jig.",
-    )
+    return make_finding("jig-alignment", words=", ".join(words), off=off, sigma=sigma)
 
 
 def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
@@ -298,15 +243,7 @@ def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
     ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
     if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="unit",
-            message=f"The accelerometer's values are {ratio:.3g} times what {unit} would give.",
-            consequence="The calibration corrects it, but whoever expects that unit elsewhere will be misled.",
-            cure="State the unit of the recording with --units.",
-        )
-    ]
+    return [make_finding("unit/poses", ratio=ratio, unit=unit)]
 
 
 def left_out_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -> list[Finding]:
@@ -318,12 +255,13 @@ def left_out_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -
     listed = "; ".join(f"{name} ({reason})" for name, reason in named[:_NAMED])
     more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
     return [
-        Finding(
+        make_finding(
+            "poses-left-out",
             severity="warning" if len(named) > 0.1 * total else "info",
-            code="poses-left-out",
-            message=f"{len(named)} of {total} poses left out: {listed}{more}.",
-            consequence="The rest is used.",
-            cure="Let go of the sensor before a pose counts, and let it lie still for some seconds.",
+            count=len(named),
+            total=total,
+            listed=listed,
+            more=more,
         )
     ]
 
@@ -344,27 +282,14 @@ def _held(evidence: PoseEvidence) -> tuple[str, ...]:
 def _convergence(evidence: PoseEvidence) -> list[Finding]:
     if evidence.fit.converged:
         return []
-    return [
-        Finding(
-            severity="problem",
-            code="not-converged",
-            message=f"The fit did not settle within {evidence.fit.iterations} steps.",
-            consequence="Its parameters are not a minimum.",
-            cure="Record again with more attitudes.",
-        )
-    ]
+    return [make_finding("not-converged/poses", iterations=evidence.fit.iterations)]
 
 
 def _iteration_finding(fit: AngrisanoFit) -> Finding:
     """Say how document C's iteration ended."""
     angles, bias, scale = fit.group_sigma
     if fit.converged:
-        return Finding(
-            severity="good",
-            code="iteration",
-            message=f"The iteration of document C met its stop rule after {fit.iterations} steps; sigma of angles "
-            f"{1e3 * angles:.2g} mrad, biases {bias:.2g}, scale factors {scale:.2g} (rms of each group).",
-        )
+        return make_finding("iteration", iterations=fit.iterations, angles=angles, bias=bias, scale=scale)
     ends = {
         "mirrored": "an axis reversed; its sign was mended",
         "wrong": f"a wrong minimum, which leaves {fit.residual_rms:.2g} m/s^2 unexplained in each pose",
@@ -372,10 +297,10 @@ def _iteration_finding(fit: AngrisanoFit) -> Finding:
         "not finished": "nowhere: the allowed number of steps is used up",
     }
     mended = fit.status == "mirrored"
-    return Finding(
+    return make_finding(
+        "wrong-minimum",
         severity="warning" if mended else "problem",
-        code="wrong-minimum",
-        message=f"The iteration of document C ended after {fit.iterations} steps at {ends[fit.status]}.",
-        consequence="" if mended else "Its parameters are no calibration (document C, Table 2 and Fig. 6).",
-        cure="Check --bits and --full-scale, or use the default preset, which needs no start.",
+        case="mended" if mended else "",
+        iterations=fit.iterations,
+        end=ends[fit.status],
     )

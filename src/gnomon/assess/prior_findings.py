@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..evidence import NAMES, Evidence, Known
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats
 
 _TELLS = 0.1  # information of the recording against that of the prior, from which on it can contradict it
@@ -24,16 +24,7 @@ def prior_findings(known: Evidence, values: Floats, covariance: Floats) -> list[
             continue
         chi2, degrees, worst = _disagreement(part, values, covariance)
         if chi2 > _limit(degrees):
-            findings.append(
-                Finding(
-                    severity="warning",
-                    code="prior-disagrees",
-                    message=f"The recording contradicts what was stated beforehand: chi squared {chi2:.0f} for "
-                    f"{degrees} directions, most of all in {NAMES[worst]}.",
-                    consequence="The result lies between the two and agrees with neither.",
-                    cure="Calibrate without --prior and compare; the sensor may be another one, or have changed.",
-                )
-            )
+            findings.append(make_finding("prior-disagrees/imu", chi2=chi2, degrees=degrees, worst_name=NAMES[worst]))
     return findings
 
 
@@ -53,17 +44,7 @@ def cameras_disagree(
     if not degrees or chi2 <= _limit(degrees):
         return []
     worst = int(np.argmax(np.abs(difference) / np.sqrt(np.diag(prior))))
-    return [
-        Finding(
-            severity="warning",
-            code="prior-disagrees",
-            message=f"The recording contradicts the calibration of the cameras that was given with --cam: chi squared "
-            f"{chi2:.0f} for {degrees} directions, most of all in {names[worst]}.",
-            consequence="Lenses and poses of the cameras lie between the two and agree with neither.",
-            cure="Calibrate the cameras anew with gnomon camera, from images of this rig as it is now: focus, mounting "
-            "or image size may have changed since, or the board's stated size may be another one.",
-        )
-    ]
+    return [make_finding("prior-disagrees/cameras", chi2=chi2, degrees=degrees, worst_name=names[worst])]
 
 
 def pulled_findings(known: Evidence, values: Floats, covariance: Floats) -> list[Finding]:
@@ -87,16 +68,7 @@ def pulled_findings(known: Evidence, values: Floats, covariance: Floats) -> list
         chi2, degrees = _pulled(difference, prior, estimated, estimated)
         if degrees and chi2 > _limit(degrees):
             worst = NAMES[int(index[np.argmax(np.abs(difference) / np.sqrt(np.diag(prior)))])]
-            findings.append(
-                Finding(
-                    severity="warning",
-                    code="prior-disagrees",
-                    message=f"The recording contradicts what was stated beforehand: chi squared {chi2:.0f} for "
-                    f"{degrees} directions, most of all in {worst}.",
-                    consequence="It has too few attitudes to determine the sensor without it, and the result is wrong.",
-                    cure="Record 18 or more attitudes, or state what is known of this sensor with sigmas that hold.",
-                )
-            )
+            findings.append(make_finding("prior-disagrees/rig", chi2=chi2, degrees=degrees, worst=worst))
     return findings
 
 
@@ -127,13 +99,7 @@ def prior_used(known: Evidence) -> list[Finding]:
     held = {NAMES[i].partition("[")[0].removeprefix("imu0.") for i in np.flatnonzero(known.fixed)}
     parts = [f"known beforehand: {', '.join(sorted(paths))}"] if paths else []
     parts += [f"held: {', '.join(sorted(held))}"] if held else []
-    return [
-        Finding(
-            severity="info",
-            code="prior-used",
-            message=f"The result rests on other evidence than this recording, too; {'; '.join(parts)}.",
-        )
-    ]
+    return [make_finding("prior-used", parts="; ".join(parts))]
 
 
 def _disagreement(part: Known, values: Floats, covariance: Floats) -> tuple[float, int, int]:

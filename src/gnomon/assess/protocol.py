@@ -7,7 +7,7 @@ import numpy as np
 from ..detect.samples.repair import repaired
 from ..detect.samples.rests import Rests
 from ..detect.samples.saturation import saturated
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import StaticIntervals, interval_means
 from ..recording import Floats, ImuSamples, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
@@ -34,54 +34,22 @@ def check_protocol(
     rests = found.intervals
     unrest = _unrest(imu, rests) if len(rests) else float("inf")
     if unrest > _MOVING:
-        return [
-            Finding(
-                severity="problem",
-                code="never-static",
-                message=f"{label}: no rest found in {accelerometer.duration_s:.1f} s; the quietest parts still move.",
-                consequence="The accelerometer cannot be calibrated, since gravity is known only at rest.",
-                cure="Start with the sensor lying still, then let it rest 2 to 4 s in each of 20 or more attitudes.",
-            )
-        ]
+        return [make_finding("never-static", label=label, duration_s=accelerometer.duration_s)]
     means = interval_means(accelerometer.values, rests)
     attitudes, radius = distinct_attitudes(means, accelerometer)
     findings = _gravity(means, radius, accelerometer, label)
     if unrest > _UNSTEADY:
-        findings.append(
-            Finding(
-                severity="warning",
-                code="rests-unsteady",
-                message=f"{label}: the sensor sways in its rests ({unrest:.1f} times what its noise alone would show).",
-                consequence="Gravity is blurred, and the true errors are larger than the sigmas.",
-                cure="Put the sensor down, or lean it against something, in every attitude.",
-            )
-        )
+        findings.append(make_finding("rests-unsteady", label=label, unrest=unrest))
     total = float((found.found.stop - found.found.start).sum()) / len(accelerometer)
     if attitudes < 2:
-        findings.append(
-            Finding(
-                severity="problem",
-                code="always-static",
-                message=f"{label}: {len(found)} rests ({100 * total:.0f} % of the time), all in one attitude.",
-                consequence="One attitude tells neither scale nor misalignment.",
-                cure="Let the sensor rest for 2 to 4 s in each of 20 or more attitudes.",
-            )
-        )
+        findings.append(make_finding("always-static", label=label, rests=len(found), total=total))
         return findings
     findings.append(_attitudes(attitudes, found, total, label))
     t_s = accelerometer.t_s
     findings += left_out_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
     findings.append(_static_start(accelerometer, found.found, label))
     if len(imu.gyroscope) > 1 and is_silent(imu.gyroscope):
-        findings.append(
-            Finding(
-                severity="problem",
-                code="gyroscope-silent",
-                message=f"{label}: the gyroscope shows only noise, the accelerometer {attitudes} attitudes.",
-                consequence="The gyroscope cannot be calibrated.",
-                cure="Check that the gyroscope is switched on and that the right columns are read (--columns).",
-            )
-        )
+        findings.append(make_finding("gyroscope-silent/rests", label=label, attitudes=attitudes))
     return findings
 
 
@@ -196,7 +164,7 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
         if not np.isfinite(radius):
             return []
         message = f"{label}: gravity is about {radius:.4g} counts."
-        return [Finding(severity="info", code="gravity-magnitude", message=message)]
+        return [make_finding("gravity-magnitude/counts", message=message)]
     found = float(np.median(np.linalg.norm(means, axis=1))) * factor
     error = abs(found / STANDARD_GRAVITY_M_S2 - 1)
     message = (
@@ -204,14 +172,13 @@ def _gravity(means: Floats, radius: float, accelerometer: TriadSamples, label: s
         + looks_like(found / factor, accelerometer.unit)
     )
     if error <= _PLAUSIBLE:
-        return [Finding(severity="good", code="gravity-magnitude", message=message)]
+        return [make_finding("gravity-magnitude/good", message=message)]
     return [
-        Finding(
+        make_finding(
+            "gravity-magnitude/rest",
             severity="problem" if error > _POSSIBLE else "warning",
-            code="gravity-magnitude",
             message=message,
-            consequence=why_no_gravity(found, message),
-            cure='State the unit (--units, for example "g deg/s" or "raw"); record acceleration with gravity in it.',
+            found=why_no_gravity(found, message),
         )
     ]
 
@@ -240,15 +207,12 @@ def _attitudes(attitudes: int, rests: Rests, share: float, label: str) -> Findin
         + (f", {usable} of them usable." if usable < len(rests) else ".")
     )
     if attitudes >= _GOOD:
-        return Finding(severity="good", code="attitudes", message=message)
-    return Finding(
+        return make_finding("attitudes/enough", message=message)
+    return make_finding(
+        "attitudes/few",
         severity="warning" if attitudes >= _NEEDED else "problem",
-        code="attitudes",
+        case="enough" if attitudes >= _NEEDED else "",
         message=message,
-        consequence="Scales and misalignments come out uncertain."
-        if attitudes >= _NEEDED
-        else "Nine parameters of the accelerometer need nine attitudes or more.",
-        cure="Record 20 or more attitudes, all axes up and down and between, with a rest of 2 to 4 s in each.",
     )
 
 
@@ -257,11 +221,5 @@ def _static_start(samples: TriadSamples, rests: StaticIntervals, label: str) -> 
     length = (samples.t_ns[rests.stop[0] - 1] - samples.t_ns[rests.start[0]]) * 1e-9 if begins < 1.0 else 0.0
     message = f"{label}: the recording starts with {length:.1f} s at rest."
     if length >= _START_S:
-        return Finding(severity="good", code="static-start", message=message)
-    return Finding(
-        severity="info" if length > 0 else "warning",
-        code="static-start",
-        message=message,
-        consequence="The noise of the sensors and the gyroscope's first bias are known less well.",
-        cure="Leave the sensor still for 50 s at the start.",
-    )
+        return make_finding("static-start/good", message=message)
+    return make_finding("static-start/short", severity="info" if length > 0 else "warning", message=message)

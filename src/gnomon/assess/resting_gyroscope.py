@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .pose_tables import RestingGyroscope
 
 _DRIFT_SIGMAS = 5.0
@@ -20,14 +20,7 @@ def gyroscope_findings(gyroscope: RestingGyroscope | None, why_not: str) -> list
     if gyroscope is None:
         if not why_not:
             return []
-        return [
-            Finding(
-                severity="warning",
-                code="gyroscope-not-calibrated",
-                message=f"The gyroscope is not calibrated: {why_not}",
-                consequence="The accelerometer's calibration does not suffer.",
-            )
-        ]
+        return [make_finding("gyroscope-not-calibrated", why_not=why_not)]
     findings = [
         _static_finding(gyroscope),
         *_rotation_findings(gyroscope),
@@ -35,25 +28,9 @@ def gyroscope_findings(gyroscope: RestingGyroscope | None, why_not: str) -> list
         *_scatter_findings(gyroscope),
     ]
     if not gyroscope.timed:
-        findings.append(
-            Finding(
-                severity="info",
-                code="order-as-time",
-                message="When the poses were measured is not known; their order stands for it.",
-                consequence="A drift of the gyroscope is told from g-sensitivity by this order.",
-                cure="Give a column t with the time of each pose.",
-            )
-        )
+        findings.append(make_finding("order-as-time"))
     if not gyroscope.latitude_known and gyroscope.sensitivity is not None:
-        findings.append(
-            Finding(
-                severity="info",
-                code="earth-rate-unknown",
-                message="The Earth's vertical rate follows gravity like g-sensitivity: up to 7.4e-6 rad/s per m/s^2.",
-                consequence="It is in the sigma of the g-sensitivity.",
-                cure="State --latitude to have it taken off.",
-            )
-        )
+        findings.append(make_finding("earth-rate-unknown"))
     return findings
 
 
@@ -61,20 +38,11 @@ def _static_finding(gyroscope: RestingGyroscope) -> Finding:
     how = f"{len(gyroscope.used)} rests, {gyroscope.fit.degrees_of_freedom} more than a fit without error needs"
     if gyroscope.sensitivity is None:
         G = "; ".join(" ".join(f"{x:.3g}" for x in row) for row in gyroscope.g_sensitivity)
-        return Finding(
-            severity="info",
-            code="static-experiment",
-            message=f"The g-sensitivity comes from {how}: [{G}] {gyroscope.unit} per m/s^2, sensor axes by body axes.",
-        )
+        return make_finding("static-experiment/none", how=how, g=G, unit=gyroscope.unit)
     sigma = np.sqrt(np.diag(gyroscope.covariance)[24:33]).reshape(3, 3) * gyroscope.unit_rad_s[:, None]
     size = np.abs(gyroscope.g_sensitivity) * gyroscope.unit_rad_s[:, None]
     clear = int(np.sum(size > 2 * sigma))
-    return Finding(
-        severity="info",
-        code="static-experiment",
-        message=f"The gyroscope is judged by {how}. Its g-sensitivity is known to {sigma.max():.2g} rad/s per m/s^2 "
-        f"(1 sigma, worst entry); {clear} of 9 entries are above twice their sigma.",
-    )
+    return make_finding("static-experiment/found", how=how, sigma=sigma.max(), clear=clear)
 
 
 def _rotation_findings(gyroscope: RestingGyroscope) -> list[Finding]:
@@ -84,15 +52,7 @@ def _rotation_findings(gyroscope: RestingGyroscope) -> list[Finding]:
         if not reasons:
             return []
         why = sorted({reason for reason in reasons if reason}) or ["counts tell no scale to count whole turns by"]
-        return [
-            Finding(
-                severity="info",
-                code="rotations-unused",
-                message=f"{len(reasons)} rotations between the rests are not used: {'; '.join(why[:3])}.",
-                consequence="The gyroscope's scales and axes are not measured by them.",
-                cure="Rest in nine attitudes or more, with rotations that the gyroscope can follow between them.",
-            )
-        ]
+        return [make_finding("rotations-unused", count=len(reasons), why="; ".join(why[:3]))]
     sensitivity = turned.sensitivity
     size = np.linalg.norm(sensitivity, axis=1)
     share = 100 * np.sqrt(np.diag(turned.covariance)[[0, 4, 8]]) / size
@@ -100,60 +60,34 @@ def _rotation_findings(gyroscope: RestingGyroscope) -> list[Finding]:
     said = f"known to {', '.join(named)} (1 sigma)" if named else "no better known by them"
     held = [axis for k, axis in enumerate("xyz") if not turned.measured[k]]
     findings = [
-        Finding(
-            severity="info",
-            code="rotations-few-attitudes",
-            message=f"{int(turned.used.sum())} of {len(turned.used)} rotations between the rests are used for the "
-            f"gyroscope's scales and axes: scales are {said}; the rotations end within "
-            f"{1e3 * turned.rms_rad:.2g} mrad rms of gravity.",
-            consequence=f"The scale of {' and '.join(held)} is what the unit says." if held else "",
-            cure="Turn about each axis while it is level, by a quarter turn or more." if held else "",
+        make_finding(
+            "rotations-few-attitudes",
+            case="held" if held else "",
+            rotations=int(turned.used.sum()),
+            total=len(turned.used),
+            said=said,
+            rms_rad=turned.rms_rad,
+            held=" and ".join(held),
         )
     ]
     if turned.vertical.any():
         angles = ", ".join(f"{np.degrees(a):.1f}" for a in turned.angle_rad[turned.vertical][:6])
-        findings.append(
-            Finding(
-                severity="info",
-                code="turns-about-vertical",
-                message=f"{int(turned.vertical.sum())} of the rotations were about the vertical: by {angles} deg, as "
-                "the scales above say.",
-                consequence="Gravity shows no angle about the vertical; they say nothing of the scale.",
-                cure="Turn about level axes; a full turn from rest to rest is best.",
-            )
-        )
+        findings.append(make_finding("turns-about-vertical", count=int(turned.vertical.sum()), angles=angles))
     return findings
 
 
 def _scale_findings(gyroscope: RestingGyroscope) -> list[Finding]:
     if gyroscope.sensitivity is None:
-        return [
-            Finding(
-                severity="warning",
-                code="gyroscope-scale-unknown",
-                message="Rests do not show the gyroscope's scale, and counts do not tell it.",
-                consequence="The calibration holds the accelerometer alone.",
-                cure="Give a calibration of the gyroscope with --prior, or samples in rad/s or deg/s.",
-            )
-        ]
+        return [make_finding("gyroscope-scale-unknown")]
     if not gyroscope.assumed:
         return []
     if gyroscope.turned is not None and gyroscope.turned.measured.any():
         return []  # said with the rotations
     return [
-        Finding(
-            severity="info",
-            code="gyroscope-scale-assumed",
-            message=f"Rests do not show the gyroscope's scales and axes: they are what {gyroscope.unit} says, give or "
-            "take 3 % and 30 mrad.",
-            consequence="Bias and g-sensitivity depend on them only by what a stated latitude takes off for the "
-            "Earth's rate.",
-            cure="Give a calibration with --prior, or "
-            + (
-                "turn about each axis while it is level."
-                if gyroscope.rotation_reasons
-                else "record rotations between the rests, too."
-            ),
+        make_finding(
+            "gyroscope-scale-assumed",
+            unit=gyroscope.unit,
+            case="not-level" if gyroscope.rotation_reasons else "",
         )
     ]
 
@@ -167,23 +101,7 @@ def _scatter_findings(gyroscope: RestingGyroscope) -> list[Finding]:
     scatter = float(np.max(gyroscope.fit.extra_sigma * unit))
     findings: list[Finding] = []
     if noise > 0 and drift > _DRIFT_SIGMAS * noise:
-        findings.append(
-            Finding(
-                severity="info",
-                code="gyroscope-drift",
-                message=f"The gyroscope's bias drifted by {drift:.2g} {name} during the recording.",
-                consequence="The drift is part of the model; the bias given is its mean over the poses.",
-                cure="Let the sensor warm up before it is used or calibrated.",
-            )
-        )
+        findings.append(make_finding("gyroscope-drift/rests", drift=drift, unit=name))
     if noise > 0 and scatter > _SCATTER * noise:
-        findings.append(
-            Finding(
-                severity="info",
-                code="rests-scatter",
-                message=f"The gyroscope's means scatter by {scatter:.2g} {name} more than their noise of {noise:.2g}.",
-                consequence="The sigmas account for it.",
-                cure="Rest longer in each attitude and repeat attitudes, so that more of the scatter averages out.",
-            )
-        )
+        findings.append(make_finding("rests-scatter", scatter=scatter, unit=name, noise=noise))
     return findings

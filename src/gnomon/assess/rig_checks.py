@@ -10,7 +10,7 @@ from ..errors import InitialisationError
 from ..estimate.camera_imu.alignment import Alignment, align, gyroscope_integral
 from ..estimate.camera_imu.board_poses import BoardPoses, board_poses
 from ..estimate.camera_imu.first_guess import ImuStream
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..models.camera import Camera
 from ..models.target import Target
@@ -81,7 +81,7 @@ def _beside(
         try:
             alignment = align(poses, integral, name)
         except InitialisationError as error:
-            findings.append(Finding(severity="problem", code="not-aligned", message=str(error)))
+            findings.append(make_finding("not-aligned", reason=str(error)))
             continue
         camera = frames.camera if lens else None
         found, seen = check_look(name, poses, alignment, camera, target, stream=stream, imu=imu, unusable=clipped)
@@ -159,17 +159,7 @@ def _slow(name: str, alignment: Alignment) -> list[Finding]:
     fastest = float(alignment.axes[0])
     if not 0 < fastest < _SLOW_RAD_S:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="motion-slow",
-            message=f"{name} turned slowly, by {np.degrees(fastest):.2g} deg/s (rms) about its fastest axis.",
-            consequence="The IMU feels little more than its noise: translation, time shift and its own errors come out "
-            "uncertain.",
-            cure="Turn and shake the rig briskly, 40 deg/s and more, about and along all three axes, as fast as the "
-            "images stay sharp.",
-        )
-    ]
+    return [make_finding("motion-slow", name=name, fastest=fastest)]
 
 
 def _axes(name: str, gyroscope: AxesFit, accelerometer: AxesFit | None) -> list[Finding]:
@@ -189,15 +179,7 @@ def _axes(name: str, gyroscope: AxesFit, accelerometer: AxesFit | None) -> list[
     found = axis_findings(whole)[0]
     wrong = "accelerometer" if accelerometer.hand < 0 < gyroscope.hand else "gyroscope"
     which = f"Seen from {name} the {wrong} is the left-handed one." if gyroscope.hand * accelerometer.hand < 0 else ""
-    return [
-        Finding(
-            severity="problem",
-            code="axes-differ",
-            message=f"{found.message} {which}".rstrip(),
-            consequence="No rotation between camera and IMU fits both sensors.",
-            cure=found.cure,
-        )
-    ]
+    return [make_finding("axes-differ/rig", found=found.message, which=which, cure=found.cure)]
 
 
 def _hand(name: str, gyroscope: AxesFit, alignment: Alignment) -> list[Finding]:
@@ -205,31 +187,12 @@ def _hand(name: str, gyroscope: AxesFit, alignment: Alignment) -> list[Finding]:
     left, by_rotation = 1 - gyroscope.explained, 1 - alignment.score
     if gyroscope.hand >= 0 or left > 1 - _GYRO_EXPLAINED or by_rotation < max(_MIRRORED * left, 1 - _EXPLAINED):
         return []
-    return [
-        Finding(
-            severity="problem",
-            code="axes-mirrored",
-            message=f"The gyroscope reads the mirror image of the rotation that {name} saw: no rotation explains more "
-            f"than {100 * alignment.score:.0f} % of it, a mirror {100 * gyroscope.explained:.0f} %.",
-            consequence="No pose between camera and IMU fits.",
-            cure="Check the order of the columns (--columns) and the signs of both sensors: one axis has the wrong "
-            "sign, or two columns are exchanged.",
-        )
-    ]
+    return [make_finding("axes-mirrored/gyroscope", name=name, score=alignment.score, explained=gyroscope.explained)]
 
 
 def _mirrored(name: str, hand: float) -> Finding:
     wrong = "accelerometer" if hand < 0 else "gyroscope"
-    return Finding(
-        severity="problem",
-        code="axes-mirrored",
-        message=f"{name} and the gyroscope see one motion, and the accelerometer its mirror image."
-        if hand < 0
-        else f"{name} and the accelerometer see one motion, and the gyroscope its mirror image.",
-        consequence="No pose between camera and IMU fits both sensors.",
-        cure=f"Check whether the images are mirrored (front cameras, drivers that flip them), or all three signs of "
-        f"the {wrong} are wrong.",
-    )
+    return make_finding("axes-mirrored/triad", case="accelerometer" if hand < 0 else "", name=name, wrong=wrong)
 
 
 def _late(name: str, times: FrameTimes) -> list[Finding]:
@@ -241,18 +204,7 @@ def _late(name: str, times: FrameTimes) -> list[Finding]:
     share = float(late.mean())
     if late.sum() < _FEWEST_LATE or share < _LATE_SHARE:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="frames-late",
-            message=f"{name}: {100 * share:.0f} % of the frames are stamped wrongly, by "
-            f"{1e3 * np.median(off[late]):.2g} ms as a rule and by up to {1e3 * off.max():.2g} ms: the camera "
-            "turned at other times than they say.",
-            consequence="In a turn such frames are off by pixels; those that stand out are left out, the others bend "
-            "the result.",
-            cure="Stamp frames at their exposure (the camera's clock, a hardware trigger), not when they arrive.",
-        )
-    ]
+    return [make_finding("frames-late", name=name, share=share, median_off=np.median(off[late]), largest_off=off.max())]
 
 
 def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
@@ -272,17 +224,7 @@ def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
     step_s = times.level(at_s, float("inf")) - times.level(0.0, at_s)
     if abs(step_s) < _JUMP_S:
         return []
-    return [
-        Finding(
-            severity="problem",
-            code="clock-jump",
-            message=f"The clock of {name} jumped by {1e3 * step_s:+.3g} ms against that of {imu}, about {at_s:.0f} s "
-            "after the start (by the rotation that both felt).",
-            consequence="One time shift cannot hold before and after.",
-            cure="Cut the recording there and use the longer part; switch off what sets the clock while recording "
-            "(NTP).",
-        )
-    ]
+    return [make_finding("clock-jump/rotation", name=name, step_s=step_s, imu=imu, at_s=at_s)]
 
 
 def _two_levels(late: Floats, k: int) -> float:
@@ -295,33 +237,11 @@ def _apart(imu: str, gyroscope: AxesFit, accelerometer: AxesFit) -> list[Finding
     if abs(delay) < max(_DELAY_S, _SIGMAS * sigma):
         return []
     later, earlier = ("accelerometer", "gyroscope") if delay > 0 else ("gyroscope", "accelerometer")
-    return [
-        Finding(
-            severity="warning",
-            code="triads-apart",
-            subject=f"{imu}.accelerometer_shift",
-            message=f"The {later} of {imu} comes {1e3 * abs(delay):.2g} ms (+- {1e3 * sigma:.1g}) later than its "
-            f"{earlier}.",
-            consequence="One time shift cannot hold for both; what the accelerometer tells (translation, its own "
-            "errors) is bent.",
-            cure="Give both the same filter, or correct the stamps of one of them by this delay. gnomon camera-imu "
-            f"estimates it along where the recording proves it, and always with --free {imu}.accelerometer_shift.",
-        )
-    ]
+    return [make_finding("triads-apart/rig", later=later, imu=imu, delay=abs(delay), sigma=sigma, earlier=earlier)]
 
 
 def _shift(name: str, imu: str, shift_s: float) -> list[Finding]:
     if abs(shift_s) < _SHIFT_S:
         return []
     which = "ahead of" if shift_s < 0 else "behind"
-    return [
-        Finding(
-            severity="info",
-            code="time-shift",
-            subject=f"{name}.time_shift_cam_imu",
-            message=f"The stamps of {name} are {abs(shift_s):.2f} s {which} those of {imu}.",
-            consequence="The calibration contains it; whoever uses it has to add the same shift, which holds only as "
-            "long as both clocks go on as they did.",
-            cure="If both are meant to have one clock, find out what sets them apart.",
-        )
-    ]
+    return [make_finding("time-shift", name=name, shift_s=abs(shift_s), which=which, imu=imu)]

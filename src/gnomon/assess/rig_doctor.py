@@ -11,7 +11,7 @@ import numpy as np
 
 from ..detect.boards.board import BoardView
 from ..errors import RecordingError
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..images import Frame, Grey, ImageRecording, ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
@@ -136,15 +136,7 @@ def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
 def check_imus(imus: Mapping[str, ImuSamples]) -> list[Finding]:
     """Return findings on IMUs that moved with cameras; having none is told (code imu-missing)."""
     if not imus:
-        return [
-            Finding(
-                severity="warning",
-                code="imu-missing",
-                message="There is no IMU in this recording.",
-                consequence="Its cameras can be calibrated alone, with gnomon camera, but not against an IMU.",
-                cure="For that record the IMU's topic too, or put its table beside the images as imu0.csv.",
-            )
-        ]
+        return [make_finding("imu-missing")]
     return [finding for name, imu in imus.items() for finding in check_moving_imu(name, imu)]
 
 
@@ -182,14 +174,7 @@ def _order(name: str, t_ns: Integers) -> list[Finding]:
     if not len(back):
         return []
     return [
-        Finding(
-            severity="warning",
-            code="frames-backward",
-            message=f"{name}: the stamp of frame {int(back[0]) + 1} is not later than that of the frame before, as in "
-            f"{len(back)} of {len(t_ns)} frames.",
-            consequence="Either frames came in the wrong order, or the clock was set anew.",
-            cure="Sort the frames by their stamps, give each stamp once, and cut where the clock was set.",
-        )
+        make_finding("frames-backward/images", name=name, frame=int(back[0]) + 1, count=len(back), frames=len(t_ns))
     ]
 
 
@@ -283,23 +268,11 @@ def _check_stream(name: str, look: StreamLook, camera: Camera | None, target: Ta
 
 
 def _incomplete(name: str, note: str) -> Finding:
-    return Finding(
-        severity="warning",
-        code="images-incomplete",
-        message=note if name in note else f"{name}: {note}",
-        consequence="What could not be read is missing in a calibration, too.",
-        cure="Copy the recording again, or let its own tool mend it (rosbag reindex, mcap recover).",
-    )
+    return make_finding("images-incomplete", case="named" if name in note else "", note=note, name=name)
 
 
 def _missing(name: str, count: int) -> Finding:
-    return Finding(
-        severity="problem",
-        code="images-missing",
-        message=f"{name}: {count} images.",
-        consequence="They do not tell how the camera moved.",
-        cure="Record for a minute at 20 Hz, with the board in sight and sharp.",
-    )
+    return make_finding("images-missing", name=name, count=count)
 
 
 def _damaged(name: str, look: StreamLook) -> list[Finding]:
@@ -308,17 +281,14 @@ def _damaged(name: str, look: StreamLook) -> list[Finding]:
     tried = len(look.damaged) + len(look.looks)
     share = len(look.damaged) / tried
     return [
-        Finding(
+        make_finding(
+            "images-damaged",
             severity="problem" if not look.looks else "warning",
-            code="images-damaged",
-            message=f"{name}: {len(look.damaged)} of {tried} images that were tried cannot be decoded. The first: "
-            f"{look.damaged[0]}",
-            consequence="No image of this camera can be used."
-            if not look.looks
-            else "Such images are left out."
-            if share < _DAMAGED_SHARE
-            else "Such images are left out, and there are many of them.",
-            cure="Copy the recording again; check the disk, and how the camera encodes its images.",
+            case="all" if not look.looks else "few" if share < _DAMAGED_SHARE else "",
+            name=name,
+            count=len(look.damaged),
+            tried=tried,
+            first=look.damaged[0],
         )
     ]
 
@@ -327,14 +297,12 @@ def _board_missing(name: str, look: StreamLook, target: Target | None) -> list[F
     if target is None or not look.views:
         return []
     return [
-        Finding(
-            severity="problem",
-            code="board-missing",
-            message=f"{name}: the board ({target.describe()}) was found in none of {len(look.views)} images from all "
-            f"over the recording. {look.other_board}".rstrip(),
-            consequence="Without the board there is nothing to calibrate from.",
-            cure="Check target.yaml (kind, number of tags or corners), that the board is in sight, lit and sharp, and "
-            "that the images are not mirrored.",
+        make_finding(
+            "board-missing",
+            name=name,
+            board=target.describe(),
+            images=len(look.views),
+            other_board=look.other_board,
         )
     ]
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..estimate.camera_imu.board_poses import BoardPoses, thinned
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..geometry.so3 import skew
 from ..intervals import Booleans
 from ..models.camera import Camera
@@ -80,26 +80,8 @@ def _tag_spacing(name: str, fit: LensFit, target: Target) -> list[Finding]:
         f"target.yaml states tagSpacing {target.tag_spacing:.3g}."
     )
     if abs(off) < _BLED:
-        return [
-            Finding(
-                severity="info",
-                code="tag-spacing",
-                message=message,
-                consequence="So small a difference may also come from white that bleeds into black, in the print or in "
-                "a bright image: the corners of all tags are then shifted alike.",
-                cure="Measure a tag and the gap beside it; expose for a white of 150 to 220.",
-            )
-        ]
-    return [
-        Finding(
-            severity="problem",
-            code="tag-spacing",
-            message=message,
-            consequence="Tags that are not where they are said to be bend every pose, and the size of the board is "
-            f"wrong by about {100 * abs(off) / (1 + target.tag_spacing):.2g} %.",
-            cure="Measure a tag and the gap beside it; tagSpacing is the gap over the side. Correct target.yaml.",
-        )
-    ]
+        return [make_finding("tag-spacing/good", message=message)]
+    return [make_finding("tag-spacing/wrong", message=message, percent=100 * abs(off) / (1 + target.tag_spacing))]
 
 
 def _shutter(name: str, fit: LensFit, camera: Camera) -> list[Finding]:
@@ -121,14 +103,7 @@ def _shutter(name: str, fit: LensFit, camera: Camera) -> list[Finding]:
         consequence = "In a turn corners are off by pixels, and the time shift by half of what was stated for all rows."
         cure = f"State no line delay, or let it be estimated: --free {name}.line_delay."
     return [
-        Finding(
-            severity="warning",
-            code="rolling-shutter",
-            subject=f"{name}.line_delay",
-            message=f"{message}; {stated}.",
-            consequence=consequence,
-            cure=cure,
-        )
+        make_finding("rolling-shutter", message=message, stated=stated, consequence=consequence, cure=cure, name=name)
     ]
 
 
@@ -139,15 +114,14 @@ def _lens(name: str, fit: LensFit) -> list[Finding]:
         return []
     way = "inwards" if fit.border_px < 0 else "outwards"
     return [
-        Finding(
+        make_finding(
+            "distortion",
             severity="problem" if abs(fit.border_px) > 10 * _BORDER_PX else "warning",
-            code="distortion",
-            message=f"The distortion of {name} is not the stated one: at the border of the image corners lie about "
-            f"{abs(fit.border_px):.2g} px further {way}, and fit to {fit.rms_free_px:.2g} px (rms) with another "
-            f"distortion instead of {fit.rms_px:.2g} px.",
-            consequence="Poses are bent, and with them rotation, translation and the accelerometer's scale.",
-            cure="Check that camchain.yaml has this lens, its distortion model and its coefficients; calibrate the "
-            "camera anew.",
+            name=name,
+            border_px=abs(fit.border_px),
+            way=way,
+            rms_free_px=fit.rms_free_px,
+            rms_px=fit.rms_px,
         )
     ]
 

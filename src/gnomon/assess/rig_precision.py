@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..diagnostics import CameraImuDiagnostics
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .verdict import graded
 
 
@@ -48,10 +48,4 @@ def precision_findings(
             if severity == "good":
                 continue
             known = f"{limits.factor * largest:.2g} {limits.unit}"
-            yield Finding(
-                severity=severity,
-                code="imprecise",
-                message=f"The {limits.word} between {name} and {body} is known to {known} only (one sigma).",
-                consequence="A filter that trusts it will drift.",
-                cure="Record longer, with brisker rotation and acceleration, nearer to the board.",
-            )
+            yield make_finding("imprecise/rig", severity=severity, word=limits.word, name=name, body=body, known=known)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..diagnostics import BiasTrack, CameraImuDiagnostics, CornerFit
-from ..findings import Finding
+from ..findings import Finding, make_finding
 
 _FAR = 5.0  # sigmas
 _FAR_INFO, _FAR_WARN = 0.005, 0.05
@@ -34,15 +34,15 @@ def outlying_corners(name: str, fit: CornerFit) -> list[Finding]:
         return []
     many = share > _FAR_WARN
     return [
-        Finding(
+        make_finding(
+            "corners-outlying",
             severity="warning" if many else "info",
-            code="corners-outlying",
-            message=f"{100 * share:.2g} % of the corners of {name} lie more than {_FAR:.0f} sigma "
-            f"({_FAR * fit.sigma_px:.2g} px) from where they should, {np.median(size[far]):.2g} px as a rule.",
-            consequence="They count less and do little harm, as long as they are few and on no one side.",
-            cure="Look at where they are (report): reflections, edges of the board, tags of other boards."
-            if many
-            else "",
+            case="many" if many else "",
+            share=share,
+            name=name,
+            far=_FAR,
+            far_px=_FAR * fit.sigma_px,
+            median_size=np.median(size[far]),
         )
     ]
 
@@ -55,17 +55,7 @@ def _drift(name: str, track: BiasTrack) -> list[Finding]:
     walked = track.random_walk * np.sqrt(3 * max(float(np.ptp(track.t_s)), 1e-9))
     if not size > max(_WALKS * walked, _LEAST_RAD_S):
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="gyroscope-drift",
-            message=f"The bias of {name} drifted by {np.degrees(size):.2g} deg/s from the start to the end of the "
-            f"recording, {size / max(walked, 1e-12):.2g} times as far as its random walk goes.",
-            consequence="The drift is followed, and the published bias is its mean; it will be another one tomorrow.",
-            cure="Let the sensor warm up for ten minutes before you record, or state a larger gyroscope_random_walk in "
-            "imu.yaml.",
-        )
-    ]
+    return [make_finding("gyroscope-drift/rig", name=name, size=size, ratio=size / max(walked, 1e-12))]
 
 
 def cut_findings(segments: int, imus: Sequence[str]) -> list[Finding]:
@@ -80,12 +70,12 @@ def cut_findings(segments: int, imus: Sequence[str]) -> list[Finding]:
         f"In a gap of {first} neither frames nor the samples of {', '.join(others)} are used; apart from that nothing"
     )
     return [
-        Finding(
-            severity="info",
-            code="trajectory-cut",
-            message=f"The trajectory was cut into {segments} pieces, at gaps of "
-            f"{first if others else 'the IMU'} or where it turned by more than a full turn.",
-            consequence=f"{lost if others else 'Nothing'} is lost but the little that a piece's ends tell.",
-            cure=f"If it is {first} that lost samples, let another one be the first IMU." if others else "",
+        make_finding(
+            "trajectory-cut",
+            case="others" if others else "",
+            segments=segments,
+            first=first if others else "the IMU",
+            lost=lost if others else "Nothing",
+            imu=first,
         )
     ]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..estimate.multiposition.noise_levels import rotation_variance
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .imu_tables import ImuEvidence
 
 _BEYOND_NOISE = 3.0  # times the noise; healthy recordings of cheap sensors reach two
@@ -20,15 +20,11 @@ def rotation_scatter(evidence: ImuEvidence) -> list[Finding]:
     if extra <= _BEYOND_NOISE * noise:
         return []
     return [
-        Finding(
+        make_finding(
+            "beyond-noise/rotations",
             severity="warning" if extra > _ROTATION_WARN_RAD else "info",
-            code="beyond-noise",
-            message=f"Rotations scatter by {1e3 * extra:.2g} mrad, {extra / noise:.0f} times what the gyroscope's "
-            f"white noise at rest makes of them ({1e3 * noise:.2g} mrad).",
-            consequence="All sigmas contain it as if it were noise; as a rule it is not, and errs the same way in many "
-            "rotations.",
-            cure="Look for the cause: gyroscope or accelerometer were remounted or knocked, the scale drifted while it "
-            "warmed up, the gyroscope feels accelerations (--model g-sensitivity) or vibration, or its clock is not "
-            "that of the accelerometer. Turn more slowly, and record again to compare.",
+            extra=extra,
+            ratio=extra / noise,
+            noise=noise,
         )
     ]

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..detect.samples.repeats import repeated_stretches
 from ..detect.samples.saturation import saturated
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 
@@ -26,26 +26,18 @@ def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
     still = low == high
     if still.all():
         return [
-            Finding(
-                severity="problem",
-                code="signal-constant",
-                message=f"{label}: all {len(samples)} samples are {samples.values[0].tolist()} {samples.unit}.",
-                consequence="The sensor measured nothing.",
-                cure="Check that the sensor is switched on and that the right columns are read (--columns).",
+            make_finding(
+                "signal-constant",
+                label=label,
+                samples=len(samples),
+                value=samples.values[0].tolist(),
+                unit=samples.unit,
             )
         ]
     findings: list[Finding] = []
     if still.any():
         axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
-        findings.append(
-            Finding(
-                severity="problem",
-                code="axis-constant",
-                message=f"{label}: axis {axes} never changes.",
-                consequence="A three-axis calibration needs all three axes.",
-                cure="Check that the right columns are read (--columns), and the sensor's configuration.",
-            )
-        )
+        findings.append(make_finding("axis-constant", label=label, axes=axes))
     findings += _saturation(samples, label)
     findings += _stuck(samples, label)
     findings += check_repeats(samples, label)
@@ -65,14 +57,15 @@ def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
     begin, end = t_s[longest.second], t_s[longest.second_stop - 1]
     places = "" if len(repeats) == 1 else f", the longest of {len(repeats)} stretches"
     return [
-        Finding(
+        make_finding(
+            "data-repeated",
             severity="problem" if share > _MUCH_REPEATED else "warning",
-            code="data-repeated",
-            message=f"{label}: the samples from {begin:.2f} to {end:.2f} s are those from {t_s[longest.first]:.2f} s "
-            f"on once more, bit by bit ({100 * share:.2g} % of all samples are copies{places}).",
-            consequence="Copies count as measurements of their own: sigmas are too small, and what was between them is "
-            "not what the sensor did.",
-            cure="Cut the copies out. A file may have been appended to itself, or a logger sent packets twice.",
+            label=label,
+            begin=begin,
+            end=end,
+            at_s=t_s[longest.first],
+            share=share,
+            places=places,
         )
     ]
 
@@ -81,18 +74,17 @@ def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
     marked = saturated(samples)
     count = int(np.count_nonzero(marked))
     if not count:
-        return [Finding(severity="good", code="saturation", message=f"{label}: no sample is saturated.")]
+        return [make_finding("saturation/none", label=label)]
     first = int(np.argmax(marked))
     end = float(np.abs(samples.values[marked]).max())
     return [
-        Finding(
-            severity="warning",
-            code="saturation",
-            message=f"{label} clips at {_end_of_range(end, samples.unit)}: {count} samples "
-            f"({100 * count / len(samples):.2g} %) stand at the end of the range, "
-            f"the first {_seconds(samples, first):.2f} s after the start.",
-            consequence="They are masked; a rotation with masked samples in it is not used.",
-            cure="Turn more slowly, or set a wider range.",
+        make_finding(
+            "saturation/clipped",
+            label=label,
+            end=_end_of_range(end, samples.unit),
+            count=count,
+            percent=100 * count / len(samples),
+            at=_seconds(samples, first),
         )
     ]
 
@@ -129,28 +121,11 @@ def _stuck(samples: TriadSamples, label: str) -> list[Finding]:
     chance = len(samples) * max(by_chance, 1e-300) ** min(longest, 300)
     share = count / len(repeats)
     if longest >= least and chance < 1e-3:
-        return [
-            Finding(
-                severity="warning",
-                code="samples-stuck",
-                message=f"{label}: the same sample {longest + 1} times in a row from "
-                f"{_seconds(samples, first):.2f} s after the start.",
-                consequence="A stuck sensor looks like a perfect rest.",
-                cure="Check the link to the sensor, and cut this part out of the recording.",
-            )
-        ]
+        return [make_finding("samples-stuck", label=label, count=longest + 1, at=_seconds(samples, first))]
     # 1 where the axes repeat only together, 0 where each repeats on its own because its steps are coarse.
     together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
     if share > 0.2 and together > 0.5:
-        return [
-            Finding(
-                severity="warning",
-                code="samples-repeated",
-                message=f"{label}: {100 * share:.0f} % of the samples repeat the one before.",
-                consequence="The sensor is slower than the recording; the noise and every sigma come out too small.",
-                cure="Record at the rate of the sensor.",
-            )
-        ]
+        return [make_finding("samples-repeated", label=label, share=share)]
     return []
 
 

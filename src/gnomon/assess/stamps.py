@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Integers, TriadSamples
 
 _GAP_PERIODS = 1.5
@@ -37,15 +37,7 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
     dt = np.diff(samples.t_ns)
     period = 1e9 / samples.rate_hz
     if not np.isfinite(period):
-        return [
-            Finding(
-                severity="problem",
-                code="time-constant",
-                message=f"{label}: all {len(samples)} stamps are the same.",
-                consequence="No rotation can be integrated.",
-                cure="Read the recording without its stamps and state the sample rate (--rate).",
-            )
-        ]
+        return [make_finding("time-constant", label=label, samples=len(samples))]
     spread = 1.4826 * float(np.median(np.abs(dt - period)))
     steps = _Steps(dt=dt, period=period, spread=spread)
     gaps = _gaps(samples, steps, label)
@@ -56,11 +48,13 @@ def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
     if not any(finding.severity in {"warning", "problem"} for finding in findings):
         findings.insert(
             0,
-            Finding(
-                severity="good",
-                code="rate",
-                message=f"{label}: {len(samples)} samples in {samples.duration_s:.1f} s, {samples.rate_hz:.2f} Hz, "
-                f"jitter {100 * _jitter(steps):.1f} % of a period.",
+            make_finding(
+                "rate",
+                label=label,
+                samples=len(samples),
+                duration_s=samples.duration_s,
+                rate_hz=samples.rate_hz,
+                jitter=_jitter(steps),
             ),
         )
     return findings
@@ -83,13 +77,13 @@ def _backward(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]
         return []
     first = int(back[0])
     return [
-        Finding(
-            severity="problem",
-            code="time-backward",
-            message=f"{label}: stamps go backwards {len(back)} time{'s' * (len(back) > 1)}, first by "
-            f"{-steps.dt[first] * 1e-9:.6g} s after {_at(samples, first)}.",
-            consequence="The order of the samples is not known, so that nothing can be integrated.",
-            cure="Sort the samples by their stamps if they are only out of order; cut where the clock was set anew.",
+        make_finding(
+            "time-backward",
+            label=label,
+            count=len(back),
+            plural="s" * (len(back) > 1),
+            step_s=-steps.dt[first] * 1e-9,
+            at=_at(samples, first),
         )
     ]
 
@@ -101,14 +95,13 @@ def _repeated(steps: _Steps, label: str) -> list[Finding]:
     share = count / len(steps.dt)
     rare = share <= _LOST_SHARE
     return [
-        Finding(
+        make_finding(
+            "time-repeated",
             severity="info" if rare else "warning",
-            code="time-repeated",
-            message=f"{label}: {count} stamps ({100 * share:.2g} %) repeat the one before.",
-            consequence="The later samples are left out."
-            if rare
-            else "The clock is coarser than the sample rate, or every sample was written several times.",
-            cure="" if rare else "Use a uniform time base, or write every sample once with a finer clock.",
+            case="rare" if rare else "",
+            label=label,
+            count=count,
+            share=share,
         )
     ]
 
@@ -122,13 +115,12 @@ def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
     )
     if irregular:
         return [
-            Finding(
-                severity="warning",
-                code="jitter",
-                message=f"{label}: stamps are irregular: half of the steps are {steps.period * 1e-6:.3g} ms or less, "
-                f"their mean is {mean * 1e-6:.3g} ms, the longest {steps.dt.max() * 1e-6:.4g} ms.",
-                consequence="Such stamps tell when samples arrived, not when they were measured; angles suffer.",
-                cure="Stamp in the sensor's interrupt, or use the sensor's own clock or sample counter.",
+            make_finding(
+                "jitter",
+                label=label,
+                period_ms=steps.period * 1e-6,
+                mean_ms=mean * 1e-6,
+                longest_ms=steps.dt.max() * 1e-6,
             )
         ]
     if not len(gaps):
@@ -138,13 +130,16 @@ def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
     length_s = float(steps.dt[longest]) * 1e-9
     severe = length_s > _LONG_GAP_S or lost > _LOST_SHARE * len(samples)
     return [
-        Finding(
+        make_finding(
+            "gaps",
             severity="warning" if severe else "info",
-            code="gaps",
-            message=f"{label}: {len(gaps)} gap{'s' * (len(gaps) > 1)}, about {lost} samples lost; the longest lasts "
-            f"{length_s:.4g} s after {_at(samples, longest)}.",
-            consequence="Rotations with a gap in them are wrong." if severe else "Short gaps are bridged linearly.",
-            cure="Record with a faster link or a lower rate." if severe else "",
+            case="severe" if severe else "",
+            label=label,
+            count=len(gaps),
+            plural="s" * (len(gaps) > 1),
+            lost=lost,
+            length_s=length_s,
+            at=_at(samples, longest),
         )
     ]
 
@@ -158,12 +153,4 @@ def _rounded(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
     steps_of_clock = steps.period / max(quantum, 1)
     if quantum == 0 or steps_of_clock > _FINE:
         return []
-    return [
-        Finding(
-            severity="info",
-            code="time-rounded",
-            message=f"{label}: stamps are rounded to {quantum * 1e-6:g} ms, {100 / steps_of_clock:.0f} % of a period.",
-            consequence="A straight line through the stamps may be a better time base than the stamps.",
-            cure="The default chooses by evidence (time_base=auto).",
-        )
-    ]
+    return [make_finding("time-rounded", label=label, quantum_ms=quantum * 1e-6, percent=100 / steps_of_clock)]

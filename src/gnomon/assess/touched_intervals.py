@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from .imu_tables import ImuEvidence, interval_numbers
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
@@ -32,14 +32,13 @@ def touched_findings(evidence: ImuEvidence) -> list[Finding]:
     several = int(touched.sum()) > 1
     numbers = f"{interval_numbers(evidence.marked(touched))} of {len(evidence.chosen.rests)}"
     return [
-        Finding(
-            severity="info",
-            code="interval-touched",
-            message=f"Static interval{'s' if several else ''} {numbers} "
-            f"{'were' if several else 'was'} touched: of the {length[worst]:.1f} s of rest that begin "
-            f"{t_s[generous.start][(rest_start < stop[worst]) & (rest_stop > start[worst])][0]:.1f} s after the start, "
-            f"{100 * share[worst]:.0f} % are still.",
-            consequence="The still part is used, where it agrees with the others.",
-            cure="Let go of the sensor before an interval counts, and keep hands off the table.",
+        make_finding(
+            "interval-touched",
+            plural="s" if several else "",
+            numbers=numbers,
+            verb="were" if several else "was",
+            length_s=length[worst],
+            t_s=t_s[generous.start][(rest_start < stop[worst]) & (rest_stop > start[worst])][0],
+            share=share[worst],
         )
     ]

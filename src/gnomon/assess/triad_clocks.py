@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..gaps import close_gaps
 from ..recording import Floats, ImuSamples
 
@@ -41,12 +41,13 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
         return []
     later, earlier = ("gyroscope", "accelerometer") if lag > 0 else ("accelerometer", "gyroscope")
     return [
-        Finding(
+        make_finding(
+            "triads-apart/imu",
             severity="problem" if abs(lag) > _FAR_S else "warning",
-            code="triads-apart",
-            message=f"{name}: the {later} is stirred {abs(lag):.2f} s after the {earlier}, throughout the recording.",
-            consequence="Their stamps are of two clocks; rotations do not belong to the rests between which they lie.",
-            cure=f"Stamp both by one clock, or correct the stamps of one of them by {abs(lag):.2f} s.",
+            name=name,
+            later=later,
+            lag=abs(lag),
+            earlier=earlier,
         )
     ]
 

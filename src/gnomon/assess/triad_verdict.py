@@ -8,7 +8,7 @@ from ..estimate.triads.triad import TriadFit
 from ..estimate.triads.triad_poses import S_
 from ..estimate.triads.triad_trust import together
 from ..estimate.trust.cluster_trust import Trusted
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats
 from .bias_findings import bias_findings
 from .trust_findings import model_incomplete, parts_disagree
@@ -53,13 +53,11 @@ def redundancy_findings(fit: TriadFit) -> list[Finding]:
     if fit.degrees_of_freedom >= _FEW_REDUNDANT:
         return []
     return [
-        Finding(
-            severity="warning",
-            code="few-redundant",
-            message=f"{int(fit.equations[fit.used].sum())} equations for {int(fit.free.sum())} unknowns leave "
-            f"{max(fit.degrees_of_freedom, 0):.0f} to show errors by.",
-            consequence="A pose that was touched bends the result and shows nowhere.",
-            cure="Record twice as many poses as there are unknowns.",
+        make_finding(
+            "few-redundant",
+            equations=int(fit.equations[fit.used].sum()),
+            unknowns=int(fit.free.sum()),
+            degrees_of_freedom=max(fit.degrees_of_freedom, 0),
         )
     ]
 
@@ -77,13 +75,11 @@ def scatter_findings(fit: TriadFit, noise_sigma: float, magnitude: float, unit: 
     if not noise_sigma > 0 or fit.extra_sigma <= _BEYOND_NOISE * noise_sigma:
         return []
     return [
-        Finding(
+        make_finding(
+            "beyond-noise/magnitude",
             severity="warning" if fit.extra_sigma > _SCATTER_WARN * magnitude else "info",
-            code="beyond-noise",
-            message=f"From pose to pose the measurements scatter by {fit.extra_sigma:.2g} {unit}, "
-            f"{fit.extra_sigma / noise_sigma:.0f} times the noise within a pose.",
-            consequence="All sigmas contain it.",
-            cure="The sensor moved in its poses, its bias wandered, or its response is not linear: let it warm up, and "
-            "let it lie on something.",
+            extra_sigma=fit.extra_sigma,
+            unit=unit,
+            ratio=fit.extra_sigma / noise_sigma,
         )
     ]

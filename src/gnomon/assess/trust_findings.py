@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..trust import SigmaRatio, Splits, Trust, TrustNote
 
 _INCOMPLETE = 2.0
@@ -45,14 +45,13 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
     more = f" and {len(wide) - _SHOWN} more" if len(wide) > _SHOWN else ""
     missing = f" Likely missing: {'; '.join(likely)}." if likely else ""
     return [
-        Finding(
-            severity="info",
-            code="model-incomplete",
-            message=f"{_lasting(trust.clusters.memory_s)} make parameters scatter more than independent errors would: "
-            f"{listed}{more}.",
-            consequence="The model is incomplete: it does not explain all that was measured. The stated sigmas come "
-            f"from the scatter between {trust.clusters.count} stretches of time: they hold what differs from one to "
-            f"the next, not what errs the same way all the time.{missing}",
+        make_finding(
+            "model-incomplete/rig",
+            lasting=_lasting(trust.clusters.memory_s),
+            listed=listed,
+            more=more,
+            stretches=trust.clusters.count,
+            missing=missing,
             cure=cure,
         )
     ]
@@ -68,14 +67,15 @@ def parts_disagree(splits: Splits | None, cure: str = "") -> list[Finding]:
         return []
     worst = max(splits.blocks, key=lambda entry: entry.z_rms)
     return [
-        Finding(
-            severity="warning",
-            code="parts-disagree",
-            message=f"Parts of the recording ({', '.join(splits.splits)}) disagree by {splits.z_rms:.2g} sigma (rms; "
-            f"by chance {splits.limit:.2g} in one recording of a hundred), most of all {worst.block} by "
-            f"{worst.largest:.2g} sigma: {worst.where}.",
-            consequence="Something changed during the recording, or errs the whole time and differs from part to part: "
-            "true errors are larger than the stated sigmas.",
-            cure=cure or "Check that nothing was touched or warmed up between the parts, and record again to compare.",
+        make_finding(
+            "parts-disagree",
+            splits=", ".join(splits.splits),
+            z_rms=splits.z_rms,
+            limit=splits.limit,
+            block=worst.block,
+            largest=worst.largest,
+            where=worst.where,
+            case="explained" if cure else "",
+            cure=cure,
         )
     ]

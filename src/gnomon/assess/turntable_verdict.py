@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..calibration import Assessment, Holdout
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats
 from ..triad_diagnostics import TriadDiagnostics
@@ -103,32 +103,19 @@ def _uncertainty(evidence: TurntableEvidence) -> Iterator[Finding]:
     by_speed = fit.scale_known and by_rate > 0.7 * scale
     what = "scales are known" if fit.scale_known else "scales are known against each other"
     cure = "Add orientations, and let the platter turn longer in each."
-    yield Finding(
+    yield make_finding(
+        "uncertainty-gyroscope",
         severity=severity,
-        code="uncertainty-gyroscope",
-        message=f"The gyroscope's {what} to {100 * scale:.3f} % and its axes to {1e3 * angle:.2f} mrad "
-        "(1 sigma, worst axis).",
-        consequence="" if severity == "good" else "That is coarser than a turntable can give.",
-        cure="" if severity == "good" else "Measure the speed better." if by_speed and grades[1] == "good" else cure,
+        case="by-speed" if by_speed and grades[1] == "good" else "",
+        what=what,
+        scale=scale,
+        angle=angle,
+        cure=cure,
     )
     if by_speed and by_rate > _RATE_WORTH and severity != "problem":
-        yield Finding(
-            severity="info",
-            code="rate-dominates",
-            message=f"Most of the scales' uncertainty is that of the speed, {100 * by_rate:.3f} %, which all share.",
-            consequence="Ratios of the scales and the angles between the axes are known better.",
-            cure="Measure the speed over many turns, such as with a video (--rate VIDEO), or state --rate-sigma.",
-        )
+        yield make_finding("rate-dominates", by_rate=by_rate)
     if not fit.scale_known:
-        yield Finding(
-            severity="warning",
-            code="rate-unknown",
-            message="The speed was taken as unknown (--free rate.scale): turns at one unknown rate show bias, "
-            "misalignment and the ratios of the scales, but not their common factor.",
-            consequence="All scales are those at the stated speed times one factor that nothing here tells; their "
-            "sigmas are no measurement.",
-            cure="Measure the speed, such as with a video (--rate VIDEO).",
-        )
+        yield make_finding("rate-unknown")
 
 
 def _rates(evidence: TurntableEvidence, diagnostics: TriadDiagnostics) -> Iterator[Finding]:
@@ -137,12 +124,7 @@ def _rates(evidence: TurntableEvidence, diagnostics: TriadDiagnostics) -> Iterat
     turning = [rate for rate in diagnostics.rates if rate.stated > 0]
     unused = [rate.name for rate in parts.rates[:-1] if rate.name not in {one.name for one in turning}]
     if unused:
-        yield Finding(
-            severity="warning",
-            code="rate-not-found",
-            message=f"No steady part turned at {' and '.join(unused)}.",
-            cure="Check the stated speeds.",
-        )
+        yield make_finding("rate-not-found", unused=" and ".join(unused))
     yield from _in_one_attitude(evidence)
     if len(turning) < 2:
         return
@@ -154,13 +136,12 @@ def _rates(evidence: TurntableEvidence, diagnostics: TriadDiagnostics) -> Iterat
     low, high = int(np.argmin(ratio)), int(np.argmax(ratio))
     apart = float(ratio[high] / ratio[low] - 1)
     if apart > _CONTRADICT * float(np.hypot(np.hypot(sigma[low], sigma[high]), least)):
-        yield Finding(
+        yield make_finding(
+            "rates-contradict/between",
             severity="problem" if apart > _RATIO_FAIL else "warning",
-            code="rates-contradict",
-            message=f"The stated speeds contradict each other: the gyroscope shows {turning[high].name} to "
-            f"{turning[low].name} in a ratio that is {100 * apart:.2f} % larger than stated.",
-            consequence="One of them is wrong, and the scales with it.",
-            cure="Measure each speed, such as with a video, or state how well they are known (--rate-sigma).",
+            first=turning[high].name,
+            second=turning[low].name,
+            apart=apart,
         )
 
 
@@ -178,29 +159,14 @@ def _in_one_attitude(evidence: TurntableEvidence) -> Iterator[Finding]:
         return
     shown, stated = np.median(ratios, axis=0)
     if abs(np.log(shown / stated)) > _RATIO_FAIL:
-        yield Finding(
-            severity="problem",
-            code="rates-contradict",
-            message=f"In one orientation the gyroscope shows speeds in a ratio of {shown:.4f}; those stated for them "
-            f"have a ratio of {stated:.4f}.",
-            consequence="One of the stated speeds is wrong, and the scales with it.",
-            cure="Check the stated speeds, or count the turns in a minute at each.",
-        )
+        yield make_finding("rates-contradict/one-orientation", shown=shown, stated=stated)
 
 
 def _holdout(evidence: TurntableEvidence) -> Iterator[Finding]:
     fit = evidence.fit.fit
     rms, fastest = holdout_rms(fit), float(evidence.parts.data.rate.max())
     severity = graded(rms, _HOLDOUT_WARN * fastest, _HOLDOUT_FAIL * fastest)
-    yield Finding(
-        severity=severity,
-        code="holdout-rate",
-        message=f"Steady parts that were left out show their speed to {1e3 * rms:.3f} mrad/s rms.",
-        consequence="" if severity == "good" else "The gyroscope does not show the same speed in all orientations.",
-        cure=""
-        if severity == "good"
-        else "Check that the platter keeps its speed, and that the sensor cannot slip on it.",
-    )
+    yield make_finding("holdout-rate", severity=severity, rms=rms)
 
 
 def _orientations(evidence: TurntableEvidence) -> Iterator[Finding]:
@@ -213,13 +179,7 @@ def _orientations(evidence: TurntableEvidence) -> Iterator[Finding]:
             different.append(axis)
     count = len(different)
     few = count < _FEW_AXES
-    yield Finding(
-        severity="warning" if few else "good",
-        code="orientations",
-        message=f"The platter's axis had {count} different directions in the sensor.",
-        consequence="Fewer than nine leave little to check the result by." if few else "",
-        cure="Put the sensor on the platter in eighteen orientations: each face down, and each edge." if few else "",
-    )
+    yield make_finding("orientations", severity="warning" if few else "good", case="few" if few else "", count=count)
 
 
 def held_names(evidence: TurntableEvidence) -> tuple[str, ...]:
@@ -235,13 +195,8 @@ def _not_observable(evidence: TurntableEvidence) -> Iterator[Finding]:
     if not evidence.fit.fit.scale_known and np.diag(_relative_sigmas(evidence)).max() < _SCALE_FAIL:
         held = tuple(name for name in held if ".sensitivity" not in name)  # the common scale, which is told
     if held:
-        yield Finding(
-            severity="problem",
-            code="not-observable",
-            message=f"These recordings do not determine {len(held)} of the gyroscope's numbers ({', '.join(held[:3])}"
-            f"{', ...' if len(held) > 3 else ''}).",
-            consequence="They are held by a weak assumption and must not be used as measured.",
-            cure="Add orientations, with each face of the sensor down once.",
+        yield make_finding(
+            "not-observable/turntable", count=len(held), held=", ".join(held[:3]), more=", ..." if len(held) > 3 else ""
         )
 
 
@@ -256,13 +211,13 @@ def _left_out(evidence: TurntableEvidence) -> Iterator[Finding]:
     if out:
         more = f" and {len(out) - _MOST_NAMED} more" if len(out) > _MOST_NAMED else ""
         total = len(parts.names) + len(parts.left_out)
-        yield Finding(
+        yield make_finding(
+            "parts-left-out",
             severity="warning" if len(out) > 0.1 * total else "info",
-            code="parts-left-out",
-            message=f"{len(out)} of {total} steady parts left out: {'; '.join(out[:_MOST_NAMED])}{more}.",
-            consequence="The others are used.",
-            cure="Let the platter reach its speed and turn for some turns, below the end of the sensor's range, before "
-            "anything is touched.",
+            count=len(out),
+            total=total,
+            out="; ".join(out[:_MOST_NAMED]),
+            more=more,
         )
 
 
@@ -272,42 +227,23 @@ def _platter(evidence: TurntableEvidence, options: TurntableOptions) -> Iterator
     turning = data.rate > 0
     share = np.hypot(np.median(data.wander[turning] / data.rate[turning]), fit.extra_sigma / data.rate[turning].min())
     if share > _WANDER:
-        yield Finding(
-            severity="warning" if share > 10 * _WANDER else "info",
-            code="platter-wanders",
-            message=f"The platter's speed differs by {100 * share:.2g} % (1 sigma) from one steady part to the next.",
-            consequence="The parts are weighed by that.",
-            cure="Let it turn longer in each orientation, and fasten the sensor.",
-        )
+        yield make_finding("platter-wanders", severity="warning" if share > 10 * _WANDER else "info", share=share)
     slowest = float(data.rate[turning].min())
     earth = EARTH_RATE_RAD_S / np.sqrt(3) / slowest
     if options.latitude is None and earth > 0.5 * float(np.min(fit.group_sigma[data.rates > 0])):
-        yield Finding(
-            severity="info",
-            code="earth-rate",
-            message=f"The earth's own rate, up to {100 * EARTH_RATE_RAD_S / slowest:.2g} % of the slowest speed, is "
-            "part of the scales' uncertainty.",
-            cure="State --latitude to take it off.",
-        )
+        yield make_finding("earth-rate", percent=100 * EARTH_RATE_RAD_S / slowest)
     if found is None:
         return
     if found.tilt > _TILT_RAD:
-        yield Finding(
-            severity="info",
-            code="platter-tilt",
-            message=f"The platter's axis is {np.degrees(found.tilt):.2f} deg from the vertical; its direction is taken "
-            "from gravity's mean over the turns.",
-        )
+        yield make_finding("platter-tilt", tilt=found.tilt)
     apart = [axis for axis in data.axes if axis.rate > 0 and not axis.separated]
     if apart:
         pull = max(axis.rate for axis in apart) ** 2 * 0.1 / evidence.gravity.value
-        yield Finding(
+        yield make_finding(
+            "centripetal",
             severity="info" if pull < _PULL_RAD else "warning",
-            code="centripetal",
-            message=f"In {len(apart)} orientations the platter never rested: at 10 cm from its axis the centripetal "
-            f"acceleration would turn the measured vertical by {np.degrees(np.arctan(pull)):.2f} deg.",
-            consequence="The direction of the platter's axis is trusted no better than that there.",
-            cure="Record the platter at rest before it turns in each orientation, or at two speeds.",
+            count=len(apart),
+            pull_rad=np.arctan(pull),
         )
 
 
@@ -315,22 +251,11 @@ def _frames(evidence: TurntableEvidence) -> Iterator[Finding]:
     """Say what the axes of the result mean."""
     found = evidence.fit
     if found.accelerometer is not None:
-        yield Finding(
-            severity="good",
-            code="frames",
-            message=f"The platter turned {found.sense}, seen from above, as both triads are right-handed; gravity "
-            "relates the gyroscope's axes to those of the accelerometer.",
-        )
+        yield make_finding("frames/handedness", sense=found.sense)
         return
     recorded = evidence.parts.accelerometer_unit is not None
     why = f"The accelerometer is not used: {evidence.no_accelerometer.rstrip('.')}. " if recorded else ""
-    yield Finding(
-        severity="warning" if recorded else "info",
-        code="frames-unrelated",
-        message=f"{why}Magnitudes alone do not relate the gyroscope's axes to any other frame.",
-        consequence="The body frame is the gyroscope's own (gyro-x); rotations against an accelerometer are not in it.",
-        cure="Record the accelerometer, too, or relate the two by gnomon imu.",
-    )
+    yield make_finding("frames-unrelated", severity="warning" if recorded else "info", why=why)
 
 
 def _scale_far(evidence: TurntableEvidence) -> Iterator[Finding]:
@@ -340,13 +265,7 @@ def _scale_far(evidence: TurntableEvidence) -> Iterator[Finding]:
         return
     ratio = float(np.abs(np.linalg.det(evidence.fit.fit.sensitivity))) ** (1 / 3) * nominal
     if abs(ratio - 1) > _FAR_SCALE:
-        yield Finding(
-            severity="warning",
-            code="scale-far",
-            message=f"The gyroscope shows {ratio:.4g} times the stated speed in {unit}.",
-            consequence="Either it is that far off, or the platter turned at another speed than stated.",
-            cure="Count the turns in a minute, or give a video of the platter as --rate.",
-        )
+        yield make_finding("scale-far", ratio=ratio, unit=unit)
 
 
 def _drift(evidence: TurntableEvidence) -> Iterator[Finding]:
@@ -354,10 +273,4 @@ def _drift(evidence: TurntableEvidence) -> Iterator[Finding]:
         return
     fit = evidence.fit.fit
     span = float(np.max(np.ptp(evidence.fit.drift, axis=0) / np.linalg.norm(fit.sensitivity, axis=1)))
-    yield Finding(
-        severity="info",
-        code="bias-drift",
-        message=f"The gyroscope's bias moved by {1e3 * span:.2g} mrad/s over the session; it is followed from rest to "
-        "rest.",
-        cure="Let the sensor warm up before recording.",
-    )
+    yield make_finding("bias-drift", span=span)

@@ -1,7 +1,7 @@
 """What verdicts on calibrations of any kind have in common."""
 
 from ..calibration import Gravity, Verdict
-from ..findings import Finding, Severity
+from ..findings import Finding, Severity, make_finding
 from ..units import STANDARD_GRAVITY_M_S2
 from .causes import SEVERITIES, causes_first
 
@@ -32,29 +32,19 @@ def gravity_findings(gravity: Gravity) -> list[Finding]:
     least, most = _ON_EARTH_M_S2
     if not least - gravity.sigma < gravity.value < most + gravity.sigma:
         return [
-            Finding(
-                severity="warning",
-                code="gravity",
-                message=f"Gravity is {gravity.value:.5f} m/s^2 ({gravity.source}); on Earth it is {least} to {most}.",
-                consequence=f"All accelerometer scales are wrong by up to "
-                f"{100 * abs(gravity.value / STANDARD_GRAVITY_M_S2 - 1):.2g} %, and what correlates with them.",
-                cure="State --latitude (and --altitude), or the local value in m/s^2 with --gravity.",
+            make_finding(
+                "gravity/assumed",
+                gravity=gravity.value,
+                source=gravity.source,
+                least=least,
+                most=most,
+                off=abs(gravity.value / STANDARD_GRAVITY_M_S2 - 1),
             )
         ]
     if relative < 1e-3:
-        return [
-            Finding(
-                severity="good",
-                code="gravity",
-                message=f"Gravity is {gravity.value:.5f} m/s^2 ({gravity.source}).",
-            )
-        ]
+        return [make_finding("gravity/known", gravity=gravity.value, source=gravity.source)]
     return [
-        Finding(
-            severity="info",
-            code="gravity",
-            message=f"Gravity is taken as {gravity.value:.5f} +- {gravity.sigma:.2g} m/s^2 ({gravity.source}).",
-            consequence=f"All accelerometer scales share this {100 * relative:.1f} % uncertainty.",
-            cure="State --latitude (and --altitude), or --gravity, to remove it.",
+        make_finding(
+            "gravity/implausible", gravity=gravity.value, sigma=gravity.sigma, source=gravity.source, relative=relative
         )
     ]

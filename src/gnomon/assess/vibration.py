@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
@@ -35,16 +35,7 @@ def check_vibration(accelerometer: TriadSamples, gyroscope: TriadSamples, name: 
         for line, unit, triad in zip(found, ("m/s^2", "rad/s"), ("accelerometer", "gyroscope"), strict=True)
         if line is not None
     ]
-    return [
-        Finding(
-            severity="warning",
-            code="vibration",
-            message=f"{name} vibrates at {hz:.3g} Hz, with {' and '.join(sizes)}.",
-            consequence="It counts as noise, many times that of the sensor: sigmas grow, and what is faster than half "
-            "of the sample rate is folded down to where it bends the result.",
-            cure="Switch off motor or fan while you record, or put something soft between it and the sensor.",
-        )
-    ]
+    return [make_finding("vibration", name=name, hz=hz, sizes=" and ".join(sizes))]
 
 
 def _line(samples: TriadSamples, units: dict[str, float | None], least: float) -> tuple[float, float] | None:

@@ -8,7 +8,7 @@ import numpy as np
 from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..diagnostics import EstimatedParameter
 from ..estimate.multiposition.scaling import ImuEstimate
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..recording import Floats
 from ..requirements import GENERAL_RIG
 from ..trust import WeakDirection
@@ -128,17 +128,16 @@ def weak_findings(weak: Sequence[WeakDirection], *, with_camera: bool) -> list[F
     findings: list[Finding] = []
     for one in weak:
         if not one.held:
-            findings.append(Finding(severity="info", code="hardly-observable", message=one.words, cure=one.cure))
+            findings.append(make_finding("hardly-observable", words=one.words, cure=one.cure))
             continue
         vital = any(
             abs(share) > _MAINLY and any(part in name for part in PLACES_AND_CLOCKS) for name, share in one.shares
         )
         findings.append(
-            Finding(
+            make_finding(
+                "not-observable/direction",
                 severity="problem" if vital or not with_camera else "warning",
-                code="not-observable",
-                message=one.words,
-                consequence="Only a weak assumption holds this; do not use it as if it had been measured.",
+                words=one.words,
                 cure=one.cure,
             )
         )

@@ -22,7 +22,7 @@ from ..detect.boards.checkerboard_order import (
 from ..errors import InitialisationError
 from ..estimate.camera_imu.alignment import Alignment
 from ..estimate.camera_imu.first_guess import ImuStream, Look, looks
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Integers
@@ -177,12 +177,4 @@ def _empty(view: BoardView) -> BoardView:
 
 
 def _uncertain(name: str, lost: int, frames: int) -> Finding:
-    return Finding(
-        severity="warning",
-        code="board-ends",
-        message=f"{name}: the board looks the same from more than one end and was out of view in between; of {lost} of "
-        f"{frames} frames it is not certain which end is which.",
-        consequence="These frames are left out.",
-        cure="Use an AprilGrid, or a checkerboard with an even number of inner corners along one side and an odd "
-        "number along the other.",
-    )
+    return make_finding("board-ends", name=name, lost=lost, frames=frames)

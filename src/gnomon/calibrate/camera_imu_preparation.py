@@ -16,7 +16,7 @@ from ..estimate.camera_imu.batch import Noise
 from ..estimate.camera_imu.first_guess import ImuStream, Look
 from ..estimate.camera_imu.inertial_data import ImuBeforehand, InertialData, TriadData
 from ..estimate.camera_imu.other_imus import Beside
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.noise import CONSUMER_MEMS
 from ..models.target import Target
 from ..options import CameraImuOptions
@@ -84,7 +84,7 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     for finding in found:
         if finding.severity == "problem":
             raise (DetectionError if finding.code in _FEW_CODES else RecordingError)(str(finding))
-    findings = [*found, *(Finding(severity="info", code="assumed", message=text) for text in recording.assumptions)]
+    findings = [*found, *(make_finding("assumed", text=text) for text in recording.assumptions)]
     inertial: list[InertialData] = []
     imus: list[ImuBeforehand] = []
     for number, (name, samples) in enumerate(recording.imus.items()):
@@ -202,13 +202,4 @@ def _noise_findings(imus: Sequence[ImuBeforehand]) -> list[Finding]:
     if not unknown:
         return []
     of = "the IMU" if len(imus) == 1 else ", ".join(unknown)
-    return [
-        Finding(
-            severity="info",
-            code="noise-assumed",
-            message=f"No noise of {of} was stated; the random walks of its biases are taken as consumer sensors "
-            "have them, the white noise from the residuals.",
-            consequence="The uncertainty of the biases, and of what correlates with them, rests on that.",
-            cure="Give imu.yaml with the noise by the Allan deviation.",
-        )
-    ]
+    return [make_finding("noise-assumed", of=of)]

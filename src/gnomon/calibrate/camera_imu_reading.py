@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 from ..assess.clock_checks import check_clocks
 from ..errors import OptionError
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..images import ImageRecording, ImageStream
 from ..models.target import Target
 from ..readers.files import file_source
@@ -134,13 +134,7 @@ def _without_prior(recording: Recording, rig: KnownRig | None, name: str) -> Rec
 
     Lenses and poses start there and are estimated along; their covariance is made so wide that it adds nothing.
     """
-    finding = Finding(
-        severity="info",
-        code="prior-same-data",
-        message=f"{name} was made from this very recording. What it says of the cameras is where they start, and is "
-        "estimated along; its covariance is no prior, since its corners would count twice.",
-        cure="Give cameras that were calibrated from other images, where there are some: they add what they know.",
-    )
+    finding = make_finding("prior-same-data", name=name)
     cameras = {
         camera: frames
         if frames.lens_covariance is None

@@ -13,7 +13,7 @@ from ..estimate.cameras.information import chosen_views
 from ..estimate.cameras.rig import Rig, RigSolution, SeenCorners, Views
 from ..estimate.cameras.solution import solved
 from ..estimate.cameras.views import gathered_views
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import Floats, Integers
@@ -157,14 +157,16 @@ def other_size(every: Views, solution: RigSolution, bad: Mapping[str, Integers])
             _, middle = _middles(posed(scaled, solution.rig)[name])
             count = int(np.sum(middle < _FITS * _usual(solution.corners[name])))
             if count >= fewest:
-                return Finding(
-                    severity="problem",
-                    code="image-sizes-mixed",
-                    message=f"{name}: the images have not one size: {count} of {len(frames.t_ns)} are of about "
-                    f"{factor * width:.0f} x {factor * height:.0f} px, the others of {width} x {height} px; the first "
-                    f"is image {int(bad[name][0])}, counted from 0.",
-                    consequence="Focal length and centre are those of one size; together they are those of none.",
-                    cure="Take all images at one size, or keep those of one size and leave the others out.",
+                return make_finding(
+                    "image-sizes-mixed",
+                    name=name,
+                    differing=count,
+                    frames=len(frames.t_ns),
+                    width_px=factor * width,
+                    height_px=factor * height,
+                    width=width,
+                    height=height,
+                    image=int(bad[name][0]),
                 )
     return None
 

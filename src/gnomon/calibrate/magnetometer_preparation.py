@@ -1,6 +1,6 @@
 """Before a magnetometer is calibrated: its samples, and an accelerometer's, checked and put on their time base."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ..errors import DetectionError, OptionError, RecordingError
 from ..estimate.triads.field_poses import rough_ellipsoid, sample_noise
 from ..estimate.triads.triad_start import Ellipsoid
 from ..evidence import Priors
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats, Recording, TriadSamples
 from ..sensors import MagnetometerCalibration
@@ -69,7 +69,7 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
     name, imu = found
     assert imu.magnetometer is not None
     findings = _checked(imu.magnetometer, f"{name} magnetometer")
-    findings += [Finding(severity="info", code="assumed", message=sentence) for sentence in recording.assumptions]
+    findings += [make_finding("assumed", text=sentence) for sentence in recording.assumptions]
     magnetometer = repaired(imu.magnetometer)
     accelerometer, more = _usable_accelerometer(imu.accelerometer, f"{name} accelerometer")
     origin = int(magnetometer.t_ns[0])
@@ -116,14 +116,8 @@ def _usable_accelerometer(samples: TriadSamples, label: str) -> tuple[TriadSampl
     wrong = [finding for finding in findings if finding.severity == "problem"]
     if not wrong:
         return repaired(samples), [finding for finding in findings if finding.severity != "good"]
-    unused = Finding(
-        severity="warning",
-        code=wrong[0].code,
-        message=wrong[0].message,
-        consequence="The accelerometer is not used; the magnetometer is calibrated in a frame of its own.",
-        cure=wrong[0].cure,
-    )
-    return None, [unused]
+    consequence = "The accelerometer is not used; the magnetometer is calibrated in a frame of its own."
+    return None, [replace(wrong[0], severity="warning", consequence=consequence)]
 
 
 def _rough(values: Floats) -> tuple[Ellipsoid, float]:

@@ -26,7 +26,7 @@ from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
 from ..estimate.allan.high_pass import longest_unfiltered_s
 from ..estimate.allan.model import KINDS
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..options import NoiseOptions
 from ..readers.devices.device_log import is_device_log
 from ..readers.files import file_source
@@ -185,7 +185,7 @@ class _Triad:
                 'another unit, state it, for example --units "g deg/s". If these are counts, calibrate the IMU first '
                 "(gnomon imu) and convert the samples with that (gnomon apply)."
             )
-        self.notes.append(Finding(severity="info", code="assumed", message=f"{self.name} in {unit}{why}."))
+        self.notes.append(make_finding("assumed/unit", name=self.name, unit=unit, why=why))
         return factor
 
     @property

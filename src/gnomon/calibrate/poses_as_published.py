@@ -23,7 +23,7 @@ from ..calibration import (
 from ..diagnostics import Result
 from ..errors import InitialisationError, OptionError, SolveError
 from ..estimate.triads.angrisano import AngrisanoFit, canonical, datasheet_start, fit_components, fit_magnitudes
-from ..findings import Finding
+from ..findings import make_finding
 from ..options import ImuOptions
 from ..recording import Floats, Poses, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2
@@ -54,9 +54,9 @@ def calibrate_poses_as_published(
         fit = fit_magnitudes(poses.accelerometer, gravity.value, start, geometry=options.geometry)
     sensor, covariance = _sensor(fit, poses)
     left_out = _held_out(fit, poses, gravity, options)
-    noticed = (*prepared.findings, Finding(severity="info", code="preset-start", message=said))
+    noticed = (*prepared.findings, make_finding("preset-start", said=said))
     if poses.gyroscope is not None:
-        noticed += (Finding(severity="info", code="gyroscope-not-used", message=_ALONE),)
+        noticed += (make_finding("gyroscope-not-used", alone=_ALONE),)
     span_s = (prepared.start_s, prepared.stop_s)
     diagnostics = describe_published(poses, span_s, fit=fit, sensor=sensor, holdout=left_out, gravity=gravity)
     imus = {"imu0": ImuCalibration(accelerometer=sensor)}

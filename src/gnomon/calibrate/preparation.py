@@ -18,7 +18,7 @@ from ..detect.samples.time_base import TimeBase, time_base
 from ..errors import DetectionError, RecordingError
 from ..estimate.multiposition.problem import TriadStream
 from ..estimate.multiposition.scaling import ImuEstimate
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans, StaticIntervals
 from ..models.gravity import (
     NORMAL_GRAVITY_SIGMA_M_S2,
@@ -102,7 +102,7 @@ def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset
 
 def assumed(sentence: str) -> Finding:
     """Return what a reader had to take for granted as a finding."""
-    return Finding(severity="info", code="assumed", message=sentence)
+    return make_finding("assumed", text=sentence)
 
 
 def recording_names(recordings: Sequence[Recording]) -> list[str]:
@@ -170,17 +170,7 @@ def _uniform_despite_gaps(accelerometer: TimeBase, gyroscope: TimeBase) -> list[
     missing, longest = max((base.missing, len(base.t_s)) for base in (accelerometer, gyroscope))
     if not missing:
         return []
-    return [
-        Finding(
-            severity="warning",
-            code="time-base-stated",
-            message=f"A uniform time base is stated, but between the stamps of {longest} samples {missing} more are "
-            "missing.",
-            consequence="Rotations take too short, or too long a time: the gyroscope's scales and axes may be off by "
-            "more than their sigmas.",
-            cure="Leave the time base to the evidence (--time-base auto), or use the stamps.",
-        )
-    ]
+    return [make_finding("time-base-stated", longest=longest, missing=missing)]
 
 
 def local_gravity(options: ImuOptions | CameraImuOptions | TurntableOptions) -> Gravity:

@@ -28,7 +28,7 @@ from ..estimate.multiposition.scaling import ImuEstimate
 from ..estimate.multiposition.tedaldi import (
     RULES,
 )
-from ..findings import Finding
+from ..findings import make_finding
 from ..geometry.so3 import inverse
 from ..options import ImuOptions
 from ..recording import Recording
@@ -128,13 +128,7 @@ def _assess(
         *axis_findings(estimate.gyroscope_sensitivity),
         *unit_findings(estimate, prepared.accelerometer.unit, prepared.gyroscope.unit),
         *gravity_findings(gravity),
-        Finding(
-            severity="info",
-            code="preset",
-            message=f"Calibrated as {preset}, a published form of document A.",
-            consequence="It knows no g-sensitivity; its sigmas are lower bounds: neighbouring rotations share noise.",
-            cure="Leave out --preset for the better estimator.",
-        ),
+        make_finding("preset", preset=preset),
         *convergence_findings(converged),
     ]
     ordered = worst_first(findings)

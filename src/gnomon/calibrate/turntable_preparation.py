@@ -13,7 +13,7 @@ from ..detect.samples.steady import block_samples, find_steady, largest_rate
 from ..errors import DetectionError, OptionError, RecordingError
 from ..estimate.turntable.parts import TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, Speeds, assign_speeds
-from ..findings import Finding
+from ..findings import Finding, make_finding
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..triad_options import StatedRate, TurntableOptions
@@ -138,7 +138,7 @@ def _streams(recordings: Sequence[Recording], options: TurntableOptions) -> tupl
             )
         )
         begin_s += gyroscope.duration_s + _BETWEEN_FILES_S
-        findings += [Finding(severity="info", code="assumed", message=text) for text in recording.assumptions]
+        findings += [make_finding("assumed", text=text) for text in recording.assumptions]
     if not streams:
         raise RecordingError("no recording given.")
     units = {(s.gyroscope.unit, s.accelerometer.unit if len(s.accelerometer) else "") for s in streams}
@@ -154,14 +154,7 @@ def _streams(recordings: Sequence[Recording], options: TurntableOptions) -> tupl
 
 def _noticed(gyroscope: TriadSamples, accelerometer: TriadSamples, name: str) -> list[Finding]:
     if len(gyroscope) < 2:
-        return [
-            Finding(
-                severity="problem",
-                code="gyroscope-missing",
-                message=f"{name}: no gyroscope samples.",
-                cure="Give a file with the gyroscope, or name its columns (--columns).",
-            )
-        ]
+        return [make_finding("gyroscope-missing/turntable", name=name)]
     findings = [*check_stamps(gyroscope, f"{name} gyroscope"), *check_signal(gyroscope, f"{name} gyroscope")]
     if len(accelerometer) > 1:
         findings += check_signal(accelerometer, f"{name} accelerometer")

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from ...findings import Finding
+from ...findings import Finding, make_finding
 from .clock import NOMINAL_CLOCK, UNCHECKED_CLOCK
 
 if TYPE_CHECKING:
@@ -37,64 +37,28 @@ def rate_findings(found: "PlatterRate", missing: int, notes: tuple[str, ...]) ->
 
 def _of_video(notes: tuple[str, ...], missing: int) -> Iterator[Finding]:
     if notes:
-        yield Finding(
-            severity="warning",
-            code="video-damaged",
-            message=" ".join(notes),
-            consequence="The rate rests on what could be read.",
-            cure="Copy the video again, if it was whole.",
-        )
+        yield make_finding("video-damaged", notes=" ".join(notes))
     if missing:
-        yield Finding(
-            severity="warning",
-            code="video-frames-missing",
-            message=f"The video states a frame rate and no times, and {missing} frames are missing or repeated, where "
-            "the platter jumps or waits.",
-            consequence="The times were put right by these jumps.",
-            cure="Record with the time of each frame (Matroska or MP4 with a variable frame rate), in more light.",
-        )
+        yield make_finding("video-frames-missing", missing=missing)
 
 
 def _of_clock(found: "PlatterRate") -> Iterator[Finding]:
     if found.clock < NOMINAL_CLOCK:
         return
     unchecked = "; frames may be missing, unnoticed" if found.clock >= UNCHECKED_CLOCK else ""
-    yield Finding(
-        severity="warning",
-        code="video-nominal-times",
-        message=f"The frames stand at even times, {found.frame_rate_hz:.6g} per second: the video states a frame rate, "
-        f"and not when its frames were taken{unchecked}.",
-        consequence=f"The camera's own frame rate is taken to agree to {found.clock:.1g}, which is in the sigma.",
-        cure="Record with the time of each frame, or put a table of stamps beside the video.",
-    )
+    yield make_finding("video-nominal-times", frame_rate_hz=found.frame_rate_hz, unchecked=unchecked, clock=found.clock)
 
 
 def _of_part(found: "PlatterRate") -> Iterator[Finding]:
     start, stop = found.steady_s
     step = 1 / found.frame_rate_hz
     if start + (found.duration_s - stop) > _LEFT_OUT_S:
-        yield Finding(
-            severity="info",
-            code="platter-steady-part",
-            message=f"The platter turns evenly from {start:.1f} to {stop:.1f} s of {found.duration_s:.1f} s.",
-            consequence="The rest was left out.",
-        )
+        yield make_finding("platter-steady-part", start=start, stop=stop, duration_s=found.duration_s)
     hidden = 1 - found.frames_used * step / max(stop - start, step)
     if hidden > _HIDDEN_SHARE:
-        yield Finding(
-            severity="info",
-            code="platter-hidden",
-            message=f"In {100 * hidden:.0f} % of this time frames are missing, or something is before the platter.",
-            consequence="What was seen before and after has the same phase, so that no turn was lost.",
-        )
+        yield make_finding("platter-hidden", hidden=hidden)
     if found.turns < _FEW_TURNS:
-        yield Finding(
-            severity="warning",
-            code="platter-few-turns",
-            message=f"Only {found.turns:.1f} turns tell the rate.",
-            consequence="Its sigma is large, and how even the rate is can hardly be told.",
-            cure="Record for a minute or more.",
-        )
+        yield make_finding("platter-few-turns", turns=found.turns)
 
 
 def _of_evenness(found: "PlatterRate") -> Iterator[Finding]:
@@ -103,31 +67,15 @@ def _of_evenness(found: "PlatterRate") -> Iterator[Finding]:
     drifts = abs(drift) > max(_SURELY * sigma, _LITTLE_DRIFT * rate)
     own = max(found.sigma_rad_s**2 - (found.clock * rate) ** 2, 0.0) ** 0.5 / rate
     if drifts:
-        yield Finding(
-            severity="warning",
-            code="platter-drift",
-            message=f"The rate {'rises' if drift > 0 else 'falls'} by {100 * abs(drift) / rate:.2g} % over the steady "
-            "part.",
-            consequence="The sigma is that of the rate at any one moment of it.",
-            cure="Let the platter warm up, and record the sensor and the video at the same time.",
+        yield make_finding(
+            "platter-drift", direction="rises" if drift > 0 else "falls", percent=100 * abs(drift) / rate
         )
     elif own > _UNEVEN:
-        yield Finding(
-            severity="warning",
-            code="platter-uneven",
-            message=f"The platter turns unevenly: its rate is known to {100 * own:.2g} %, by the scatter of its turns.",
-            consequence="The scale of a gyroscope will not be better than that.",
-            cure="Record more turns; clean the platter's drive.",
-        )
+        yield make_finding("platter-uneven", own=own)
     else:
-        yield Finding(severity="good", code="platter-even", message=f"The platter turns evenly, to {100 * own:.2g} %.")
+        yield make_finding("platter-even", own=own)
 
 
 def _of_pattern(found: "PlatterRate") -> Iterator[Finding]:
     if found.per_turn > 1:
-        yield Finding(
-            severity="info",
-            code="platter-pattern",
-            message=f"The picture repeats itself {found.per_turn} times in a turn, by the motion of its pattern.",
-            cure="One mark on the platter makes it clear to the eye, too.",
-        )
+        yield make_finding("platter-pattern", per_turn=found.per_turn)
