@@ -29,7 +29,7 @@ from gnomon.simulate import (
     simulate_turntable,
 )
 from gnomon.simulate.noise import noise_blocks
-from gnomon.simulate.noise_scenario import NoiseScenario
+from gnomon.simulate.scenarios import NoiseScenario
 from gnomon.triad_options import StatedRate
 
 Floats = NDArray[np.float64]

@@ -99,7 +99,7 @@ def rendered_views(
             gradient=(float(gradient[0]), float(gradient[1])),
         )
         wall = cluttered_wall(int(rng.integers(6))) if ranges.clutter else None
-        image = render(pattern, camera, R, p, options=optics, wall=wall, covers=covers, rng=rng)
+        image = render(pattern, camera, R, p, options=optics, wall=wall, occluders=covers, rng=rng)
         far = _far_from(covers, pixels, BORDER_PX + 2 * blur_px)
         point = np.flatnonzero(seen & far)
         tags, side = _tags(target, pixels, seen & far, covers)

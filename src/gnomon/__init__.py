@@ -29,11 +29,6 @@ from .simulate import (
     Scenario,
     TurntableScenario,
     simulate,
-    simulate_camera_imu,
-    simulate_cameras,
-    simulate_magnetometer,
-    simulate_poses,
-    simulate_turntable,
 )
 
 if TYPE_CHECKING:
@@ -83,6 +78,13 @@ if TYPE_CHECKING:
     from .report.noise import write_noise_report
     from .requirements import Use
     from .sensor_noise import NoiseResult, SensorNoise
+    from .simulate import (
+        simulate_camera_imu,
+        simulate_cameras,
+        simulate_magnetometer,
+        simulate_poses,
+        simulate_turntable,
+    )
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers import Loss, convert, save, save_camera_imu_files
@@ -122,6 +124,11 @@ _HOMES = {
     "read_hardware": "calibrate",
     "check": "assess.doctor",
     "compare": "calibrate.comparison",
+    "simulate_camera_imu": "simulate",
+    "simulate_cameras": "simulate",
+    "simulate_magnetometer": "simulate",
+    "simulate_poses": "simulate",
+    "simulate_turntable": "simulate",
     "write_comparison_report": "report.comparison",
     "convert": "writers",
     "load": "readers",

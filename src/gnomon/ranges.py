@@ -90,8 +90,13 @@ def option_range(name: str) -> tuple[float, float]:
     return next(limits for ending, limits in _ENDINGS.items() if name.endswith(ending))
 
 
-def check_ranges(options: Any) -> None:
+def check_ranges(options: Any, *, positive: str = "", not_negative: str = "", fractions: str = "") -> None:
     """Check all numbers in a dataclass of options, and in those in it.
+
+    Parameters
+    ----------
+    positive, not_negative, fractions : names of options, with spaces between, that must be greater than zero; not below
+        zero; from zero to below one
 
     Raises
     ------
@@ -104,6 +109,15 @@ def check_ranges(options: Any) -> None:
             raise OptionError(f"{name} {value:g} is not a finite number. Give one from {least:g} to {most:g}.")
         if not least <= value <= most:
             raise OptionError(f"{name} {value:g} is out of range. Give a number from {least:g} to {most:g}.")
+    for names, fits, wanted in (
+        (positive, lambda value: value > 0, " must be greater than zero."),
+        (not_negative, lambda value: value >= 0, " must not be below zero."),
+        (fractions, lambda value: 0 <= value < 1, ": give a fraction from 0 to below 1."),
+    ):
+        for name in names.split():
+            value = getattr(options, name)
+            if value is not None and not fits(value):
+                raise OptionError(f"{name} {value:g}{wanted}")
 
 
 def _numbers(options: Any) -> Iterator[tuple[str, float]]:

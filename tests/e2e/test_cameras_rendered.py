@@ -16,8 +16,8 @@ from gnomon.camera_options import CameraOptions
 from gnomon.models.camera import Camera
 from gnomon.readers.rig.kalibr_camchain import CameraInput
 from gnomon.recording import Recording
+from gnomon.simulate.board_images import rendered_cameras
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
-from gnomon.simulate.cameras_images import rendered_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES
 
 SEEDS = 4

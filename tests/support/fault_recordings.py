@@ -7,10 +7,10 @@ import numpy as np
 
 from gnomon.options import CameraImuOptions, ImuOptions
 from gnomon.recording import CameraFrames, Floats, ImuSamples, Integers, TriadSamples
-from gnomon.simulate.camera_imu import CameraImuSimulation, simulated_camera_imu
+from gnomon.simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.imu import simulate_imu
-from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.scenarios import Scenario
 
 from .faults import Fault, FaultyRecording, Spoil
 
@@ -26,7 +26,7 @@ def sound_recording(scenario: Scenario | CameraImuScenario, seed: int) -> Faulty
     if isinstance(scenario, Scenario):
         recording, truth = simulate_imu(scenario, seed)
         return FaultyRecording(recording=recording, target=None, options=ImuOptions(), truth=truth)
-    simulation = simulated_camera_imu(scenario, seed)
+    simulation = simulate_camera_imu(scenario, seed)
     return FaultyRecording(
         recording=simulation.recording,
         target=simulation.target,
@@ -39,7 +39,7 @@ def simulation_of(case: FaultyRecording, scenario: CameraImuScenario) -> CameraI
     """Return the simulation behind a recording of cameras: its true motion."""
     seed = case.truth.provenance.seed
     assert seed is not None
-    return simulated_camera_imu(scenario, seed)
+    return simulate_camera_imu(scenario, seed)
 
 
 def with_imu(case: FaultyRecording, imu: ImuSamples) -> FaultyRecording:

@@ -6,7 +6,7 @@ import numpy as np
 
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario, MotionName
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
-from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.scenarios import Scenario
 from gnomon.simulate.seen_board import BoardName
 
 _MOTIONS: tuple[MotionName, ...] = ("gentle", "normal", "tremor", "shaky", "rolling")

@@ -11,7 +11,7 @@ from gnomon.options import ImuOptions
 from gnomon.recording import Floats, ImuSamples, Recording, TriadSamples
 from gnomon.sensors import ImuCalibration
 from gnomon.simulate.imu import simulate_imu
-from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.scenarios import Scenario
 from gnomon.simulate.sensor import Converter, converters
 
 from .fault_recordings import seconds, some, warming

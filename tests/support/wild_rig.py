@@ -10,7 +10,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.noise import ImuNoise
 from gnomon.options import CameraImuOptions
 from gnomon.recording import CameraFrames, ImuSamples, TriadSamples
-from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.seen_board import INTRINSICS
 
@@ -48,7 +48,7 @@ def wild_rig(seed: int) -> WildCase:
     """Draw a wild case of cameras and an IMU."""
     rng = np.random.default_rng([seed, 12])
     scenario, said = _scenario(rng)
-    simulation = simulated_camera_imu(scenario, seed)
+    simulation = simulate_camera_imu(scenario, seed)
     case = WildCase(
         kind="camera-imu",
         seed=seed,

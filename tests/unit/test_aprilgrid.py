@@ -66,7 +66,7 @@ def looked_at(target, *, camera=None, away_m=1.0, turn=0.1, shift=(0.0, 0.0), op
     p = np.array([*shift, away_m]) - R @ middle
     optics = optics or Optics(noise=1.0, blur_px=0.6)
     rng = np.random.default_rng(seed)
-    image = render(board_pattern(target), camera, R, p, options=optics, covers=covers, rng=rng)
+    image = render(board_pattern(target), camera, R, p, options=optics, occluders=covers, rng=rng)
     return image, camera.project(target.points @ R.T + p).pixels
 
 

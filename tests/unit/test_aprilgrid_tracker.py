@@ -31,7 +31,7 @@ def picture(shift, roll, seed, *, away_m=0.62, covers=()):
     p = np.array([*shift, away_m]) - R @ middle
     optics = Optics(noise=1.5, blur_px=0.6)
     rng = np.random.default_rng(seed)
-    image = render(board_pattern(BOARD), LENS, R, p, options=optics, covers=covers, rng=rng)
+    image = render(board_pattern(BOARD), LENS, R, p, options=optics, occluders=covers, rng=rng)
     return image, LENS.project(BOARD.points @ R.T + p).pixels
 
 

@@ -15,7 +15,7 @@ from gnomon.evidence import NAMES, TRIADS, known_beforehand
 from gnomon.models.frames import frame_rotation
 from gnomon.sensors import ImuCalibration, rotated
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
-from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.scenarios import Scenario
 
 SENSITIVITY, RATE = "imu0.accelerometer.sensitivity", "imu0.gyroscope.sensitivity"
 UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}

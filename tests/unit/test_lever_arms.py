@@ -18,7 +18,7 @@ from gnomon.parameters import covariance_names, parameters
 from gnomon.readers.own.calibration_file import load
 from gnomon.readers.projects.kalibr_imu import read_kalibr
 from gnomon.report.imu_origin import origin_figure
-from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.trust import Need, TrustNote
 from gnomon.writers.calibration_file import calibration_text, save
@@ -46,7 +46,7 @@ def test_every_accelerometer_feels_the_force_at_its_place():
     scenario = CameraImuScenario(
         duration_s=3.0, accelerometer_arms_m=ARMS, noise_factor=0.0, earth_rate_latitude=47.0, motion="tremor"
     )
-    simulation, plain = (simulated_camera_imu(one, 1) for one in (scenario, replace(scenario, accelerometer_arms_m=())))
+    simulation, plain = (simulate_camera_imu(one, 1) for one in (scenario, replace(scenario, accelerometer_arms_m=())))
     sensor = simulation.truth.with_origin("x").imus["imu0"].accelerometer
     np.testing.assert_allclose(sensor.lever_arms_m, PLACES, rtol=0, atol=1e-15)
     felt = sensor.specific_force(simulation.recording.imus["imu0"].accelerometer.values - simulation.b_a + sensor.bias)
@@ -223,7 +223,7 @@ def test_kalibr_gets_them_from_the_same_origin_as_the_cameras(camera_calibration
 @pytest.fixture(scope="module")
 def recorded():
     scenario = CameraImuScenario(duration_s=20.0, accelerometer_arms_m=ARMS)
-    return simulated_camera_imu(scenario, 5)
+    return simulate_camera_imu(scenario, 5)
 
 
 def calibrated(simulation, **options):
@@ -395,7 +395,7 @@ def test_errors_at_p_star_are_what_their_sigmas_say(size_mm):
         arms = np.random.default_rng((seed, 1)).normal(size=6)
         arms *= 1e-3 * size_mm / np.sqrt(np.mean(arms**2))
         scenario = CameraImuScenario(duration_s=30.0, accelerometer_arms_m=tuple(arms) if size_mm else ())
-        simulation = simulated_camera_imu(scenario, 400 + seed)
+        simulation = simulate_camera_imu(scenario, 400 + seed)
         found = calibrated(simulation, model="auto", gravity=9.80665)
         truth = simulation.truth.with_origin(found.imus["imu0"].origin)
         path = "cam0.T_cam_imu.translation"

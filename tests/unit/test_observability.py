@@ -9,7 +9,7 @@ from gnomon.assess.observability import LIMITS, known_of, weak_directions
 from gnomon.assess.weak_findings import through_stated_focal
 from gnomon.calibrate.plan_camera_imu import planned_camera_imu
 from gnomon.models.noise import CONSUMER_MEMS
-from gnomon.simulate.planned_views import usual_rig
+from gnomon.simulate.planned import usual_rig
 
 RATE_HZ = 100.0
 

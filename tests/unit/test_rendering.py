@@ -13,8 +13,8 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, tag_codes
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
+from gnomon.simulate.board_outlines import coverage
 from gnomon.simulate.clutter import cluttered_wall
-from gnomon.simulate.coverage import coverage
 from gnomon.simulate.rendering import Optics, render, render_moving
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
@@ -194,7 +194,7 @@ def test_a_board_that_reaches_behind_the_camera_is_drawn_where_it_is_seen():
 def test_covers_and_walls():
     wall = cluttered_wall(3)
     square = np.array([[100.0, 100], [180, 100], [180, 180], [100, 180]])
-    image = render(PATTERN, CAMERA, FACING, STRAIGHT, options=Optics(black=30.0), wall=wall, covers=[square])
+    image = render(PATTERN, CAMERA, FACING, STRAIGHT, options=Optics(black=30.0), wall=wall, occluders=[square])
     assert (image[105:176, 105:176] == 30).all()
     parameters = cv2.aruco.DetectorParameters()
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

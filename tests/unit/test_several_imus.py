@@ -26,7 +26,7 @@ from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, moved_into_frame, moved_to_origin, parameters
 from gnomon.readers.own.calibration_file import load
 from gnomon.recording import ImuSamples, TriadSamples
-from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.writers.calibration_file import calibration_text, save
 
@@ -264,7 +264,7 @@ def test_the_model_reads_what_was_simulated():
         accelerometer_rate_hz=130.0,
         imu_clock_offset_s=50.0,
     )
-    simulation = simulated_camera_imu(scenario, 3)
+    simulation = simulate_camera_imu(scenario, 3)
     t_s = np.arange(0, 6.0, 0.002)
     motion = simulation.trajectory.at(t_s)
     path = ImuPath(t_s=t_s, R=motion.R_target_body, position=motion.p_target_body)

@@ -9,7 +9,7 @@ import pytest
 
 from gnomon.report.page import render
 from gnomon.report.study_krebs import krebs_page
-from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.study.krebs import SERIES, Independence, KrebsStudy, Sample, group_mean, study_krebs
 from gnomon.study.krebs_claims import claims, tables
 from gnomon.study.krebs_run import OPTIONS, SCENARIO, KrebsRun, KrebsTask, calibrated_run, run_krebs, sensed
@@ -64,7 +64,7 @@ def test_the_numbers_of_the_thesis_agree_with_themselves():
 
 def test_a_rig_senses_what_the_equations_of_document_b_say():
     scenario = replace(SCENARIO, duration_s=1.0, noise_factor=0.0, pixel_noise_px=0.0, earth_rate_latitude=None)
-    simulation = simulated_camera_imu(scenario, 3)
+    simulation = simulate_camera_imu(scenario, 3)
     rig = KrebsRig(gravity=simulation.gravity_target, time_shift_s=0.05)
     recording = sensed(simulation, rig)
     motion = simulation.trajectory.path.at(simulation.trajectory.t_s).of(rig.T_cam_imu)
@@ -82,7 +82,7 @@ def test_a_rig_senses_what_the_equations_of_document_b_say():
 
 def test_noise_is_scaled_and_motion_kept():
     first, second = (
-        simulated_camera_imu(replace(SCENARIO, duration_s=2.0, noise_factor=factor), 5) for factor in (1.0, 0.1)
+        simulate_camera_imu(replace(SCENARIO, duration_s=2.0, noise_factor=factor), 5) for factor in (1.0, 0.1)
     )
     np.testing.assert_array_equal(first.trajectory.f_imu, second.trajectory.f_imu)
     errors = [one.recording.imus["imu0"].gyroscope.values - one.trajectory.omega_imu for one in (first, second)]
@@ -138,7 +138,7 @@ def test_a_basic_model_does_not_estimate_the_rest():
 
 
 def test_a_recording_that_cannot_be_used_is_told():
-    simulation = simulated_camera_imu(replace(SCENARIO, duration_s=0.5), 1)
+    simulation = simulate_camera_imu(replace(SCENARIO, duration_s=0.5), 1)
     run = calibrated_run(simulation, KrebsRig(), replace(OPTIONS, pixel_sigma=0.3))
     assert run.failure
     assert not run.converged

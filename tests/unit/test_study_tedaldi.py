@@ -11,7 +11,7 @@ from gnomon.models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from gnomon.report.page import render
 from gnomon.report.study_tedaldi import tedaldi_page
 from gnomon.simulate.imu import simulate_imu, true_signals
-from gnomon.simulate.scenario import Scenario
+from gnomon.simulate.scenarios import Scenario
 from gnomon.study import tedaldi
 from gnomon.study.tedaldi import study_tedaldi, trials
 from gnomon.study.tedaldi_claims import claims, group_errors, noise_alone, sigma_over_scatter, tables

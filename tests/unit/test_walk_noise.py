@@ -7,7 +7,7 @@ import pytest
 from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.estimate.camera_imu.walk_noise import next_walk
 from gnomon.options import CameraImuOptions
-from gnomon.simulate.camera_imu import simulated_camera_imu
+from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 
 
@@ -23,7 +23,7 @@ def test_a_walk_is_neither_less_than_stated_nor_far_more(found):
 def wandering():
     """A recording whose biases wander ten times as strongly as stated."""
     scenario = CameraImuScenario(duration_s=20.0, accelerometer_random_walk=3e-3, gyroscope_random_walk=2e-4)
-    simulation = simulated_camera_imu(scenario, 3)
+    simulation = simulate_camera_imu(scenario, 3)
     imu = simulation.recording.imus["imu0"]
     noise = replace(imu.noise, accelerometer_random_walk=3e-4, gyroscope_random_walk=2e-5)
     recording = replace(simulation.recording, imus={"imu0": replace(imu, noise=noise)})
@@ -56,7 +56,7 @@ def test_a_walk_that_is_stated_too_weak_is_told(wandering):
 
 
 def test_a_walk_that_is_as_stated_stays():
-    simulation = simulated_camera_imu(CameraImuScenario(duration_s=20.0), 4)
+    simulation = simulate_camera_imu(CameraImuScenario(duration_s=20.0), 4)
     calibration, walks = calibrated(simulation, "coloured")
     for level in walks.values():
         assert level.nominal <= level.used < 2 * level.nominal

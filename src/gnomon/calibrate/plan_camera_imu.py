@@ -28,7 +28,7 @@ from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import CameraFrames
 from ..simulate.camera_imu_frames import START_NS
-from ..simulate.planned_views import PlannedRecording, PlannedRig, planned_recording
+from ..simulate.planned import PlannedRecording, PlannedRig, planned_recording
 from ..simulate.plans import CameraImuPlan
 from ..simulate.truth import changed_options
 from .preparation import local_gravity

@@ -42,7 +42,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
 from ..options import ImuOptions
 from ..recording import Floats
-from ..simulate.planned_rests import planned_rests
+from ..simulate.planned import planned_rests
 from ..simulate.plans import ImuPlan
 from ..simulate.truth import changed_options
 from ..solve.arrow import solve_arrow

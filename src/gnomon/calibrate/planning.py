@@ -23,7 +23,7 @@ from ..readers.rig.sensor_inputs import read_cameras, read_imus
 from ..recording import Floats
 from ..requirements import GENERAL_IMU, GENERAL_RIG, Use
 from ..sensors import CameraCalibration
-from ..simulate.planned_views import PlannedRig, usual_rig
+from ..simulate.planned import PlannedRig, usual_rig
 from ..simulate.plans import CameraImuPlan, ImuPlan
 from ..trust import Need, WeakDirection
 from .judging import stated_use

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ..errors import OptionError
 from ..options import NoiseOptions
-from ..simulate.noise_scenario import NoiseScenario
+from ..simulate.scenarios import NoiseScenario
 from .command import Command, Flat, Input, Json, Report, Seed, output_option
 from .output_folder import NOISE_FILES, default_folder, result_folder
 from .results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files

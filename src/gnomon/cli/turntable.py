@@ -10,7 +10,7 @@ import tyro
 
 from ..errors import OptionError
 from ..simulate.platter_scenario import PlatterScenario
-from ..simulate.turntable_scenario import TurntableScenario
+from ..simulate.scenarios import TurntableScenario
 from ..triad_options import TurntableOptions
 from ..units import Units, parse_rate
 from .command import Command, Flat, ForUse, Json, Report, Seed, output_option
@@ -196,14 +196,14 @@ class SimulateTurntable(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate recordings, write their folder, and return the exit code."""
-        from ..simulate.turntable import simulated_turntable
+        from ..simulate.turntable import simulate_turntable
         from ..writers import save
         from ..writers.recording_file import save_recording
 
         scenario, folder = self.scenario, self.output
         with result_folder(folder, own=()) as staging:
             terminal.progress("simulating")
-            simulation = simulated_turntable(scenario, self.seed)
+            simulation = simulate_turntable(scenario, self.seed)
             names: list[str] = []
             for k, recording in enumerate(simulation.recordings):
                 name = "recording.npz" if len(simulation.recordings) == 1 else f"pose{k + 1:02d}.npz"

@@ -5,26 +5,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from .._version import __version__
-from ..calibration import (
-    Assessment,
-    Calibration,
-    CameraCalibration,
-    CameraImuFit,
-    Covariance,
-    Gravity,
-    ImuCalibration,
-    Provenance,
-    covariance_names,
-)
+from ..calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, ImuCalibration
 from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.origin import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
 from .camera_imu_frames import CameraTruth, FrameStreams, View, simulated_frames
-from .camera_imu_motion import drawn_path
-from .camera_imu_path import CameraPath
+from .camera_imu_path import CameraPath, drawn_path
 from .camera_imu_rig import (
     corner_offsets,
     drawn_cameras,
@@ -36,8 +24,7 @@ from .camera_imu_rig import (
 )
 from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
 from .camera_imu_scenario import CameraImuScenario
-from .stated_board import stated_board
-from .truth import changed_options
+from .truth import true_calibration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,10 +106,34 @@ _STREAMS = (
 )
 
 
-def simulated_camera_imu(scenario: CameraImuScenario, seed: int) -> CameraImuSimulation:
-    """Make a recording and its truth; see `gnomon.simulate_camera_imu`."""
+def simulate_camera_imu(scenario: CameraImuScenario | None = None, seed: int = 0) -> CameraImuSimulation:
+    """Make a recording of cameras and an IMU that are waved together before a board, and what is true of it.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None
+    seed : every random number follows from it; the same scenario and seed give the same recording
+
+    Returns
+    -------
+    simulation : recording, target, and the truth about sensors, path, biases, frames and corners
+
+    Raises
+    ------
+    OptionError
+        If the scenario's lens or board is impossible.
+
+    Examples
+    --------
+    >>> simulation = simulate_camera_imu(CameraImuScenario(duration_s=2.0), seed=1)
+    >>> len(simulation.recording.cameras["cam0"].t_ns)
+    40
+    >>> float(simulation.truth_parameters["cam0.time_shift_cam_imu"])
+    0.007
+    """
+    scenario = scenario or CameraImuScenario()
     streams = _streams(scenario, seed)
-    target, gravity = stated_board(scenario), gravity_target(scenario)
+    target, gravity = scenario.stated_board(), gravity_target(scenario)
     offsets = corner_offsets(scenario, target, streams["board"])
     points = scenario.target_scale * (target.points + offsets)
     middle = scenario.target_scale * (target.points.min(axis=0) + target.points.max(axis=0)) / 2
@@ -267,15 +278,14 @@ def _truth(
     frames: Mapping[str, CameraTruth],
 ) -> Calibration:
     """Return what is to be estimated; T_cam_imu is at p*, as what is estimated is (`models.origin`)."""
-    names = covariance_names(imus, cameras)
-    options = changed_options(scenario)
     counts = {name: len(truth.exposure_s) for name, truth in frames.items()}
-    return Calibration(
+    return true_calibration(
+        scenario,
+        seed,
         imus=imus,
         cameras=cameras,
         frame="accel-x",
-        gravity=Gravity(value=scenario.gravity, sigma=0.0, source="simulation"),
-        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
+        gravity_m_s2=scenario.gravity,
         assessment=Assessment(
             verdict="pass",
             findings=(),
@@ -289,5 +299,4 @@ def _truth(
                 converged=True,
             ),
         ),
-        provenance=Provenance(gnomon_version=__version__, method="simulation", options=options, seed=seed),
     ).with_origin("optimal")

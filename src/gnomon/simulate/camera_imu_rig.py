@@ -13,11 +13,11 @@ from ..calibration import AccelerometerCalibration, CameraCalibration, Gyroscope
 from ..geometry.quaternion import Floats, rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.camera import Camera
+from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, FULL, LOWER
 from ..models.target import Target
 from .camera_imu_scenario import CameraImuScenario, ImuPreset
-from .imu import EARTH_RATE_RAD_S
 
 THESIS_NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

@@ -1,7 +1,6 @@
 """What to simulate of cameras and an IMU before a board; it is also the simulated recording's scenario file."""
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Literal
 
 from ..errors import OptionError
@@ -234,16 +233,17 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     made."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
-        self._check_numbers()
+        check_ranges(self, positive=_POSITIVE, not_negative=_NOT_NEGATIVE, fractions=_FRACTIONS)
+        if self.scale_range is not None and self.scale_range >= 1:
+            raise OptionError(f"scale_range {self.scale_range:g}: a scale of zero or less measures nothing.")
+        if self.focal_error <= -1:
+            raise OptionError(f"focal_error {self.focal_error:g} must be above -1.")
         self.check_lens()
         self._check_distortion_error()
         for name in ("imu_gaps_s", "camera_gaps_s"):
             for start, length in getattr(self, name):
                 if not (start >= 0 and length > 0):
                     raise OptionError(f"{name} {start:g} {length:g}: give start and length, neither below zero.")
-        if self.covers < 0:
-            raise OptionError(f"covers {self.covers}: give a number of hands and cables, or 0.")
         if self.target_cols < 2 or self.target_rows < 2:
             raise OptionError(f"a board of {self.target_cols} x {self.target_rows} is too small; give at least 2 x 2.")
         if len(self.accelerometer_arms_m) not in (0, 6):
@@ -251,27 +251,10 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
                 f"accelerometer_arms_m: give 6 numbers, x y z of the y and of the z accelerometer, or none; found "
                 f"{len(self.accelerometer_arms_m)}."
             )
-        for arm in self.accelerometer_arms_m:
-            _check("accelerometer_arms_m", arm)
         self._check_imus()
         rates = (self.imu_rate_hz, self.camera_rate_hz, self.further_imu_rate_hz, self.accelerometer_rate_hz)
         if self.duration_s * min(rate for rate in rates if rate is not None) < 2:
             raise OptionError(f"duration_s {self.duration_s:g} is too short for two samples.")
-
-    def _check_numbers(self) -> None:
-        for name in _POSITIVE:
-            _check(name, getattr(self, name), lowest=0.0, inclusive=False)
-        for name in _NOT_NEGATIVE:
-            _check(name, getattr(self, name), lowest=0.0, inclusive=True)
-        for name in _FINITE:
-            _check(name, getattr(self, name))
-        for name in ("vignetting", "dropped_samples", "outliers", "dropped_frames", "late_frames", "shifted_frames"):
-            if not 0 <= getattr(self, name) < 1:
-                raise OptionError(f"{name} {getattr(self, name):g}: give a fraction from 0 to below 1.")
-        if self.scale_range is not None and self.scale_range >= 1:
-            raise OptionError(f"scale_range {self.scale_range:g}: a scale of zero or less measures nothing.")
-        if self.focal_error <= -1:
-            raise OptionError(f"focal_error {self.focal_error:g} must be above -1.")
 
     def _check_imus(self) -> None:
         if not 1 <= self.imus <= MOST_IMUS:
@@ -280,9 +263,6 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
             stated = getattr(self, name)
             if len(stated) > self.imus - 1:
                 raise OptionError(f"{name}: found {len(stated)} of them for {self.imus - 1} IMUs beside imu0.")
-            for triple in stated:
-                for value in triple:
-                    _check(name, value)
 
     def _check_distortion_error(self) -> None:
         wanted = DISTORTION_COEFFS[self.distortion]
@@ -292,29 +272,12 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
             )
 
 
-_POSITIVE = (
-    *("duration_s", "imu_rate_hz", "camera_rate_hz", "target_size_m", "target_scale", "distance_m", "gravity"),
-    *("accelerometer_range", "gyroscope_range", "focus_m", "marker_share"),
-    *("further_imu_rate_hz", "accelerometer_rate_hz"),
-)
-_NOT_NEGATIVE = (
-    *("target_spacing", "pixel_noise_px", "line_delay_s", "lever_arm_m", "time_shift_range_s", "corner_offset_m"),
-    *("exposure_s", "blur_px", "image_noise", "defocus_px", "shot_noise"),
-    *("accelerometer_noise_density", "accelerometer_random_walk", "gyroscope_noise_density", "gyroscope_random_walk"),
-    *("noise_factor", "scale_range", "misalignment_range", "gyroscope_rotation_range", "g_sensitivity_range"),
-    *("accelerometer_bias_range", "gyroscope_bias_range", "outlier_px", "shift_px", "imu_jitter_s", "camera_jitter_s"),
-    *("imu_place_range_m", "imu_time_shift_range_s"),
-)
-_FINITE = (
-    *("board_lean_deg", "board_turn_deg", "focal_error", "principal_point_error_px", "baseline_m", "time_shift_s"),
-    *("time_shift_difference_s", "clock_offset_s", "board_bow_m", "clock_offset_difference_s"),
-    *("imu_time_shift_s", "imu_clock_offset_s", "accelerometer_delay_s", "further_accelerometer_delay_s"),
-)
-
-
-def _check(name: str, value: float | None, *, lowest: float = float("-inf"), inclusive: bool = True) -> None:
-    if value is None:
-        return
-    if not isfinite(value) or not (value >= lowest if inclusive else value > lowest):
-        bound = "" if lowest < 0 else " not below zero" if inclusive else " greater than zero"
-        raise OptionError(f"{name} {value:g} must be a finite number{bound}.")
+_POSITIVE = "target_size_m target_scale distance_m accelerometer_range gyroscope_range marker_share"
+_NOT_NEGATIVE = """
+    target_spacing pixel_noise_px line_delay_s lever_arm_m time_shift_range_s corner_offset_m blur_px image_noise
+    defocus_px shot_noise accelerometer_noise_density accelerometer_random_walk gyroscope_noise_density
+    gyroscope_random_walk noise_factor scale_range misalignment_range gyroscope_rotation_range g_sensitivity_range
+    accelerometer_bias_range gyroscope_bias_range outlier_px shift_px imu_jitter_s camera_jitter_s imu_place_range_m
+    imu_time_shift_range_s
+"""
+_FRACTIONS = "vignetting dropped_samples outliers dropped_frames late_frames shifted_frames"

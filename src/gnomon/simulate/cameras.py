@@ -9,17 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._version import __version__
-from ..calibration import (
-    Assessment,
-    Calibration,
-    CameraCalibration,
-    CamerasFit,
-    Covariance,
-    Gravity,
-    Provenance,
-    covariance_names,
-)
+from ..calibration import Assessment, Calibration, CameraCalibration, CamerasFit
 from ..errors import OptionError
 from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -30,8 +20,7 @@ from ..units import STANDARD_GRAVITY_M_S2
 from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole
 from .cameras_scenario import CamerasScenario
-from .stated_board import stated_board
-from .truth import TRUTH_METHOD, changed_options
+from .truth import true_calibration
 
 _TILT_BETWEEN_CAMERAS = np.array([0.004, -0.012, 0.007])
 _FOCAL_BETWEEN_CAMERAS = 1.004
@@ -117,7 +106,7 @@ def simulate_cameras(scenario: CamerasScenario | None = None, seed: int = 0) -> 
     """
     scenario = scenario or CamerasScenario()
     poses, board, views, *streams = np.random.default_rng(seed).spawn(3 + scenario.cameras)
-    target, cameras = stated_board(scenario), _cameras(scenario)
+    target, cameras = scenario.stated_board(), _cameras(scenario)
     points = _true_points(scenario, target, board)
     R, p = _drawn_poses(scenario, points, cameras, poses)
     count = scenario.views
@@ -300,14 +289,13 @@ _BENDS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
 def _truth(
     scenario: CamerasScenario, seed: int, cameras: dict[str, CameraCalibration], recorded: dict[str, CameraFrames]
 ) -> Calibration:
-    names = covariance_names({}, cameras)
     used = {name: len(np.unique(frames.frame)) for name, frames in recorded.items()}
-    return Calibration(
-        imus={},
+    return true_calibration(
+        scenario,
+        seed,
         cameras=cameras,
         frame="cam0",
-        gravity=Gravity(value=STANDARD_GRAVITY_M_S2, sigma=0.0, source="simulation"),
-        uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
+        gravity_m_s2=STANDARD_GRAVITY_M_S2,
         assessment=Assessment(
             verdict="pass",
             findings=(),
@@ -325,8 +313,5 @@ def _truth(
                 print_scale=scenario.target_scale,
                 print_scale_sigma=0.0,
             ),
-        ),
-        provenance=Provenance(
-            gnomon_version=__version__, method=TRUTH_METHOD, options=changed_options(scenario), seed=seed
         ),
     )

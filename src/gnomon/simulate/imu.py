@@ -5,21 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import (
-    Assessment,
-    Calibration,
-    ImuCalibration,
-)
+from ..calibration import Assessment, Calibration, ImuCalibration
 from ..intervals import Booleans
+from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
-from .scenario import Scenario
+from .scenarios import Scenario
 from .sensor import Converter, converters, drawn_imu
-from .thesis import TOLERANCE_S, ThesisMotions, thesis_motions
-from .trajectory import Motions, hand_motions
+from .trajectory import TOLERANCE_S, Motions, ThesisMotions, hand_motions, thesis_motions
 from .truth import true_calibration
-
-EARTH_RATE_RAD_S = 7.292115e-5
-"""WGS 84."""
 
 BLOCK = 65536
 """Samples that are made at a time; bounds the memory of a long recording."""
@@ -192,5 +185,6 @@ def _truth(scenario: Scenario, seed: int, imu: ImuCalibration) -> Calibration:
         rotations_used=scenario.intervals - 1,
         model="g-sensitivity" if scenario.g_sensitivity else "basic",
     )
-    drawn = true_calibration(imu, scenario, seed, frame="accel-z", gravity_m_s2=scenario.gravity, assessment=assessment)
-    return drawn.in_frame("accel-x")
+    return true_calibration(
+        scenario, seed, imus={"imu0": imu}, frame="accel-z", gravity_m_s2=scenario.gravity, assessment=assessment
+    ).in_frame("accel-x")

@@ -1,6 +1,6 @@
 """The simulation of a magnetometer that a hand turns over the sphere."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from ..models.frames import frame_rotation
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..sensors import rotated
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
-from .field_scenario import FieldScenario
-from .scenario import Scenario
+from .scenarios import FieldScenario, Scenario
 from .sensor import Converter, converters, drawn_imu
 from .truth import true_calibration
 
@@ -27,8 +26,26 @@ _RATES = {"sphere": (0.83, 0.47, 0.59), "one-axis": (0.0, 0.0, 0.9), "still": (0
 _SWAY_RAD, _SWAYS = 0.5, 3
 
 
-def simulated_magnetometer(scenario: FieldScenario, seed: int) -> tuple[Recording, Calibration]:
-    """Make a recording and its truth; see `gnomon.simulate.simulate_magnetometer`."""
+def simulate_magnetometer(scenario: FieldScenario | None = None, seed: int = 0) -> tuple[Recording, Calibration]:
+    """Make a recording of a magnetometer that a hand turns over the sphere, and the calibration that is true of it.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None
+    seed : every random number follows from it; the same scenario and seed give the same recording
+
+    Returns
+    -------
+    recording : one IMU, "imu0", with a magnetometer
+    truth : in body frame "accel-x", or "mag-x" without accelerometer, with zero covariance; the field in uT
+
+    Examples
+    --------
+    >>> recording, truth = simulate_magnetometer(FieldScenario(duration_s=20.0), seed=1)
+    >>> len(recording.imus["imu0"].magnetometer), truth.frame
+    (1000, 'accel-x')
+    """
+    scenario = scenario or FieldScenario()
     # One stream a purpose: an option for one leaves the others as they are.
     for_sensor, for_motion, for_field, for_noise, for_force = np.random.default_rng(seed).spawn(5)
     if scenario.sensor_seed is not None:
@@ -138,7 +155,7 @@ def _converter(scenario: FieldScenario) -> Converter:
 
 def _sensor(scenario: FieldScenario, to_field: Converter, rng: np.random.Generator) -> ImuCalibration:
     """Return the sensor in body frame "accel-x"."""
-    inertial = drawn_imu(_like(scenario), rng)
+    inertial = drawn_imu(replace(_LIKE, units=scenario.units), rng)
     assert inertial.accelerometer is not None
     inertial = rotated(inertial, frame_rotation(inertial.accelerometer.sensitivity, "accel-x"))
     upper = np.triu(rng.uniform(-scenario.soft_iron, scenario.soft_iron, (3, 3)))
@@ -155,17 +172,11 @@ def _sensor(scenario: FieldScenario, to_field: Converter, rng: np.random.Generat
     return ImuCalibration(accelerometer=inertial.accelerometer, gyroscope=inertial.gyroscope, magnetometer=magnetometer)
 
 
-def _like(scenario: FieldScenario) -> Scenario:
-    from dataclasses import replace
-
-    return replace(_LIKE, units=scenario.units)
-
-
 def _inertial(
     scenario: FieldScenario, motion: _Motion, imu: ImuCalibration, rng: np.random.Generator
 ) -> tuple[TriadSamples, TriadSamples]:
     """Return samples of accelerometer and gyroscope, none where there is no such sensor."""
-    like = _like(scenario)
+    like = replace(_LIKE, units=scenario.units)
     to_force, to_rate = converters(like)
     t_s = np.arange(int(scenario.duration_s * scenario.imu_rate_hz)) / scenario.imu_rate_hz
     rotation, rate = motion.attitude(t_s)
@@ -201,9 +212,9 @@ def _truth(scenario: FieldScenario, seed: int, imu: ImuCalibration) -> Calibrati
         magnetometer = imu.magnetometer
     kept: GyroscopeCalibration | None = gyroscope if scenario.gyroscope else None
     return true_calibration(
-        ImuCalibration(accelerometer=accelerometer, gyroscope=kept, magnetometer=magnetometer),
         scenario,
         seed,
+        imus={"imu0": ImuCalibration(accelerometer=accelerometer, gyroscope=kept, magnetometer=magnetometer)},
         frame=frame,
         gravity_m_s2=STANDARD_GRAVITY_M_S2,
         assessment=Assessment(verdict="pass", findings=(), model="full" if scenario.soft_iron else "hard-iron"),

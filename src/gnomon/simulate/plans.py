@@ -1,7 +1,6 @@
 """What a person means to record; `gnomon plan` and `gnomon plan-imu` are made from these classes."""
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Literal
 
 from ..errors import OptionError
@@ -62,11 +61,7 @@ class CameraImuPlan:
     """Latitude in degrees; where it is stated, gravity is known."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
-        _positive(self, ("duration_s", "distance_m", "camera_rate_hz", "pixel_sigma"))
-        _not_negative(self, ("turning", "shaking"))
-        if self.imu_rate_hz is not None:
-            _positive(self, ("imu_rate_hz",))
+        check_ranges(self, positive="distance_m", not_negative="turning shaking")
         if set(self.turn_axes) - set("xyz") or len(set(self.turn_axes)) < len(self.turn_axes):
             raise OptionError(f'turn_axes "{self.turn_axes}": name axes of the camera, such as xyz or z.')
         if self.duration_s > 3600:
@@ -107,21 +102,6 @@ class ImuPlan:
     """Latitude in degrees; where it is stated, gravity and the Earth's rate are known."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
-        _positive(self, ("t_init_s", "hold_s", "motion_s", "rate_hz"))
+        check_ranges(self, positive="t_init_s hold_s motion_s")
         if not 10 <= self.intervals <= 1000:
             raise OptionError(f"intervals {self.intervals}: plan 10 to 1000; 36 to 50 are best.")
-
-
-def _positive(plan: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(plan, name)
-        if not (isfinite(value) and value > 0):
-            raise OptionError(f"{name} {value:g} must be a finite number greater than zero.")
-
-
-def _not_negative(plan: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(plan, name)
-        if not (isfinite(value) and value >= 0):
-            raise OptionError(f"{name} {value:g} must be a finite number not below zero.")

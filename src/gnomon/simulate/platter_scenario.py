@@ -100,16 +100,8 @@ class PlatterScenario:
     """What the platter does; swing and blink are periodic, too, but have no rate."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
-        for name in ("duration_s", "frame_rate_hz", "width", "height", "radius"):
-            if not getattr(self, name) > 0:
-                raise OptionError(f"{name} {getattr(self, name)!r} must be positive.")
-        for name in ("exposure_s", "jitter_s", "noise_grey", "spin_up_s", "spin_down_s", "flutter", "background"):
-            if not getattr(self, name) >= 0:
-                raise OptionError(f"{name} {getattr(self, name)!r} must not be negative.")
-        if self.symmetry < 1:
-            raise OptionError(f"symmetry {self.symmetry} must be at least 1.")
-        if not 0 <= self.dropped < 1:
-            raise OptionError(f"dropped {self.dropped!r} must be at least 0 and less than 1.")
+        check_ranges(
+            self, positive="radius", not_negative="jitter_s noise_grey flutter background", fractions="dropped"
+        )
         if not abs(self.tilt_deg) < 80:
             raise OptionError(f"tilt_deg {self.tilt_deg!r} must be between -80 and 80.")

@@ -16,10 +16,8 @@ from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.angrisano import AngrisanoTriad
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, TriadSamples
-from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
-from .pose_scenario import PoseScenario
-from .scenario import Scenario
-from .sensor import Converter, drawn_imu
+from .scenarios import PoseScenario, Scenario
+from .sensor import Converter, converters, drawn_imu
 from .truth import true_calibration
 
 TABLE_1 = AngrisanoTriad(
@@ -65,13 +63,30 @@ class PoseSimulation:
     truth: Calibration
 
 
-def simulated_poses(scenario: PoseScenario, seed: int) -> PoseSimulation:
-    """Make an experiment; see `gnomon.simulate.simulate_poses`."""
+def simulate_poses(scenario: PoseScenario | None = None, seed: int = 0) -> PoseSimulation:
+    """Make an experiment in which a sensor lies still in one attitude after another, and what is true of it.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None: document C's accelerometer in 18 poses
+    seed : every random number follows from it; the same scenario and seed give the same experiment
+
+    Returns
+    -------
+    simulation : samples and means of each pose, the attitudes, and the true calibration in body frame "accel-z"
+
+    Examples
+    --------
+    >>> simulation = simulate_poses(PoseScenario(attitude_error_deg=10.0), seed=1)
+    >>> simulation.accelerometer.shape, simulation.truth.frame
+    ((18, 3), 'accel-z')
+    """
+    scenario = scenario or PoseScenario()
     # One stream a purpose: an option for one leaves the others as they are.
     for_sensor, for_attitude, for_force, for_rate = np.random.default_rng(seed).spawn(4)
     if scenario.sensor_seed is not None:
         for_sensor = np.random.default_rng(scenario.sensor_seed)
-    to_force, to_rate = _converters(scenario)
+    to_force, to_rate = converters(scenario)
     accelerometer, gyroscope = _sensor(scenario, to_rate, for_sensor)
     meant = scenario.gravity * directions(scenario)
     force, rate = _acting(scenario, meant, for_attitude)
@@ -129,15 +144,6 @@ def _acting(scenario: PoseScenario, meant: Floats, rng: np.random.Generator) -> 
     return force, EARTH_RATE_RAD_S * (np.cos(latitude) * north + np.sin(latitude) * up)
 
 
-def _converters(scenario: PoseScenario) -> tuple[Converter, Converter]:
-    units = Units.parse(scenario.units)
-    force, rate = units.accelerometer or "m/s^2", units.gyroscope or "rad/s"
-    return (
-        Converter.of(force, ACCELEROMETER_UNITS_M_S2[force], scenario.accelerometer_range, scenario.bits),
-        Converter.of(rate, GYROSCOPE_UNITS_RAD_S[rate], scenario.gyroscope_range, scenario.bits),
-    )
-
-
 def _sensor(
     scenario: PoseScenario, to_rate: Converter, rng: np.random.Generator
 ) -> tuple[AccelerometerCalibration, GyroscopeCalibration]:
@@ -147,13 +153,7 @@ def _sensor(
         accelerometer = AccelerometerCalibration(sensitivity=S_a, bias=b_a, unit="count")
         drawn = GyroscopeCalibration(sensitivity=S_g, bias=b_g, g_sensitivity=np.zeros((3, 3)), unit="count")
     else:
-        like = Scenario(
-            units=scenario.units,
-            bits=scenario.bits,
-            accelerometer_range=scenario.accelerometer_range,
-            gyroscope_range=scenario.gyroscope_range,
-        )
-        imu = drawn_imu(like, rng)
+        imu = drawn_imu(Scenario(), rng, scenario)
         assert imu.accelerometer is not None and imu.gyroscope is not None  # noqa: PT018
         accelerometer, drawn = imu.accelerometer, imu.gyroscope
     B = np.reshape(scenario.g_sensitivity, (3, 3)) * _per_si(drawn.sensitivity, to_rate)[:, None]
@@ -184,4 +184,6 @@ def _truth(scenario: PoseScenario, seed: int, imu: ImuCalibration) -> Calibratio
         intervals_used=poses,
         model="g-sensitivity" if any(scenario.g_sensitivity) else "basic",
     )
-    return true_calibration(imu, scenario, seed, frame="accel-z", gravity_m_s2=scenario.gravity, assessment=assessment)
+    return true_calibration(
+        scenario, seed, imus={"imu0": imu}, frame="accel-z", gravity_m_s2=scenario.gravity, assessment=assessment
+    )

@@ -15,10 +15,9 @@ from ..images import Grey
 from ..models.board_pattern import Pattern
 from ..models.camera import Booleans, Camera
 from ..recording import Floats
+from .board_outlines import Outline, Singles, TrueBoard, coverage, outline_of
 from .clutter import Wall
-from .coverage import Singles, coverage
-from .outlines import Outline, TrueBoard, outline_of
-from .passages import Movement, Passage, Pose, Poses
+from .motion_segments import MotionSegment, Movement, Pose, Poses
 from .seen_board import RenderedImages
 
 _LONGEST_PX, _BENT_PX = 8.0, 0.0015  # of a straight piece, and by how much the lens may bend the line in it
@@ -85,7 +84,7 @@ def render(
     board: TrueBoard | None = None,
     options: Optics | None = None,
     wall: Wall | None = None,
-    covers: Sequence[Floats] = (),
+    occluders: Sequence[Floats] = (),
     rng: np.random.Generator | None = None,
 ) -> Grey:
     """Return the image that a camera takes of a board.
@@ -99,7 +98,7 @@ def render(
     board : where the points of the board truly are, if not where the pattern has them
     options : light, blur and noise
     wall : what is behind the board
-    covers : polygons (n, 2) in the image in front of it [px], in alternating black and white
+    occluders : polygons (n, 2) in the image in front of it [px], in alternating black and white
     rng : random numbers of the noise; without them there is none
 
     Returns
@@ -108,7 +107,7 @@ def render(
     """
     R, p = np.reshape(R_cam_target, (-1, 3, 3)).astype(float), np.reshape(p_cam_target, (-1, 3)).astype(float)
     scene = _Scene(pattern=pattern, board=board, camera=camera, movement=Poses(camera=camera, R=R, p=p))
-    return _image(scene, options or Optics(), wall, covers, rng)
+    return _image(scene, options or Optics(), wall, occluders, rng)
 
 
 def render_moving(
@@ -120,7 +119,7 @@ def render_moving(
     board: TrueBoard | None = None,
     options: Optics | None = None,
     wall: Wall | None = None,
-    covers: Sequence[Floats] = (),
+    occluders: Sequence[Floats] = (),
     rng: np.random.Generator | None = None,
 ) -> Grey:
     """Return the image that a camera takes of a board against which it moves, row by row with a rolling shutter.
@@ -132,15 +131,15 @@ def render_moving(
     pose : instants (n,) [s] from the middle of the exposure of the top row -> R_cam_target (n, 3, 3), p_cam_target
         (n, 3) [m]
     exposure_s : time during which each row is exposed [s]
-    board, options, wall, covers, rng : as for `render`
+    board, options, wall, occluders, rng : as for `render`
     """
     options = options or Optics()
     points = _sheet_points(pattern, board, 5)
     z = float((pose(np.zeros(1))[0][0] @ points.mean(axis=0) + pose(np.zeros(1))[1][0])[2])
     step_px = _STEP_PX + _STEP * float(np.hypot(options.blur_px, _disc_px(options, z) / 2))
-    movement = Passage.during(exposure_s, camera, pose, points, step_px)
+    movement = MotionSegment.during(exposure_s, camera, pose, points, step_px)
     scene = _Scene(pattern=pattern, board=board, camera=camera, movement=movement)
-    return _image(scene, options, wall, covers, rng)
+    return _image(scene, options, wall, occluders, rng)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,7 +153,7 @@ class _Scene:
 
 
 def _image(
-    what: _Scene, options: Optics, wall: Wall | None, covers: Sequence[Floats], rng: np.random.Generator | None
+    what: _Scene, options: Optics, wall: Wall | None, occluders: Sequence[Floats], rng: np.random.Generator | None
 ) -> Grey:
     import cv2
 
@@ -173,8 +172,8 @@ def _image(
         part = scene[seen.region]
         part += seen.sheet * (np.float32(options.white) - part)
         part -= np.float32(options.white - options.black) * seen.black
-    for k, polygon in enumerate(covers):
-        _cover(scene, polygon, options.black if k % 2 == 0 else options.white, options.blur_px)
+    for k, polygon in enumerate(occluders):
+        _occlude(scene, polygon, options.black if k % 2 == 0 else options.white, options.blur_px)
     if options.vignetting or any(options.gradient):
         scene *= _light(camera.resolution, options.vignetting, options.gradient)
     if rng is not None and (options.noise or options.shot_noise):
@@ -394,7 +393,7 @@ def _add_noise(scene: Singles, options: Optics, rng: np.random.Generator) -> Non
     scene += noise
 
 
-def _cover(scene: Singles, polygon: Floats, level: float, blur_px: float) -> None:
+def _occlude(scene: Singles, polygon: Floats, level: float, blur_px: float) -> None:
     """Draw a polygon in front of the scene."""
     import cv2
 

@@ -1,11 +1,13 @@
 """What scenarios of cameras have in common: the board, the lens, and how images of it are rendered. Needs no NumPy."""
 
 from dataclasses import dataclass
-from math import isfinite
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ..errors import OptionError
 from ..models.lens_names import COEFFICIENTS, LINEAR, SHAPES, DistortionName, ProjectionName
+
+if TYPE_CHECKING:
+    from ..models.target import Target
 
 BoardName = Literal["aprilgrid", "checkerboard", "circlegrid", "charuco"]
 
@@ -49,6 +51,22 @@ class SeenBoard:
     corner_offset_m: float = 0.0
     """Standard deviation of the places of the board's corners, each axis, in metres: a bad print, or a detector's bias.
     The board as a whole is neither shifted, nor turned, nor larger for it."""
+
+    def stated_board(self) -> "Target":
+        """Return the board that goes with the recording; the true one is `target_scale` times as large."""
+        from ..models.target import Target
+
+        cols, rows, size = self.target_cols, self.target_rows, self.target_size_m
+        if self.target_type == "aprilgrid":
+            return Target.aprilgrid(tag_cols=cols, tag_rows=rows, tag_size_m=size, tag_spacing=self.target_spacing)
+        if self.target_type == "checkerboard":
+            return Target.checkerboard(cols=cols, rows=rows, row_spacing_m=size, col_spacing_m=size)
+        if self.target_type == "charuco":
+            marker = self.marker_share * size
+            return Target.charuco(
+                cols=cols, rows=rows, square_size_m=size, marker_size_m=marker, dictionary=self.dictionary
+            )
+        return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=self.target_asymmetric)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +128,7 @@ class TrueLens:
         Raises
         ------
         OptionError
-            If it has not, one of them is not finite, or there is no image.
+            If it has not, or there is no image.
         """
         for name, model, count in (
             ("intrinsics", self.projection, INTRINSICS[self.projection]),
@@ -119,7 +137,5 @@ class TrueLens:
             values = getattr(self, name)
             if len(values) != count:
                 raise OptionError(f"{name}: {model} has {count} of them, found {len(values)}.")
-            if not all(isfinite(value) for value in values):
-                raise OptionError(f"{name} {' '.join(f'{value:g}' for value in values)}: give finite numbers.")
         if min(self.resolution) < 2:
             raise OptionError(f"resolution {self.resolution[0]} x {self.resolution[1]} is no image.")

@@ -8,7 +8,7 @@ import numpy as np
 from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
-from .scenario import Scenario
+from .scenarios import RecordedSensor, Scenario
 
 DEFAULT_BITS = 16
 
@@ -54,7 +54,7 @@ class Converter:
         return np.clip(values, self.low, self.high, out=values)
 
 
-def converters(scenario: Scenario) -> tuple[Converter, Converter]:
+def converters(scenario: RecordedSensor) -> tuple[Converter, Converter]:
     """Return the converters of accelerometer and gyroscope."""
     units = Units.parse(scenario.units)
     accelerometer, gyroscope = units.accelerometer or "m/s^2", units.gyroscope or "rad/s"
@@ -66,9 +66,15 @@ def converters(scenario: Scenario) -> tuple[Converter, Converter]:
     )
 
 
-def drawn_imu(scenario: Scenario, rng: np.random.Generator) -> ImuCalibration:
-    """Draw a sensor as document A does (Tables 4.1 and 4.2): a_O = T K (s + b), in body frame "accel-z"."""
-    for_accelerometer, for_gyroscope = converters(scenario)
+def drawn_imu(scenario: Scenario, rng: np.random.Generator, recorded: RecordedSensor | None = None) -> ImuCalibration:
+    """Draw a sensor as document A does (Tables 4.1 and 4.2): a_O = T K (s + b), in body frame "accel-z".
+
+    Parameters
+    ----------
+    scenario : how large its errors are
+    recorded : how its readings are recorded, if not as the scenario says
+    """
+    for_accelerometer, for_gyroscope = converters(recorded or scenario)
     spread = scenario.accelerometer_misalignment
     accelerometer_t = np.eye(3) + np.triu(rng.uniform(-spread, spread, (3, 3)), k=1)
     accelerometer_k = rng.uniform(*scenario.accelerometer_scale, 3)

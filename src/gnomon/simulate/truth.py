@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._version import __version__
-from ..calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance, covariance_names
+from ..calibration import (
+    Assessment,
+    Calibration,
+    CameraCalibration,
+    Covariance,
+    Gravity,
+    ImuCalibration,
+    Provenance,
+    covariance_names,
+)
 
 TRUTH_METHOD = "simulation"
 """By which a calibration is known to be the truth."""
@@ -17,28 +26,29 @@ if TYPE_CHECKING:
 
 
 def true_calibration(
-    imu: ImuCalibration,
     scenario: "DataclassInstance",
     seed: int,
     *,
+    imus: Mapping[str, ImuCalibration] | None = None,
+    cameras: Mapping[str, CameraCalibration] | None = None,
     frame: str,
     gravity_m_s2: float,
     assessment: Assessment,
     also: Mapping[str, str] | None = None,
 ) -> Calibration:
-    """Return what is true of one IMU, with zero covariance.
+    """Return what is true of simulated sensors, with zero covariance.
 
     Parameters
     ----------
     scenario : what was simulated; its options that differ from their default go into the provenance
     also : options that go there besides
     """
-    imus = {"imu0": imu}
-    names = covariance_names(imus)
+    names = covariance_names(imus or {}, cameras or {})
     return Calibration(
-        imus=imus,
+        imus=imus or {},
+        cameras=cameras or {},
         frame=frame,
-        gravity=Gravity(value=gravity_m_s2, sigma=0.0, source="simulation"),
+        gravity=Gravity(value=gravity_m_s2, sigma=0.0, source=TRUTH_METHOD),
         uncertainty=Covariance(names=names, matrix=np.zeros((len(names), len(names)))),
         assessment=assessment,
         provenance=Provenance(

@@ -4,22 +4,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import (
-    Assessment,
-    Calibration,
-    ImuCalibration,
-)
+from ..calibration import Assessment, Calibration, ImuCalibration
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.frames import frame_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..sensors import rotated
-from .pose_scenario import PoseScenario
 from .poses import directions
-from .scenario import Scenario
+from .scenarios import PoseScenario, Scenario, TurntableScenario
 from .sensor import converters, drawn_imu
 from .truth import true_calibration
-from .turntable_scenario import TurntableScenario
 
 RPM = 2 * np.pi / 60
 _SETTLED = 12.0  # time constants of the spin-up until the speed is kept
@@ -77,8 +71,25 @@ class _Course:
     steady: tuple[tuple[int, int, float], ...]
 
 
-def simulated_turntable(scenario: TurntableScenario, seed: int) -> TurntableSimulation:
-    """Make recordings on a turntable; see `gnomon.simulate.simulate_turntable`."""
+def simulate_turntable(scenario: TurntableScenario | None = None, seed: int = 0) -> TurntableSimulation:
+    """Make recordings of a sensor on a turntable, and what is true of them.
+
+    Parameters
+    ----------
+    scenario : what to simulate; the default scenario where None: document C's gyroscope on a record player at 16 rpm
+    seed : every random number follows from it; the same scenario and seed give the same recordings
+
+    Returns
+    -------
+    simulation : recordings, speeds, steady parts, and the truth in body frame "accel-x", "gyro-x" of a gyroscope alone
+
+    Examples
+    --------
+    >>> simulation = simulate_turntable(TurntableScenario(poses=2, steady_s=8.0), seed=1)
+    >>> len(simulation.recordings), simulation.truth.frame
+    (1, 'accel-x')
+    """
+    scenario = scenario or TurntableScenario()
     for_sensor, for_pose, for_noise, for_speed = np.random.default_rng(seed).spawn(4)
     if scenario.sensor_seed is not None:
         for_sensor = np.random.default_rng(scenario.sensor_seed)
@@ -186,7 +197,7 @@ def _recorded(
     scenario: TurntableScenario, imu: ImuCalibration, piece: _Piece, end_s: float, rng: np.random.Generator
 ) -> Recording:
     t_s, force, rate = piece
-    to_force, to_rate = converters(_like(scenario))
+    to_force, to_rate = converters(scenario)
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     assert accelerometer is not None and gyroscope is not None  # noqa: PT018
     noise = np.sqrt(scenario.rate_hz) * np.array(
@@ -206,19 +217,9 @@ def _recorded(
     return Recording(imus={"imu0": samples})
 
 
-def _like(scenario: TurntableScenario) -> Scenario:
-    return Scenario(
-        units=scenario.units,
-        bits=scenario.bits,
-        accelerometer_range=scenario.accelerometer_range,
-        gyroscope_range=scenario.gyroscope_range,
-        g_sensitivity=scenario.g_sensitivity,
-    )
-
-
 def _sensor(scenario: TurntableScenario, rng: np.random.Generator) -> ImuCalibration:
     """Return the sensor in body frame "accel-x"."""
-    imu = drawn_imu(_like(scenario), rng)
+    imu = drawn_imu(Scenario(g_sensitivity=scenario.g_sensitivity), rng, scenario)
     assert imu.accelerometer is not None
     turned = rotated(imu, frame_rotation(imu.accelerometer.sensitivity, "accel-x"))
     assert turned.accelerometer is not None
@@ -245,5 +246,5 @@ def _truth(scenario: TurntableScenario, seed: int, imu: ImuCalibration) -> tuple
         model="g-sensitivity" if scenario.g_sensitivity else "basic",
     )
     return imu, true_calibration(
-        known, scenario, seed, frame=frame, gravity_m_s2=scenario.gravity, assessment=assessment
+        scenario, seed, imus={"imu0": known}, frame=frame, gravity_m_s2=scenario.gravity, assessment=assessment
     )

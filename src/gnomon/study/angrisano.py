@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recording import Floats
-from ..simulate.pose_scenario import PoseScenario
+from ..simulate.scenarios import PoseScenario
 from .angrisano_basin import GROUPS, Basin, Journey, journeys, scan
 from .angrisano_trial import TABLE_2, TRUTH, Trial, TrialOutcome, run_trial
 from .runs import HERE, Progress, Workers, carry_out, scatter_bounds, seeds

@@ -9,7 +9,7 @@ from ..estimate.triads.angrisano import AngrisanoFit, canonical
 from ..estimate.triads.triad import fit_triad
 from ..intervals import Booleans
 from ..recording import Floats
-from ..simulate.poses import PoseSimulation, simulated_poses
+from ..simulate.poses import PoseSimulation, simulate_poses
 from .angrisano_trial import DATASHEET, SAME, TABLE_2, Trial, distance, in_document_c, paper_fit, pose_means
 
 GROUPS = ("angles", "biases", "scale factors")
@@ -70,7 +70,7 @@ class Journey:
 
 def scan(trial: Trial) -> tuple[Basin, ...]:
     """Return the basins of the three groups in one experiment."""
-    simulation = simulated_poses(trial.scenario, trial.seed)
+    simulation = simulate_poses(trial.scenario, trial.seed)
     poses = pose_means(simulation)
     solution, covariance = in_document_c(fit_triad(poses))
     sigma = np.sqrt(np.diag(covariance))
@@ -94,7 +94,7 @@ def scan(trial: Trial) -> tuple[Basin, ...]:
 
 def journeys(trial: Trial) -> tuple[Journey, ...]:
     """Return the iterations of Figs. 4 to 6: from the datasheet, from inside Table 2's intervals, and from outside."""
-    simulation = simulated_poses(trial.scenario, trial.seed)
+    simulation = simulate_poses(trial.scenario, trial.seed)
     poses = pose_means(simulation)
     starts = {
         "from the datasheet": DATASHEET,

@@ -18,8 +18,8 @@ from ..estimate.triads.triad import TriadFit, TriadPoses, fit_triad
 from ..models.angrisano import AngrisanoTriad
 from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
-from ..simulate.pose_scenario import PoseScenario
-from ..simulate.poses import TABLE_1, PoseSimulation, simulated_poses
+from ..simulate.poses import TABLE_1, PoseSimulation, simulate_poses
+from ..simulate.scenarios import PoseScenario
 
 BITS, FULL_SCALE_M_S2 = 16, 50.0
 DATASHEET = datasheet_start(BITS, FULL_SCALE_M_S2)
@@ -75,7 +75,7 @@ class TrialOutcome:
 
 def run_trial(trial: Trial) -> TrialOutcome:
     """Simulate one experiment and calibrate it."""
-    simulation = simulated_poses(trial.scenario, trial.seed)
+    simulation = simulate_poses(trial.scenario, trial.seed)
     start = drawn_start(np.random.default_rng([trial.seed, 1]), trial.widened)
     paper = paper_fit(simulation, DATASHEET)
     poses = pose_means(simulation)

@@ -14,7 +14,7 @@ from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, LOWER
 from ..options import CameraImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
-from ..simulate.camera_imu import CameraImuSimulation, simulated_camera_imu
+from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
 from ..simulate.camera_imu_rig import THESIS_NOISE, earth_rate_target
 from ..simulate.camera_imu_scenario import CameraImuScenario
 from .krebs_thesis import GRAVITY, NAMES, KrebsRig, columns
@@ -107,7 +107,7 @@ def run_krebs(task: KrebsTask) -> KrebsRun:
         pixel_noise_px=task.pixel_noise_px,
     )
     rig = KrebsRig()
-    simulation = simulated_camera_imu(scenario, task.seed)
+    simulation = simulate_camera_imu(scenario, task.seed)
     pixel_sigma = task.pixel_noise_px or NO_PIXEL_NOISE_PX * task.noise_factor
     options = replace(OPTIONS, model=task.model, pixel_sigma=pixel_sigma)
     return calibrated_run(simulation, rig, options)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..recording import Floats
-from ..simulate.camera_imu import simulated_camera_imu
+from ..simulate.camera_imu import simulate_camera_imu
 from .krebs_run import OPTIONS, PIXEL_NOISE_PX, SCENARIO, KrebsRun, calibrated_run
 from .krebs_thesis import NAMES, KrebsRig, columns
 
@@ -37,7 +37,7 @@ class ChangeTask:
 def run_changed(task: ChangeTask) -> KrebsRun:
     """Simulate and calibrate it; errors are those against what is true of the changed rig."""
     scenario = replace(SCENARIO, noise_factor=0.0, pixel_noise_px=0.0, duration_s=task.duration_s)
-    simulation = simulated_camera_imu(scenario, task.seed)
+    simulation = simulate_camera_imu(scenario, task.seed)
     rig = changed(KrebsRig(), task.name) if task.name else KrebsRig()
     return calibrated_run(simulation, rig, replace(OPTIONS, pixel_sigma=PIXEL_NOISE_PX))
 
@@ -113,7 +113,7 @@ def run_quiet(task: QuietTask) -> KrebsRun:
     scenario = replace(SCENARIO, noise_factor=0.0, pixel_noise_px=0.0, duration_s=task.duration_s)
     if not task.earth_rate:
         scenario = replace(scenario, earth_rate_latitude=None)
-    simulation = simulated_camera_imu(scenario, task.seed)
+    simulation = simulate_camera_imu(scenario, task.seed)
     return calibrated_run(simulation, KrebsRig(), replace(OPTIONS, pixel_sigma=PIXEL_NOISE_PX), task.weighed_as)
 
 
@@ -164,4 +164,4 @@ def run_setting(task: SettingTask) -> KrebsRun:
         gyroscope_random_walk=setting.gyroscope_random_walk,
     )
     options = replace(OPTIONS, pixel_sigma=setting.pixel_noise_px, free=() if setting.gravity_held else OPTIONS.free)
-    return calibrated_run(simulated_camera_imu(scenario, task.seed), KrebsRig(), options)
+    return calibrated_run(simulate_camera_imu(scenario, task.seed), KrebsRig(), options)

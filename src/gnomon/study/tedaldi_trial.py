@@ -13,7 +13,7 @@ from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..simulate.imu import TrueSignals, simulate_imu, true_signals
-from ..simulate.scenario import Scenario
+from ..simulate.scenarios import Scenario
 from .tedaldi_metrics import SignalErrors, signal_errors
 
 Method = Literal["gnomon", "tedaldi2014-text", "tedaldi2014"]

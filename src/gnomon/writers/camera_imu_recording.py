@@ -28,8 +28,8 @@ from ..errors import OutputError
 from ..models.camera import Camera
 from ..output import atomic_file, write_whole
 from ..recording import CameraFrames, ImuSamples, Recording
+from ..simulate.board_images import simulated_images
 from ..simulate.camera_imu import CameraImuSimulation
-from ..simulate.camera_imu_images import simulated_images
 from ..simulate.camera_imu_scenario import MOST_IMUS
 from .calibration_file import calibration_text
 from .kalibr_text import kalibr_yaml

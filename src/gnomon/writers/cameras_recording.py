@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..output import write_whole
+from ..simulate.board_images import rendered_cameras
 from ..simulate.cameras import CamerasSimulation
-from ..simulate.cameras_images import rendered_cameras
 from .calibration_file import calibration_text
 from .camera_imu_recording import camera_node, save_frames
 from .kalibr_text import kalibr_yaml

@@ -1,4 +1,4 @@
-"""A planned recording of cameras and an IMU without any noise: the path, and which corners are seen where."""
+"""Planned recordings without any noise: an IMU with its rests, and cameras with an IMU before a board."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -9,12 +9,12 @@ from ..calibration import CameraCalibration
 from ..models.target import Target
 from ..recording import CameraFrames, Floats
 from .camera_imu_frames import START_NS, View
-from .camera_imu_motion import drawn_path
-from .camera_imu_path import CameraPath, RigidMotion
+from .camera_imu_path import CameraPath, RigidMotion, drawn_path
 from .camera_imu_rig import drawn_cameras, gravity_target, nominal_extrinsics
 from .camera_imu_scenario import CameraImuScenario
-from .plans import CameraImuPlan
-from .stated_board import stated_board
+from .plans import CameraImuPlan, ImuPlan
+from .scenarios import Scenario
+from .trajectory import hand_motions
 
 _TURNS = {"x": (1, 5), "y": (0, 4), "z": (3,)}
 """Axis of the camera -> coordinates of the path that turn it about that axis."""
@@ -63,7 +63,7 @@ class PlannedRecording:
 def usual_rig() -> PlannedRig:
     """Return the rig of `gnomon simulate-camera-imu`: one camera of 640 x 480 px and an AprilGrid of 6 x 6 tags."""
     scenario = CameraImuScenario()
-    return PlannedRig(cameras=drawn_cameras(scenario, np.random.default_rng(0)), target=stated_board(scenario))
+    return PlannedRig(cameras=drawn_cameras(scenario, np.random.default_rng(0)), target=scenario.stated_board())
 
 
 def planned_recording(plan: CameraImuPlan, rig: PlannedRig, imu_rate_hz: float, seed: int) -> PlannedRecording:
@@ -125,3 +125,49 @@ def _planned_path(plan: CameraImuPlan, middle: Floats, rng: np.random.Generator)
         size[[i for i in range(len(size)) if i not in _PLANAR]] = 0.0
     slope = path.slope * size
     return replace(path, amplitude=path.amplitude * size[:, None], slope=slope)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlannedRests:
+    """What an ideal IMU would measure.
+
+    Attributes
+    ----------
+    t_s : (n,) instants of the samples [s]
+    f_imu, omega_imu : (n, 3) specific force [m/s^2] and angular rate [rad/s]
+    start_s, stop_s : (k,) when each rest begins and ends [s]
+    """
+
+    t_s: Floats
+    f_imu: Floats
+    omega_imu: Floats
+    start_s: Floats
+    stop_s: Floats
+
+
+def planned_rests(plan: ImuPlan, gravity_m_s2: float, seed: int) -> PlannedRests:
+    """Return what an ideal IMU would measure when it is turned as planned.
+
+    Parameters
+    ----------
+    plan : see there
+    gravity_m_s2 : magnitude of gravity
+    seed : of the attitudes
+    """
+    scenario = Scenario(
+        intervals=plan.intervals,
+        attitudes=plan.attitudes,
+        t_init_s=plan.t_init_s,
+        hold_s=(plan.hold_s, plan.hold_s),
+        motion_s=(plan.motion_s, plan.motion_s),
+    )
+    motions, end_s = hand_motions(scenario, np.random.default_rng(seed).spawn(2)[1])
+    t_s = np.arange(int(end_s * plan.rate_hz + 1e-6) + 1) / plan.rate_hz
+    f_imu, omega_imu = motions.evaluate(t_s, gravity_m_s2, np.zeros(3))
+    return PlannedRests(
+        t_s=t_s,
+        f_imu=f_imu,
+        omega_imu=omega_imu,
+        start_s=np.concatenate([[0.0], motions.start_s + motions.duration_s]),
+        stop_s=np.concatenate([motions.start_s, [end_s]]),
+    )

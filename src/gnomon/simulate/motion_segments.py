@@ -73,7 +73,7 @@ class Poses:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Passage:
+class MotionSegment:
     """A smooth motion during an exposure.
 
     Attributes
@@ -90,13 +90,13 @@ class Passage:
     nodes_s: Floats
 
     @classmethod
-    def during(cls, exposure_s: float, camera: Camera, pose: Pose, points: Floats, step_px: float) -> "Passage":
+    def during(cls, exposure_s: float, camera: Camera, pose: Pose, points: Floats, step_px: float) -> "MotionSegment":
         """Return the motion during an exposure, with as many instants as `points` (n, 3) [m] of the board ask for.
 
         Parameters
         ----------
         exposure_s : of each row
-        camera, pose : see `Passage`
+        camera, pose : see `MotionSegment`
         points : those at the border and in the middle of the board
         step_px : how far a point may move from instant to instant
         """
