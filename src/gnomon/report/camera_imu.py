@@ -53,23 +53,23 @@ def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
     if shifts:
         first, *others = shifts
         note = "t_imu = t_cam + time shift" + "".join(f"; {name} {shifts[name]}" for name in others)
-        numbers.append(KeyNumber(label=f"Time shift of {first}", value=shifts[first], note=note))
+        numbers.append(KeyNumber(f"Time shift of {first}", shifts[first], note))
         numbers.append(_placed(calibration))
     for name, imu in calibration.imus.items():
         if imu.T_imu_body is not None:
             value = _in_ms(calibration, f"{name}.time_shift_imu")
             note = f"t_imu0 = t_{name} + time shift"
-            numbers.append(KeyNumber(label=f"Time shift of {name}", value=value, note=note))
+            numbers.append(KeyNumber(f"Time shift of {name}", value, note))
     model, added = calibration.assessment.model, calibration.assessment.trust.added
     note = _MODELS.get(model, "") + (f"; by evidence {', '.join(added)}" if added else "")
-    numbers.append(KeyNumber(label="Model", value=model, note=note))
+    numbers.append(KeyNumber("Model", model, note))
     pieces = f" in {diagnostics.segments} pieces" if diagnostics.segments > 1 else ""
     duration = number(fit.duration_s, 4) if fit is not None else MISSING
     numbers.append(
         KeyNumber(
-            label="Trajectory",
-            value=f"{duration}\u00a0s{pieces}",
-            note=f"{number(diagnostics.knots_per_s, 3)} knots/s, spline of order {diagnostics.spline_order}",
+            "Trajectory",
+            f"{duration}\u00a0s{pieces}",
+            f"{number(diagnostics.knots_per_s, 3)} knots/s, spline of order {diagnostics.spline_order}",
         )
     )
     return tuple(numbers)
@@ -84,14 +84,14 @@ def _fit_numbers(fit: CameraImuFit) -> tuple[KeyNumber, KeyNumber]:
     several = len(fit.frames_used) > 1
     return (
         KeyNumber(
-            label="Reprojection rms",
-            value=f"{number(pooled, 3, trim=False)}\u00a0px",
-            note=f"per axis, of {corners} corners" + (f": {each}" if several else ""),
+            "Reprojection rms",
+            f"{number(pooled, 3, trim=False)}\u00a0px",
+            f"per axis, of {corners} corners" + (f": {each}" if several else ""),
         ),
         KeyNumber(
-            label="Frames used",
-            value=f"{sum(fit.frames_used.values())} of {sum(fit.frames_found.values())}",
-            note=frames if several else "of those in which the board was found",
+            "Frames used",
+            f"{sum(fit.frames_used.values())} of {sum(fit.frames_found.values())}",
+            frames if several else "of those in which the board was found",
         ),
     )
 
@@ -111,7 +111,7 @@ def _placed(calibration: Calibration) -> KeyNumber:
     translation, rotation = worst("translation"), worst("rotation")
     value = f"{number(1e3 * translation, 2)}\u00a0mm, {number(degrees(rotation), 2)}°"
     note = "largest σ of an axis of T_cam_imu" + (", of all cameras" if len(calibration.cameras) > 1 else "")
-    return KeyNumber(label="σ of position and attitude", value=value, note=note)
+    return KeyNumber("σ of position and attitude", value, note)
 
 
 def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Section:
@@ -136,7 +136,7 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
         points.append(
             f"Not determined by this recording, and held by assumption: {', '.join(assessment.held_by_prior)}."
         )
-    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
 
 
 def _origin(calibration: Calibration) -> str:
@@ -187,10 +187,10 @@ def _of_others(calibration: Calibration) -> str:
 def _use(calibration: Calibration) -> Section:
     camera = next(iter(calibration.cameras), "cam0")
     blocks = [
-        Code(title="Files beside this report", text=_FILES),
+        Code("Files beside this report", _FILES),
         Code(
-            title="In Python",
-            text="import gnomon\n\n"
+            "In Python",
+            "import gnomon\n\n"
             'calibration = gnomon.load("calibration.yaml")\n'
             f"{camera} = calibration.cameras[{camera!r}]\n"
             f"p_cam = {camera}.T_cam_imu @ p_imu                    # homogeneous, in metres\n"
@@ -207,16 +207,16 @@ def _use(calibration: Calibration) -> Section:
             "S", imu.required_accelerometer.sensitivity
         )
         text += "\n\n" + matrix_text("b", imu.required_accelerometer.bias[:, None])
-        blocks.append(Code(title=f"Accelerometer{of}: m and f in m/s²", text=text))
+        blocks.append(Code(f"Accelerometer{of}: m and f in m/s²", text))
         if imu.gyroscope is not None:
             text = "y = S ω + G f + b    ω = S⁻¹ (y − b − G f)    S = S_g M_g C_bg′, G = B_g\n\n"
             text += matrix_text("S", imu.gyroscope.sensitivity) + "\n\n" + matrix_text("G", imu.gyroscope.g_sensitivity)
             text += "\n\n" + matrix_text("b", imu.gyroscope.bias[:, None])
-            blocks.append(Code(title=f"Gyroscope{of}: y and ω in rad/s, f in m/s²", text=text))
+            blocks.append(Code(f"Gyroscope{of}: y and ω in rad/s, f in m/s²", text))
     return Section(
-        anchor="use",
-        title="How to use it",
-        lead="T_cam_imu takes points from the body frame of the IMU to a camera, the time shift takes stamps from the "
+        "use",
+        "How to use it",
+        "T_cam_imu takes points from the body frame of the IMU to a camera, the time shift takes stamps from the "
         "camera's clock to the IMU's, and the IMU's matrices turn what it reads into specific force and angular rate.",
-        blocks=tuple(blocks),
+        blocks,
     )

@@ -15,10 +15,10 @@ from .imu_parameters import readable_unit
 from .numbers import finite, fixed, largest, number, positive, quantity, rms, share
 from .page import Figure, Legend, Section, Table
 
-_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
-_PREDICTED = tuple(Legend(mark="line", color=axis, label=f"predicted {axis}") for axis in "xyz")
-_BASIC = Legend(mark="line", color="accent", label="basic model")
-_BAND = Legend(mark="band", color="before", label="±2σ of one sample")
+_AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
+_PREDICTED = tuple(Legend("line", axis, f"predicted {axis}") for axis in "xyz")
+_BASIC = Legend("line", "accent", "basic model")
+_BAND = Legend("band", "before", "±2σ of one sample")
 _MOST_ROWS = 60
 
 
@@ -33,7 +33,7 @@ def fit_section(diagnostics: CameraImuDiagnostics) -> Section | None:
     lead = "If the model is right, the trajectory that explains the images also predicts what the IMU reads."
     if any(fit.basic is not None for fit in diagnostics.signals.values()):
         lead += " The basic model, shown for comparison, takes the IMU for ideal but for its biases."
-    return Section(anchor="fit", title="Measured against predicted", lead=lead, blocks=tuple(blocks))
+    return Section("fit", "Measured against predicted", lead, blocks)
 
 
 def _signal_figures(name: str, fit: SignalFit, shown: str) -> tuple[Figure, Figure]:
@@ -42,16 +42,16 @@ def _signal_figures(name: str, fit: SignalFit, shown: str) -> tuple[Figure, Figu
     reason = "the two models differ most" if basic else "the model fits worst"
     return (
         Figure(
-            title=f"{shown} over the recording",
-            svg=camera_imu_signals.overview(name, fit, section),
-            legend=(*_AXES, *basic, _BAND, Legend(mark="dash", color="ink", label="section below")),
-            caption=_bands(fit),
+            f"{shown} over the recording",
+            camera_imu_signals.overview(name, fit, section),
+            (*_AXES, *basic, _BAND, Legend("dash", "ink", "section below")),
+            _bands(fit),
         ),
         Figure(
-            title=f"{shown}, {fixed(section[0], 1)} to {fixed(section[1], 1)} s",
-            svg=camera_imu_signals.section_figure(name, fit, section),
-            legend=(Legend(mark="band", color="before", label="measured"), *_PREDICTED, *basic, _BAND),
-            caption=f"The section in which {reason}: what was measured, what the trajectory and the calibration "
+            f"{shown}, {fixed(section[0], 1)} to {fixed(section[1], 1)} s",
+            camera_imu_signals.section_figure(name, fit, section),
+            (Legend("band", "before", "measured"), *_PREDICTED, *basic, _BAND),
+            f"The section in which {reason}: what was measured, what the trajectory and the calibration "
             "predict, and the difference.",
         ),
     )
@@ -81,7 +81,7 @@ def _misfit(diagnostics: CameraImuDiagnostics) -> Table:
                 row += [quantity(rms(basic[:, i]), unit), quantity(largest(apart[:, i]), unit)]
             rows.append((*row, quantity(fit.sigma, unit)))
     compare = ("rms, basic model", "models differ by up to") if compared else ()
-    return Table(title="In numbers", head=("residual", "rms", *compare, "expected (σ)"), rows=tuple(rows))
+    return Table("In numbers", ("residual", "rms", *compare, "expected (σ)"), rows)
 
 
 def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
@@ -93,10 +93,10 @@ def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, Corner
         )
         blocks.append(
             Figure(
-                title="Samples of the IMU",
-                svg=camera_imu_signals.normalised(diagnostics.signals),
-                legend=(*_AXES, Legend(mark="dash", color="ink", label="standard normal")),
-                caption="Measured minus predicted, over the σ that was used. Beyond 3σ lie 0.27 % of normal residuals; "
+                "Samples of the IMU",
+                camera_imu_signals.normalised(diagnostics.signals),
+                (*_AXES, Legend("dash", "ink", "standard normal")),
+                "Measured minus predicted, over the σ that was used. Beyond 3σ lie 0.27 % of normal residuals; "
                 f"here, {shares}. Where knots are dense, the trajectory follows part of the noise, and what is left is "
                 "narrower.",
             )
@@ -107,11 +107,11 @@ def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, Corner
         blocks.append(field_figure(views))
     blocks += frames_left_out(diagnostics.corners)
     return Section(
-        anchor="residuals",
-        title="Residuals",
-        lead="Residuals that look like noise of the size that was assumed say that the model explains the recording. A "
+        "residuals",
+        "Residuals",
+        "Residuals that look like noise of the size that was assumed say that the model explains the recording. A "
         "pattern over time or over the image says that something is not modelled.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 
@@ -125,7 +125,7 @@ def _spans(t: Floats) -> tuple[Legend, ...]:
     edges = images.time_spans(t)
     decimals = 0 if edges[-1] - edges[0] > 20 else 1
     return tuple(
-        Legend(mark="dot", color=color, label=f"{fixed(float(a), decimals)}–{fixed(float(b), decimals)} s")
+        Legend("dot", color, f"{fixed(float(a), decimals)}–{fixed(float(b), decimals)} s")
         for color, a, b in zip(images.TIMES, edges[:-1], edges[1:], strict=True)
     )
 
@@ -137,13 +137,13 @@ def corner_scatter(name: str, view: CornerView) -> Figure:
     beyond = f", {outside} lie outside of what is drawn" if outside else ""
     step = images.scatter_step(view)
     share = f" The scatter shows one corner in {step}." if step > 1 else ""
-    normal = Legend(mark="dash", color="ink", label=f"normal, σ = {number(fit.sigma_px, 3)} px")
-    along = (Legend(mark="line", color="x", label="u"), Legend(mark="line", color="y", label="v"))
+    normal = Legend("dash", "ink", f"normal, σ = {number(fit.sigma_px, 3)} px")
+    along = (Legend("line", "x", "u"), Legend("line", "y", "v"))
     return Figure(
-        title=f"Corners of {name}",
-        svg=images.corner_residuals(name, view),
-        legend=(*along, normal, *_spans(view.t_s)),
-        caption=f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
+        f"Corners of {name}",
+        images.corner_residuals(name, view),
+        (*along, normal, *_spans(view.t_s)),
+        f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
         f"{view.weighed_down} fit less well and were weighed down{beyond}.{share}",
     )
 
@@ -151,17 +151,13 @@ def corner_scatter(name: str, view: CornerView) -> Figure:
 def _frames(name: str, view: CornerView) -> Figure:
     fit = view.fit
     used, corners = np.asarray(fit.frame_used, dtype=bool), np.asarray(fit.frame_corners)
-    left_out = (Legend(mark="ring", color="accent", label="left out"),) if not used.all() else ()
+    left_out = (Legend("ring", "accent", "left out"),) if not used.all() else ()
     empty = int((corners == 0).sum())
     return Figure(
-        title=f"Frames of {name}",
-        svg=images.frames(name, fit),
-        legend=(
-            Legend(mark="dot", color="after", label="used"),
-            *left_out,
-            Legend(mark="dash", color="ink", label="σ of a corner"),
-        ),
-        caption=f"{int(used.sum())} of {len(used)} frames were used." + (f" {empty} show no corner." if empty else ""),
+        f"Frames of {name}",
+        images.frames(name, fit),
+        (Legend("dot", "after", "used"), *left_out, Legend("dash", "ink", "σ of a corner")),
+        f"{int(used.sum())} of {len(used)} frames were used." + (f" {empty} show no corner." if empty else ""),
     )
 
 
@@ -171,8 +167,8 @@ def field_figure(views: dict[str, CornerView]) -> Figure:
     worst = {name: largest(np.hypot(*view.field.mean.T)) for name, view in views.items()}
     longest = "; ".join(f"{name} {number(size, 2)} px" for name, size in worst.items() if isfinite(size))
     return Figure(
-        title="Mean residual over the image",
-        svg=images.field(views),
+        "Mean residual over the image",
+        images.field(views),
         caption=f"Arrows from the detected corners to the predicted ones, {number(longer)} times as long as they are. "
         "A swirl, or arrows that all point outwards or inwards, speak of intrinsics or a lens model that do not fit "
         "this camera." + (f" The longest: {longest}." if longest else ""),
@@ -198,10 +194,10 @@ def frames_left_out(corners: dict[str, CornerFit], title: str = "Frames that wer
     more = len(rows) - _MOST_ROWS
     return [
         Table(
-            title=title,
-            head=("reason", title.split(maxsplit=1)[0].lower(), "at [s]"),
-            rows=tuple(rows[:_MOST_ROWS]),
-            caption=f"And {more} more reasons." if more > 0 else "",
+            title,
+            ("reason", title.split(maxsplit=1)[0].lower(), "at [s]"),
+            tuple(rows[:_MOST_ROWS]),
+            f"And {more} more reasons." if more > 0 else "",
             prose=True,
         )
     ]
@@ -215,8 +211,8 @@ def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerV
         reached = "; ".join(f"{name} {share(part)}" for name, part in shares.items())
         blocks.append(
             Figure(
-                title="Corners in the image",
-                svg=images.density(views),
+                "Corners in the image",
+                images.density(views),
                 caption="The stronger the colour, the more corners. Share of the image that they reached: "
                 f"{reached}. Elsewhere nothing tests the lens.",
             )
@@ -224,11 +220,11 @@ def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerV
     if len(diagnostics.trajectory.t_ns) > 1:
         blocks += _motion(camera_imu_motion.motion_of(diagnostics.trajectory, diagnostics.gravity_target))
     return Section(
-        anchor="coverage",
-        title="Coverage",
-        lead="Each parameter needs its own motion: rotation about all axes for the attitude of the cameras and for the "
+        "coverage",
+        "Coverage",
+        "Each parameter needs its own motion: rotation about all axes for the attitude of the cameras and for the "
         "gyroscope, acceleration along all axes for the accelerometer, and fast turning for the translation.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 
@@ -239,23 +235,23 @@ def _motion(motion: camera_imu_motion.Motion) -> list[Figure | Table]:
             rows.append((f"{label}, {measure}", *(f"{number(of(v), 3, trim=False)}\u00a0{unit}" for v in values.T)))
     return [
         Figure(
-            title="Axes of rotation",
-            svg=camera_imu_motion.axes_of_rotation(motion),
+            "Axes of rotation",
+            camera_imu_motion.axes_of_rotation(motion),
             caption="Directions of the angular rate in the body frame, wherever the rig turned at more than a third of "
             "its rms rate. The stronger the colour, the longer it did.",
         ),
         Figure(
-            title="Rate and acceleration along the body axes",
-            svg=camera_imu_motion.rates(motion),
-            legend=_AXES,
-            caption="How often which value occurred; gravity is not part of the acceleration.",
+            "Rate and acceleration along the body axes",
+            camera_imu_motion.rates(motion),
+            _AXES,
+            "How often which value occurred; gravity is not part of the acceleration.",
         ),
-        Table(title="In numbers", head=("body axis", *"xyz"), rows=tuple(rows)),
+        Table("In numbers", ("body axis", *"xyz"), rows),
         Figure(
-            title="Path of the IMU",
-            svg=camera_imu_motion.path(motion),
-            legend=_spans(motion.t_s),
-            caption="In the frame of the target: x and y in its plane, z along its normal.",
+            "Path of the IMU",
+            camera_imu_motion.path(motion),
+            _spans(motion.t_s),
+            "In the frame of the target: x and y in its plane, z along its normal.",
         ),
     ]
 
@@ -269,17 +265,17 @@ def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:
         for name, bias in diagnostics.biases.items()
     )
     figure = Figure(
-        title="About their means",
-        svg=camera_imu_signals.bias_figure(diagnostics.biases),
-        legend=(
+        "About their means",
+        camera_imu_signals.bias_figure(diagnostics.biases),
+        (
             *_AXES,
-            Legend(mark="band", color="before", label="±σ, in the axis's colour"),
-            Legend(mark="dash", color="muted", label="±3σ of the random walk"),
+            Legend("band", "before", "±σ, in the axis's colour"),
+            Legend("dash", "muted", "±3σ of the random walk"),
         ),
-        caption=f"The random walk that was assumed: {walks}. A bias that runs out of its bounds speaks of a larger "
+        f"The random walk that was assumed: {walks}. A bias that runs out of its bounds speaks of a larger "
         "walk, of a sensor that was still warming up, or of an error that the bias has taken on.",
     )
-    return Section(anchor="biases", title="Biases", blocks=(figure,))
+    return Section("biases", "Biases", blocks=(figure,))
 
 
 def _per_root_second(unit: str) -> str:

@@ -9,7 +9,7 @@ from ..recording import Floats
 from . import svg
 from .camera_imu_corners import CornerView, field_magnification
 from .camera_imu_signals import half_panel, histograms
-from .figures import RIGHT, WIDTH, Sheet, coarser, dots, draw, limits, log_limits, thinned, zigzag
+from .figures import RIGHT, WIDTH, Sheet, coarser, dots, limits, log_limits, thinned, zigzag
 from .numbers import finite, highest, positive
 from .panel import DASHED, Panel
 
@@ -24,22 +24,20 @@ def corner_residuals(name: str, view: CornerView) -> str:
     """Draw the histogram of the residuals of one camera, and their scatter coloured by time."""
     residual, reach, sigma = view.residual, view.reach, positive(view.fit.sigma_px, 0.0)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw two panels side by side."""
-        axes = half_panel(sheet, "Density", 0, top=36, height=314)
-        histograms(axes, [(residual[:, 0], "x"), (residual[:, 1], "y")], reach=reach, sigma=sigma)
-        sheet.text("residual [px]", x=WIDTH / 2 - 14, y=400, color="muted", align="right")
-        scatter = half_panel(sheet, "Scatter, v over u [px]", 1, top=36, height=314)
-        scatter.x.grid = True
-        _scatter(scatter, view)
-        turn = np.linspace(0, 2 * np.pi, 73)
-        for radius in (sigma, 2 * sigma, 3 * sigma):
-            scatter.line(radius * np.cos(turn), radius * np.sin(turn), "ink")
-        scatter.x.span(-reach, reach)
-        scatter.y.span(reach, -reach)  # v points down, as in the image
-
+    sheet = Sheet()
+    axes = half_panel(sheet, "Density", 0, top=36, height=314)
+    histograms(axes, [(residual[:, 0], "x"), (residual[:, 1], "y")], reach=reach, sigma=sigma)
+    sheet.text("residual [px]", x=WIDTH / 2 - 14, y=400, color="muted", align="right")
+    scatter = half_panel(sheet, "Scatter, v over u [px]", 1, top=36, height=314)
+    scatter.x.grid = True
+    _scatter(scatter, view)
+    turn = np.linspace(0, 2 * np.pi, 73)
+    for radius in (sigma, 2 * sigma, 3 * sigma):
+        scatter.line(radius * np.cos(turn), radius * np.sin(turn), "ink")
+    scatter.x.span(-reach, reach)
+    scatter.y.span(reach, -reach)  # v points down, as in the image
     alt = f"Residuals of {len(residual)} corners of {name}: histograms along u and v, and a scatter coloured by time."
-    return draw(f"corners-{name}", 410, alt, paint)
+    return sheet.draw(f"corners-{name}", 410, alt)
 
 
 def _scatter(panel: Panel, view: CornerView) -> None:
@@ -73,27 +71,25 @@ def frames(name: str, fit: CornerFit) -> str:
     wide = known.size > 0 and float(known.max()) > 8 * float(np.median(known))
     sigma = positive(fit.sigma_px, 0.0)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the residuals above, the numbers of corners below."""
-        axes = sheet.panel("rms residual of the frame [px]", top=36, height=190)
-        axes.across(sigma, "ink", width=1.4, dash=DASHED)
-        for chosen, color, ring, size in ((used, "after", False, 4.0), (~used, "accent", True, 7.0)):
-            dots(axes, *thinned(t[chosen], fit.frame_rms[chosen]), color, ring=ring, size=size)
-        if wide:
-            log_limits(axes, fit.frame_rms, np.array([sigma]))
-        else:
-            limits(axes, fit.frame_rms, np.zeros(1))
-        below = sheet.panel("Corners in the frame", top=284, height=96, x_label="time [s]")
-        count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
-        zigzag(below, *coarser(t[order], count, count, bins=400), "before")
-        limits(below, count, np.zeros(1))
-        below.y.most = 3
-        for panel in (axes, below):
-            panel.x.span(0, positive(highest(t)))
-        axes.x.labelled = False
-
+    sheet = Sheet()
+    axes = sheet.panel("rms residual of the frame [px]", top=36, height=190)
+    axes.across(sigma, "ink", width=1.4, dash=DASHED)
+    for chosen, color, ring, size in ((used, "after", False, 4.0), (~used, "accent", True, 7.0)):
+        dots(axes, *thinned(t[chosen], fit.frame_rms[chosen]), color, ring=ring, size=size)
+    if wide:
+        log_limits(axes, fit.frame_rms, np.array([sigma]))
+    else:
+        limits(axes, fit.frame_rms, np.zeros(1))
+    below = sheet.panel("Corners in the frame", top=284, height=96, x_label="time [s]")
+    count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
+    zigzag(below, *coarser(t[order], count, count, bins=400), "before")
+    limits(below, count, np.zeros(1))
+    below.y.most = 3
+    for panel in (axes, below):
+        panel.x.span(0, positive(highest(t)))
+    axes.x.labelled = False
     alt = f"rms residual and number of corners of {len(t)} frames of {name}; {int((~used).sum())} were left out."
-    return draw(f"frames-{name}", 446, alt, paint)
+    return sheet.draw(f"frames-{name}", 446, alt)
 
 
 def image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list[Panel]:
@@ -133,29 +129,24 @@ def images_height(views: Mapping[str, CornerView]) -> float:
 
 def density(views: Mapping[str, CornerView]) -> str:
     """Draw how many corners were seen where in the image."""
-
-    def paint(sheet: Sheet) -> None:
-        """Draw the cells of each image."""
-        for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
-            grid = view.density
-            level = np.sqrt(grid.count / max(grid.count.max(), 1.0))
-            panel.cells(grid.corner, grid.size, level=level, color="after")
-
-    return draw("density", images_height(views), "Density of the corners over the image of each camera.", paint)
+    sheet = Sheet()
+    for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
+        grid = view.density
+        level = np.sqrt(grid.count / max(grid.count.max(), 1.0))
+        panel.cells(grid.corner, grid.size, level=level, color="after")
+    return sheet.draw("density", images_height(views), "Density of the corners over the image of each camera.")
 
 
 def field(views: Mapping[str, CornerView]) -> str:
     """Draw the mean residual over the image, as arrows."""
     longer = field_magnification(views)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the arrows over each image."""
-        for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
-            known = np.isfinite(view.field.mean).all(axis=1)
-            centre = view.field.corner[known] + np.array(view.field.size) / 2
-            arrows(panel, centre, longer * view.field.mean[known])
-
-    return draw("field", images_height(views), "Mean residual of the corners over the image, as arrows.", paint)
+    sheet = Sheet()
+    for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
+        known = np.isfinite(view.field.mean).all(axis=1)
+        centre = view.field.corner[known] + np.array(view.field.size) / 2
+        arrows(panel, centre, longer * view.field.mean[known])
+    return sheet.draw("field", images_height(views), "Mean residual of the corners over the image, as arrows.")
 
 
 def arrows(panel: Panel, start: Floats, along: Floats, color: str = "after") -> None:
@@ -176,33 +167,31 @@ def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
     pitch = min((WIDTH - left - RIGHT) / max(count, 1), max(24.0, _LEAST_MATRIX / max(count, 1)))
     size = pitch * count
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the cells, the lines between groups, and the names."""
-        panel = sheet.panel("", top=20, height=size, left=left, right=WIDTH - left - size)
-        panel.x.span(0, count)
-        panel.y.span(count, 0)
-        panel.x.ticks = panel.y.ticks = ()
-        y, x = np.divmod(np.arange(count * count), count)
-        corners = np.stack([x, y], axis=1).astype(np.float64)
-        values = np.where(x == y, 0.0, np.nan_to_num(matrix.ravel()))
-        for sign, color in ((1, "after"), (-1, "heldout")):
-            strength = np.where(sign * values >= 0.05, sign * values, 0.0)
-            panel.cells(corners, (1.0, 1.0), level=strength, color=color)
-        panel.cells(corners[x == y], (1.0, 1.0), level=np.ones(count), color="grid")
-        _separate(panel, labels, count)
-        _name_groups(sheet, labels, left - 26, pitch)
-        row = 0
-        for _, entries in labels:
-            for entry in entries if pitch >= 8 else ():
-                y = row + entries.index(entry) + 0.5
-                font = min(10.0, 0.8 * pitch)
-                style = svg.text_style("muted", font, "right")
-                panel.text(entry, 0, y, style, offset=(-5, svg.MIDDLE * font), fine=True)
-            row += len(entries)
-
+    sheet = Sheet()
+    panel = sheet.panel("", top=20, height=size, left=left, right=WIDTH - left - size)
+    panel.x.span(0, count)
+    panel.y.span(count, 0)
+    panel.x.ticks = panel.y.ticks = ()
+    y, x = np.divmod(np.arange(count * count), count)
+    corners = np.stack([x, y], axis=1).astype(np.float64)
+    values = np.where(x == y, 0.0, np.nan_to_num(matrix.ravel()))
+    for sign, color in ((1, "after"), (-1, "heldout")):
+        strength = np.where(sign * values >= 0.05, sign * values, 0.0)
+        panel.cells(corners, (1.0, 1.0), level=strength, color=color)
+    panel.cells(corners[x == y], (1.0, 1.0), level=np.ones(count), color="grid")
+    _separate(panel, labels, count)
+    _name_groups(sheet, labels, left - 26, pitch)
+    row = 0
+    for _, entries in labels:
+        for entry in entries if pitch >= 8 else ():
+            y = row + entries.index(entry) + 0.5
+            font = min(10.0, 0.8 * pitch)
+            style = svg.text_style("muted", font, "right")
+            panel.text(entry, 0, y, style, offset=(-5, svg.MIDDLE * font), fine=True)
+        row += len(entries)
     strongest = highest(np.abs(matrix[~np.eye(count, dtype=bool)]))
     alt = f"Correlation matrix of {count} parameters; the strongest correlation is {strongest:.2f}."
-    return draw("correlation", size + 30, alt, paint)
+    return sheet.draw("correlation", size + 30, alt)
 
 
 def _separate(panel: Panel, labels: list[tuple[str, list[str]]], count: int) -> None:

@@ -12,7 +12,7 @@ from ..recording import Floats, Integers
 from . import svg
 from .camera_imu_images import TIMES, time_spans
 from .camera_imu_signals import AXES, half_panel, histograms
-from .figures import TEXT, WIDTH, Sheet, draw
+from .figures import TEXT, WIDTH, Sheet
 from .label_places import LabelPlaces, half_size
 from .numbers import finite, highest, number, rms
 from .panel import DASHED, Panel
@@ -63,30 +63,26 @@ def axes_of_rotation(motion: Motion) -> str:
         counted[side] = spots, count.astype(np.float64)
     most = max(float(count.max(initial=0)) for _, count in counted.values()) or 1.0
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the patches of both hemispheres."""
-        for side, (spots, count) in counted.items():
-            panel = hemisphere(sheet, side)
-            panel.rim = np.sqrt(2)
-            panel.cells((spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=np.sqrt(count / most), color="after")
-
-    return draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.", paint)
+    sheet = Sheet()
+    for side, (spots, count) in counted.items():
+        panel = hemisphere(sheet, side)
+        panel.rim = np.sqrt(2)
+        panel.cells((spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=np.sqrt(count / most), color="after")
+    return sheet.draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.")
 
 
 def rates(motion: Motion) -> str:
     """Draw histograms of angular rate and linear acceleration per axis."""
     parts = (("Angular rate [°/s]", motion.rate), ("Linear acceleration [m/s²]", motion.acceleration))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw two panels side by side."""
-        for k, (title, values) in enumerate(parts):
-            sizes = np.abs(finite(values))
-            reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
-            axes = half_panel(sheet, title, k, top=36, height=220, left=20)
-            histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
-            axes.y.ticks = ()
-
-    return draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.", paint)
+    sheet = Sheet()
+    for k, (title, values) in enumerate(parts):
+        sizes = np.abs(finite(values))
+        reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
+        axes = half_panel(sheet, title, k, top=36, height=220, left=20)
+        histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
+        axes.y.ticks = ()
+    return sheet.draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.")
 
 
 def path(motion: Motion) -> str:
@@ -99,22 +95,20 @@ def path(motion: Motion) -> str:
     colour = np.clip(np.searchsorted(spans, motion.t_s[kept], side="right") - 1, 0, len(TIMES) - 1)
     torn = np.diff(motion.t_s[kept], append=np.inf) > 5 * np.median(np.diff(motion.t_s[kept], append=0.0))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the path in five colours, twice."""
-        for k, (title, across, up) in enumerate((("Plane: y over x [m]", 0, 1), ("Depth: z over x [m]", 0, 2))):
-            axes = half_panel(sheet, title, k, top=36, height=314)
-            axes.x.grid = True
-            for i, name in enumerate(TIMES):
-                # A piece reaches to the first point of the next one, and a gap interrupts it.
-                piece = (colour == i) | np.concatenate([[False], (colour == i)[:-1]])
-                line = motion.position[kept][:, [across, up]].copy()
-                line[torn] = np.nan
-                axes.line(line[piece, 0], line[piece, 1], name, width=1.3)
-            middle = (low + high) / 2
-            axes.x.span(middle[across] - span, middle[across] + span)
-            axes.y.span(middle[up] - span, middle[up] + span)
-
-    return draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.", paint)
+    sheet = Sheet()
+    for k, (title, across, up) in enumerate((("Plane: y over x [m]", 0, 1), ("Depth: z over x [m]", 0, 2))):
+        axes = half_panel(sheet, title, k, top=36, height=314)
+        axes.x.grid = True
+        for i, name in enumerate(TIMES):
+            # A piece reaches to the first point of the next one, and a gap interrupts it.
+            piece = (colour == i) | np.concatenate([[False], (colour == i)[:-1]])
+            line = motion.position[kept][:, [across, up]].copy()
+            line[torn] = np.nan
+            axes.line(line[piece, 0], line[piece, 1], name, width=1.3)
+        middle = (low + high) / 2
+        axes.x.span(middle[across] - span, middle[across] + span)
+        axes.y.span(middle[up] - span, middle[up] + span)
+    return sheet.draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.")
 
 
 def _sampled(motion: Motion, most: int) -> Integers:
@@ -149,31 +143,29 @@ def rig(calibration: Calibration) -> str:
     apart = max(float(np.linalg.norm(a - b)) for a in origins for b in origins)
     length = 0.4 * apart if np.isfinite(apart) and apart > 1e-6 else 0.02
 
-    def paint(sheet: Sheet) -> None:
-        """Draw lines from the first body to the others, the images of cameras, and all axes."""
-        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
-        cameras = [body for body in bodies if body.image]
-        corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
-        tips = [body.origin + length * body.axes.T for body in bodies]
-        _fit(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])))
-        links = [np.stack([bodies[0].origin, body.origin]) for body in bodies[1:]]
-        for link in links:
-            ends = _flat(link)
-            panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
-        edges: list[Floats] = []
-        for body, image in zip(cameras, corners, strict=True):
-            edges += [np.stack([body.origin, corner]) for corner in image]
-            edges += [image[[k, (k + 1) % 4]] for k in range(4)]
-        for edge in edges:
-            flat = _flat(edge)
-            panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
-        for body in bodies:
-            _triad(panel, body, length)
-        axes = [np.stack([body.origin, tip]) for body, ends in zip(bodies, tips, strict=True) for tip in ends]
-        _label(panel, bodies, links, np.array([*edges, *axes, *links]), length)
-
+    sheet = Sheet()
+    panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
+    cameras = [body for body in bodies if body.image]
+    corners = [body.origin + length * (_FRUSTUM @ body.axes.T) for body in cameras]
+    tips = [body.origin + length * body.axes.T for body in bodies]
+    _fit(panel, _flat(np.concatenate([np.array(origins), *corners, *tips])))
+    links = [np.stack([bodies[0].origin, body.origin]) for body in bodies[1:]]
+    for link in links:
+        ends = _flat(link)
+        panel.line(ends[:, 0], ends[:, 1], "muted", width=1.2, dash=DASHED)
+    edges: list[Floats] = []
+    for body, image in zip(cameras, corners, strict=True):
+        edges += [np.stack([body.origin, corner]) for corner in image]
+        edges += [image[[k, (k + 1) % 4]] for k in range(4)]
+    for edge in edges:
+        flat = _flat(edge)
+        panel.line(flat[:, 0], flat[:, 1], "before", width=1.1)
+    for body in bodies:
+        _triad(panel, body, length)
+    axes = [np.stack([body.origin, tip]) for body, ends in zip(bodies, tips, strict=True) for tip in ends]
+    _label(panel, bodies, links, np.array([*edges, *axes, *links]), length)
     names = ", ".join(body.name for body in bodies)
-    return draw("rig", _HEIGHT, f"The axes of {names} in space, drawn to scale.", paint)
+    return sheet.draw("rig", _HEIGHT, f"The axes of {names} in space, drawn to scale.")
 
 
 _HEIGHT = 380.0

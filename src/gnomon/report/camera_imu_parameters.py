@@ -81,8 +81,8 @@ def placed_imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGro
     for label, path, words in shifts:
         values = (1e3 * float(of(f"{name}.{path}")) for of in (calibration.parameter, calibration.sigma))
         text, sigma = with_sigma(*values)
-        rows.append(Parameter(name=label, value=text, sigma=sigma, unit="ms", reads_as=words))
-    return (*groups, ParameterGroup(title="Time", note="", rows=tuple(rows))) if rows else tuple(groups)
+        rows.append(Parameter(label, text, sigma, "ms", reads_as=words))
+    return (*groups, ParameterGroup("Time", "", rows)) if rows else tuple(groups)
 
 
 def _pose_groups(calibration: Calibration, path: str, T: Floats, words: tuple[str, str, str]) -> list[ParameterGroup]:
@@ -123,8 +123,8 @@ def triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) ->
     for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
         text, sigma = with_sigma(value, spread)
         reads_as = f"{fixed(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
-        rows.append(Parameter(name=f"{word} {axis}", value=text, sigma=sigma, unit=unit, reads_as=reads_as))
-    return ParameterGroup(title=title, note=note, rows=with_bars(rows, _pairs(values, spreads)))
+        rows.append(Parameter(f"{word} {axis}", text, sigma, unit, reads_as=reads_as))
+    return ParameterGroup(title, note, with_bars(rows, _pairs(values, spreads)))
 
 
 def _pairs(values: Floats, spreads: Floats) -> list[tuple[float, float]]:
@@ -136,17 +136,13 @@ def _times(calibration: Calibration, name: str) -> ParameterGroup:
     shift, sigma = with_sigma(
         1e3 * camera.time_shift_cam_imu, 1e3 * float(calibration.sigma(f"{name}.time_shift_cam_imu"))
     )
-    rows = [
-        Parameter(name="time shift", value=shift, sigma=sigma, unit="ms", reads_as="t_imu = t_cam + time shift"),
-    ]
+    rows = [Parameter("time shift", shift, sigma, "ms", reads_as="t_imu = t_cam + time shift")]
     delay, spread = 1e6 * camera.camera.line_delay_s, 1e6 * float(calibration.sigma(f"{name}.line_delay"))
     if delay or spread:
         text, sigma = with_sigma(delay, spread)
         total = number(1e-3 * delay * camera.camera.resolution[1], 3)
-        rows.append(
-            Parameter(name="line delay", value=text, sigma=sigma, unit="µs per row", reads_as=f"{total} ms per image")
-        )
-    return ParameterGroup(title="Time", note="", rows=tuple(rows))
+        rows.append(Parameter("line delay", text, sigma, "µs per row", reads_as=f"{total} ms per image"))
+    return ParameterGroup("Time", "", rows)
 
 
 def lens_group(calibration: Calibration, name: str) -> ParameterGroup:
@@ -157,10 +153,8 @@ def lens_group(calibration: Calibration, name: str) -> ParameterGroup:
     rows: list[Parameter] = []
     for label, value, spread in zip(names, values.tolist(), spreads.tolist(), strict=True):
         text, sigma = with_sigma(value, spread)
-        rows.append(
-            Parameter(name=label, value=text, sigma=sigma, unit="px" if label[0] in "fp" and label[1] in "uv" else "")
-        )
-    return ParameterGroup(title="Lens", note=f"{camera.projection}, {camera.distortion}", rows=tuple(rows))
+        rows.append(Parameter(label, text, sigma, "px" if label[0] in "fp" and label[1] in "uv" else ""))
+    return ParameterGroup("Lens", f"{camera.projection}, {camera.distortion}", rows)
 
 
 def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> tuple[ParameterGroup, ...]:
@@ -174,7 +168,7 @@ def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> t
         note = f"origin of {source} in the frame of {to}"
         translation = triple(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
         text, sigma = with_sigma(float(values[3]), float(spreads[3]))
-        distance = Parameter(name="distance", value=text, sigma=sigma, unit="mm")
+        distance = Parameter("distance", text, sigma, "mm")
         groups.append(replace(translation, rows=(*translation.rows, distance)))
         note = f"from the axes of {source} to those of {to}"
         groups.append(triple("Rotation", note, "°", values[4:], spreads[4:]))
@@ -275,24 +269,21 @@ def _triad(title: str, letter: str, values: Floats, spreads: Floats) -> tuple[Pa
         text, sigma = with_sigma(float(values[i]), float(spreads[i]))
         percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
         reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
-        scales.append(Parameter(name=f"scale {axis}", value=text, sigma=sigma, unit="", reads_as=reads_as))
+        scales.append(Parameter(f"scale {axis}", text, sigma, "", reads_as=reads_as))
     scale = ParameterGroup(
-        title=f"{title} scale", note=f"S_{letter}; bars: deviation from one",
-        rows=with_bars(scales, _pairs(percents, percent_spreads)),
+        f"{title} scale", f"S_{letter}; bars: deviation from one",
+        with_bars(scales, _pairs(percents, percent_spreads)),
     )  # fmt: skip
     tilts: list[Parameter] = []
     for entry, value, spread in zip(("yz", "zy", "zx"), 1e3 * values[3:], 1e3 * spreads[3:], strict=True):
         text, sigma = with_sigma(float(value), float(spread), sign=True)
         reads_as = f"{fixed(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
-        tilts.append(Parameter(name=f"entry {entry}", value=text, sigma=sigma, unit="mrad", reads_as=reads_as))
+        tilts.append(Parameter(f"entry {entry}", text, sigma, "mrad", reads_as=reads_as))
     tilt = ParameterGroup(
-        title=f"{title} misalignment", note=f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
-        rows=with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
+        f"{title} misalignment", f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
+        with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
     )  # fmt: skip
-    return (
-        _marked(scale, percents, percent_spreads),
-        _marked(tilt, values[3:], spreads[3:]),
-    )
+    return (_marked(scale, percents, percent_spreads), _marked(tilt, values[3:], spreads[3:]))
 
 
 def _marked(group: ParameterGroup, values: Floats, spreads: Floats) -> ParameterGroup:
@@ -301,7 +292,7 @@ def _marked(group: ParameterGroup, values: Floats, spreads: Floats) -> Parameter
         replace(row, note=NOT_ABOVE) if spread > 0 and abs(value) <= spread else row
         for row, value, spread in zip(group.rows, values.tolist(), spreads.tolist(), strict=True)
     ]
-    return replace(group, rows=tuple(rows))
+    return replace(group, rows=rows)
 
 
 def _bias(calibration: Calibration, path: str, title: str, letter: str) -> ParameterGroup:
@@ -312,9 +303,9 @@ def _bias(calibration: Calibration, path: str, title: str, letter: str) -> Param
         text, sigma = with_sigma(value, spread, sign=True)
         physical = f"{number(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
         unit = "rad/s" if gyroscope else "m/s²"
-        rows.append(Parameter(name=f"bias {axis}", value=text, sigma=sigma, unit=unit, reads_as=physical))
+        rows.append(Parameter(f"bias {axis}", text, sigma, unit, reads_as=physical))
     note = f"b_{letter}, mean over the recording"
-    return ParameterGroup(title=f"{title} bias", note=note, rows=with_bars(rows, _pairs(values, spreads)))
+    return ParameterGroup(f"{title} bias", note, with_bars(rows, _pairs(values, spreads)))
 
 
 def _milli_g(value: float) -> str:
@@ -328,11 +319,11 @@ def _g_sensitivity(calibration: Calibration, path: str, values: Floats, unit: st
         text, sigma = with_sigma(value, spread, sign=True)
         per_g = f"{number(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
         name = f"{AXES[i]} by force {AXES[j]}"
-        rows.append(Parameter(name=name, value=text, sigma=sigma, unit=f"m{unit} per m/s²", reads_as=per_g))
+        rows.append(Parameter(name, text, sigma, f"m{unit} per m/s²", reads_as=per_g))
     group = ParameterGroup(
-        title="Gyroscope g-sensitivity",
-        note="B_g of chapter 4, on the force in the body frame",
-        rows=with_bars(rows, _pairs(flat, spreads)),
+        "Gyroscope g-sensitivity",
+        "B_g of chapter 4, on the force in the body frame",
+        with_bars(rows, _pairs(flat, spreads)),
     )
     return _marked(group, flat, spreads)
 
@@ -355,10 +346,10 @@ def other_reading(calibration: Calibration, name: str) -> Table | None:
         for i, axis in enumerate(AXES)
     )
     return Table(
-        title="B_g in the reading of chapter 3",
-        head=(f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
-        rows=rows,
-        caption="B_g C_bg: it acts on the force in the gyroscope's own axes, which the rotation q_bg turns. The sensor "
+        "B_g in the reading of chapter 3",
+        (f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
+        rows,
+        "B_g C_bg: it acts on the force in the gyroscope's own axes, which the rotation q_bg turns. The sensor "
         "is the same; Kalibr's A is this matrix too.",
     )
 
@@ -383,9 +374,9 @@ def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> T
         start = p.start if abs(p.start) > 1e-9 * max(abs(p.value), p.sigma) else 0.0  # the rest of a rounding
         rows.append((p.name, value, sigma or MISSING, number(start, 6), prior, _unit(p.unit), status))
     return Table(
-        title="Estimate, start and sigma",
-        head=("parameter", "value", "σ", "start", "prior σ", "unit", "status"),
-        rows=tuple(rows),
+        "Estimate, start and sigma",
+        ("parameter", "value", "σ", "start", "prior σ", "unit", "status"),
+        rows,
         dense=True,
         faint=frozenset(faint),
         caption=_ALONE if isinstance(diagnostics, CamerasDiagnostics) else _WITH_IMU,

@@ -7,7 +7,7 @@ import numpy as np
 from ..diagnostics import CornerFit
 from ..recording import Floats, FrameQuality
 from .camera_imu_signals import half_panel
-from .figures import WIDTH, Sheet, coarser, dots, draw, limits, thinned, zigzag
+from .figures import WIDTH, Sheet, coarser, dots, limits, thinned, zigzag
 from .numbers import finite, fixed, highest, number, positive
 from .page import Figure, Legend, Section, Table
 from .panel import DASHED, Panel
@@ -32,26 +32,26 @@ def images_section(corners: dict[str, CornerFit]) -> Section | None:
     blocks.append(_numbers(known))
     blocks += _dropped(known)
     return Section(
-        anchor="images",
-        title="Images",
-        lead="Sharp, evenly lit images give certain corners. Blur is the standard deviation by which the edges at "
+        "images",
+        "Images",
+        "Sharp, evenly lit images give certain corners. Blur is the standard deviation by which the edges at "
         "the corners are spread; a focused lens and a still camera have 0.5 to 0.8 px.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 
 def _over_time(name: str, fit: CornerFit, quality: FrameQuality) -> Figure:
     seen = int(np.isfinite(quality.blur_px).sum())
     return Figure(
-        title=f"Images of {name}",
-        svg=over_time(name, fit, quality),
-        legend=(
-            Legend(mark="dot", color="after", label="blur of a frame"),
-            Legend(mark="line", color="accent", label="the board's white"),
-            Legend(mark="line", color="before", label="its black"),
-            Legend(mark="dash", color="muted", label=f"{_BLURRED_PX:g} px; {_BRIGHT:.0f}, where white is clipped"),
+        f"Images of {name}",
+        over_time(name, fit, quality),
+        (
+            Legend("dot", "after", "blur of a frame"),
+            Legend("line", "accent", "the board's white"),
+            Legend("line", "before", "its black"),
+            Legend("dash", "muted", f"{_BLURRED_PX:g} px; {_BRIGHT:.0f}, where white is clipped"),
         ),
-        caption=f"The board was found in {seen} of {len(quality.blur_px)} frames. Beyond {_BLURRED_PX:g} px of blur an "
+        f"The board was found in {seen} of {len(quality.blur_px)} frames. Beyond {_BLURRED_PX:g} px of blur an "
         "edge is four pixels wide, and corners get lost.",
     )
 
@@ -63,32 +63,30 @@ def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
     blur, black, white = (getattr(quality, key)[order] for key in ("blur_px", "black", "white"))
     count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
 
-    def paint(sheet: Sheet) -> None:
-        """Draw three panels, one below the other."""
-        panels = [
-            sheet.panel("Blur [px]", top=36, height=150),
-            sheet.panel("Grey levels", top=240, height=110),
-            sheet.panel("Corners in the frame", top=404, height=90, x_label="time [s]"),
-        ]
-        _level(panels[0], _BLURRED_PX)
-        dots(panels[0], *thinned(t, blur), "after", size=4.0)
-        limits(panels[0], blur, np.array([0.0, _BLURRED_PX]))
-        _level(panels[1], _BRIGHT)
-        zigzag(panels[1], *coarser(t, black, black, bins=400), "before")
-        zigzag(panels[1], *coarser(t, white, white, bins=400), "accent")
-        panels[1].y.span(0, 260)
-        panels[1].y.ticks = (0, 100, 200)
-        zigzag(panels[2], *coarser(t, count, count, bins=400), "after")
-        limits(panels[2], count, np.zeros(1))
-        panels[2].y.most = 3
-        for panel in panels:
-            panel.x.span(0, positive(highest(t)))
-            panel.x.labelled = panel is panels[-1]
-
+    sheet = Sheet()
+    panels = [
+        sheet.panel("Blur [px]", top=36, height=150),
+        sheet.panel("Grey levels", top=240, height=110),
+        sheet.panel("Corners in the frame", top=404, height=90, x_label="time [s]"),
+    ]
+    _level(panels[0], _BLURRED_PX)
+    dots(panels[0], *thinned(t, blur), "after", size=4.0)
+    limits(panels[0], blur, np.array([0.0, _BLURRED_PX]))
+    _level(panels[1], _BRIGHT)
+    zigzag(panels[1], *coarser(t, black, black, bins=400), "before")
+    zigzag(panels[1], *coarser(t, white, white, bins=400), "accent")
+    panels[1].y.span(0, 260)
+    panels[1].y.ticks = (0, 100, 200)
+    zigzag(panels[2], *coarser(t, count, count, bins=400), "after")
+    limits(panels[2], count, np.zeros(1))
+    panels[2].y.most = 3
+    for panel in panels:
+        panel.x.span(0, positive(highest(t)))
+        panel.x.labelled = panel is panels[-1]
     alt = (
         f"Blur, exposure and number of corners of {len(t)} frames of {name}; the median blur is {_median(blur, 2)} px."
     )
-    return draw(f"images-{name}", 560, alt, paint)
+    return sheet.draw(f"images-{name}", 560, alt)
 
 
 def _level(panel: Panel, value: float) -> None:
@@ -115,14 +113,14 @@ def _certainty(name: str, fit: CornerFit) -> Figure | None:
         else ""
     )
     return Figure(
-        title=f"How certain the corners of {name} are",
-        svg=certainty(name, fit, groups),
-        legend=(
-            Legend(mark="line", color="after", label="share of corners"),
-            Legend(mark="dot", color="after", label="robust rms of a group of corners"),
-            Legend(mark="dash", color="ink", label="as the detector says"),
+        f"How certain the corners of {name} are",
+        certainty(name, fit, groups),
+        (
+            Legend("line", "after", "share of corners"),
+            Legend("dot", "after", "robust rms of a group of corners"),
+            Legend("dash", "ink", "as the detector says"),
         ),
-        caption="Left, the standard deviations that the detector gave each corner; right, the residuals of corners "
+        "Left, the standard deviations that the detector gave each corner; right, the residuals of corners "
         f"with like standard deviations.{compared}",
     )
 
@@ -147,27 +145,25 @@ def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
     reach = positive(float(np.quantile(known, 0.99)))
     sigma, scatter = groups
 
-    def paint(sheet: Sheet) -> None:
-        """Draw two panels side by side."""
-        axes = half_panel(sheet, "Density", 0, top=36, height=200)
-        edges = np.linspace(0, reach, 61)
-        density = np.histogram(known, edges)[0] / (len(known) * (edges[1] - edges[0]))
-        axes.steps(density, edges, "after")
-        axes.x.span(0, reach)
-        axes.y.span(0, 1.05 * positive(float(density.max())))
-        sheet.text("σ of a corner [px]", x=WIDTH / 2 - 14, y=286, color="muted", align="right")
-        other = half_panel(sheet, "Scatter of the residuals [px]", 1, top=36, height=200)
-        most = 1.1 * positive(max(highest(scatter), highest(sigma)), reach)
-        widest = 1.1 * positive(highest(sigma), reach)
-        diagonal = np.array([0.0, widest])
-        other.line(diagonal, diagonal, "ink", width=1.4, dash=DASHED)
-        dots(other, sigma, scatter, "after")
-        other.x.span(0, widest)
-        other.y.span(0, most)
-        sheet.text("σ of a corner [px]", x=WIDTH - 14, y=286, color="muted", align="right")
-
+    sheet = Sheet()
+    axes = half_panel(sheet, "Density", 0, top=36, height=200)
+    edges = np.linspace(0, reach, 61)
+    density = np.histogram(known, edges)[0] / (len(known) * (edges[1] - edges[0]))
+    axes.steps(density, edges, "after")
+    axes.x.span(0, reach)
+    axes.y.span(0, 1.05 * positive(float(density.max())))
+    sheet.text("σ of a corner [px]", x=WIDTH / 2 - 14, y=286, color="muted", align="right")
+    other = half_panel(sheet, "Scatter of the residuals [px]", 1, top=36, height=200)
+    most = 1.1 * positive(max(highest(scatter), highest(sigma)), reach)
+    widest = 1.1 * positive(highest(sigma), reach)
+    diagonal = np.array([0.0, widest])
+    other.line(diagonal, diagonal, "ink", width=1.4, dash=DASHED)
+    dots(other, sigma, scatter, "after")
+    other.x.span(0, widest)
+    other.y.span(0, most)
+    sheet.text("σ of a corner [px]", x=WIDTH - 14, y=286, color="muted", align="right")
     alt = f"Standard deviations of {len(known)} corners of {name}, and the scatter of their residuals against them."
-    return draw(f"certainty-{name}", 300, alt, paint)
+    return sheet.draw(f"certainty-{name}", 300, alt)
 
 
 # ---- in numbers ----
@@ -186,10 +182,10 @@ def _numbers(known: dict[str, CornerFit]) -> Table:
         rows.append((name, seen, f"{_median(quality.blur_px, 2)} px", worst, blurred,
                      _median(quality.black, 3), _median(quality.white, 3), sigma))  # fmt: skip
     return Table(
-        title="In numbers",
-        head=("camera", "board in", "blur", "blur, 90 %", f"> {_BLURRED_PX:g} px", "black", "white", "σ of a corner"),
-        rows=tuple(rows),
-        caption="Medians over the frames in which the board was found, but for the blur that 90 % of them stay below.",
+        "In numbers",
+        ("camera", "board in", "blur", "blur, 90 %", f"> {_BLURRED_PX:g} px", "black", "white", "σ of a corner"),
+        rows,
+        "Medians over the frames in which the board was found, but for the blur that 90 % of them stay below.",
     )
 
 
@@ -205,9 +201,9 @@ def _dropped(known: dict[str, CornerFit]) -> list[Table]:
         return []
     return [
         Table(
-            title="Corners that were found and left out",
-            head=("reason", "corners", "share"),
-            rows=tuple(rows),
-            caption="Shares are of all corners of the camera that were found.",
+            "Corners that were found and left out",
+            ("reason", "corners", "share"),
+            rows,
+            "Shares are of all corners of the camera that were found.",
         )
     ]

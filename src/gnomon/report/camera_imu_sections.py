@@ -30,7 +30,7 @@ from .numbers import fixed, number
 from .page import Code, Figure, Legend, ParameterGroup, Parameters, Section, Table
 from .wording import matrix_text
 
-_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
+_AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 _MOST_ROWS = 60
 _MOST_PAIRS = 12
 _IMU_GROUPS = 8
@@ -60,10 +60,10 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         return None
     first = next(iter(calibration.cameras))
     rig = Figure(
-        title="The rig",
-        svg=camera_imu_motion.rig(calibration),
-        legend=_AXES,
-        caption=f"The frames of the {'IMUs' if len(calibration.imus) > 1 else 'IMU'} and of the cameras, to scale, "
+        "The rig",
+        camera_imu_motion.rig(calibration),
+        _AXES,
+        f"The frames of the {'IMUs' if len(calibration.imus) > 1 else 'IMU'} and of the cameras, to scale, "
         f"seen from behind {first}, a little from above. A camera's z looks out of the lens, x to the right of its "
         "image, y down.",
     )
@@ -76,8 +76,7 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
                 caption=_rotation_text(camera.T_cam_imu) + _started(diagnostics.initial_time_shift_s.get(name)),
             ),
             Code(
-                title=f"T_cam_imu of {name}: p_cam = T_cam_imu p_imu, in metres",
-                text=matrix_text("T_cam_imu", camera.T_cam_imu),
+                f"T_cam_imu of {name}: p_cam = T_cam_imu p_imu, in metres", matrix_text("T_cam_imu", camera.T_cam_imu)
             ),
         ]
     groups = baseline_groups(calibration, diagnostics.baselines)
@@ -86,11 +85,11 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
     placed = [block for name in calibration.imus for block in _placed_imu(calibration, name)]
     several = any(imu.T_imu_body is not None for imu in calibration.imus.values())
     return Section(
-        anchor="cameras",
-        title="Cameras and IMUs" if several else "Cameras and IMU",
-        lead=f"Where each camera {'and each further IMU sits on imu0' if several else 'sits on the IMU'}, and by how "
+        "cameras",
+        "Cameras and IMUs" if several else "Cameras and IMU",
+        f"Where each camera {'and each further IMU sits on imu0' if several else 'sits on the IMU'}, and by how "
         "much its clock differs, each with its standard deviation σ. Bars show the estimate, whiskers ±2σ.",
-        blocks=(*blocks, *placed),
+        (*blocks, *placed),
     )
 
 
@@ -102,7 +101,7 @@ def _placed_imu(calibration: Calibration, name: str) -> Iterator[Parameters | Co
     pose = calibration.imus[name].T_imu_body
     if pose is not None:
         title = f"T_imu_body of {name}: p_{name} = T_imu_body p_imu0, in metres"
-        yield Code(title=title, text=matrix_text("T_imu_body", pose))
+        yield Code(title, matrix_text("T_imu_body", pose))
 
 
 def _marked(groups: tuple[ParameterGroup, ...], calibration: Calibration, sensor: str) -> tuple[ParameterGroup, ...]:
@@ -155,7 +154,7 @@ def imu_section(calibration: Calibration) -> Section:
         lead += " With the basic model only the biases were estimated; everything else is an ideal sensor's."
     elif shown < _IMU_GROUPS * len(calibration.imus):
         lead += " What was held at an ideal sensor's value is left out."
-    return Section(anchor="imu", title="IMU", lead=lead, blocks=tuple(blocks))
+    return Section("imu", "IMU", lead, blocks)
 
 
 def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> Section | None:
@@ -166,25 +165,22 @@ def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -
     free = [p for p in diagnostics.parameters if p.status in ("estimated", "prior")]
     matrix = np.asarray(diagnostics.correlation, dtype=np.float64)
     if len(free) > 1 and matrix.shape == (len(free), len(free)):
-        legend = (
-            Legend(mark="band", color="after", label="positive"),
-            Legend(mark="band", color="heldout", label="negative"),
-        )
+        legend = (Legend("band", "after", "positive"), Legend("band", "heldout", "negative"))
         blocks += [
             Figure(
-                title="Correlation",
-                svg=images.correlation(_groups(free), matrix),
-                legend=legend,
-                caption="The stronger the colour, the stronger the correlation; below 0.05 it is left out. What is "
+                "Correlation",
+                images.correlation(_groups(free), matrix),
+                legend,
+                "The stronger the colour, the stronger the correlation; below 0.05 it is left out. What is "
                 "strongly correlated is known better together than each on its own.",
             ),
             _strongest(free, matrix),
         ]
     return Section(
-        anchor="parameters",
-        title="Every parameter",
-        lead="All scalars of the batch estimation, and how strongly they depend on each other.",
-        blocks=tuple(blocks),
+        "parameters",
+        "Every parameter",
+        "All scalars of the batch estimation, and how strongly they depend on each other.",
+        blocks,
     )
 
 
@@ -215,9 +211,9 @@ def _strongest(free: list[EstimatedParameter], matrix: Floats) -> Table:
     order = np.argsort(-np.abs(values), kind="stable")
     strong = [k for k in order[:_MOST_PAIRS].tolist() if abs(values[k]) >= _STRONG] or order[:1].tolist()
     return Table(
-        title="Strongest correlations",
-        head=("parameter", "with", "correlation"),
-        rows=tuple((free[int(first[k])].name, free[int(second[k])].name, fixed(float(values[k]), 3)) for k in strong),
+        "Strongest correlations",
+        ("parameter", "with", "correlation"),
+        tuple((free[int(first[k])].name, free[int(second[k])].name, fixed(float(values[k]), 3)) for k in strong),
     )
 
 
@@ -228,7 +224,7 @@ def solution_section(diagnostics: CameraImuDiagnostics, *, converged: bool) -> S
         _gravity(diagnostics),
         *steps_table(diagnostics.steps, converged=converged),
     ]
-    return Section(anchor="solution", title="Noise and solution", blocks=tuple(blocks))
+    return Section("solution", "Noise and solution", blocks=blocks)
 
 
 def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> list[Table]:
@@ -237,10 +233,10 @@ def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> li
         return []
     return [
         Table(
-            title="Noise",
-            head=("of", "stated", "found in the residuals", "used", "unit"),
-            rows=tuple(_noise_row(level) for level in noise),
-            caption=f"Noise found in the residuals holds all that the model does not explain, such as {example}.",
+            "Noise",
+            ("of", "stated", "found in the residuals", "used", "unit"),
+            tuple(_noise_row(level) for level in noise),
+            f"Noise found in the residuals holds all that the model does not explain, such as {example}.",
         )
     ]
 
@@ -255,10 +251,10 @@ def steps_table(steps: tuple[SolverStep, ...], *, converged: bool) -> list[Table
     )
     return [
         Table(
-            title="Iterations",
-            head=("", "cost before", "largest step [σ]", "damping", ""),
-            rows=rows,
-            caption="The solver came to rest." if converged else "The solver did not come to rest.",
+            "Iterations",
+            ("", "cost before", "largest step [σ]", "damping", ""),
+            rows,
+            "The solver came to rest." if converged else "The solver did not come to rest.",
         )
     ]
 
@@ -276,10 +272,10 @@ def _gravity(diagnostics: CameraImuDiagnostics) -> Table:
     cosine = min(abs(float(values[along])) / size, 1.0) if size > 0 else float("nan")
     towards = f"{'−' if values[along] < 0 else '+'}{'xyz'[along]}"
     return Table(
-        title="Gravity in the frame of the target",
-        head=("[m/s²]", *"xyz", "size"),
-        rows=(("gravity", *cells, plus_minus(size, spread)),),
-        caption=f"It points along {towards} of the target, but for {number(degrees(np.arccos(cosine)), 3)}°.",
+        "Gravity in the frame of the target",
+        ("[m/s²]", *"xyz", "size"),
+        (("gravity", *cells, plus_minus(size, spread)),),
+        f"It points along {towards} of the target, but for {number(degrees(np.arccos(cosine)), 3)}°.",
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..diagnostics import BiasTrack, SignalFit
 from ..recording import Floats
-from .figures import WIDTH, Sheet, coarser, draw, limits, zigzag
+from .figures import WIDTH, Sheet, coarser, limits, zigzag
 from .imu_parameters import readable_unit
 from .numbers import finite, highest, positive, prefixed
 from .panel import DASHED, Panel
@@ -59,31 +59,29 @@ def overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
     prefix, factor = prefixed(reach)
     unit = readable_unit(fit.unit)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the signal above, what is left of each axis below."""
-        axes = sheet.panel(f"Measured [{unit}]", top=36, height=190)
-        t, low, high = coarser(fit.t_s, fit.measured, fit.measured, bins=600)
-        for i, axis in enumerate(AXES):
-            zigzag(axes, t, low[:, i], high[:, i], axis)
-        limits(axes, low, high)
-        panels = [axes]
-        for i, axis in enumerate(AXES):
-            title = f"{axis}: measured − predicted [{prefix}{unit}]"
-            panel = sheet.panel(title, top=272 + 132 * i, height=88, x_label="time [s]" if i == 2 else "")
-            _noise_band(panel, fit, factor)
-            for values, color in ((basic, "accent"), (model, axis)):
-                _envelope(panel, fit.t_s, values[:, i] * factor, color)
-            panel.y.span(-reach * factor, reach * factor)
-            panel.y.most = 3
-            panels.append(panel)
-        for panel in panels:
-            panel.x.span(0, end)
-            panel.x.labelled = panel is panels[-1]
-            for edge in section:
-                panel.upright(edge, "ink", dash=DASHED)
-
+    sheet = Sheet()
+    axes = sheet.panel(f"Measured [{unit}]", top=36, height=190)
+    t, low, high = coarser(fit.t_s, fit.measured, fit.measured, bins=600)
+    for i, axis in enumerate(AXES):
+        zigzag(axes, t, low[:, i], high[:, i], axis)
+    limits(axes, low, high)
+    panels = [axes]
+    for i, axis in enumerate(AXES):
+        title = f"{axis}: measured − predicted [{prefix}{unit}]"
+        panel = sheet.panel(title, top=272 + 132 * i, height=88, x_label="time [s]" if i == 2 else "")
+        _noise_band(panel, fit, factor)
+        for values, color in ((basic, "accent"), (model, axis)):
+            _envelope(panel, fit.t_s, values[:, i] * factor, color)
+        panel.y.span(-reach * factor, reach * factor)
+        panel.y.most = 3
+        panels.append(panel)
+    for panel in panels:
+        panel.x.span(0, end)
+        panel.x.labelled = panel is panels[-1]
+        for edge in section:
+            panel.upright(edge, "ink", dash=DASHED)
     alt = f"{name} over {end:.0f} s, and the residuals of its three axes."
-    return draw(f"overview-{name.replace('.', '-')}", 690, alt, paint)
+    return sheet.draw(f"overview-{name.replace('.', '-')}", 690, alt)
 
 
 def _noise_band(panel: Panel, fit: SignalFit, factor: float) -> None:
@@ -115,29 +113,27 @@ def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> s
     prefix, factor = prefixed(reach)
     unit = readable_unit(fit.unit)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw signal and residual of each axis."""
-        for i, axis in enumerate(AXES):
-            colors = (axis,) if fit.basic is None else ("accent", axis)
-            top = 36 + 292 * i
-            axes = sheet.panel(f"{axis} [{unit}]", top=top, height=138)
-            _line(axes, t, measured[:, i], "before", width=3.4)
-            for values, color in zip(predictions, colors, strict=True):
-                _line(axes, t, values[near, i], color)
-            limits(axes, measured[:, i], *(values[near, i] for values in predictions))
-            title = f"measured − predicted [{prefix}{unit}]"
-            below = sheet.panel(title, top=top + 178, height=70, x_label="time [s]" if i == 2 else "")
-            _noise_band(below, fit, factor)
-            for values, color in zip(left, colors, strict=True):
-                _line(below, t, values[:, i] * factor, color)
-            below.y.span(-reach * factor, reach * factor)
-            below.y.most = 3
-            for panel in (axes, below):
-                panel.x.span(*section)
-                panel.x.labelled = panel is below and i == 2
-
+    sheet = Sheet()
+    for i, axis in enumerate(AXES):
+        colors = (axis,) if fit.basic is None else ("accent", axis)
+        top = 36 + 292 * i
+        axes = sheet.panel(f"{axis} [{unit}]", top=top, height=138)
+        _line(axes, t, measured[:, i], "before", width=3.4)
+        for values, color in zip(predictions, colors, strict=True):
+            _line(axes, t, values[near, i], color)
+        limits(axes, measured[:, i], *(values[near, i] for values in predictions))
+        title = f"measured − predicted [{prefix}{unit}]"
+        below = sheet.panel(title, top=top + 178, height=70, x_label="time [s]" if i == 2 else "")
+        _noise_band(below, fit, factor)
+        for values, color in zip(left, colors, strict=True):
+            _line(below, t, values[:, i] * factor, color)
+        below.y.span(-reach * factor, reach * factor)
+        below.y.most = 3
+        for panel in (axes, below):
+            panel.x.span(*section)
+            panel.x.labelled = panel is below and i == 2
     alt = f"{name} between {section[0]:.1f} and {section[1]:.1f} s: measured and predicted, and their difference."
-    return draw(f"section-{name.replace('.', '-')}", 930, alt, paint)
+    return sheet.draw(f"section-{name.replace('.', '-')}", 930, alt)
 
 
 def _line(panel: Panel, t: Floats, values: Floats, color: str, width: float = 1.3) -> None:
@@ -154,18 +150,16 @@ def normalised(signals: dict[str, SignalFit]) -> str:
     names = list(signals)
     pitch, top = 330.0, 36.0
 
-    def paint(sheet: Sheet) -> None:
-        """Draw a histogram for each signal."""
-        for k, name in enumerate(names):
-            fit = signals[name]
-            left = residual(fit, fit.predicted) / positive(fit.sigma)
-            axes = half_panel(sheet, signal_name(name, signals), k, top=top + pitch * (k // 2), height=230)
-            histograms(axes, [(left[:, i], axis) for i, axis in enumerate(AXES)], reach=5.0, sigma=1.0)
-            x, y = (k % 2 + 1) * WIDTH / 2 - 14, top + pitch * (k // 2) + 280
-            sheet.text("residual / σ", x=x, y=y, color="muted", align="right")
-
+    sheet = Sheet()
+    for k, name in enumerate(names):
+        fit = signals[name]
+        left = residual(fit, fit.predicted) / positive(fit.sigma)
+        axes = half_panel(sheet, signal_name(name, signals), k, top=top + pitch * (k // 2), height=230)
+        histograms(axes, [(left[:, i], axis) for i, axis in enumerate(AXES)], reach=5.0, sigma=1.0)
+        x, y = (k % 2 + 1) * WIDTH / 2 - 14, top + pitch * (k // 2) + 280
+        sheet.text("residual / σ", x=x, y=y, color="muted", align="right")
     alt = "Histograms of the residuals of the IMU, divided by their sigma, against the standard normal distribution."
-    return draw("normalised", pitch * -(-len(names) // 2), alt, paint)
+    return sheet.draw("normalised", pitch * -(-len(names) // 2), alt)
 
 
 def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: float, left: float = 62.0) -> Panel:
@@ -202,31 +196,29 @@ def bias_figure(biases: dict[str, BiasTrack]) -> str:
     pitch = 258.0
     last = list(biases)[-1]
 
-    def paint(sheet: Sheet) -> None:
-        """Draw a panel for each signal."""
-        for k, (name, track) in enumerate(biases.items()):
-            middle = np.array([float(np.mean(finite(v))) if finite(v).size else 0.0 for v in track.value.T])
-            deviation = track.value - middle
-            walked = 3 * track.random_walk * np.sqrt(np.fmax(track.t_s, 0.0))
-            reach = _bias_reach(deviation, track.sigma, walked)
-            prefix, factor = prefixed(reach)
-            title = f"{signal_name(name, biases)}: bias − mean [{prefix}{readable_unit(track.unit)}]"
-            panel = sheet.panel(title, top=36 + pitch * k, height=206, x_label="time [s]" if name == last else "")
-            for sign in (-1, 1):
-                panel.line(track.t_s, sign * walked * factor, "muted", width=1.2, dash=DASHED)
-            for i, axis in enumerate(AXES):
-                low, high = deviation[:, i] - track.sigma[:, i], deviation[:, i] + track.sigma[:, i]
-                t, low, high = coarser(track.t_s, low, high, bins=250)
-                panel.band(t, low * factor, high * factor, axis, alpha=0.16)
-            for i, axis in enumerate(AXES):
-                t, low, high = coarser(track.t_s, deviation[:, i], deviation[:, i], bins=400)
-                panel.line(t, (low + high) / 2 * factor, axis, width=1.6)
-            panel.y.span(-reach * factor, reach * factor)
-            panel.x.span(0, positive(highest(track.t_s)))
-            panel.x.labelled = name == last
-
+    sheet = Sheet()
+    for k, (name, track) in enumerate(biases.items()):
+        middle = np.array([float(np.mean(finite(v))) if finite(v).size else 0.0 for v in track.value.T])
+        deviation = track.value - middle
+        walked = 3 * track.random_walk * np.sqrt(np.fmax(track.t_s, 0.0))
+        reach = _bias_reach(deviation, track.sigma, walked)
+        prefix, factor = prefixed(reach)
+        title = f"{signal_name(name, biases)}: bias − mean [{prefix}{readable_unit(track.unit)}]"
+        panel = sheet.panel(title, top=36 + pitch * k, height=206, x_label="time [s]" if name == last else "")
+        for sign in (-1, 1):
+            panel.line(track.t_s, sign * walked * factor, "muted", width=1.2, dash=DASHED)
+        for i, axis in enumerate(AXES):
+            low, high = deviation[:, i] - track.sigma[:, i], deviation[:, i] + track.sigma[:, i]
+            t, low, high = coarser(track.t_s, low, high, bins=250)
+            panel.band(t, low * factor, high * factor, axis, alpha=0.16)
+        for i, axis in enumerate(AXES):
+            t, low, high = coarser(track.t_s, deviation[:, i], deviation[:, i], bins=400)
+            panel.line(t, (low + high) / 2 * factor, axis, width=1.6)
+        panel.y.span(-reach * factor, reach * factor)
+        panel.x.span(0, positive(highest(track.t_s)))
+        panel.x.labelled = name == last
     alt = "Biases of the IMU over time, about their means, with one sigma; dashed, three sigma of the random walk."
-    return draw("biases", pitch * len(biases) + 42, alt, paint)
+    return sheet.draw("biases", pitch * len(biases) + 42, alt)
 
 
 def _bias_reach(value: Floats, sigma: Floats, walked: Floats) -> float:

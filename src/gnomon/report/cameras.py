@@ -13,14 +13,7 @@ from .camera_imu_corners import CornerView, corner_view
 from .camera_imu_quality import images_section
 from .camera_imu_sections import noise_table, parameters_section, steps_table
 from .cameras_board import board_section
-from .cameras_lens import (
-    ProjectionSpread,
-    RadialCurve,
-    field_of_view,
-    lens_covariance,
-    projection_spread,
-    radial_curve,
-)
+from .cameras_lens import ProjectionSpread, RadialCurve, field_of_view, lens_covariance, projection_spread, radial_curve
 from .cameras_parameters import pose_numbers
 from .cameras_use import use_section
 from .numbers import MISSING, finite, number, share, with_sigma
@@ -89,11 +82,11 @@ def _key_numbers(
         text, sigma = with_sigma(float(values[3]), float(sigmas[3]))
         note = "; ".join(f"{name} {number(float(pose_numbers(calibration, name)[0][3]), 5)} mm" for name in others[1:])
         value = f"{text}{f' ± {sigma}' if sigma else ''}\u00a0mm"
-        numbers.append(KeyNumber(label=f"Baseline to {others[0]}", value=value, note=note or "from cam0"))
+        numbers.append(KeyNumber(f"Baseline to {others[0]}", value, note or "from cam0"))
     else:
         lens = next(iter(calibration.cameras.values())).camera
         wide, high = (f"{number(float(np.degrees(v)), 3)}°" for v in field_of_view(lens))
-        numbers.append(KeyNumber(label="Field of view", value=f"{wide} × {high}", note="across, from top to bottom"))
+        numbers.append(KeyNumber("Field of view", f"{wide} × {high}", "across, from top to bottom"))
     return tuple(numbers)
 
 
@@ -109,19 +102,19 @@ def _fit_numbers(fit: CamerasFit) -> tuple[KeyNumber, KeyNumber, KeyNumber]:
     shares = "; ".join(f"{name} {share(part)}" for name, part in fit.coverage.items())
     return (
         KeyNumber(
-            label="Hold-out reprojection",
-            value=f"{number(held, 3, trim=False)}\u00a0px" if isfinite(held) else MISSING,
-            note=(known if isfinite(held) else unknown) + (f" ({each})" if several and isfinite(held) else ""),
+            "Hold-out reprojection",
+            f"{number(held, 3, trim=False)}\u00a0px" if isfinite(held) else MISSING,
+            (known if isfinite(held) else unknown) + (f" ({each})" if several and isfinite(held) else ""),
         ),
         KeyNumber(
-            label="Views used",
-            value=f"{max(fit.views_used.values(), default=0)} of {max(fit.views_found.values(), default=0)}",
-            note=f"{sum(fit.corners_used.values())} corners" + (f": {counts}" if several else ""),
+            "Views used",
+            f"{max(fit.views_used.values(), default=0)} of {max(fit.views_found.values(), default=0)}",
+            f"{sum(fit.corners_used.values())} corners" + (f": {counts}" if several else ""),
         ),
         KeyNumber(
-            label="Image covered",
-            value=share(fit.coverage[least]) if least else MISSING,
-            note=shares if several else "of its cells hold corners that were used",
+            "Image covered",
+            share(fit.coverage[least]) if least else MISSING,
+            shares if several else "of its cells hold corners that were used",
         ),
     )
 
@@ -138,9 +131,9 @@ def _focal(calibration: Calibration, curves: dict[str, RadialCurve]) -> KeyNumbe
     text, sigma = with_sigma(curve.focal, curve.focal_sigma)
     models = ", ".join(dict.fromkeys(entry.camera.model for entry in calibration.cameras.values()))
     return KeyNumber(
-        label=f"Focal length of {name}",
-        value=f"{text}{f' ± {sigma}' if sigma else ''}\u00a0px",
-        note=f"at the axis, mean of u and v; {models}",
+        f"Focal length of {name}",
+        f"{text}{f' ± {sigma}' if sigma else ''}\u00a0px",
+        f"at the axis, mean of u and v; {models}",
     )
 
 
@@ -156,15 +149,15 @@ def _certainty(spreads: dict[str, ProjectionSpread]) -> KeyNumber:
     most = float(np.max(finite(one.sigma[one.seen]), initial=0.0))
     beyond = "; nothing tests it elsewhere" if np.mean(one.seen) < _WHOLE else ""
     return KeyNumber(
-        label="σ of the projection",
-        value=f"{number(median(spreads[name]), 2)}\u00a0px",
-        note=f"where {name} saw corners, at most {number(most, 2)} px{beyond}",
+        "σ of the projection",
+        f"{number(median(spreads[name]), 2)}\u00a0px",
+        f"where {name} saw corners, at most {number(most, 2)} px{beyond}",
     )
 
 
 def _solution(diagnostics: CamerasDiagnostics, *, converged: bool) -> Section:
     blocks = [*noise_table(diagnostics.noise, "motion blur"), *steps_table(diagnostics.steps, converged=converged)]
-    return Section(anchor="solution", title="Noise and solution", blocks=tuple(blocks))
+    return Section("solution", "Noise and solution", blocks=blocks)
 
 
 def _assumptions(calibration: Calibration, fit: CamerasFit | None) -> Section:
@@ -188,4 +181,4 @@ def _assumptions(calibration: Calibration, fit: CamerasFit | None) -> Section:
     points += [typeset(finding).message for finding in calibration.assessment.findings if finding.code == "assumed"]
     if held := calibration.assessment.held_by_prior:
         points.append(f"Not determined by these views, and held by assumption: {', '.join(held)}.")
-    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))

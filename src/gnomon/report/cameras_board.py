@@ -9,7 +9,7 @@ from ..diagnostics import CamerasDiagnostics
 from ..recording import Floats
 from .camera_imu_images import arrows
 from .camera_imu_parameters import plus_minus
-from .figures import WIDTH, Sheet, dots, draw
+from .figures import WIDTH, Sheet, dots
 from .numbers import MISSING, largest, number, positive
 from .page import Block, Figure, Legend, Section, Table
 
@@ -33,7 +33,7 @@ def board_section(fit: CamerasFit, diagnostics: CamerasDiagnostics) -> Section:
         if added
         else "The board was taken as stated: flat, and its points where the file says. Nothing else was estimated."
     )
-    return Section(anchor="board", title="Board", lead=lead, blocks=tuple(blocks))
+    return Section("board", "Board", lead, blocks)
 
 
 def _numbers(fit: CamerasFit, shifts: Floats) -> Table:
@@ -52,7 +52,7 @@ def _numbers(fit: CamerasFit, shifts: Floats) -> Table:
         size = largest(np.linalg.norm(part, axis=1)) if len(part) else float("nan")
         text = f"{number(1e3 * size, 2)}\u00a0mm" if size > 0 else MISSING
         rows.append((name, text, "of a point"))
-    return Table(title="In numbers", head=("", "found", "what it is"), rows=tuple(rows), remarked=True)
+    return Table("In numbers", ("", "found", "what it is"), rows, remarked=True)
 
 
 def _figure(points: Floats, shifts: Floats) -> Figure:
@@ -60,14 +60,14 @@ def _figure(points: Floats, shifts: Floats) -> Figure:
     high = 1e3 * largest(shifts[:, 2])
     drawn = f"Arrows are {number(longer)} times as long as the shifts. " if longer else ""
     return Figure(
-        title="Where the points of the board are",
-        svg=board(points, shifts, longer),
-        legend=(
-            Legend(mark="dot", color="after", label="above the plane (+z)"),
-            Legend(mark="dot", color="heldout", label="below it (−z)"),
-            *((Legend(mark="line", color="ink", label="shift in the plane"),) if longer else ()),
+        "Where the points of the board are",
+        board(points, shifts, longer),
+        (
+            Legend("dot", "after", "above the plane (+z)"),
+            Legend("dot", "heldout", "below it (−z)"),
+            *((Legend("line", "ink", "shift in the plane"),) if longer else ()),
         ),
-        caption=f"{drawn}The larger a dot, the farther its point is out of the plane, up to {number(high, 2)} mm. What "
+        f"{drawn}The larger a dot, the farther its point is out of the plane, up to {number(high, 2)} mm. What "
         "a shift, a turn and a common scale of all points do is part of the poses, and was taken off.",
     )
 
@@ -91,18 +91,16 @@ def board(points: Floats, shifts: Floats, longer: float) -> str:
     height = width * (high[1] - low[1]) / (high[0] - low[0])
     up, most = shifts[:, 2], positive(largest(shifts[:, 2]))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw dots in classes of size, arrows above them."""
-        panel = sheet.panel("Board: y over x [m]", top=36, height=height, left=62, right=WIDTH - 62 - width)
-        panel.x.grid = True
-        panel.x.span(low[0], high[0])
-        panel.y.span(low[1], high[1])
-        for color, sign in (("after", 1.0), ("heldout", -1.0)):
-            step = np.ceil(_STEPS * np.clip(sign * up / most, 0, 1)).astype(int)
-            for k in range(1, _STEPS + 1):
-                dots(panel, points[step == k, 0], points[step == k, 1], color, size=2.5 + 3.0 * k)
-        dots(panel, points[:, 0], points[:, 1], "ink", size=1.6)
-        if longer:
-            arrows(panel, points[:, :2], longer * shifts[:, :2], "ink")
-
-    return draw("board", height + 84, f"Shifts of the {len(points)} points of the board.", paint)
+    sheet = Sheet()
+    panel = sheet.panel("Board: y over x [m]", top=36, height=height, left=62, right=WIDTH - 62 - width)
+    panel.x.grid = True
+    panel.x.span(low[0], high[0])
+    panel.y.span(low[1], high[1])
+    for color, sign in (("after", 1.0), ("heldout", -1.0)):
+        step = np.ceil(_STEPS * np.clip(sign * up / most, 0, 1)).astype(int)
+        for k in range(1, _STEPS + 1):
+            dots(panel, points[step == k, 0], points[step == k, 1], color, size=2.5 + 3.0 * k)
+    dots(panel, points[:, 0], points[:, 1], "ink", size=1.6)
+    if longer:
+        arrows(panel, points[:, :2], longer * shifts[:, :2], "ink")
+    return sheet.draw("board", height + 84, f"Shifts of the {len(points)} points of the board.")

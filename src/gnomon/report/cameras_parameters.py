@@ -49,10 +49,10 @@ def pose_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ..
     values, spreads = pose_numbers(calibration, name)
     place = triple("Position", f"origin of {name} in the frame of {camera.body}", "mm", values[:3], spreads[:3])
     text, sigma = with_sigma(float(values[3]), float(spreads[3]))
-    distance = Parameter(name="baseline", value=text, sigma=sigma, unit="mm", reads_as="distance of the two")
+    distance = Parameter("baseline", text, sigma, "mm", reads_as="distance of the two")
     turn = triple("Rotation", f"from the axes of {camera.body} to those of {name}", "°", values[4:7], spreads[4:7])
     text, sigma = with_sigma(float(values[7]), float(spreads[7]))
-    angle = Parameter(name="in all", value=text, sigma=sigma, unit="°")
+    angle = Parameter("in all", text, sigma, "°")
     shift = triple(
         "Translation", f"last column of {camera.link}: origin of {camera.body} in the frame of {name}", "mm",
         1e3 * camera.T_cam_body[:3, 3], 1e3 * calibration.sigma(f"{name}.{camera.link}.translation"),

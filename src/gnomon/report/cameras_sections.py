@@ -17,7 +17,7 @@ from .numbers import MISSING, finite, fixed, number, share
 from .page import Block, Code, Figure, Legend, Parameters, Section, Table
 from .wording import matrix_text
 
-_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
+_AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 
 
 def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Section:
@@ -30,10 +30,10 @@ def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -
         first = next(iter(calibration.cameras))
         blocks.append(
             Figure(
-                title="The rig",
-                svg=camera_imu_motion.rig(calibration),
-                legend=_AXES,
-                caption=f"The frames of the cameras, to scale, seen from behind {first}, a little from above. A "
+                "The rig",
+                camera_imu_motion.rig(calibration),
+                _AXES,
+                f"The frames of the cameras, to scale, seen from behind {first}, a little from above. A "
                 "camera's z looks out of the lens, x to the right of its image, y down.",
             )
         )
@@ -42,17 +42,17 @@ def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -
             blocks += [
                 Parameters(title=f"{name} against {camera.body}", groups=groups),
                 Code(
-                    title=f"{camera.link} of {name}: p_cam = {camera.link} p_{camera.body}, in metres",
-                    text=matrix_text(camera.link, camera.T_cam_body),
+                    f"{camera.link} of {name}: p_cam = {camera.link} p_{camera.body}, in metres",
+                    matrix_text(camera.link, camera.T_cam_body),
                 ),
             ]
     blocks += _epipolar(calibration, diagnostics)
     lead = "The lens of each camera" + (", and how the cameras sit to each other" if several else "")
     return Section(
-        anchor="cameras",
-        title="Cameras" if several else "Lens",
-        lead=f"{lead}, each number with its standard deviation σ. Pixel (0, 0) is the middle of the upper left pixel.",
-        blocks=tuple(blocks),
+        "cameras",
+        "Cameras" if several else "Lens",
+        f"{lead}, each number with its standard deviation σ. Pixel (0, 0) is the middle of the upper left pixel.",
+        blocks,
     )
 
 
@@ -71,10 +71,10 @@ def _epipolar(calibration: Calibration, diagnostics: CamerasDiagnostics) -> list
         return []
     return [
         Table(
-            title="Distance from epipolar lines",
-            head=("", "corners", "views used", "other views", "99 % below"),
-            rows=tuple(rows),
-            caption="Where both cameras see a corner at one instant, its place in one image puts it on a line in the "
+            "Distance from epipolar lines",
+            ("", "corners", "views used", "other views", "99 % below"),
+            rows,
+            "Where both cameras see a corner at one instant, its place in one image puts it on a line in the "
             "other; no pose and no board take part. Typical distances, 1.48 times the median; they hold the noise of "
             "two corners, √2 times that of one.",
         )
@@ -89,19 +89,19 @@ def coverage_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVie
         shares |= {name: part for name, part in fit.coverage.items() if name in shares}
     reached = "; ".join(f"{name} {share(part)}" for name, part in shares.items())
     return Section(
-        anchor="coverage",
-        title="Coverage",
-        lead="Where there were no corners nothing tests the lens: its model is carried on there by its formula alone.",
-        blocks=(
+        "coverage",
+        "Coverage",
+        "Where there were no corners nothing tests the lens: its model is carried on there by its formula alone.",
+        (
             Figure(
-                title="Corners in the image",
-                svg=cameras_images.coverage(views, counts),
-                legend=(
-                    Legend(mark="dot", color="after", label="corner used"),
-                    Legend(mark="band", color="accent", label="cell without any"),
-                    Legend(mark="dash", color="accent", label="hold the board there next"),
+                "Corners in the image",
+                cameras_images.coverage(views, counts),
+                (
+                    Legend("dot", "after", "corner used"),
+                    Legend("band", "accent", "cell without any"),
+                    Legend("dash", "accent", "hold the board there next"),
                 ),
-                caption=f"Share of the cells with corners: {reached}. {_next_views(counts)}",
+                f"Share of the cells with corners: {reached}. {_next_views(counts)}",
             ),
         ),
     )
@@ -129,26 +129,26 @@ def residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVi
         blocks += [corner_scatter(name, view), _views_figure(name, view)]
     blocks += frames_left_out(diagnostics.corners, "Views that were not used")
     return Section(
-        anchor="residuals",
-        title="Residuals",
-        lead="Residuals that look like noise, without a pattern over the image and alike in views used and held out, "
+        "residuals",
+        "Residuals",
+        "Residuals that look like noise, without a pattern over the image and alike in views used and held out, "
         "say that the lens model is right and does not follow the noise.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 
 def _views_figure(name: str, view: CornerView) -> Figure:
     groups = {key: int(found.sum()) for key, found in cameras_images.view_groups(view.fit).items()}
-    legend = [Legend(mark="dot", color="after", label="used")]
+    legend = [Legend("dot", "after", "used")]
     if groups["spare"]:
-        legend.append(Legend(mark="ring", color="heldout", label="not needed"))
+        legend.append(Legend("ring", "heldout", "not needed"))
     if groups["bad"]:
-        legend.append(Legend(mark="ring", color="accent", label="left out"))
+        legend.append(Legend("ring", "accent", "left out"))
     return Figure(
-        title=f"Views of {name}",
-        svg=cameras_images.views_over_time(name, view.fit),
-        legend=(*legend, Legend(mark="dash", color="ink", label="σ of a corner")),
-        caption=f"{groups['used']} of {sum(groups.values())} views were used."
+        f"Views of {name}",
+        cameras_images.views_over_time(name, view.fit),
+        (*legend, Legend("dash", "ink", "σ of a corner")),
+        f"{groups['used']} of {sum(groups.values())} views were used."
         + (" The others have a pose of their own and the lens of these." if groups["spare"] + groups["bad"] else ""),
     )
 
@@ -159,31 +159,27 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
         return None
     around = cameras_views.views_around(diagnostics.views, diagnostics.board_points)
     telling = int(around.telling.sum())
-    legend = [
-        Legend(mark="line", color="ink", label="board"),
-        Legend(mark="line", color="after", label="cam0 in a view"),
-    ]
+    legend = [Legend("line", "ink", "board"), Legend("line", "after", "cam0 in a view")]
     if telling:
-        legend.append(Legend(mark="line", color="accent", label=f"the {telling} views that tell most"))
+        legend.append(Legend("line", "accent", f"the {telling} views that tell most"))
     return Section(
-        anchor="views",
-        title="Views",
-        lead="Tilted views tell the focal length from the distance, views from near and far and turned about the line "
+        "views",
+        "Views",
+        "Tilted views tell the focal length from the distance, views from near and far and turned about the line "
         "of sight tell the rest. Views straight on the board add little.",
-        blocks=(
+        (
             Figure(
-                title="Cameras around the board",
-                svg=cameras_views.scene(around),
-                legend=tuple(legend),
-                caption=f"The {len(around.position)} views used, in the frame of the board.",
+                "Cameras around the board",
+                cameras_views.scene(around),
+                legend,
+                f"The {len(around.position)} views used, in the frame of the board.",
             ),
-            Figure(title="From above and from the side", svg=cameras_views.plans(around), legend=tuple(legend)),
+            Figure("From above and from the side", cameras_views.plans(around), legend),
             Figure(
-                title="Tilt of the board",
-                svg=cameras_views.attitudes(around),
-                legend=(Legend(mark="dot", color="after", label="view"),)
-                + ((Legend(mark="dot", color="accent", label="tells most"),) if telling else ()),
-                caption="Left, from which side of its normal the board was seen, y over x of it, circles every 15°; "
+                "Tilt of the board",
+                cameras_views.attitudes(around),
+                (Legend("dot", "after", "view"),) + ((Legend("dot", "accent", "tells most"),) if telling else ()),
+                "Left, from which side of its normal the board was seen, y over x of it, circles every 15°; "
                 "right, how far it was tilted against the line of sight. Tilts of 20° to 50° to all sides tell most.",
             ),
             _views_table(around),
@@ -200,7 +196,7 @@ def _views_table(around: cameras_views.ViewsAround) -> Table:
     ):
         cells = (float(v) * factor for v in np.quantile(values, (0.0, 0.5, 1.0)))
         rows.append((label, *(f"{number(v, 3)}{'' if unit == '°' else chr(160)}{unit}" for v in cells)))
-    return Table(title="In numbers", head=("", "smallest", "median", "largest"), rows=tuple(rows))
+    return Table("In numbers", ("", "smallest", "median", "largest"), rows)
 
 
 def lens_section(
@@ -219,22 +215,22 @@ def lens_section(
     for name in calibration.cameras:
         blocks += _trials(name, [trial for trial in diagnostics.trials if trial.camera == name])
     return Section(
-        anchor="lens",
-        title="What the lens does",
-        lead="How well the image of a ray is known, from ray to pixel, and the models that were compared.",
-        blocks=tuple(blocks),
+        "lens",
+        "What the lens does",
+        "How well the image of a ray is known, from ray to pixel, and the models that were compared.",
+        blocks,
     )
 
 
 def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSpread]) -> Figure:
     return Figure(
-        title="Uncertainty of the projection [px]",
-        svg=cameras_figures.spread({name: views[name] for name in spreads}, spreads),
-        legend=(
-            Legend(mark="band", color="heldout", label="with corners: the stronger, the less certain"),
-            Legend(mark="band", color="before", label="without corners, by the formula of the model alone"),
+        "Uncertainty of the projection [px]",
+        cameras_figures.spread({name: views[name] for name in spreads}, spreads),
+        (
+            Legend("band", "heldout", "with corners: the stronger, the less certain"),
+            Legend("band", "before", "without corners, by the formula of the model alone"),
         ),
-        caption="1σ per axis of where the image of a ray lies, carried from the covariance of the lens. A small turn "
+        "1σ per axis of where the image of a ray lies, carried from the covariance of the lens. A small turn "
         "of the camera that a change of the lens can be taken for was taken off, since every use estimates an attitude "
         "with the lens. It counts noise alone: where there were corners an error of the lens model shows in the "
         "residuals, and where there were none nothing shows it, and it may be many times larger.",
@@ -251,10 +247,10 @@ def _spread_table(spreads: dict[str, ProjectionSpread]) -> Table:
             (name, cells[0], cells[1], f"{number(float(np.max(one.sigma[known], initial=0.0)), 2)}\u00a0px", cells[2])
         )
     return Table(
-        title="Uncertainty of the projection in numbers",
-        head=("", "with corners", "without corners", "largest", "axes held fast"),
-        rows=tuple(rows),
-        caption="Medians over the parts of the image with and without corners; the last column, with corners, holds "
+        "Uncertainty of the projection in numbers",
+        ("", "with corners", "without corners", "largest", "axes held fast"),
+        rows,
+        "Medians over the parts of the image with and without corners; the last column, with corners, holds "
         "the small turn too.",
     )
 
@@ -262,16 +258,16 @@ def _spread_table(spreads: dict[str, ProjectionSpread]) -> Table:
 def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
     high, wide = (f"{fixed(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
     return Figure(
-        title=f"From ray to pixel, {name}",
-        svg=cameras_figures.curve(name, found),
-        legend=(
-            Legend(mark="line", color="after", label="this lens"),
-            Legend(mark="dash", color="before", label="pinhole, f tan θ"),
-            Legend(mark="dash", color="heldout", label="equal angles, f θ"),
-            Legend(mark="line", color="accent", label="farthest corner used"),
-            Legend(mark="dash", color="muted", label="nearest edges of the image"),
+        f"From ray to pixel, {name}",
+        cameras_figures.curve(name, found),
+        (
+            Legend("line", "after", "this lens"),
+            Legend("dash", "before", "pinhole, f tan θ"),
+            Legend("dash", "heldout", "equal angles, f θ"),
+            Legend("line", "accent", "farthest corner used"),
+            Legend("dash", "muted", "nearest edges of the image"),
         ),
-        caption=f"Mean over all directions about the optical axis; focal length {number(found.focal, 5)} px at it. "
+        f"Mean over all directions about the optical axis; focal length {number(found.focal, 5)} px at it. "
         f"The image ends at {high} above or below and at {wide} aside."
         + ("" if known else " The lens was given; no σ is known."),
     )
@@ -279,13 +275,10 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
 
 def _grid_figure(calibration: Calibration, name: str) -> Figure:
     return Figure(
-        title=f"The image of {name}, straightened",
-        svg=cameras_figures.grid(name, calibration.cameras[name].camera),
-        legend=(
-            Legend(mark="line", color="after", label="rows and columns of pixels"),
-            Legend(mark="dash", color="ink", label="frame of the image"),
-        ),
-        caption="Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
+        f"The image of {name}, straightened",
+        cameras_figures.grid(name, calibration.cameras[name].camera),
+        (Legend("line", "after", "rows and columns of pixels"), Legend("dash", "ink", "frame of the image")),
+        "Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
         "point. Rays more than 68° off the axis are left out.",
     )
 
@@ -308,19 +301,16 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
     if len(tried) > 1:
         blocks.append(
             Figure(
-                title=f"Lens models tried on {name}",
-                svg=cameras_figures.trials(name, tried),
-                legend=(
-                    Legend(mark="dot", color="after", label="views held out"),
-                    Legend(mark="ring", color="before", label="views used"),
-                ),
+                f"Lens models tried on {name}",
+                cameras_figures.trials(name, tried),
+                (Legend("dot", "after", "views held out"), Legend("ring", "before", "views used")),
             )
         )
     blocks.append(
         Table(
-            title=f"Lens models of {name} in numbers",
-            head=("model", "parameters", "views held out", "views used"),
-            rows=rows,
+            f"Lens models of {name} in numbers",
+            ("model", "parameters", "views held out", "views used"),
+            rows,
             marked=tried.index(chosen) if chosen is not None else None,
             caption="rms residual per axis. Views held out took no part in the estimate and have a pose of their own. "
             "Of models that fit them alike the smallest is taken.",

@@ -30,26 +30,21 @@ diagnostics.npz       the numbers behind the figures of this report"""
 
 def use_section(calibration: Calibration) -> Section:
     """Return files, formulas and code for each lens, and what to do next."""
-    blocks = [
-        Code(title="Files beside this report", text=_FILES),
-        Code(title="Next: the same cameras with an IMU", text=NEXT),
-    ]
+    blocks = [Code("Files beside this report", _FILES), Code("Next: the same cameras with an IMU", NEXT)]
     for name, entry in calibration.cameras.items():
         of = f" of {name}" if len(calibration.cameras) > 1 else ""
-        blocks.append(
-            Code(title=f"The lens{of}: from p = (x, y, z) in its frame to pixels", text=_formula(entry.camera))
-        )
+        blocks.append(Code(f"The lens{of}: from p = (x, y, z) in its frame to pixels", _formula(entry.camera)))
         if opencv := _opencv(entry.camera):
-            blocks.append(Code(title=f"In OpenCV{of}", text=opencv))
-    blocks.append(Code(title="In Python: straighten an image, whatever the lens", text=_python(calibration)))
+            blocks.append(Code(f"In OpenCV{of}", opencv))
+    blocks.append(Code("In Python: straighten an image, whatever the lens", _python(calibration)))
     for name, entry in calibration.cameras.items():
-        blocks.append(Code(title=f"{name} in Kalibr's camchain.yaml", text=_camchain(calibration, name, entry.camera)))
+        blocks.append(Code(f"{name} in Kalibr's camchain.yaml", _camchain(calibration, name, entry.camera)))
     return Section(
-        anchor="use",
-        title="How to use it",
-        lead="A camera's x points to the right of its image, y down, z out of the lens; lengths are in metres, pixels "
+        "use",
+        "How to use it",
+        "A camera's x points to the right of its image, y down, z out of the lens; lengths are in metres, pixels "
         "are counted from the middle of the upper left one.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 

@@ -10,7 +10,7 @@ from ..geometry.rotation_vector import rotation_from_rotvec
 from ..recording import Floats
 from . import svg
 from .camera_imu_signals import half_panel
-from .figures import TEXT, WIDTH, Sheet, dots, draw
+from .figures import TEXT, WIDTH, Sheet, dots
 from .numbers import number, positive
 from .panel import Panel
 
@@ -110,20 +110,18 @@ def scene(around: ViewsAround) -> str:
     """Draw the cameras as pyramids about the board, seen from the side, a little from above."""
     outlines, telling = _pyramids(around)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the board, its points, and the pyramids, the farthest first."""
-        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
-        board, flat = _flat(around.board), _flat(outlines)
-        _fit(panel, np.concatenate([board, flat.reshape(-1, 2)]))
-        panel.line(board[:, 0], board[:, 1], "ink", width=1.6)
-        wide = f"{number(float(np.ptp(around.board[:, 0])), 3)} m"
-        x, y = board[:2].mean(axis=0).tolist()
-        panel.text(wide, x, y, svg.text_style("muted", TEXT, "center"), offset=(0.0, 28.0))
-        points = _flat(around.points)
-        dots(panel, points[:, 0], points[:, 1], "before", size=2.2)
-        _draw_outlines(panel, flat, telling)
-
-    return draw("scene", _HEIGHT, f"{len(around.position)} views of the board, as pyramids around it.", paint)
+    sheet = Sheet()
+    panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
+    board, flat = _flat(around.board), _flat(outlines)
+    _fit(panel, np.concatenate([board, flat.reshape(-1, 2)]))
+    panel.line(board[:, 0], board[:, 1], "ink", width=1.6)
+    wide = f"{number(float(np.ptp(around.board[:, 0])), 3)} m"
+    x, y = board[:2].mean(axis=0).tolist()
+    panel.text(wide, x, y, svg.text_style("muted", TEXT, "center"), offset=(0.0, 28.0))
+    points = _flat(around.points)
+    dots(panel, points[:, 0], points[:, 1], "before", size=2.2)
+    _draw_outlines(panel, flat, telling)
+    return sheet.draw("scene", _HEIGHT, f"{len(around.position)} views of the board, as pyramids around it.")
 
 
 def _flat(points: Floats) -> Floats:
@@ -155,19 +153,15 @@ def plans(around: ViewsAround) -> str:
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     span, middle = 0.54 * positive(float((high - low).max())), (low + high) / 2
 
-    def paint(sheet: Sheet) -> None:
-        """Draw z over x, and y over z."""
-        for k, (title, right, up) in enumerate(
-            (("From above: z over x [m]", 0, 2), ("From the side: y over z [m]", 2, 1))
-        ):
-            axes = half_panel(sheet, title, k, top=36, height=314)
-            axes.x.grid = True
-            axes.line(around.board[:, right], around.board[:, up], "ink", width=3.0)
-            _draw_outlines(axes, outlines[..., [right, up]], telling)
-            axes.x.span(middle[right] - span, middle[right] + span)
-            axes.y.span(middle[up] - span, middle[up] + span)
-
-    return draw("plans", 396, "The views and the board from above and from the side.", paint)
+    sheet = Sheet()
+    for k, (title, right, up) in enumerate((("From above: z over x [m]", 0, 2), ("From the side: y over z [m]", 2, 1))):
+        axes = half_panel(sheet, title, k, top=36, height=314)
+        axes.x.grid = True
+        axes.line(around.board[:, right], around.board[:, up], "ink", width=3.0)
+        _draw_outlines(axes, outlines[..., [right, up]], telling)
+        axes.x.span(middle[right] - span, middle[right] + span)
+        axes.y.span(middle[up] - span, middle[up] + span)
+    return sheet.draw("plans", 396, "The views and the board from above and from the side.")
 
 
 def attitudes(around: ViewsAround) -> str:
@@ -175,23 +169,21 @@ def attitudes(around: ViewsAround) -> str:
     degrees = np.degrees(around.seen_from)
     reach = max(10.0 * np.ceil(float(np.degrees(around.tilt.max(initial=0.0))) / 10 + 0.2), 30.0)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the tilts as dots in a plane of angles, and their histogram."""
-        axes = half_panel(sheet, "Seen from [°]", 0, top=36, height=314)
-        axes.x.grid = True
-        turn = np.linspace(0, 2 * np.pi, 73)
-        for radius in np.arange(15.0, reach, 15.0):
-            axes.line(radius * np.cos(turn), radius * np.sin(turn), "grid")
-        for color, chosen in (("after", ~around.telling), ("accent", around.telling)):
-            dots(axes, degrees[chosen, 0], degrees[chosen, 1], color, size=6.0)
-        axes.x.span(-reach, reach)
-        axes.y.span(-reach, reach)
-        edges = np.arange(0.0, reach + 1e-9, 5.0)
-        other = half_panel(sheet, "Views over tilt [°]", 1, top=36, height=314)
-        count = np.histogram(np.degrees(around.tilt), edges)[0].astype(np.float64)
-        other.steps(count, edges, "after")
-        other.x.span(0, edges[-1])
-        other.y.span(0, 1.08 * positive(float(count.max())))
-        other.y.whole = True
-
-    return draw("attitudes", 396, f"Tilt of the board against the line of sight in {len(degrees)} views.", paint)
+    sheet = Sheet()
+    axes = half_panel(sheet, "Seen from [°]", 0, top=36, height=314)
+    axes.x.grid = True
+    turn = np.linspace(0, 2 * np.pi, 73)
+    for radius in np.arange(15.0, reach, 15.0):
+        axes.line(radius * np.cos(turn), radius * np.sin(turn), "grid")
+    for color, chosen in (("after", ~around.telling), ("accent", around.telling)):
+        dots(axes, degrees[chosen, 0], degrees[chosen, 1], color, size=6.0)
+    axes.x.span(-reach, reach)
+    axes.y.span(-reach, reach)
+    edges = np.arange(0.0, reach + 1e-9, 5.0)
+    other = half_panel(sheet, "Views over tilt [°]", 1, top=36, height=314)
+    count = np.histogram(np.degrees(around.tilt), edges)[0].astype(np.float64)
+    other.steps(count, edges, "after")
+    other.x.span(0, edges[-1])
+    other.y.span(0, 1.08 * positive(float(count.max())))
+    other.y.whole = True
+    return sheet.draw("attitudes", 396, f"Tilt of the board against the line of sight in {len(degrees)} views.")

@@ -49,22 +49,20 @@ def comparison_page(comparison: Comparison) -> Page:
 def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
     known = [item for item in comparison.differences if isfinite(item.largest) and not item.path.endswith("bias")]
     stating = sum(one.sigmas for one in comparison.calibrations)
-    numbers = [KeyNumber(label="Calibrations", value=str(len(comparison.calibrations)), note=f"{stating} with sigmas")]
+    numbers = [KeyNumber("Calibrations", str(len(comparison.calibrations)), f"{stating} with sigmas")]
     if isfinite(comparison.z_rms):
         numbers.append(
             KeyNumber(
-                label="z rms",
-                value=number(comparison.z_rms, 3),
-                note=f"1 is honest; up to {number(comparison.limit, 3)} is chance",
+                "z rms", number(comparison.z_rms, 3), f"1 is honest; up to {number(comparison.limit, 3)} is chance"
             )
         )
     if known:
         worst = max(known, key=lambda item: item.largest)
         numbers.append(
             KeyNumber(
-                label="Largest difference",
-                value=f"{number(worst.largest, 3)} σ",
-                note=f"{block_words(worst.path)}; up to {number(comparison.z_limit, 2)} σ is chance",
+                "Largest difference",
+                f"{number(worst.largest, 3)} σ",
+                f"{block_words(worst.path)}; up to {number(comparison.z_limit, 2)} σ is chance",
             )
         )
     return tuple(numbers)
@@ -90,17 +88,17 @@ def _summary(comparison: Comparison) -> Section:
             legend = {item: None for item in legend if item[1] in comparison.outside} | {("before", "the others"): None}
         blocks.append(
             Figure(
-                title="All scalars",
-                svg=deviations(comparison),
-                legend=tuple(Legend(mark="dot", color=color, label=label) for color, label in legend),
-                caption=f"Every dot is a scalar: its deviation from {zero} over the root mean square of the stated "
+                "All scalars",
+                deviations(comparison),
+                tuple(Legend("dot", color, label) for color, label in legend),
+                f"Every dot is a scalar: its deviation from {zero} over the root mean square of the stated "
                 "sigmas. Hollow dots lie beyond the edge.",
             )
         )
     blocks.append(_summary_table(comparison))
     if 2 < len(comparison.calibrations) <= _MOST_PAIRS:
         blocks.append(_pairs(comparison))
-    return Section(anchor="agreement", title="Agreement", blocks=tuple(blocks))
+    return Section("agreement", "Agreement", blocks=blocks)
 
 
 def _summary_table(comparison: Comparison) -> Table:
@@ -122,10 +120,10 @@ def _summary_table(comparison: Comparison) -> Table:
             )
         )
     return Table(
-        title="Scatter against predicted sigma",
-        head=("block", "estimated by", "scatter", "predicted σ", "unit", "z rms", ""),
-        rows=tuple(rows),
-        caption="Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, "
+        "Scatter against predicted sigma",
+        ("block", "estimated by", "scatter", "predicted σ", "unit", "z rms", ""),
+        rows,
+        "Scatter: standard deviation over the calibrations, root mean square over the scalars of the block, "
         "of a lens over those in px. "
         "z rms: scatter over predicted sigma, scalar by scalar; in brackets what honest sigmas exceed in one of a "
         "hundred comparisons.",
@@ -148,17 +146,17 @@ def _pairs(comparison: Comparison) -> Table:
 
     rows = tuple((one, *(cell(one, other) if one != other else "" for other in names)) for one in names)
     caption = f"Up to {number(comparison.z_limit, 2)} σ is chance."
-    return Table(title="Largest difference of each pair", head=("", *names), rows=rows, caption=caption, prose=True)
+    return Table("Largest difference of each pair", ("", *names), rows, caption, prose=True)
 
 
 def _blocks(comparison: Comparison) -> Section:
     tables = tuple(_table(comparison, block) for block in comparison.blocks if block.judged)
     return Section(
-        anchor="repeatability",
-        title="Repeatability",
-        lead=f"{_frame_text(comparison.frame)} Tables as in document B, appendix B.2: every calibration, the mean of "
+        "repeatability",
+        "Repeatability",
+        f"{_frame_text(comparison.frame)} Tables as in document B, appendix B.2: every calibration, the mean of "
         "all, and their standard deviation beside the one that was predicted.",
-        blocks=tables or (Prose(lines=("No block was estimated.",)),),
+        tables or (Prose(("No block was estimated.",)),),
     )
 
 
@@ -170,11 +168,11 @@ def _biases(comparison: Comparison) -> Iterator[Section]:
     tables = tuple(_table(comparison, block) for block in comparison.blocks if not block.judged)
     if tables:
         yield Section(
-            anchor="biases",
-            title="Biases",
-            lead="Biases change from one switching on to the next: their scatter is the instability of the sensor, and "
+            "biases",
+            "Biases",
+            "Biases change from one switching on to the next: their scatter is the instability of the sensor, and "
             "no error of a calibration.",
-            blocks=tables,
+            tables,
         )
 
 
@@ -202,10 +200,10 @@ def _table(comparison: Comparison, block: Repeatability) -> Table:
         caption += f" Held at an ideal or a given value by {', '.join(block.assumed)}."
     title = block_words(block.path)
     return Table(
-        title=f"{title[0].upper()}{title[1:]}{of}",
-        head=("", *block.elements),
-        rows=tuple(rows),
-        caption=caption.strip(),
+        f"{title[0].upper()}{title[1:]}{of}",
+        ("", *block.elements),
+        rows,
+        caption.strip(),
         dense=True,
         faint=frozenset(range(len(block.names), len(rows))),
     )
@@ -251,14 +249,14 @@ def _lenses(comparison: Comparison) -> Iterator[Section]:
         rows.append((lens.camera, lens.first, lens.second, " / ".join(dict.fromkeys(lens.models)), *numbers))
     if rows:
         table = Table(
-            title="Where both would see one ray",
-            head=("camera", "first", "second", "models", "rms [px]", "largest [px]", "rms, turned [px]", "turn [°]"),
-            rows=tuple(rows),
-            caption="Distance of the two images of a ray over the image. A turn of the camera is no error of its lens, "
+            "Where both would see one ray",
+            ("camera", "first", "second", "models", "rms [px]", "largest [px]", "rms, turned [px]", "turn [°]"),
+            rows,
+            "Distance of the two images of a ray over the image. A turn of the camera is no error of its lens, "
             "since its pose takes it up: the last columns are what is left after the best turn, and that turn.",
             dense=True,
         )
-        yield Section(anchor="lenses", title="Lenses", blocks=(table,))
+        yield Section("lenses", "Lenses", blocks=(table,))
 
 
 def _calibrations(comparison: Comparison) -> Section:
@@ -276,17 +274,13 @@ def _calibrations(comparison: Comparison) -> Section:
         for one in comparison.calibrations
     )
     table = Table(
-        title="What was compared",
-        head=("name", "format", "verdict", "body frame", "sigmas", "gravity", "sensors", "recording"),
-        rows=rows,
+        "What was compared",
+        ("name", "format", "verdict", "body frame", "sigmas", "gravity", "sensors", "recording"),
+        rows,
         prose=True,
     )
     notes = tuple(f"{one.name}: {note}" for one in comparison.calibrations for note in one.notes)
-    return Section(
-        anchor="calibrations",
-        title="Calibrations",
-        blocks=(table, *([Prose(lines=notes, points=True)] if notes else [])),
-    )
+    return Section("calibrations", "Calibrations", blocks=(table, *([Prose(notes, points=True)] if notes else [])))
 
 
 def _conventions(comparison: Comparison) -> Section:
@@ -310,4 +304,4 @@ def _conventions(comparison: Comparison) -> Section:
         f"All {comparison.compared} differences of scalars together exceed {number(comparison.z_limit, 3)} σ in one of "
         "a hundred comparisons of honest calibrations; beyond that two calibrations differ.",
     )
-    return Section(anchor="conventions", title="Conventions", blocks=(Prose(lines=points, points=True),))
+    return Section("conventions", "Conventions", blocks=(Prose(points, points=True),))

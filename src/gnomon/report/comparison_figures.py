@@ -6,7 +6,7 @@ from ..assess.comparison import Comparison, Repeatability
 from ..assess.comparison_words import block_words
 from ..recording import Floats
 from . import svg
-from .figures import RIGHT, Sheet, dots, draw
+from .figures import RIGHT, Sheet, dots
 from .panel import Panel
 
 COLORS = ("x", "y", "z", "accent", "t1", "t5")
@@ -42,23 +42,21 @@ def deviations(comparison: Comparison) -> str:
     blocks = drawn_blocks(comparison)
     height = _ROW * len(blocks)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw a line of dots for each block."""
-        panel = sheet.panel(f"Deviation from {zero}, in sigmas", top=36, height=height, left=RIGHT, x_label="sigmas")
-        reach = _reach(comparison, blocks)
-        panel.x.span(-reach, reach)
-        panel.x.grid = True
-        panel.y.span(len(blocks) - 0.5, -0.5)
-        panel.y.ticks, panel.y.grid = (), False
-        panel.upright(0.0, "muted")
-        for row, block in enumerate(blocks):
-            style = svg.text_style("muted", 12, "left")
-            panel.text(block_words(block.path), -reach, row - 0.5, style, offset=(2.0, 15.0))
-            _draw_block(panel, comparison, block, row, reach)
-
+    sheet = Sheet()
+    panel = sheet.panel(f"Deviation from {zero}, in sigmas", top=36, height=height, left=RIGHT, x_label="sigmas")
+    reach = _reach(comparison, blocks)
+    panel.x.span(-reach, reach)
+    panel.x.grid = True
+    panel.y.span(len(blocks) - 0.5, -0.5)
+    panel.y.ticks, panel.y.grid = (), False
+    panel.upright(0.0, "muted")
+    for row, block in enumerate(blocks):
+        style = svg.text_style("muted", 12, "left")
+        panel.text(block_words(block.path), -reach, row - 0.5, style, offset=(2.0, 15.0))
+        _draw_block(panel, comparison, block, row, reach)
     count = len(comparison.calibrations)
     alt = f"Deviations of {count} calibrations in {len(blocks)} blocks from {zero}, in sigmas."
-    return draw("deviations", height + 100, alt, paint)
+    return sheet.draw("deviations", height + 100, alt)
 
 
 def _in_sigmas(comparison: Comparison, block: Repeatability) -> Floats:

@@ -5,8 +5,6 @@ multiplied by `--plot-text`, which the page raises on small screens. (A drawing 
 one report as the calibration itself: 0.8 s to load, 0.15 s a figure; this takes 0.01 s a figure.)
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..recording import Floats
@@ -27,8 +25,7 @@ TEXT = 12.5
 class Sheet:
     """One figure under construction; positions are in figure units from its top-left corner."""
 
-    def __init__(self, height: float) -> None:
-        self.height = height
+    def __init__(self) -> None:
         self.panels: list[Panel] = []
         self._texts: list[str] = []
 
@@ -55,27 +52,20 @@ class Sheet:
         if text:
             self._texts.append(svg.text_element(text, x, y, svg.text_style(color, TEXT, align, bold=weight == "bold")))
 
-    def svg(self, name: str) -> str:
-        """Return what is in the figure."""
-        return "".join([*(panel.svg(f"{name}-{i}") for i, panel in enumerate(self.panels)), *self._texts])
+    def draw(self, name: str, height: float, alt: str) -> str:
+        """Return the SVG of the figure.
 
+        Parameters
+        ----------
+        name : short name, unique on the page; prefix of the ids in the SVG
+        height : height in figure units
+        alt : what a person who does not see the figure should know
+        """
+        from markupsafe import escape
 
-def draw(name: str, height: float, alt: str, paint: Callable[[Sheet], None]) -> str:
-    """Return the SVG of a figure.
-
-    Parameters
-    ----------
-    name : short name, unique on the page; prefix of the ids in the SVG
-    height : height in figure units
-    alt : what a person who does not see the figure should know
-    paint : draws on the sheet
-    """
-    from markupsafe import escape
-
-    sheet = Sheet(height)
-    paint(sheet)
-    frame = f'viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(alt)}"'
-    return f'<svg class="plot" {frame}>{sheet.svg(name)}</svg>'
+        frame = f'viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(alt)}"'
+        panels = (panel.svg(f"{name}-{i}") for i, panel in enumerate(self.panels))
+        return f'<svg class="plot" {frame}>{"".join([*panels, *self._texts])}</svg>'
 
 
 def zigzag(panel: Panel, t: Floats, low: Floats, high: Floats, color: str) -> None:

@@ -47,31 +47,27 @@ def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
     milli_g, angle = number(1e3 * force / STANDARD_GRAVITY_M_S2, 3), number(degrees(turn), 3)
     numbers = [
         KeyNumber(
-            label="Accelerometer on unseen data",
-            value=quantity(force, "m/s²"),
-            note=f"rms of |f| − g in intervals left out of the fit; {milli_g} mg",
+            "Accelerometer on unseen data",
+            quantity(force, "m/s²"),
+            f"rms of |f| − g in intervals left out of the fit; {milli_g} mg",
         ),
         KeyNumber(
-            label="Gyroscope on unseen data",
-            value=quantity(turn, "rad"),
-            note=f"rms of gravity propagated over rotations left out; {angle}°",
+            "Gyroscope on unseen data",
+            quantity(turn, "rad"),
+            f"rms of gravity propagated over rotations left out; {angle}°",
         ),
         KeyNumber(
-            label="Static intervals used",
-            value=f"{assessment.intervals_used} of {assessment.intervals_found}",
-            note="attitudes in which gravity was measured",
+            "Static intervals used",
+            f"{assessment.intervals_used} of {assessment.intervals_found}",
+            "attitudes in which gravity was measured",
         ),
         KeyNumber(
-            label="Rotations used",
-            value=f"{assessment.rotations_used} of {assessment.rotations_found}",
-            note="movements between static intervals",
+            "Rotations used",
+            f"{assessment.rotations_used} of {assessment.rotations_found}",
+            "movements between static intervals",
         ),
-        KeyNumber(label="Gravity", value=gravity_text(gravity), note=gravity.source[:1].upper() + gravity.source[1:]),
-        KeyNumber(
-            label="Body frame and model",
-            value=calibration.frame,
-            note=_MODELS.get(assessment.model, assessment.model),
-        ),
+        KeyNumber("Gravity", gravity_text(gravity), gravity.source[:1].upper() + gravity.source[1:]),
+        KeyNumber("Body frame and model", calibration.frame, _MODELS.get(assessment.model, assessment.model)),
     ]
     if assessment.model == "none":
         numbers = [n for n in numbers if n.label not in ("Gyroscope on unseen data", "Rotations used")]
@@ -80,11 +76,11 @@ def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
 
 def _parameters(calibration: Calibration) -> Section:
     return Section(
-        anchor="parameters",
-        title="Parameters",
-        lead="Each estimate with its standard deviation σ. Bars show the estimate, whiskers ±2σ; the bars of one group "
+        "parameters",
+        "Parameters",
+        "Each estimate with its standard deviation σ. Bars show the estimate, whiskers ±2σ; the bars of one group "
         "share one scale. Parameters without σ are fixed by the definition of the body frame or by the model.",
-        blocks=(Parameters(groups=parameter_groups(calibration)),),
+        (Parameters(parameter_groups(calibration)),),
     )
 
 
@@ -110,4 +106,4 @@ def _assumptions(calibration: Calibration) -> Section:
     if assessment.held_by_prior:
         held = ", ".join(assessment.held_by_prior)
         points.append(f"Not determined by this recording, and held by assumption: {held}.")
-    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))

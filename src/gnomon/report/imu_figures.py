@@ -4,7 +4,7 @@ import numpy as np
 
 from ..diagnostics import AllanCurve, DetectorTrace, ImuDiagnostics, IntervalTable, RotationTable, SignalEnvelope
 from ..recording import Floats
-from .figures import Sheet, coarser, dots, draw, limits, log_limits, thinned, zigzag
+from .figures import Sheet, coarser, dots, limits, log_limits, thinned, zigzag
 from .imu_parameters import readable_unit
 from .magnitude_figures import count_along
 from .numbers import finite, largest, prefixed
@@ -20,26 +20,24 @@ def signals(diagnostics: ImuDiagnostics) -> str:
     duration = float(ends.max()) if ends.size and ends.max() > 0 else 1.0
     height = 292.0 if gyroscope is None else 554.0
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the signals of both triads over time, the static intervals behind them."""
-        top = 36.0
-        for name, signal in (("Accelerometer", diagnostics.accelerometer), ("Gyroscope", gyroscope)):
-            if signal is None:
-                continue
-            axes = sheet.panel(f"{name} [{readable_unit(signal.unit)}]", top=top, height=210)
-            _signal(axes, signal, diagnostics.intervals)
-            axes.x.span(0, duration)
-            axes.x.labelled = False
-            top += 262
-        axes = sheet.panel("Variance over resting variance", top=top, height=170, x_label="time [s]")
-        _statistic(axes, diagnostics.detector)
+    sheet = Sheet()
+    top = 36.0
+    for name, signal in (("Accelerometer", diagnostics.accelerometer), ("Gyroscope", gyroscope)):
+        if signal is None:
+            continue
+        axes = sheet.panel(f"{name} [{readable_unit(signal.unit)}]", top=top, height=210)
+        _signal(axes, signal, diagnostics.intervals)
         axes.x.span(0, duration)
-
+        axes.x.labelled = False
+        top += 262
+    axes = sheet.panel("Variance over resting variance", top=top, height=170, x_label="time [s]")
+    _statistic(axes, diagnostics.detector)
+    axes.x.span(0, duration)
     alt = (
         f"Raw signals over {duration:.0f} s; a square wave is high where the recording is static: "
         f"{len(diagnostics.intervals.start_s)} intervals. Below, the detector's statistic against its threshold."
     )
-    return draw("signals", height + 270 - 36, alt, paint)
+    return sheet.draw("signals", height + 270 - 36, alt)
 
 
 def _signal(panel: Panel, signal: SignalEnvelope, intervals: IntervalTable) -> None:
@@ -75,28 +73,25 @@ def _statistic(panel: Panel, trace: DetectorTrace) -> None:
 
 def allan(curve: AllanCurve) -> str:
     """Allan deviation of the three gyroscope axes (document A, Fig. 3.2), with the advised T_init."""
-
-    def paint(sheet: Sheet) -> None:
-        """Draw the Allan deviation of the three axes over the averaging time."""
-        prefix, factor = prefixed(float(np.median(finite(curve.deviation))) if finite(curve.deviation).size else 1.0)
-        title = f"Allan deviation [{prefix}rad/s]"
-        axes = sheet.panel(title, top=36, height=290, x_label="averaging time [s]")
-        axes.x.grid = True
-        positive = np.where(curve.deviation > 0, curve.deviation * factor, np.nan)
-        for i, name in enumerate(AXES):
-            axes.line(curve.tau_s, positive[:, i], name, width=1.8)
-        log_limits(axes, positive)
-        axes.x.logarithmic = True
-        taus = finite(curve.tau_s)
-        taus = taus[taus > 0]
-        bounds = (float(taus.min()), float(taus.max())) if taus.size else (1.0, 10.0)
-        axes.x.span(bounds[0], max(bounds[1], 1.05 * bounds[0]))
-        axes.x.ticks = [step * 10.0**k for k in range(-9, 9) for step in (1, 2, 5)]
-        if np.isfinite(curve.t_init_s):
-            axes.upright(curve.t_init_s, "accent", width=1.6, dash=(5.0, 3.0))
-
+    sheet = Sheet()
+    prefix, factor = prefixed(float(np.median(finite(curve.deviation))) if finite(curve.deviation).size else 1.0)
+    title = f"Allan deviation [{prefix}rad/s]"
+    axes = sheet.panel(title, top=36, height=290, x_label="averaging time [s]")
+    axes.x.grid = True
+    positive = np.where(curve.deviation > 0, curve.deviation * factor, np.nan)
+    for i, name in enumerate(AXES):
+        axes.line(curve.tau_s, positive[:, i], name, width=1.8)
+    log_limits(axes, positive)
+    axes.x.logarithmic = True
+    taus = finite(curve.tau_s)
+    taus = taus[taus > 0]
+    bounds = (float(taus.min()), float(taus.max())) if taus.size else (1.0, 10.0)
+    axes.x.span(bounds[0], max(bounds[1], 1.05 * bounds[0]))
+    axes.x.ticks = [step * 10.0**k for k in range(-9, 9) for step in (1, 2, 5)]
+    if np.isfinite(curve.t_init_s):
+        axes.upright(curve.t_init_s, "accent", width=1.6, dash=(5.0, 3.0))
     alt = f"Allan deviation of the gyroscope axes x, y, z over averaging time, from {curve.static_s:.0f} s at rest."
-    return draw("allan", 386, alt, paint)
+    return sheet.draw("allan", 386, alt)
 
 
 def rotation_errors(rotations: RotationTable) -> str:
@@ -105,25 +100,23 @@ def rotation_errors(rotations: RotationTable) -> str:
     number_of = np.asarray(np.flatnonzero(used) + 1, dtype=np.float64)
     degrees = np.asarray(np.degrees(rotations.angle_rad[used]), dtype=np.float64)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the error of every rotation, as with the nominal gyroscope, fitted, and left out."""
-        title = "Measured against propagated gravity [mrad]"
-        panels = (
-            (sheet.panel(title, top=36, height=220, x_label="rotation"), number_of),
-            (sheet.panel(title, top=364, height=220, x_label="angle by which gravity turned [°]"), degrees),
-        )
-        series = (
-            (rotations.error_before[used], "before", False, 7.0),
-            (rotations.error_holdout[used], "heldout", True, 7.0),
-            (rotations.error_after[used], "after", False, 5.0),
-        )
-        for axes, x in panels:
-            for values, color, ring, size in series:
-                positive = np.where(values > 0, values * 1e3, np.nan)
-                dots(axes, *thinned(x, positive), color, size=size, ring=ring)
-            log_limits(axes, *(values * 1e3 for values, _, _, _ in series))
-        count_along(panels[0][0], len(used))
-        panels[1][0].x.span(0, max(largest(degrees) * 1.04, 1.0) if finite(degrees).size else 180.0)
-
+    sheet = Sheet()
+    title = "Measured against propagated gravity [mrad]"
+    panels = (
+        (sheet.panel(title, top=36, height=220, x_label="rotation"), number_of),
+        (sheet.panel(title, top=364, height=220, x_label="angle by which gravity turned [°]"), degrees),
+    )
+    series = (
+        (rotations.error_before[used], "before", False, 7.0),
+        (rotations.error_holdout[used], "heldout", True, 7.0),
+        (rotations.error_after[used], "after", False, 5.0),
+    )
+    for axes, x in panels:
+        for values, color, ring, size in series:
+            positive = np.where(values > 0, values * 1e3, np.nan)
+            dots(axes, *thinned(x, positive), color, size=size, ring=ring)
+        log_limits(axes, *(values * 1e3 for values, _, _, _ in series))
+    count_along(panels[0][0], len(used))
+    panels[1][0].x.span(0, max(largest(degrees) * 1.04, 1.0) if finite(degrees).size else 180.0)
     alt = f"Difference of measured and gyro-propagated gravity over {int(used.sum())} rotations, before and after."
-    return draw("rotations", 644, alt, paint)
+    return sheet.draw("rotations", 644, alt)

@@ -7,7 +7,7 @@ from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.origin import AXES
 from ..recording import Floats
 from . import svg
-from .figures import TEXT, WIDTH, Sheet, draw
+from .figures import TEXT, WIDTH, Sheet
 from .label_places import LabelPlaces, half_size
 from .numbers import number
 from .page import Figure, Legend
@@ -30,10 +30,10 @@ def origin_figure(calibration: Calibration, name: str) -> Figure | None:
     sigma = 1e3 * calibration.sigma(f"{name}.accelerometer.lever_arms_m")
     far = number(1e3 * float(np.linalg.norm(T[:3, 3])), 4)
     return Figure(
-        title=f"The accelerometers of {name}, and its origin",
-        svg=_drawing(1e3 * arms, sigma, T[:3, :3], T[:3, 3], camera),
-        legend=tuple(Legend(mark="line", color=axis, label=f"{axis} accelerometer") for axis in AXES),
-        caption=f"The origin, to which T_cam_imu refers, is {where}. Arrows show the axes along which the "
+        f"The accelerometers of {name}, and its origin",
+        _drawing(1e3 * arms, sigma, T[:3, :3], T[:3, 3], camera),
+        tuple(Legend("line", axis, f"{axis} accelerometer") for axis in AXES),
+        f"The origin, to which T_cam_imu refers, is {where}. Arrows show the axes along which the "
         f"accelerometers feel, whiskers the places' ±σ along the IMU's axes; seen from behind {camera}, a little from "
         f"above. The dashed arrow points to {camera}, {far} mm away and not to scale.",
     )
@@ -57,22 +57,20 @@ def _drawing(arms: Floats, sigma: Floats, R_cam_imu: Floats, p_cam_imu: Floats, 
     lines.append(("ink", np.stack([np.zeros(3), towards]), 1.6))
     drawn = np.array([flat(line) for _, line, _ in lines])
 
-    def paint(sheet: Sheet) -> None:
-        """Draw lines, arrows and points, and name them."""
-        panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
-        _fit(panel, drawn.reshape(-1, 2))
-        for (color, _, width), ends in zip(lines, drawn, strict=True):
-            dash = DASHED if color in ("muted", "ink") else ()
-            panel.line(ends[:, 0], ends[:, 1], color, width=width, dash=dash)
-            if color in ("ink", *AXES):
-                _head(panel, ends, color, width)
-        points = flat(np.vstack([arms, np.zeros((1, 3))]))
-        for point, color, size in zip(points, (*AXES, "ink"), (9.0, 9.0, 9.0, 11.0), strict=True):
-            panel.dots(point[:1], point[1:], color, size)
-        texts = (*(f"{axis} accelerometer" for axis in AXES), "origin", f"to {camera}")
-        _name(panel, texts, np.vstack([points, flat(towards[None])]), drawn)
-
-    return draw("imu-origin", _HEIGHT, "Where the accelerometers, the origin and the camera are.", paint)
+    sheet = Sheet()
+    panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
+    _fit(panel, drawn.reshape(-1, 2))
+    for (color, _, width), ends in zip(lines, drawn, strict=True):
+        dash = DASHED if color in ("muted", "ink") else ()
+        panel.line(ends[:, 0], ends[:, 1], color, width=width, dash=dash)
+        if color in ("ink", *AXES):
+            _head(panel, ends, color, width)
+    points = flat(np.vstack([arms, np.zeros((1, 3))]))
+    for point, color, size in zip(points, (*AXES, "ink"), (9.0, 9.0, 9.0, 11.0), strict=True):
+        panel.dots(point[:1], point[1:], color, size)
+    texts = (*(f"{axis} accelerometer" for axis in AXES), "origin", f"to {camera}")
+    _name(panel, texts, np.vstack([points, flat(towards[None])]), drawn)
+    return sheet.draw("imu-origin", _HEIGHT, "Where the accelerometers, the origin and the camera are.")
 
 
 def _head(panel: Panel, ends: Floats, color: str, width: float) -> None:

@@ -14,12 +14,7 @@ from ..calibration import (
     MagnetometerCalibration,
 )
 from ..recording import Floats
-from ..units import (
-    ACCELEROMETER_UNITS_M_S2,
-    GYROSCOPE_UNITS_RAD_S,
-    MAGNETOMETER_UNITS_UT,
-    STANDARD_GRAVITY_M_S2,
-)
+from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import fixed, number, with_sigma
 from .page import Bar, Parameter, ParameterGroup
 
@@ -91,15 +86,15 @@ def _shape(
     unit = "" if readable_unit(triad.unit) == si else f"{readable_unit(triad.unit)} per {si}"
     against = "nominal" if unit_in_si else _AGAINST[type(triad)]
     yield ParameterGroup(
-        title=f"{title} scale",
-        note=f"deviation from {against}",
-        rows=_scales(calibration, path, triad.sensitivity, covariance, unit=unit, unit_in_si=unit_in_si),
+        f"{title} scale",
+        f"deviation from {against}",
+        _scales(calibration, path, triad.sensitivity, covariance, unit=unit, unit_in_si=unit_in_si),
     )
     tilts = _tilts(calibration, path, triad.sensitivity, covariance)
     if tilts:
         note = "sine of the angle by which the sensor axis leans out of the body axis"
         note += ", soft iron included" if isinstance(triad, MagnetometerCalibration) else ""
-        yield ParameterGroup(title=f"{title} misalignment", note=note, rows=tilts)
+        yield ParameterGroup(f"{title} misalignment", note, tilts)
 
 
 def _scales(
@@ -118,10 +113,10 @@ def _scales(
         value, spread = with_sigma(sign * float(lengths[i]), float(np.sqrt(np.fmax(joint[i, i], 0.0))))
         rows.append(
             Parameter(
-                name=f"scale {axis}",
-                value=value,
-                sigma=spread,
-                unit=unit,
+                f"scale {axis}",
+                value,
+                spread,
+                unit,
                 reads_as=_percent(*percents[i]),
                 note=_NOT_DETERMINED if _held(calibration, path, *(f"{i},{j}" for j in range(3))) else "",
             )
@@ -164,10 +159,10 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
         reads_as = f"± {_physical(sigma, si)}" if arbitrary else _physical(physical, si)
         rows.append(
             Parameter(
-                name=f"bias {axis}",
-                value=value,
-                sigma=spread,
-                unit=readable_unit(triad.unit),
+                f"bias {axis}",
+                value,
+                spread,
+                readable_unit(triad.unit),
                 reads_as=reads_as if isfinite(sigma) else "",
                 note=_NOT_DETERMINED if _held(calibration, f"{path}.bias", str(i)) else "",
             )
@@ -175,7 +170,7 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
     drawn = [(float(b), float(s)) for b, s in zip(triad.bias, sigmas, strict=True)]
     note = "hard iron, with the sensor's own offset" if isinstance(triad, MagnetometerCalibration) else ""
     bare = triad.unit == "count" and not note  # the offset of raw counts says nothing; that of hard iron does
-    return ParameterGroup(title=title, note=note, rows=tuple(rows) if bare else with_bars(rows, drawn))
+    return ParameterGroup(title, note, tuple(rows) if bare else with_bars(rows, drawn))
 
 
 def _physical(value: float, si: str) -> str:
@@ -206,7 +201,7 @@ def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: G
             )
         )
     note = "change of the bias with specific force"
-    return ParameterGroup(title=title, note=note, rows=with_bars(rows, drawn))
+    return ParameterGroup(title, note, with_bars(rows, drawn))
 
 
 def _about_zero(name: str, found: tuple[float, float], *, unit: str, reads_as: str, held: bool) -> Parameter:
@@ -215,7 +210,7 @@ def _about_zero(name: str, found: tuple[float, float], *, unit: str, reads_as: s
     text, spread = with_sigma(value, sigma, sign=True)
     insignificant = "within 2σ of zero" if sigma > 0 and abs(value) < 2 * sigma else ""
     note = _NOT_DETERMINED if held else insignificant
-    return Parameter(name=name, value=text, sigma=spread, unit=unit, reads_as=reads_as, note=note)
+    return Parameter(name, text, spread, unit, reads_as=reads_as, note=note)
 
 
 def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> list[tuple[float, float]]:
@@ -248,6 +243,6 @@ def with_bars(rows: list[Parameter], values: list[tuple[float, float]]) -> tuple
     result: list[Parameter] = []
     for row, (value, sigma) in zip(rows, values, strict=True):
         spread = 2 * sigma if isfinite(sigma) else 0.0
-        bar = Bar(zero=50.0, value=place(value), low=place(value - spread), high=place(value + spread))
+        bar = Bar(50.0, place(value), place(value - spread), place(value + spread))
         result.append(replace(row, bar=bar if isfinite(value) else None))
     return tuple(result)

@@ -13,11 +13,11 @@ from . import imu_figures, magnitude_figures
 from .numbers import MISSING, finite, fixed, largest, number, quantity, rms
 from .page import Figure, Legend, Section, Table
 
-_AXES = tuple(Legend(mark="line", color=axis, label=axis) for axis in "xyz")
+_AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 SERIES = (
-    Legend(mark="dot", color="before", label="before"),
-    Legend(mark="dot", color="after", label="after"),
-    Legend(mark="ring", color="heldout", label="held out of the fit"),
+    Legend("dot", "before", "before"),
+    Legend("dot", "after", "after"),
+    Legend("ring", "heldout", "held out of the fit"),
 )
 MOST_ROWS = 60
 """Rows of a table beyond this are counted instead of shown."""
@@ -28,24 +28,20 @@ def recording_section(diagnostics: ImuDiagnostics) -> Section:
     intervals = diagnostics.intervals
     used = np.asarray(intervals.used, dtype=bool)
     still = float(np.sum(finite(intervals.stop_s[used] - intervals.start_s[used])))
-    waves = [Legend(mark="square-wave", color="ink", label="static, used")]
+    waves = [Legend("square-wave", "ink", "static, used")]
     if not used.all():
-        waves.append(Legend(mark="square-wave", color="accent", label="static, left out"))
-    threshold = Legend(mark="line", color="accent", label=f"threshold {number(diagnostics.detector.multiplier, 3)}")
+        waves.append(Legend("square-wave", "accent", "static, left out"))
+    threshold = Legend("line", "accent", f"threshold {number(diagnostics.detector.multiplier, 3)}")
     figure = Figure(
-        title="Signals and static detector",
-        svg=imu_figures.signals(diagnostics),
-        legend=(*_AXES, *waves, threshold),
-        caption="The signals as recorded, reduced to the minimum and maximum of short stretches. The square wave is "
+        "Signals and static detector",
+        imu_figures.signals(diagnostics),
+        (*_AXES, *waves, threshold),
+        "The signals as recorded, reduced to the minimum and maximum of short stretches. The square wave is "
         f"high where the sensor rests: {int(used.sum())} intervals were used, {number(still, 4)} s in all. Below, the "
         "variance in a sliding window relative to its level at rest: where it stays under the threshold, the sensor is "
         "static.",
     )
-    return Section(
-        anchor="recording",
-        title="Recording",
-        blocks=(figure, *_left_out(intervals)),
-    )
+    return Section("recording", "Recording", blocks=(figure, *_left_out(intervals)))
 
 
 def _left_out(intervals: IntervalTable) -> tuple[Table, ...]:
@@ -63,10 +59,10 @@ def _left_out(intervals: IntervalTable) -> tuple[Table, ...]:
     more = len(rejected) - len(rows)
     return (
         Table(
-            title="Static intervals that were left out",
-            head=("interval", "time [s]", "reason"),
-            rows=rows,
-            caption=f"And {more} more." if more else "",
+            "Static intervals that were left out",
+            ("interval", "time [s]", "reason"),
+            rows,
+            f"And {more} more." if more else "",
             prose=True,
         ),
     )
@@ -80,7 +76,7 @@ def rest_section(diagnostics: ImuDiagnostics) -> Section | None:
     legend = [*_AXES]
     static = f"The recording starts with {number(curve.static_s, 3)} s at rest"
     if isfinite(curve.t_init_s):
-        legend.append(Legend(mark="dash", color="accent", label=f"advised T_init {number(curve.t_init_s, 3)} s"))
+        legend.append(Legend("dash", "accent", f"advised T_init {number(curve.t_init_s, 3)} s"))
         enough = curve.static_s >= curve.t_init_s
         advice = f"The curves flatten at an averaging time of {number(curve.t_init_s, 3)} s. {static}: " + (
             "long enough." if enough else "rest longer before the first movement next time."
@@ -90,13 +86,13 @@ def rest_section(diagnostics: ImuDiagnostics) -> Section | None:
             f"{static}, too short to see where the curves flatten. "
             "A longer rest before the first movement, such as 50 s, would tell."
         )
-    figure = Figure(title="Gyroscope at rest", svg=imu_figures.allan(curve), legend=tuple(legend), caption=advice)
+    figure = Figure("Gyroscope at rest", imu_figures.allan(curve), legend, advice)
     return Section(
-        anchor="rest",
-        title="Rest at the start",
-        lead="The Allan deviation shows how the mean of the gyroscope settles as it is averaged for longer. Where the "
+        "rest",
+        "Rest at the start",
+        "The Allan deviation shows how the mean of the gyroscope settles as it is averaged for longer. Where the "
         "three curves flatten, a longer initial rest would not make the bias any better known.",
-        blocks=(figure,),
+        (figure,),
     )
 
 
@@ -107,28 +103,28 @@ def attitudes_section(intervals: IntervalTable) -> Section | None:
     directions = directions[np.isfinite(directions).all(axis=1)]
     if not len(directions):
         return None
-    legend = [Legend(mark="dot", color="after", label="used")]
+    legend = [Legend("dot", "after", "used")]
     if not used.all():
-        legend.append(Legend(mark="ring", color="accent", label="left out"))
+        legend.append(Legend("ring", "accent", "left out"))
     gap, towards = largest_gap(directions)
     figure = Figure(
-        title="Directions of gravity in the body frame",
-        svg=magnitude_figures.directions(
+        "Directions of gravity in the body frame",
+        magnitude_figures.directions(
             "attitudes",
             intervals.direction,
             intervals.used,
             f"Directions of gravity in the body frame in {len(directions)} static intervals that were used.",
         ),
-        legend=tuple(legend),
-        caption="Both halves of the sphere in equal-area projection, seen from outside; circles every 30°. The "
+        legend,
+        "Both halves of the sphere in equal-area projection, seen from outside; circles every 30°. The "
         f"emptiest spot, {fixed(gap, 0)}° from the nearest attitude, is where up is ({towards}) in the body frame.",
     )
     return Section(
-        anchor="attitudes",
-        title="Attitudes",
-        lead="Scales, misalignments and biases come apart only if gravity was measured from many sides. The more "
+        "attitudes",
+        "Attitudes",
+        "Scales, misalignments and biases come apart only if gravity was measured from many sides. The more "
         "evenly the points are spread, the better.",
-        blocks=(figure,),
+        (figure,),
     )
 
 
@@ -150,24 +146,24 @@ def accelerometer_section(intervals: IntervalTable) -> Section | None:
     if not used.any():
         return None
     figure = Figure(
-        title="Error of the magnitude of specific force",
-        svg=magnitude_figures.magnitude_errors(
+        "Error of the magnitude of specific force",
+        magnitude_figures.magnitude_errors(
             "accelerometer",
             intervals,
             "m/s^2",
             "static interval",
             f"Error of the magnitude of specific force in {int(used.sum())} static intervals before and after the fit.",
         ),
-        legend=(*SERIES, Legend(mark="band", color="before", label="±2σ expected of noise alone")),
-        caption="|f| − g in each static interval. Before: one best scale and no bias, as an uncalibrated sensor reads. "
+        (*SERIES, Legend("band", "before", "±2σ expected of noise alone")),
+        "|f| − g in each static interval. Before: one best scale and no bias, as an uncalibrated sensor reads. "
         "Held out: the calibration was made without the interval that it is tested on.",
     )
     rows: list[tuple[str, ...]] = []
     for name, (spread, mean, worst) in in_numbers(intervals):
         milli_g = number(1e3 * spread / STANDARD_GRAVITY_M_S2, 3, trim=False)
         rows.append((name, *(quantity(v, "m/s²") for v in (spread, mean, worst)), milli_g))
-    table = Table(title="In numbers", head=("|f| − g", "rms", "mean size", "worst", "rms in mg"), rows=tuple(rows))
-    return Section(anchor="accelerometer", title="Accelerometer", blocks=(figure, table))
+    table = Table("In numbers", ("|f| − g", "rms", "mean size", "worst", "rms in mg"), rows)
+    return Section("accelerometer", "Accelerometer", blocks=(figure, table))
 
 
 def in_numbers(table: IntervalTable | RotationTable | PoseTable) -> Iterator[tuple[str, tuple[float, float, float]]]:
@@ -189,10 +185,10 @@ def gyroscope_section(rotations: RotationTable, gravity: float) -> Section | Non
     if not used.any():
         return None
     figure = Figure(
-        title="Gravity carried along by the gyroscope",
-        svg=imu_figures.rotation_errors(rotations),
-        legend=SERIES,
-        caption="For each rotation, gravity before it is carried along by integrating the gyroscope, and compared with "
+        "Gravity carried along by the gyroscope",
+        imu_figures.rotation_errors(rotations),
+        SERIES,
+        "For each rotation, gravity before it is carried along by integrating the gyroscope, and compared with "
         "gravity measured after it. Before: one scale for all axes and the bias of the first interval. An error that "
         "grows with the angle speaks of scale or misalignment, one that does not of bias or noise.",
     )
@@ -209,11 +205,11 @@ def gyroscope_section(rotations: RotationTable, gravity: float) -> Section | Non
             )
         )
     head = ("measured against propagated", "rms", "mean", "worst", "worst angle", "rms as magnitude")
-    table = Table(title="In numbers", head=head, rows=tuple(rows))
+    table = Table("In numbers", head, rows)
     lead = ""
     if not used.all():
         lead = f"{int((~used).sum())} of {len(used)} rotations were left out: {_reasons(rotations)}."
-    return Section(anchor="gyroscope", title="Gyroscope", lead=lead, blocks=(figure, table))
+    return Section("gyroscope", "Gyroscope", lead, (figure, table))
 
 
 def _reasons(rotations: RotationTable) -> str:
@@ -230,16 +226,16 @@ def choices_section(diagnostics: ImuDiagnostics) -> Section | None:
         tables.append(_thresholds(diagnostics.detector))
     if diagnostics.trials:
         tables.append(_models(diagnostics.trials))
-    return Section(anchor="choices", title="What was tried", blocks=tuple(tables)) if tables else None
+    return Section("choices", "What was tried", blocks=tables) if tables else None
 
 
 def _thresholds(detector: DetectorTrace) -> Table:
     candidates = np.atleast_2d(detector.candidates)[:MOST_ROWS]
     chosen = np.flatnonzero(np.isclose(candidates[:, 0], detector.multiplier))
     return Table(
-        title="Threshold of the static detector",
-        head=("multiplier", "static intervals", "held-out rms", "criterion"),
-        rows=tuple(
+        "Threshold of the static detector",
+        ("multiplier", "static intervals", "held-out rms", "criterion"),
+        tuple(
             (number(row[0]), number(row[1], 6), quantity(row[2], "m/s²"), number(row[3], 5))
             for row in candidates.tolist()
         ),
@@ -251,9 +247,9 @@ def _thresholds(detector: DetectorTrace) -> Table:
 
 def _models(trials: tuple[ModelTrial, ...]) -> Table:
     return Table(
-        title="Models",
-        head=("model", "parameters", "accelerometer, held out", "rotations, held out"),
-        rows=tuple(
+        "Models",
+        ("model", "parameters", "accelerometer, held out", "rotations, held out"),
+        tuple(
             (t.model, str(t.parameters), quantity(t.accelerometer_rms, "m/s²"), quantity(t.rotation_rms, "rad"))
             for t in trials
         ),
@@ -281,5 +277,5 @@ def noise_section(noise: Mapping[str, float]) -> Section | None:
         unit = _NOISE_UNITS.get((sensor, kind), "")
         shown = f"{number(value, 4)} {unit}".strip()
         rows.append((f"{sensor} {kind}".replace("_", " ").strip(), shown, quantity(value, unit) if unit else ""))
-    table = Table(title="From the parts at rest", head=("noise", "value", "reads as"), rows=tuple(rows))
-    return Section(anchor="noise", title="Noise", blocks=(table,))
+    table = Table("From the parts at rest", ("noise", "value", "reads as"), rows)
+    return Section("noise", "Noise", blocks=(table,))

@@ -22,11 +22,11 @@ def joined_page(calibration: Calibration, diagnostics: JoinedDiagnostics) -> Pag
     """Return the page of a calibration from several recordings of one sensor."""
     sections = (
         Section(
-            anchor="parameters",
-            title="Parameters",
-            lead="Means over the recordings. σ is the standard deviation of the sensor on another occasion about the "
+            "parameters",
+            "Parameters",
+            "Means over the recordings. σ is the standard deviation of the sensor on another occasion about the "
             "mean: the scatter between the recordings is in it. Bars show the estimate, whiskers ±2σ.",
-            blocks=(Parameters(groups=parameter_groups(calibration)),),
+            (Parameters(parameter_groups(calibration)),),
         ),
         _between(diagnostics),
         _recordings(diagnostics),
@@ -42,27 +42,23 @@ def _key_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
     assessment = calibration.assessment
     between = {name: assessment.trust.between.get(name, 0.0) for name in ("gyroscope_bias", "accelerometer_bias")}
     return (
-        KeyNumber(
-            label="Recordings",
-            value=str(assessment.trust.recordings),
-            note="each calibrated for itself, then joined",
-        ),
+        KeyNumber("Recordings", str(assessment.trust.recordings), "each calibrated for itself, then joined"),
         *(
             KeyNumber(
-                label=f"Turn-on {QUANTITIES[name].words}",
-                value=f"± {_amount(name, value)}",
-                note="standard deviation from recording to recording",
+                f"Turn-on {QUANTITIES[name].words}",
+                f"± {_amount(name, value)}",
+                "standard deviation from recording to recording",
             )
             for name, value in between.items()
             if value > 0
         ),
         KeyNumber(
-            label="Accelerometer on unseen data",
-            value=quantity(assessment.holdout.accelerometer_rms, "m/s²"),
-            note="rms of |f| − g in intervals left out of the fits",
+            "Accelerometer on unseen data",
+            quantity(assessment.holdout.accelerometer_rms, "m/s²"),
+            "rms of |f| − g in intervals left out of the fits",
         ),
-        KeyNumber(label="Gravity", value=gravity_text(calibration.gravity), note=calibration.gravity.source),
-        KeyNumber(label="Body frame", value=calibration.frame, note=FRAMES.get(calibration.frame, "")),
+        KeyNumber("Gravity", gravity_text(calibration.gravity), calibration.gravity.source),
+        KeyNumber("Body frame", calibration.frame, FRAMES.get(calibration.frame, "")),
     )
 
 
@@ -91,16 +87,16 @@ def _between(diagnostics: JoinedDiagnostics) -> Section:
                 )
             )
     return Section(
-        anchor="between",
-        title="What changes between recordings",
-        lead="What a sensor itself changes between two recordings no single recording can tell: its turn-on bias, and "
+        "between",
+        "What changes between recordings",
+        "What a sensor itself changes between two recordings no single recording can tell: its turn-on bias, and "
         "what temperature and mounting do.",
-        blocks=(
+        (
             Table(
-                title="Scatter between recordings (σ)",
-                head=("quantity", "between recordings", "within one", "of the mean", "usual", "z rms, one left out"),
-                rows=tuple(rows),
-                caption="Within one: rms sigma that a single recording states. Usual: of consumer sensors; "
+                "Scatter between recordings (σ)",
+                ("quantity", "between recordings", "within one", "of the mean", "usual", "z rms, one left out"),
+                rows,
+                "Within one: rms sigma that a single recording states. Usual: of consumer sensors; "
                 "with few recordings the estimate leans on it. z rms: distance of each recording from what the others "
                 "foretell, over its standard deviation; 1 is honest, and with two recordings there is none.",
             ),
@@ -110,20 +106,20 @@ def _between(diagnostics: JoinedDiagnostics) -> Section:
 
 def _recordings(diagnostics: JoinedDiagnostics) -> Section:
     return Section(
-        anchor="recordings",
-        title="Recordings",
-        lead="Each was calibrated for itself; gnomon imu with one of them alone makes its full report.",
-        blocks=(
+        "recordings",
+        "Recordings",
+        "Each was calibrated for itself; gnomon imu with one of them alone makes its full report.",
+        (
             Table(
-                title="One by one",
-                head=("recording", "verdict", "intervals", "rotations", "accelerometer unseen", "gyroscope unseen"),
-                rows=tuple(_row(one) for one in diagnostics.recordings),
+                "One by one",
+                ("recording", "verdict", "intervals", "rotations", "accelerometer unseen", "gyroscope unseen"),
+                tuple(_row(one) for one in diagnostics.recordings),
             ),
             Table(
-                title="Parameters, recording minus mean, in σ of that recording",
-                head=("parameter", *(one.name for one in diagnostics.recordings)),
-                rows=tuple(_deviations(diagnostics)),
-                caption="Large numbers are what the sensor changed. They are part of the published σ.",
+                "Parameters, recording minus mean, in σ of that recording",
+                ("parameter", *(one.name for one in diagnostics.recordings)),
+                tuple(_deviations(diagnostics)),
+                "Large numbers are what the sensor changed. They are part of the published σ.",
                 dense=True,
             ),
         ),
@@ -159,4 +155,4 @@ def _assumptions(calibration: Calibration) -> Section:
         "All recordings are of one sensor with one setting. Scales and axes agree well enough for that.",
     ]
     points += [finding.message for finding in calibration.assessment.findings if finding.code == "assumed"]
-    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))

@@ -7,7 +7,7 @@ from ..diagnostics import IntervalTable
 from ..recording import Floats, Integers
 from ..triad_diagnostics import PoseTable
 from . import svg
-from .figures import Sheet, coarser, dots, draw, limits
+from .figures import Sheet, coarser, dots, limits
 from .magnitude_units import scaled
 from .numbers import largest
 from .panel import Panel
@@ -27,21 +27,19 @@ def directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) 
     used = np.asarray(used, dtype=bool) & known
     labelled = len(used) <= 60
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the directions as seen from both ends of the z axis."""
-        for side in (1.0, -1.0):
-            axes = hemisphere(sheet, side)
-            here = known & ((direction[:, 2] >= 0) == (side > 0))
-            flat = lambert(direction, side)
-            for chosen, color, ring in ((here & ~used, "accent", True), (here & used, "after", False)):
-                # Directions closer than a dot is wide add nothing to see.
-                spots = np.unique(np.round(flat[chosen] / 0.02) * 0.02, axis=0) if not labelled else flat[chosen]
-                dots(axes, spots[:, 0], spots[:, 1], color, size=9 if labelled else 5, ring=ring and labelled)
-            if labelled:
-                for x, y, names in _labels(flat, np.flatnonzero(here)):
-                    axes.text(names, x, y, svg.text_style("muted", 9.5, "left"), fine=True)
-
-    return draw(name, SPHERE_HEIGHT, alt, paint)
+    sheet = Sheet()
+    for side in (1.0, -1.0):
+        axes = hemisphere(sheet, side)
+        here = known & ((direction[:, 2] >= 0) == (side > 0))
+        flat = lambert(direction, side)
+        for chosen, color, ring in ((here & ~used, "accent", True), (here & used, "after", False)):
+            # Directions closer than a dot is wide add nothing to see.
+            spots = np.unique(np.round(flat[chosen] / 0.02) * 0.02, axis=0) if not labelled else flat[chosen]
+            dots(axes, spots[:, 0], spots[:, 1], color, size=9 if labelled else 5, ring=ring and labelled)
+        if labelled:
+            for x, y, names in _labels(flat, np.flatnonzero(here)):
+                axes.text(names, x, y, svg.text_style("muted", 9.5, "left"), fine=True)
+    return sheet.draw(name, SPHERE_HEIGHT, alt)
 
 
 _CHARACTER, _LINE, _DOT, _APART = 0.054, 0.075, 0.04, 0.06
@@ -107,26 +105,24 @@ def magnitude_errors(name: str, table: IntervalTable | PoseTable, si_unit: str, 
     number_of = np.asarray(np.flatnonzero(used) + 1, dtype=np.float64)
     few = len(number_of) <= 300
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the errors of the magnitude before and after, and those left out."""
-        before, after = table.error_before[used], table.error_after[used]
-        heldout, sigma = table.error_holdout[used], table.sigma[used]
-        unit, factor = scaled(largest(np.concatenate([before, after])), si_unit)
-        axes = sheet.panel(f"Before and after [{unit}]", top=36, height=180)
-        for values, color in ((before, "before"), (after, "after")):
-            dots(axes, *_some(number_of, values * factor), color, size=7 if few else 4)
-        limits(axes, before * factor, after * factor, symmetric=True)
-        unit, factor = scaled(largest(np.concatenate([after, heldout])), si_unit)
-        close = sheet.panel(f"After, magnified [{unit}]", top=270, height=220, x_label=x_label)
-        _band(close, number_of, 2 * sigma * factor)
-        dots(close, *_some(number_of, heldout * factor), "heldout", size=7 if few else 5, ring=True)
-        dots(close, *_some(number_of, after * factor), "after", size=5 if few else 3)
-        limits(close, after * factor, heldout * factor, symmetric=True)
-        for panel in (axes, close):
-            over_index(panel, len(used))
-        axes.x.labelled = False
-
-    return draw(name, 550, alt, paint)
+    sheet = Sheet()
+    before, after = table.error_before[used], table.error_after[used]
+    heldout, sigma = table.error_holdout[used], table.sigma[used]
+    unit, factor = scaled(largest(np.concatenate([before, after])), si_unit)
+    axes = sheet.panel(f"Before and after [{unit}]", top=36, height=180)
+    for values, color in ((before, "before"), (after, "after")):
+        dots(axes, *_some(number_of, values * factor), color, size=7 if few else 4)
+    limits(axes, before * factor, after * factor, symmetric=True)
+    unit, factor = scaled(largest(np.concatenate([after, heldout])), si_unit)
+    close = sheet.panel(f"After, magnified [{unit}]", top=270, height=220, x_label=x_label)
+    _band(close, number_of, 2 * sigma * factor)
+    dots(close, *_some(number_of, heldout * factor), "heldout", size=7 if few else 5, ring=True)
+    dots(close, *_some(number_of, after * factor), "after", size=5 if few else 3)
+    limits(close, after * factor, heldout * factor, symmetric=True)
+    for panel in (axes, close):
+        over_index(panel, len(used))
+    axes.x.labelled = False
+    return sheet.draw(name, 550, alt)
 
 
 def _some(x: Floats, y: Floats, most: int = 600) -> tuple[Floats, Floats]:

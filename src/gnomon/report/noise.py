@@ -62,30 +62,28 @@ def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
         bound = "" if triad.random_walk_found else "at most "
         numbers += [
             KeyNumber(
-                label=f"{sensor.capitalize()} white noise",
-                value=quantity(triad.noise_density, unit),
-                note=f"root mean square of the axes; {scatter} a sample",
+                f"{sensor.capitalize()} white noise",
+                quantity(triad.noise_density, unit),
+                f"root mean square of the axes; {scatter} a sample",
             ),
             KeyNumber(
-                label=f"{sensor.capitalize()} random walk",
-                value=f"{bound}{quantity(triad.random_walk, walk)}",
-                note="of the axes that show one" if triad.random_walk_found else "none was seen",
+                f"{sensor.capitalize()} random walk",
+                f"{bound}{quantity(triad.random_walk, walk)}",
+                "of the axes that show one" if triad.random_walk_found else "none was seen",
             ),
         ]
     triad = next(iter(result.noise.triads.values()))
     numbers.append(
         KeyNumber(
-            label="Recording",
-            value=f"{number(triad.duration_s / 3600, 3)} h",
-            note=f"at {number(triad.rate_hz, 5)} Hz; averaging times up to {number(triad.tau_s[1], 3)} s",
+            "Recording",
+            f"{number(triad.duration_s / 3600, 3)} h",
+            f"at {number(triad.rate_hz, 5)} Hz; averaging times up to {number(triad.tau_s[1], 3)} s",
         )
     )
     if isfinite(result.noise.t_init_s):
         numbers.append(
             KeyNumber(
-                label="Initial rest",
-                value=f"{number(result.noise.t_init_s, 3)} s",
-                note="advised T_init of a calibration by hand",
+                "Initial rest", f"{number(result.noise.t_init_s, 3)} s", "advised T_init of a calibration by hand"
             )
         )
     return tuple(numbers)
@@ -94,11 +92,11 @@ def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
 def _coefficients(result: NoiseResult) -> Section:
     tables = tuple(_table(sensor, triad) for sensor, triad in result.noise.triads.items())
     return Section(
-        anchor="coefficients",
-        title="Coefficients",
-        lead="Each with its standard deviation. Where the recording does not show a kind of noise, an upper bound is "
+        "coefficients",
+        "Coefficients",
+        "Each with its standard deviation. Where the recording does not show a kind of noise, an upper bound is "
         "given instead (about 97 %).",
-        blocks=tables,
+        tables,
     )
 
 
@@ -112,7 +110,7 @@ def _table(sensor: str, triad: TriadNoise) -> Table:
         for name in COEFFICIENTS
     ]
     misfit = ("misfit of the curve", *(f"{number(100 * axis.misfit, 2)} %" for axis in triad.axes), "")
-    return Table(title=sensor.capitalize(), head=("", *AXES, "unit"), rows=(*rows, misfit), dense=True)
+    return Table(sensor.capitalize(), ("", *AXES, "unit"), (*rows, misfit), dense=True)
 
 
 def _text(found: Coefficient) -> str:
@@ -125,42 +123,39 @@ def _text(found: Coefficient) -> str:
 def _curves(result: NoiseResult, sensor: str) -> Section:
     noise, curve, unit = result.noise.triads[sensor], result.curves[sensor], _pretty(SENSOR_UNITS[sensor])
     t_init_s = result.noise.t_init_s if sensor == "gyroscope" else float("nan")
-    legend = [Legend(mark="line", color=axis, label=axis) for axis in AXES]
-    legend += [
-        Legend(mark="band", color="before", label="95 % interval"),
-        Legend(mark="dash", color="ink", label="noise that was found"),
-    ]
+    legend = [Legend("line", axis, axis) for axis in AXES]
+    legend += [Legend("band", "before", "95 % interval"), Legend("dash", "ink", "noise that was found")]
     if isfinite(t_init_s):
-        legend.append(Legend(mark="dash", color="accent", label=f"advised T_init {number(t_init_s, 3)} s"))
+        legend.append(Legend("dash", "accent", f"advised T_init {number(t_init_s, 3)} s"))
     kinds = [kind for kind in COEFFICIENTS if any(axis.coefficients()[kind].found for axis in noise.axes)]
     blocks = [
         Figure(
-            title="Allan deviation",
-            svg=noise_figures.allan(sensor, unit, curve, noise, t_init_s),
-            legend=tuple(legend),
-            caption="How far means over neighbouring stretches differ, by the length of the stretch (overlapping "
+            "Allan deviation",
+            noise_figures.allan(sensor, unit, curve, noise, t_init_s),
+            legend,
+            "How far means over neighbouring stretches differ, by the length of the stretch (overlapping "
             "estimate). Long averaging times rest on few independent stretches, hence the wide interval.",
         ),
         Figure(
-            title="What it is made of",
-            svg=noise_figures.parts(sensor, unit, curve, noise.axes),
-            legend=(
-                *(Legend(mark="line", color=COLORS[kind], label=kind.replace("_", " ")) for kind in kinds),
-                Legend(mark="dot", color="ink", label="observed"),
-                Legend(mark="dash", color="ink", label="all together"),
+            "What it is made of",
+            noise_figures.parts(sensor, unit, curve, noise.axes),
+            (
+                *(Legend("line", COLORS[kind], kind.replace("_", " ")) for kind in kinds),
+                Legend("dot", "ink", "observed"),
+                Legend("dash", "ink", "all together"),
             ),
         ),
     ]
     if sensor in result.signals:
         blocks.append(
             Figure(
-                title="Over time",
-                svg=noise_figures.means(sensor, unit, result.signals[sensor]),
-                legend=tuple(legend[:3]),
-                caption="Means of about a second, about their median: what moved or warmed the sensor shows here.",
+                "Over time",
+                noise_figures.means(sensor, unit, result.signals[sensor]),
+                tuple(legend[:3]),
+                "Means of about a second, about their median: what moved or warmed the sensor shows here.",
             )
         )
-    return Section(anchor=sensor, title=sensor.capitalize(), blocks=tuple(blocks))
+    return Section(sensor, sensor.capitalize(), blocks=blocks)
 
 
 def _conventions() -> Section:
@@ -173,19 +168,19 @@ def _conventions() -> Section:
         "imu.yaml has one number for three axes: the root of their mean square; of the random walk that of the axes "
         "that show one, or of the upper bounds where none does.",
     ]
-    prose = Prose(lines=tuple(points), points=True)
-    return Section(anchor="conventions", title="What the numbers mean", blocks=(prose,))
+    prose = Prose(points, points=True)
+    return Section("conventions", "What the numbers mean", blocks=(prose,))
 
 
 def _use() -> Section:
     return Section(
-        anchor="use",
-        title="How to use it",
+        "use",
+        "How to use it",
         blocks=(
-            Code(title="On the command line", text="gnomon camera-imu RECORDING --imu imu.yaml"),
+            Code("On the command line", "gnomon camera-imu RECORDING --imu imu.yaml"),
             Code(
-                title="In Python",
-                text='import gnomon\n\nnoise = gnomon.load_noise("noise.yaml")\n'
+                "In Python",
+                'import gnomon\n\nnoise = gnomon.load_noise("noise.yaml")\n'
                 "noise.gyroscope.axes[0].white_noise.value  # rad/s/√Hz\n"
                 "noise.imu_noise()  # one number for three axes, as in imu.yaml",
             ),

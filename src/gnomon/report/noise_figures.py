@@ -5,7 +5,7 @@ import numpy as np
 from ..diagnostics import SignalEnvelope
 from ..recording import Floats
 from ..sensor_noise import AllanTable, AxisNoise, TriadNoise
-from .figures import Sheet, draw, limits, log_limits, zigzag
+from .figures import Sheet, limits, log_limits, zigzag
 from .numbers import finite, highest, prefixed
 from .panel import DASHED, Panel
 
@@ -20,47 +20,43 @@ def allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s
     """Allan deviation of three axes with its interval, and the noise that was found (document A, Fig. 3.2)."""
     prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the Allan deviation with its uncertainty, and what was fitted to it."""
-        panel = sheet.panel(f"Allan deviation [{prefix}{unit}]", top=36, height=330, x_label="averaging time [s]")
-        for i, name in enumerate(AXES):
-            panel.band(curve.tau_s, curve.lower[:, i] * factor, curve.upper[:, i] * factor, name, alpha=0.16)
-        tau = _dense(curve.tau_s)
-        for axis, name in zip(noise.axes, AXES, strict=True):
-            used = tau[tau >= axis.fitted_from_s]
-            panel.line(used, axis.deviation(used) * factor, name, width=1.2, dash=DASHED)
-        for i, name in enumerate(AXES):
-            panel.line(curve.tau_s, curve.deviation[:, i] * factor, name, width=1.8)
-            panel.dots(curve.tau_s, curve.deviation[:, i] * factor, name, 5)
-        _scales(panel, curve, curve.deviation * factor)
-        if np.isfinite(t_init_s):
-            panel.upright(t_init_s, "accent", width=1.6, dash=(5.0, 3.0))
-
+    sheet = Sheet()
+    panel = sheet.panel(f"Allan deviation [{prefix}{unit}]", top=36, height=330, x_label="averaging time [s]")
+    for i, name in enumerate(AXES):
+        panel.band(curve.tau_s, curve.lower[:, i] * factor, curve.upper[:, i] * factor, name, alpha=0.16)
+    tau = _dense(curve.tau_s)
+    for axis, name in zip(noise.axes, AXES, strict=True):
+        used = tau[tau >= axis.fitted_from_s]
+        panel.line(used, axis.deviation(used) * factor, name, width=1.2, dash=DASHED)
+    for i, name in enumerate(AXES):
+        panel.line(curve.tau_s, curve.deviation[:, i] * factor, name, width=1.8)
+        panel.dots(curve.tau_s, curve.deviation[:, i] * factor, name, 5)
+    _scales(panel, curve, curve.deviation * factor)
+    if np.isfinite(t_init_s):
+        panel.upright(t_init_s, "accent", width=1.6, dash=(5.0, 3.0))
     alt = f"Allan deviation of the {sensor}'s axes x, y, z over averaging time, with the noise that was fitted."
-    return draw(f"allan-{sensor}", 426, alt, paint)
+    return sheet.draw(f"allan-{sensor}", 426, alt)
 
 
 def parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]) -> str:
     """Allan deviation of each axis, taken apart into the kinds of noise."""
     prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw for each axis the parts of the noise that make up its deviation."""
-        for i, (axis, name) in enumerate(zip(axes, AXES, strict=True)):
-            label = "averaging time [s]" if i == 2 else ""
-            panel = sheet.panel(f"{name} [{prefix}{unit}]", top=36 + 232 * i, height=180, x_label=label)
-            panel.band(curve.tau_s, curve.lower[:, i] * factor, curve.upper[:, i] * factor, "before", alpha=0.22)
-            tau = _dense(curve.tau_s)
-            for kind, deviation in axis.parts(tau).items():
-                panel.line(tau, deviation * factor, COLORS[kind], width=1.3)
-            used = tau[tau >= axis.fitted_from_s]
-            panel.line(used, axis.deviation(used) * factor, "ink", width=1.2, dash=DASHED)
-            panel.dots(curve.tau_s, curve.deviation[:, i] * factor, "ink", 5)
-            _scales(panel, curve, curve.deviation[:, i] * factor)
-            panel.x.labelled = i == 2
-
+    sheet = Sheet()
+    for i, (axis, name) in enumerate(zip(axes, AXES, strict=True)):
+        label = "averaging time [s]" if i == 2 else ""
+        panel = sheet.panel(f"{name} [{prefix}{unit}]", top=36 + 232 * i, height=180, x_label=label)
+        panel.band(curve.tau_s, curve.lower[:, i] * factor, curve.upper[:, i] * factor, "before", alpha=0.22)
+        tau = _dense(curve.tau_s)
+        for kind, deviation in axis.parts(tau).items():
+            panel.line(tau, deviation * factor, COLORS[kind], width=1.3)
+        used = tau[tau >= axis.fitted_from_s]
+        panel.line(used, axis.deviation(used) * factor, "ink", width=1.2, dash=DASHED)
+        panel.dots(curve.tau_s, curve.deviation[:, i] * factor, "ink", 5)
+        _scales(panel, curve, curve.deviation[:, i] * factor)
+        panel.x.labelled = i == 2
     alt = f"Allan deviation of each axis of the {sensor} with the curves of the kinds of noise it is made of."
-    return draw(f"parts-{sensor}", 750, alt, paint)
+    return sheet.draw(f"parts-{sensor}", 750, alt)
 
 
 def means(sensor: str, unit: str, signal: SignalEnvelope) -> str:
@@ -69,15 +65,13 @@ def means(sensor: str, unit: str, signal: SignalEnvelope) -> str:
     low, high = signal.low - middle, signal.high - middle
     prefix, factor = prefixed(highest(np.abs(np.concatenate([low, high])), 1.0))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the means of the signal over time."""
-        panel = sheet.panel(f"{sensor}, about its mean [{prefix}{unit}]", top=36, height=200, x_label="time [s]")
-        for i, name in enumerate(AXES):
-            zigzag(panel, signal.t_s, low[:, i] * factor, high[:, i] * factor, name)
-        limits(panel, low * factor, high * factor)
-        panel.x.span(0, highest(signal.t_s, 1.0))
-
-    return draw(f"means-{sensor}", 296, f"Means of the {sensor}'s samples over time.", paint)
+    sheet = Sheet()
+    panel = sheet.panel(f"{sensor}, about its mean [{prefix}{unit}]", top=36, height=200, x_label="time [s]")
+    for i, name in enumerate(AXES):
+        zigzag(panel, signal.t_s, low[:, i] * factor, high[:, i] * factor, name)
+    limits(panel, low * factor, high * factor)
+    panel.x.span(0, highest(signal.t_s, 1.0))
+    return sheet.draw(f"means-{sensor}", 296, f"Means of the {sensor}'s samples over time.")
 
 
 def _dense(tau_s: Floats) -> Floats:

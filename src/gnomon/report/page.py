@@ -5,6 +5,7 @@ A kind of calibration (imu.py) fills in the values below; the template page.html
 
 import base64
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 _HERE = Path(__file__).parent
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class KeyNumber:
     """A number that a reader should see first, with the sentence that explains it."""
 
@@ -28,7 +29,7 @@ class KeyNumber:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Bar:
     """A value and its two-sigma whisker, in percent of the width of the cell; `zero` is where zero lies."""
 
@@ -38,7 +39,7 @@ class Bar:
     high: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """One line of the parameter table; texts are formatted, `sigma` is empty for what is fixed."""
 
@@ -51,7 +52,7 @@ class Parameter:
     bar: Bar | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ParameterGroup:
     """Parameters that are compared with each other, and the unit of their bars."""
 
@@ -60,7 +61,7 @@ class ParameterGroup:
     rows: tuple[Parameter, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Legend:
     """What a mark in a figure means; page.css defines `color` as --plot-COLOR."""
 
@@ -69,18 +70,18 @@ class Legend:
     label: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Figure:
     """An SVG made by figures.draw, with its legend and caption."""
 
     title: str
     svg: str
+    legend: Sequence[Legend] = ()
     caption: str = ""
-    legend: tuple[Legend, ...] = ()
     kind: str = "figure"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Table:
     """Rows of texts; the first column is the row's name.
 
@@ -91,7 +92,7 @@ class Table:
 
     title: str
     head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: Sequence[tuple[str, ...]]
     caption: str = ""
     marked: int | None = None
     faint: frozenset[int] = frozenset()
@@ -102,16 +103,16 @@ class Table:
     kind: str = "table"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Prose:
     """Paragraphs, or a list of points."""
 
-    lines: tuple[str, ...]
+    lines: Sequence[str]
     points: bool = False
     kind: str = "prose"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Code:
     """Something to copy."""
 
@@ -120,7 +121,7 @@ class Code:
     kind: str = "code"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Parameters:
     """The parameter table, with a title of its own where the section has several."""
 
@@ -133,14 +134,14 @@ class Parameters:
 Block = Figure | Table | Prose | Code | Parameters
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Section:
     """A heading with what belongs under it; `anchor` is its name in links."""
 
     anchor: str
     title: str
     lead: str = ""
-    blocks: tuple[Block, ...] = ()
+    blocks: Sequence[Block] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,15 +11,15 @@ def provenance_section(provenance: Provenance) -> Section:
     rows.append(("options", options or "all at their defaults"))
     if provenance.seed is not None:
         rows.append(("seed", str(provenance.seed)))
-    blocks = [Table(title="How it was made", head=("", ""), rows=tuple(rows), prose=True)]
+    blocks = [Table("How it was made", ("", ""), rows, prose=True)]
     if provenance.inputs:
         blocks.append(
             Table(
-                title="Inputs",
-                head=("file", "SHA-256"),
-                rows=tuple((source.name, source.sha256) for source in provenance.inputs),
-                caption="The same inputs, options and version give the same calibration and report, byte for byte.",
+                "Inputs",
+                ("file", "SHA-256"),
+                tuple((source.name, source.sha256) for source in provenance.inputs),
+                "The same inputs, options and version give the same calibration and report, byte for byte.",
                 prose=True,
             )
         )
-    return Section(anchor="provenance", title="Provenance", blocks=tuple(blocks))
+    return Section("provenance", "Provenance", blocks=blocks)

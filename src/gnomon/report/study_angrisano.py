@@ -10,7 +10,7 @@ from ..study.angrisano import NAMES, AngrisanoStudy, Sample, claims, group_rms
 from ..study.angrisano_basin import GROUPS, Basin, Journey
 from ..study.angrisano_trial import TABLE_2, TRUTH
 from . import svg
-from .figures import LEFT, Sheet, dots, draw, limits
+from .figures import LEFT, Sheet, dots, limits
 from .numbers import fixed, number
 from .page import Figure, KeyNumber, Legend, Page, Prose, Section, Table
 from .panel import Panel
@@ -56,35 +56,33 @@ def _key_numbers(study: AngrisanoStudy) -> tuple[KeyNumber, ...]:
     ours = sum(outcome.same_minimum for outcome in outcomes) / len(outcomes)
     return (
         KeyNumber(
-            label="Iterations from the datasheet",
-            value=f"{fewest}" if fewest == most else f"{fewest} to {most}",
-            note=f"{usual} in {number(100 * times / study.runs, 3)} % of the runs; document C: 4 to 5",
+            "Iterations from the datasheet",
+            f"{fewest}" if fewest == most else f"{fewest} to {most}",
+            f"{usual} in {number(100 * times / study.runs, 3)} % of the runs; document C: 4 to 5",
         ),
         KeyNumber(
-            label="Poor starts, document C's iteration",
-            value=f"{number(100 * theirs, 3)} %",
-            note="end in the right minimum; drawn in Table 2's intervals widened threefold",
+            "Poor starts, document C's iteration",
+            f"{number(100 * theirs, 3)} %",
+            "end in the right minimum; drawn in Table 2's intervals widened threefold",
         ),
-        KeyNumber(
-            label="Poor starts, gnomon", value=f"{number(100 * ours, 4)} %", note="end in the same minimum as without"
-        ),
+        KeyNumber("Poor starts, gnomon", f"{number(100 * ours, 4)} %", "end in the same minimum as without"),
     )
 
 
 def _sigmas(study: AngrisanoStudy) -> Section:
     single = Table(
-        title=f"Each parameter: {study.samples[0].setting.name}",
-        head=("", "truth", "σ, document C", "scatter", "ratio", "σ, gnomon", "scatter", "ratio"),
-        rows=tuple(_parameter_row(study.samples[0], k) for k in range(9)),
-        caption="Scatter is the rms error over the runs; angles in radians, scale factors in m/s² per count.",
+        f"Each parameter: {study.samples[0].setting.name}",
+        ("", "truth", "σ, document C", "scatter", "ratio", "σ, gnomon", "scatter", "ratio"),
+        tuple(_parameter_row(study.samples[0], k) for k in range(9)),
+        "Scatter is the rms error over the runs; angles in radians, scale factors in m/s² per count.",
         dense=True,
     )
     return Section(
-        anchor="sigmas",
-        title="Sigmas (Table 1)",
-        lead="Magnitudes need no precise attitudes: 10° do as well as 1° at the same noise. Components, Eq. (4), do: "
+        "sigmas",
+        "Sigmas (Table 1)",
+        "Magnitudes need no precise attitudes: 10° do as well as 1° at the same noise. Components, Eq. (4), do: "
         "with attitudes known to 1° they are far worse.",
-        blocks=(*(_group_table(sample) for sample in study.samples), single),
+        (*(_group_table(sample) for sample in study.samples), single),
     )
 
 
@@ -101,9 +99,9 @@ def _group_table(sample: Sample) -> Table:
         rows = {"σ in Table 1": np.array(sample.setting.table_1), **rows}
     noise = 1e3 * sample.setting.scenario.accelerometer_noise_density
     return Table(
-        title=f"{sample.setting.name[:1].upper()}{sample.setting.name[1:]}; noise of a mean {number(noise)} mm/s²",
-        head=("rms over the three axes", "angles [′]", "biases [count]", "scale factors [10⁻⁷]"),
-        rows=tuple((name, *(number(v, 3) for v in shown * values)) for name, values in rows.items()),
+        f"{sample.setting.name[:1].upper()}{sample.setting.name[1:]}; noise of a mean {number(noise)} mm/s²",
+        ("rms over the three axes", "angles [′]", "biases [count]", "scale factors [10⁻⁷]"),
+        tuple((name, *(number(v, 3) for v in shown * values)) for name, values in rows.items()),
         marked=0 if sample.setting.table_1 is not None else None,
     )
 
@@ -128,29 +126,27 @@ def _starts(study: AngrisanoStudy) -> Section:
         for k, (group, unit, shown) in enumerate(zip(GROUPS, _UNITS, _SHOWN, strict=True))
     ]
     return Section(
-        anchor="starts",
-        title="Starts that lead home (Table 2)",
-        lead="All three parameters of a group are moved by the same offset from the datasheet start. An interval holds "
+        "starts",
+        "Starts that lead home (Table 2)",
+        "All three parameters of a group are moved by the same offset from the datasheet start. An interval holds "
         "the offsets about zero from which every start led to the right minimum.",
-        blocks=(
+        (
             Figure(
-                title="Offsets from which the right minimum was found",
-                svg=_basins(study.basins[0]),
-                legend=(
-                    Legend(mark="band", color="before", label="document C, Table 2"),
-                    Legend(
-                        mark="band", color="y", label="its iteration, repeated here; and with the stop rule as printed"
-                    ),
-                    Legend(mark="band", color="x", label="gnomon"),
+                "Offsets from which the right minimum was found",
+                _basins(study.basins[0]),
+                (
+                    Legend("band", "before", "document C, Table 2"),
+                    Legend("band", "y", "its iteration, repeated here; and with the stop rule as printed"),
+                    Legend("band", "x", "gnomon"),
                 ),
-                caption="One experiment. Below zero and above it the steps differ: each side reaches three times as "
+                "One experiment. Below zero and above it the steps differ: each side reaches three times as "
                 "far as Table 2. Gaps are starts that led elsewhere.",
             ),
             Table(
-                title=f"Intervals, median over {len(study.basins)} of the experiments",
-                head=("", "Table 2", "iteration", "as printed", "gnomon"),
-                rows=tuple(rows),
-                caption="Gnomon's intervals are all that was tried.",
+                f"Intervals, median over {len(study.basins)} of the experiments",
+                ("", "Table 2", "iteration", "as printed", "gnomon"),
+                rows,
+                "Gnomon's intervals are all that was tried.",
             ),
         ),
     )
@@ -161,14 +157,12 @@ def _interval(ends: Floats) -> str:
 
 
 def _basins(basins: tuple[Basin, ...]) -> str:
-    def paint(sheet: Sheet) -> None:
-        """Draw for each group of parameters the starts that lead home."""
-        for k, basin in enumerate(basins):
-            title = f"{basin.group[:1].upper()}{basin.group[1:]}: offset [{_UNITS[k]}]"
-            _basin(sheet.panel(title, top=36.0 + 178 * k, height=112, left=LEFT + 52, right=44), basin, k)
-
+    sheet = Sheet()
+    for k, basin in enumerate(basins):
+        title = f"{basin.group[:1].upper()}{basin.group[1:]}: offset [{_UNITS[k]}]"
+        _basin(sheet.panel(title, top=36.0 + 178 * k, height=112, left=LEFT + 52, right=44), basin, k)
     alt = "Offsets of the start from which document C's iteration and gnomon find the right minimum, three groups."
-    return draw("basins", 36 + 3 * 178, alt, paint)
+    return sheet.draw("basins", 36 + 3 * 178, alt)
 
 
 def _basin(panel: Panel, basin: Basin, group: int) -> None:
@@ -212,21 +206,21 @@ def _strip(panel: Panel, place: Floats, found: Booleans, row: int, color: str) -
 def _iterations(study: AngrisanoStudy) -> Section:
     figures = [
         Figure(
-            title=f"{title}: {journey.name} ({journey.fit.iterations} iterations, {journey.fit.status})",
-            svg=_journey(f"journey-{k}", journey),
-            legend=(
-                *(Legend(mark="line", color=axis, label=axis) for axis in _AXES),
-                Legend(mark="dash", color="muted", label="truth"),
-                Legend(mark="ring", color="ink", label="gnomon from the same start"),
+            f"{title}: {journey.name} ({journey.fit.iterations} iterations, {journey.fit.status})",
+            _journey(f"journey-{k}", journey),
+            (
+                *(Legend("line", axis, axis) for axis in _AXES),
+                Legend("dash", "muted", "truth"),
+                Legend("ring", "ink", "gnomon from the same start"),
             ),
         )
         for k, (title, journey) in enumerate(zip(("Fig. 4", "Fig. 5", "Fig. 6"), study.journeys, strict=True))
     ]
     return Section(
-        anchor="iterations",
-        title="Iterations (Figs. 4 to 6)",
-        lead="The figures of document C drawn again from one simulated experiment.",
-        blocks=tuple(figures),
+        "iterations",
+        "Iterations (Figs. 4 to 6)",
+        "The figures of document C drawn again from one simulated experiment.",
+        figures,
     )
 
 
@@ -235,28 +229,26 @@ def _journey(name: str, journey: Journey) -> str:
     steps = np.arange(len(visited), dtype=np.float64)
     panels = (("Angles [°]", 0, _SHOWN[0]), ("Biases [count]", 3, 1.0), ("Scale factors [10⁻³ m/s² per count]", 6, 1e3))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw angles, biases and scale factors after each iteration."""
-        top = 36.0
-        for title, first, shown in panels:
-            last = first == 6
-            panel = sheet.panel(title, top=top, height=130, x_label="iteration" if last else "")
-            group = slice(first, first + 3)
-            values, ours = shown * visited[:, group], shown * journey.ours[group]
-            for k, axis in enumerate(_AXES):
-                panel.across(float(shown * TRUTH[first + k]), "muted", dash=(4.0, 4.0))
-                panel.line(steps, values[:, k], axis, width=1.6)
-            dots(panel, np.full(3, steps[-1] + 0.6), ours, "ink", ring=True)
-            near = values if journey.fit.converged else _near(values, ours)
-            limits(panel, near, ours)
-            for k, axis in enumerate(_AXES):
-                dots(panel, steps, near[:, k], axis, size=5.0)
-            panel.x.span(-0.2, steps[-1] + 0.9)
-            panel.x.whole, panel.x.labelled = True, last
-            top += 186
-
+    sheet = Sheet()
+    top = 36.0
+    for title, first, shown in panels:
+        last = first == 6
+        panel = sheet.panel(title, top=top, height=130, x_label="iteration" if last else "")
+        group = slice(first, first + 3)
+        values, ours = shown * visited[:, group], shown * journey.ours[group]
+        for k, axis in enumerate(_AXES):
+            panel.across(float(shown * TRUTH[first + k]), "muted", dash=(4.0, 4.0))
+            panel.line(steps, values[:, k], axis, width=1.6)
+        dots(panel, np.full(3, steps[-1] + 0.6), ours, "ink", ring=True)
+        near = values if journey.fit.converged else _near(values, ours)
+        limits(panel, near, ours)
+        for k, axis in enumerate(_AXES):
+            dots(panel, steps, near[:, k], axis, size=5.0)
+        panel.x.span(-0.2, steps[-1] + 0.9)
+        panel.x.whole, panel.x.labelled = True, last
+        top += 186
     alt = f"Document C's iteration {journey.name}: angles, biases and scale factors after each iteration."
-    return draw(name, 36 + 3 * 186 + 20, alt, paint)
+    return sheet.draw(name, 36 + 3 * 186 + 20, alt)
 
 
 def _near(values: Floats, ours: Floats) -> Floats:
@@ -266,4 +258,4 @@ def _near(values: Floats, ours: Floats) -> Floats:
 
 
 def _setup() -> Section:
-    return Section(anchor="setup", title="How it was simulated", blocks=(Prose(lines=_SETUP),))
+    return Section("setup", "How it was simulated", blocks=(Prose(_SETUP),))

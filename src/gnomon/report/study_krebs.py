@@ -64,24 +64,22 @@ def _key_numbers(study: KrebsStudy) -> tuple[KeyNumber, ...]:
     step = np.exp(np.mean(np.log(reduction(study.noise_levels)), axis=1))
     return (
         KeyNumber(
-            label="σ of p_cb, S1",
-            value=f"{_row(1e3 * first.scatter[place], 3)} mm",
-            note="x, y, z; document B: 1.71, 3.91, 6.86 mm",
+            "σ of p_cb, S1", f"{_row(1e3 * first.scatter[place], 3)} mm", "x, y, z; document B: 1.71, 3.91, 6.86 mm"
         ),
         KeyNumber(
-            label="Squared error over covariance",
-            value=", ".join(fixed(sample.nees, 1) for sample in study.noise_levels),
-            note=f"S1, S2, S3; {len(NAMES)} where the stated covariance is true",
+            "Squared error over covariance",
+            ", ".join(fixed(sample.nees, 1) for sample in study.noise_levels),
+            f"S1, S2, S3; {len(NAMES)} where the stated covariance is true",
         ),
         KeyNumber(
-            label="A tenth of the noise",
-            value=f"σ / {number(step[0], 3)}, / {number(step[1], 3)}",
-            note="of p_cb, mean of the axes; document B: 2 to 4",
+            "A tenth of the noise",
+            f"σ / {number(step[0], 3)}, / {number(step[1], 3)}",
+            "of p_cb, mean of the axes; document B: 2 to 4",
         ),
         KeyNumber(
-            label="Basic model",
-            value=f"{_row(1e3 * study.basic.mean[place], 2)} mm",
-            note="mean error of p_cb; document B: up to 5 mm on one axis",
+            "Basic model",
+            f"{_row(1e3 * study.basic.mean[place], 2)} mm",
+            "mean error of p_cb; document B: up to 5 mm on one axis",
         ),
     )
 
@@ -102,20 +100,20 @@ def _translation(study: KrebsStudy) -> Section:
         )
     ]
     return Section(
-        anchor="translation",
-        title="Translation from camera to IMU (Table 5.2, Figs. 5.2 and B.1)",
-        lead="The truth is (103, -15, -10) mm.".replace("-", "−"),
-        blocks=(
-            Table(title="σ of p_cb [mm]", head=("", "x", "y", "z"), rows=tuple(rows), dense=True),
+        "translation",
+        "Translation from camera to IMU (Table 5.2, Figs. 5.2 and B.1)",
+        "The truth is (103, -15, -10) mm.".replace("-", "−"),
+        (
+            Table("σ of p_cb [mm]", ("", "x", "y", "z"), rows, dense=True),
             Figure(
-                title="Estimates of p_cb",
-                svg=translation(study),
-                legend=(
-                    *(Legend(mark="band", color=axis, label=axis) for axis in ("x", "y", "z")),
-                    Legend(mark="line", color="ink", label="fitted normal distribution"),
-                    Legend(mark="dash", color="accent", label="truth"),
+                "Estimates of p_cb",
+                translation(study),
+                (
+                    *(Legend("band", axis, axis) for axis in ("x", "y", "z")),
+                    Legend("line", "ink", "fitted normal distribution"),
+                    Legend("dash", "accent", "truth"),
                 ),
-                caption="Each panel has its own scale.",
+                "Each panel has its own scale.",
             ),
         ),
     )
@@ -124,21 +122,21 @@ def _translation(study: KrebsStudy) -> Section:
 def _every(study: KrebsStudy) -> Section:
     blocks = [_parameter_table(sample, k) for k, sample in enumerate(study.noise_levels)]
     return Section(
-        anchor="parameters",
-        title="All parameters (Tables 5.3, B.1 and B.2)",
-        lead="σ is the scatter over the runs, σ_cal of document B. Beside it the σ that gnomon states for one "
+        "parameters",
+        "All parameters (Tables 5.3, B.1 and B.2)",
+        "σ is the scatter over the runs, σ_cal of document B. Beside it the σ that gnomon states for one "
         "recording, and z, the rms error in units of it, which is 1 where it is true.",
-        blocks=(
+        (
             _table_5_3(study),
             _group_table(study),
             *blocks,
             Figure(
-                title="Errors of S_a (Fig. B.2)",
-                svg=scale(study),
-                legend=(
-                    *(Legend(mark="band", color=axis, label=axis) for axis in ("x", "y", "z")),
-                    Legend(mark="line", color="ink", label="fitted normal distribution"),
-                    Legend(mark="dash", color="accent", label="no error"),
+                "Errors of S_a (Fig. B.2)",
+                scale(study),
+                (
+                    *(Legend("band", axis, axis) for axis in ("x", "y", "z")),
+                    Legend("line", "ink", "fitted normal distribution"),
+                    Legend("dash", "accent", "no error"),
                 ),
             ),
         ),
@@ -148,9 +146,9 @@ def _every(study: KrebsStudy) -> Section:
 def _table_5_3(study: KrebsStudy) -> Table:
     ours, tabled = group_mean(study.samples[0].scatter), group_mean(stated_sigma(0))
     return Table(
-        title="Table 5.3: σ of one recording of 90 s, S1, mean of the elements",
-        head=("", "unit", "Table 5.3", "mean of B.1, B.2", "here"),
-        rows=tuple(
+        "Table 5.3: σ of one recording of 90 s, S1, mean of the elements",
+        ("", "unit", "Table 5.3", "mean of B.1, B.2", "here"),
+        tuple(
             (
                 f"{group.symbol}, {group.name}",
                 _SHOWN[group.unit],
@@ -160,7 +158,7 @@ def _table_5_3(study: KrebsStudy) -> Table:
             )
             for group in GROUPS
         ),
-        caption="Tables B.1 and B.2 have no σ of gravity and of the time offset. Of q_cb and q_bg, Table 5.3 has the "
+        "Tables B.1 and B.2 have no σ of gravity and of the time offset. Of q_cb and q_bg, Table 5.3 has the "
         "mean of four elements, w among them; the other columns that of three.",
     )
 
@@ -175,21 +173,16 @@ def _group_table(study: KrebsStudy) -> Table:
             cells += [number(1e3 * theirs, 3), number(1e3 * ours, 3), fixed(ours / theirs, 2)]
         rows.append(tuple(cells))
     head = [f"{sample.series.name} {what}" for sample in study.noise_levels for what in ("B.1, B.2", "here", "ratio")]
-    return Table(
-        title="σ of each group, rms over its elements",
-        head=("", "unit", *head),
-        rows=tuple(rows),
-        dense=True,
-    )
+    return Table("σ of each group, rms over its elements", ("", "unit", *head), rows, dense=True)
 
 
 def _parameter_table(sample: Sample, k: int) -> Table:
     stated, means = stated_sigma(k), stated_mean(k)
     z = np.sqrt(np.mean((sample.errors / np.array([run.sigma for run in sample.found])) ** 2, axis=0))
     return Table(
-        title=f"{sample.series.name}: every element",
-        head=("", "unit", "mean error, B.1", "here", "σ, B.1 and B.2", "here", "σ of gnomon", "z"),
-        rows=tuple(
+        f"{sample.series.name}: every element",
+        ("", "unit", "mean error, B.1", "here", "σ, B.1 and B.2", "here", "σ of gnomon", "z"),
+        tuple(
             (
                 name,
                 _SHOWN[unit],
@@ -217,28 +210,28 @@ def _levels(study: KrebsStudy) -> Section:
         for sample in (*study.noise_levels, *study.without_pixel_noise)
     ]
     return Section(
-        anchor="noise",
-        title="Noise levels (Fig. 5.3)",
-        lead="The pixel noise stays where it is while the IMU's falls: p_cb then improves by less than the noise. "
+        "noise",
+        "Noise levels (Fig. 5.3)",
+        "The pixel noise stays where it is while the IMU's falls: p_cb then improves by less than the noise. "
         "Without pixel noise it follows the noise.",
-        blocks=(
+        (
             Table(
-                title="By what σ of p_cb falls when the IMU's noise falls to a tenth",
-                head=("", "S1 to S2: x", "y", "z", "S2 to S3: x", "y", "z"),
-                rows=tuple(rows),
+                "By what σ of p_cb falls when the IMU's noise falls to a tenth",
+                ("", "S1 to S2: x", "y", "z", "S2 to S3: x", "y", "z"),
+                rows,
             ),
-            Table(title="σ of p_cb [mm]", head=("", "x", "y", "z"), rows=tuple(sigmas), dense=True),
+            Table("σ of p_cb [mm]", ("", "x", "y", "z"), tuple(sigmas), dense=True),
             Figure(
-                title="Fitted distributions of the error of p_cb",
-                svg=noise_levels(study),
-                legend=(
+                "Fitted distributions of the error of p_cb",
+                noise_levels(study),
+                (
                     *(
-                        Legend(mark="line", color=color, label=sample.series.name)
+                        Legend("line", color, sample.series.name)
                         for color, sample in zip(LEVELS, study.noise_levels, strict=True)
                     ),
-                    Legend(mark="dash", color="accent", label="truth"),
+                    Legend("dash", "accent", "truth"),
                 ),
-                caption="All peaks are drawn at the same height.",
+                "All peaks are drawn at the same height.",
             ),
         ),
     )
@@ -260,23 +253,23 @@ def _neglect(study: KrebsStudy) -> Section:
         for name, sample in (("extended", study.samples[0]), ("basic", study.basic))
     ]
     return Section(
-        anchor="neglect",
-        title="Neglecting the influences between the axes (Fig. 5.4)",
-        lead="The same recordings of S1, calibrated with the extended and with the basic model.",
-        blocks=(
+        "neglect",
+        "Neglecting the influences between the axes (Fig. 5.4)",
+        "The same recordings of S1, calibrated with the extended and with the basic model.",
+        (
             Table(
-                title="p_cb [mm]",
-                head=("", "mean error x", "y", "z", "σ x", "y", "z", "stated σ x", "y", "z"),
-                rows=tuple(rows),
-                caption="The basic model states the σ of a model that were true.",
+                "p_cb [mm]",
+                ("", "mean error x", "y", "z", "σ x", "y", "z", "stated σ x", "y", "z"),
+                rows,
+                "The basic model states the σ of a model that were true.",
             ),
             Figure(
-                title="Error of p_cb",
-                svg=neglect(study),
-                legend=(
-                    Legend(mark="band", color="x", label="extended model"),
-                    Legend(mark="band", color="z", label="basic model"),
-                    Legend(mark="dash", color="accent", label="truth"),
+                "Error of p_cb",
+                neglect(study),
+                (
+                    Legend("band", "x", "extended model"),
+                    Legend("band", "z", "basic model"),
+                    Legend("dash", "accent", "truth"),
                 ),
             ),
         ),
@@ -297,16 +290,16 @@ def _independent(study: KrebsStudy) -> Section:
         for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True))
     ]
     return Section(
-        anchor="independence",
-        title="One parameter at a time (section 5.1.1)",
-        lead="Recordings without noise. One parameter of the rig is changed; its estimate has to move by as much, and "
+        "independence",
+        "One parameter at a time (section 5.1.1)",
+        "Recordings without noise. One parameter of the rig is changed; its estimate has to move by as much, and "
         "no other one.",
-        blocks=(
+        (
             Table(
-                title="What a change does to the estimates",
-                head=("changed", "unit", "by", "its estimate moved by", "largest other move [σ of S1]", "of"),
-                rows=tuple(rows),
-                caption="Gravity's magnitude has a weak prior of 0.05 m/s² about the usual one, which holds g_w back.",
+                "What a change does to the estimates",
+                ("changed", "unit", "by", "its estimate moved by", "largest other move [σ of S1]", "of"),
+                rows,
+                "Gravity's magnitude has a weak prior of 0.05 m/s² about the usual one, which holds g_w back.",
                 dense=True,
             ),
         ),
@@ -319,16 +312,16 @@ def _setup(study: KrebsStudy) -> Section:
         for setting, run in study.settings
     ]
     return Section(
-        anchor="setup",
-        title="How it was simulated, and what document B leaves open",
+        "setup",
+        "How it was simulated, and what document B leaves open",
         blocks=(
-            Prose(lines=_SETUP),
-            Prose(lines=tuple(_fine(line) for line in _DOUBTS), points=True),
+            Prose(_SETUP),
+            Prose(tuple(_fine(line) for line in _DOUBTS), points=True),
             Table(
-                title="σ over that of S1 in Tables B.1 and B.2, rms over each group, one recording each",
-                head=("", *(group.symbol for group in GROUPS if group.sigma)),
-                rows=tuple(rows),
-                caption="The σ that gnomon states, which the runs above confirm.",
+                "σ over that of S1 in Tables B.1 and B.2, rms over each group, one recording each",
+                ("", *(group.symbol for group in GROUPS if group.sigma)),
+                rows,
+                "The σ that gnomon states, which the runs above confirm.",
             ),
         ),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from ..recording import Floats
 from ..study.krebs import KrebsStudy, Sample
 from ..study.krebs_thesis import KrebsRig, columns
-from .figures import WIDTH, Sheet, draw
+from .figures import WIDTH, Sheet
 from .numbers import finite, positive
 from .panel import Panel
 
@@ -30,56 +30,48 @@ def _histograms(name: str, samples: Sequence[Sample], symbol: str, *, factor: fl
     """
     place = columns(symbol)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw a histogram of the errors for each series and axis."""
-        for row, sample in enumerate(samples):
-            for k, axis in enumerate(AXES):
-                values = factor * (truth[k] + sample.errors[:, place.start + k])
-                panel = _third(sheet, f"{sample.series.name}: {axis} [{unit}]", row, k)
-                _histogram(panel, values, axis)
-                _normal(panel, values, "ink")
-                panel.upright(factor * float(truth[k]), "accent", width=1.6, dash=_DASHED)
-
+    sheet = Sheet()
+    for row, sample in enumerate(samples):
+        for k, axis in enumerate(AXES):
+            values = factor * (truth[k] + sample.errors[:, place.start + k])
+            panel = _third(sheet, f"{sample.series.name}: {axis} [{unit}]", row, k)
+            _histogram(panel, values, axis)
+            _normal(panel, values, "ink")
+            panel.upright(factor * float(truth[k]), "accent", width=1.6, dash=_DASHED)
     alt = f"Histograms of {symbol} in {unit} of {', '.join(sample.series.name for sample in samples)}, three axes."
-    return draw(name, _PITCH * len(samples), alt, paint)
+    return sheet.draw(name, _PITCH * len(samples), alt)
 
 
 def noise_levels(study: KrebsStudy) -> str:
     """Draw the fitted distributions of p_cb at each noise level, with pixel noise and without it (Fig. 5.3)."""
-
-    def paint(sheet: Sheet) -> None:
-        """Draw the fitted distributions of each axis, with pixel noise above and without it below."""
-        for row, (samples, title) in enumerate(
-            ((study.noise_levels, "with pixel noise"), (study.without_pixel_noise, "without"))
-        ):
-            for k, axis in enumerate(AXES):
-                panel = _third(sheet, f"{axis} [mm], {title}", row, k)
-                reach = 3.5e3 * max(float(sample.scatter[columns("p_cb").start + k]) for sample in study.noise_levels)
-                for sample, color in zip(samples, LEVELS, strict=True):
-                    _normal(panel, 1e3 * sample.errors[:, columns("p_cb").start + k], color, peak=1.0)
-                panel.upright(0.0, "accent", width=1.6, dash=_DASHED)
-                panel.x.span(-reach, reach)
-                panel.y.span(0.0, 1.08)
-
-    return draw("levels", 2 * _PITCH, "Normal distributions of the error of p_cb at three noise levels.", paint)
+    sheet = Sheet()
+    for row, (samples, title) in enumerate(
+        ((study.noise_levels, "with pixel noise"), (study.without_pixel_noise, "without"))
+    ):
+        for k, axis in enumerate(AXES):
+            panel = _third(sheet, f"{axis} [mm], {title}", row, k)
+            reach = 3.5e3 * max(float(sample.scatter[columns("p_cb").start + k]) for sample in study.noise_levels)
+            for sample, color in zip(samples, LEVELS, strict=True):
+                _normal(panel, 1e3 * sample.errors[:, columns("p_cb").start + k], color, peak=1.0)
+            panel.upright(0.0, "accent", width=1.6, dash=_DASHED)
+            panel.x.span(-reach, reach)
+            panel.y.span(0.0, 1.08)
+    return sheet.draw("levels", 2 * _PITCH, "Normal distributions of the error of p_cb at three noise levels.")
 
 
 def neglect(study: KrebsStudy) -> str:
     """Draw the histograms of p_cb's error with the extended and with the basic model (Fig. 5.4)."""
-
-    def paint(sheet: Sheet) -> None:
-        """Draw the errors of the position along each axis, with the basic and the extended model."""
-        for k, axis in enumerate(AXES):
-            at = columns("p_cb").start + k
-            panel = _third(sheet, f"{axis} [mm]", 0, k)
-            both = [1e3 * sample.errors[:, at] for sample in (study.samples[0], study.basic)]
-            edges = _edges(np.concatenate(both))
-            for values, color in zip(both, ("x", "z"), strict=True):
-                _histogram(panel, values, color, edges)
-                _normal(panel, values, color)
-            panel.upright(0.0, "accent", width=1.6, dash=_DASHED)
-
-    return draw("neglect", _PITCH, "Error of p_cb with the extended and with the basic model.", paint)
+    sheet = Sheet()
+    for k, axis in enumerate(AXES):
+        at = columns("p_cb").start + k
+        panel = _third(sheet, f"{axis} [mm]", 0, k)
+        both = [1e3 * sample.errors[:, at] for sample in (study.samples[0], study.basic)]
+        edges = _edges(np.concatenate(both))
+        for values, color in zip(both, ("x", "z"), strict=True):
+            _histogram(panel, values, color, edges)
+            _normal(panel, values, color)
+        panel.upright(0.0, "accent", width=1.6, dash=_DASHED)
+    return sheet.draw("neglect", _PITCH, "Error of p_cb with the extended and with the basic model.")
 
 
 def _third(sheet: Sheet, title: str, row: int, k: int) -> Panel:

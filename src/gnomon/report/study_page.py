@@ -10,18 +10,14 @@ _WORDS = {True: "yes", False: "no", None: "too few runs"}
 
 
 def study_page(
-    title: str,
-    subject: str,
-    claims: Sequence[Claim],
-    key_numbers: tuple[KeyNumber, ...],
-    sections: Sequence[Section],
+    title: str, subject: str, claims: Sequence[Claim], key_numbers: tuple[KeyNumber, ...], sections: Sequence[Section]
 ) -> Page:
     """Return the page of a study; its verdict says whether all claims hold."""
     whole = all(claim.holds for claim in claims)
     table = Table(
-        title="Expected and found",
-        head=("Holds", "Claim", "Expected", "Found"),
-        rows=tuple((_WORDS[c.holds], *map(_fine, (c.claim, c.expected, c.found))) for c in claims),
+        "Expected and found",
+        ("Holds", "Claim", "Expected", "Found"),
+        tuple((_WORDS[c.holds], *map(_fine, (c.claim, c.expected, c.found))) for c in claims),
         prose=True,
         stacked=True,
     )
@@ -32,7 +28,7 @@ def study_page(
         headline=_headline([claim.holds for claim in claims]),
         key_numbers=key_numbers,
         findings=(),
-        sections=(Section(anchor="claims", title="Claims", blocks=(table,)), *sections),
+        sections=(Section("claims", "Claims", blocks=(table,)), *sections),
         footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
     )
 

@@ -50,19 +50,19 @@ def _key_numbers(study: TedaldiStudy) -> tuple[KeyNumber, ...]:
     drift = float(np.nanmean(study.signals("gnomon", "drift_angle")[..., 0]))
     return (
         KeyNumber(
-            label="Accelerometer errors over document A's",
-            value=f"{fixed(float(ratio[:3].min()), 2)} to {fixed(float(ratio[:3].max()), 2)}",
-            note="misalignment, scale, bias; mean absolute errors over all sets",
+            "Accelerometer errors over document A's",
+            f"{fixed(float(ratio[:3].min()), 2)} to {fixed(float(ratio[:3].max()), 2)}",
+            "misalignment, scale, bias; mean absolute errors over all sets",
         ),
         KeyNumber(
-            label="Gyroscope errors over document A's",
-            value=f"{fixed(float(ratio[3:].min()), 2)} to {fixed(float(ratio[3:].max()), 2)}",
-            note="misalignment, scale; its motion is not known",
+            "Gyroscope errors over document A's",
+            f"{fixed(float(ratio[3:].min()), 2)} to {fixed(float(ratio[3:].max()), 2)}",
+            "misalignment, scale; its motion is not known",
         ),
         KeyNumber(
-            label="Gravity carried through the recording",
-            value=f"{number(1e3 * drift, 3)} mrad",
-            note=f"mean angle; Table 4.5: {number(1e3 * ROTATION['calibrated'][1][0], 3)} mrad",
+            "Gravity carried through the recording",
+            f"{number(1e3 * drift, 3)} mrad",
+            f"mean angle; Table 4.5: {number(1e3 * ROTATION['calibrated'][1][0], 3)} mrad",
         ),
     )
 
@@ -83,18 +83,18 @@ def _parameters(study: TedaldiStudy) -> Section:
         for k in range(18)
     ]
     first = Table(
-        title="The first set (Tables 4.1 and 4.2)",
-        head=("", "truth", "gnomon: spread", "error", "as printed: spread", "error", "document A: spread", "error"),
-        rows=tuple(rows),
-        caption="Spread is the standard deviation of the estimates, error their mean absolute error, both in 10⁻³; "
+        "The first set (Tables 4.1 and 4.2)",
+        ("", "truth", "gnomon: spread", "error", "as printed: spread", "error", "document A: spread", "error"),
+        rows,
+        "Spread is the standard deviation of the estimates, error their mean absolute error, both in 10⁻³; "
         "biases in m/s². Document A's first set is another one; all sets are in parameters.csv.",
         dense=True,
     )
     return Section(
-        anchor="parameters",
-        title="Parameters (Tables 4.1 and 4.2)",
-        lead="Errors of the estimated parameters of Eqs. (2.6) and (2.7).",
-        blocks=(_groups(study), figures.set_errors(study, _CALLED), first, _sigma_table(study)),
+        "parameters",
+        "Parameters (Tables 4.1 and 4.2)",
+        "Errors of the estimated parameters of Eqs. (2.6) and (2.7).",
+        (_groups(study), figures.set_errors(study, _CALLED), first, _sigma_table(study)),
     )
 
 
@@ -108,10 +108,10 @@ def _groups(study: TedaldiStudy) -> Table:
             (f"{_CALLED[method]}: median", *(fixed(1e3 * float(error), 4) for error in _medians(study, method)))
         )
     return Table(
-        title=f"Mean absolute errors over all {len(study.outcomes)} sets, in 10⁻³",
-        head=("", *(name.replace("accelerometer", "acc.").replace("gyroscope", "gyro.") for name in GROUPS)),
-        rows=tuple(rows),
-        caption="Biases in m/s². Where the mean is far above the median, a few recordings went wrong: the published "
+        f"Mean absolute errors over all {len(study.outcomes)} sets, in 10⁻³",
+        ("", *(name.replace("accelerometer", "acc.").replace("gyroscope", "gyro.") for name in GROUPS)),
+        rows,
+        "Biases in m/s². Where the mean is far above the median, a few recordings went wrong: the published "
         "forms choose the threshold with the smallest sum of residuals, which few and short rests have.",
         marked=1,
     )
@@ -125,10 +125,10 @@ def _medians(study: TedaldiStudy, method: Method) -> Floats:
 def _sigma_table(study: TedaldiStudy) -> Table:
     ratios = {method: sigma_over_scatter(study, method) for method in METHODS}
     return Table(
-        title="Stated sigma over scatter",
-        head=("", *(_CALLED[method] for method in METHODS)),
-        rows=tuple((name, *(fixed(float(ratios[m][k]), 2) for m in METHODS)) for k, name in enumerate(NAMES)),
-        caption="1 over the rms of error over sigma, all recordings. The published forms count neighbouring rotations "
+        "Stated sigma over scatter",
+        ("", *(_CALLED[method] for method in METHODS)),
+        tuple((name, *(fixed(float(ratios[m][k]), 2) for m in METHODS)) for k, name in enumerate(NAMES)),
+        "1 over the rms of error over sigma, all recordings. The published forms count neighbouring rotations "
         "as independent, and the samples of one rest too.",
         dense=True,
     )
@@ -150,15 +150,15 @@ def _signals(study: TedaldiStudy) -> Section:
             ("noise alone", *_cells(np.full(3, alone))),
         ]
     return Section(
-        anchor="signals",
-        title="Signals (Table 4.3)",
-        lead="Mean absolute difference between the signals and those without noise and errors, over whole recordings.",
-        blocks=(
+        "signals",
+        "Signals (Table 4.3)",
+        "Mean absolute difference between the signals and those without noise and errors, over whole recordings.",
+        (
             Table(
-                title="Mean absolute error along each axis",
-                head=("", "x", "y", "z"),
-                rows=tuple(rows),
-                caption="Of one set there, of all sets here. Each scale factor multiplies the noise of its axis.",
+                "Mean absolute error along each axis",
+                ("", "x", "y", "z"),
+                rows,
+                "Of one set there, of all sets here. Each scale factor multiplies the noise of its axis.",
             ),
         ),
     )
@@ -181,17 +181,17 @@ def _gravity(study: TedaldiStudy) -> Section:
                 *_cells(_with_worst(study.signals(method, "tilt"), worst)),
             ))  # fmt: skip
     return Section(
-        anchor="gravity",
-        title="Divergence from gravity (Table 4.4)",
-        lead="Length of the acceleration sensed at rest against gravity, sample by sample; and the tilt that it would "
+        "gravity",
+        "Divergence from gravity (Table 4.4)",
+        "Length of the acceleration sensed at rest against gravity, sample by sample; and the tilt that it would "
         "be if all of it were along a level axis.",
-        blocks=(
+        (
             Table(
-                title="Divergence of the accelerometer at rest",
-                head=("", "mean [m/s²]", "largest", "worst: mean", "largest", "mean [rad]", "largest", "worst: mean",
+                "Divergence of the accelerometer at rest",
+                ("", "mean [m/s²]", "largest", "worst: mean", "largest", "mean [rad]", "largest", "worst: mean",
                       "largest"),
-                rows=tuple(rows),
-                caption="Means over the recordings, and the recording with the largest mean in the worst case. "
+                rows,
+                "Means over the recordings, and the recording with the largest mean in the worst case. "
                 "Document A's angles are larger than g sin θ makes of its divergences (0.0665 m/s² are 0.0068 rad).",
                 dense=True,
             ),
@@ -231,42 +231,42 @@ def _rotations(study: TedaldiStudy) -> Section:
                 ))  # fmt: skip
         blocks.append(
             Table(
-                title=title,
-                head=("", "mean [m/s²]", "largest", "worst: mean", "largest", "mean [rad]", "largest", "worst: mean",
+                title,
+                ("", "mean [m/s²]", "largest", "worst: mean", "largest", "mean [rad]", "largest", "worst: mean",
                       "largest"),
-                rows=tuple(rows),
+                rows,
                 dense=True,
             )
         )  # fmt: skip
     return Section(
-        anchor="rotations",
-        title="Gravity carried by the gyroscope (Table 4.5)",
-        lead="Acceleration sensed at rest against the one that the gyroscope carries there. Document A does not say "
+        "rotations",
+        "Gravity carried by the gyroscope (Table 4.5)",
+        "Acceleration sensed at rest against the one that the gyroscope carries there. Document A does not say "
         "over how long it integrates, and prints one number for mean and largest angle; both readings are here. The "
         "worst case is the recording with the largest divergence of the accelerometer, as there. The gyroscope's mean "
         "over the first rest is removed in every row.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 
 def _figures(study: TedaldiStudy) -> tuple[Section, ...]:
     return (
         Section(
-            anchor="examples",
-            title="Signals that were simulated (Figs. 4.1 to 4.9)",
-            lead=f"The first recordings of {len(study.examples)} parameter sets, each at "
+            "examples",
+            "Signals that were simulated (Figs. 4.1 to 4.9)",
+            f"The first recordings of {len(study.examples)} parameter sets, each at "
             f"{SCENARIO.rate_hz:g} Hz, as recorded.",
-            blocks=(*figures.examples(study), figures.detector(study)),
+            (*figures.examples(study), figures.detector(study)),
         ),
         Section(
-            anchor="improvement",
-            title="Before and after (Figs. 4.10 to 4.15)",
-            lead="One motion of the first recording for each axis: as recorded, calibrated by gnomon, and without "
+            "improvement",
+            "Before and after (Figs. 4.10 to 4.15)",
+            "One motion of the first recording for each axis: as recorded, calibrated by gnomon, and without "
             "noise and errors.",
-            blocks=figures.improvement(study),
+            figures.improvement(study),
         ),
     )
 
 
 def _setup() -> Section:
-    return Section(anchor="setup", title="How it was simulated, and where that differs", blocks=(Prose(lines=_SETUP),))
+    return Section("setup", "How it was simulated, and where that differs", blocks=(Prose(_SETUP),))

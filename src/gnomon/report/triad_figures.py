@@ -4,7 +4,7 @@ import numpy as np
 
 from ..recording import Floats
 from ..triad_diagnostics import DipTable, GyroscopeAtRest, IterationHistory, PeriodCurve
-from .figures import Sheet, dots, draw, limits, log_limits
+from .figures import Sheet, dots, limits, log_limits
 from .imu_parameters import readable_unit
 from .magnitude_figures import count_along
 from .numbers import finite, highest, largest, prefixed
@@ -30,32 +30,30 @@ def at_rest(rest: GyroscopeAtRest) -> str:
     centre = mean_rate(rest)
     measured, predicted = measured - centre, predicted - centre
 
-    def paint(sheet: Sheet) -> None:
-        """Draw measured and predicted readings in each attitude, an axis a panel."""
-        unit, factor = _scaled(largest(np.concatenate([measured, predicted])), rest.unit)
-        for axis, name in enumerate("xyz"):
-            top = 36.0 + 190 * axis
-            label = "attitude" if axis == 2 else ""
-            panel = sheet.panel(f"{name} axis, less its mean [{unit}]", top=top, height=136, x_label=label)
-            _whiskers(panel, number, factor * measured[:, axis], 2 * factor * sigma[:, axis], name)
-            dots(panel, number, factor * predicted[:, axis], "ink", size=9, ring=True)
-            dots(panel, number, factor * measured[:, axis], name, size=6)
-            reach = factor * (np.abs(measured[:, axis]) + 2 * sigma[:, axis])
-            limits(panel, reach, factor * predicted[:, axis], symmetric=True)
-            count_along(panel, count)
-            panel.across(0, "muted")
-            panel.x.labelled = axis == 2
-        unit, factor = _scaled(largest(rest.drift), rest.unit)
-        panel = sheet.panel(f"Drift of the bias [{unit}]", top=662, height=136, x_label="time [s]")
-        for axis, name in enumerate("xyz"):
-            panel.line(rest.t_s[some], factor * rest.drift[some, axis], name, width=1.6)
-        limits(panel, factor * rest.drift, symmetric=True)
-        ends = finite(rest.t_s)
-        panel.x.span(*(ends.min(), max(ends.max(), ends.min() + 1)) if ends.size else (0, 1))
+    sheet = Sheet()
+    unit, factor = _scaled(largest(np.concatenate([measured, predicted])), rest.unit)
+    for axis, name in enumerate("xyz"):
+        top = 36.0 + 190 * axis
+        label = "attitude" if axis == 2 else ""
+        panel = sheet.panel(f"{name} axis, less its mean [{unit}]", top=top, height=136, x_label=label)
+        _whiskers(panel, number, factor * measured[:, axis], 2 * factor * sigma[:, axis], name)
+        dots(panel, number, factor * predicted[:, axis], "ink", size=9, ring=True)
+        dots(panel, number, factor * measured[:, axis], name, size=6)
+        reach = factor * (np.abs(measured[:, axis]) + 2 * sigma[:, axis])
+        limits(panel, reach, factor * predicted[:, axis], symmetric=True)
+        count_along(panel, count)
         panel.across(0, "muted")
-
+        panel.x.labelled = axis == 2
+    unit, factor = _scaled(largest(rest.drift), rest.unit)
+    panel = sheet.panel(f"Drift of the bias [{unit}]", top=662, height=136, x_label="time [s]")
+    for axis, name in enumerate("xyz"):
+        panel.line(rest.t_s[some], factor * rest.drift[some, axis], name, width=1.6)
+    limits(panel, factor * rest.drift, symmetric=True)
+    ends = finite(rest.t_s)
+    panel.x.span(*(ends.min(), max(ends.max(), ends.min() + 1)) if ends.size else (0, 1))
+    panel.across(0, "muted")
     alt = f"Mean rate of the gyroscope at rest in {count} attitudes, measured and predicted, and the drift of its bias."
-    return draw("at-rest", 858, alt, paint)
+    return sheet.draw("at-rest", 858, alt)
 
 
 def _whiskers(panel: Panel, x: Floats, y: Floats, reach: Floats, color: str) -> None:
@@ -76,41 +74,36 @@ def dip(table: DipTable) -> str:
     found, estimated = np.degrees(table.dip_rad), float(np.degrees(table.estimated_rad))
     spread = 2 * float(np.degrees(table.sigma_rad))
 
-    def paint(sheet: Sheet) -> None:
-        """Draw the dip of the field at every rest."""
-        panel = sheet.panel("Dip of the field below horizontal [°]", top=36, height=220, x_label="attitude")
-        if spread > 0:
-            panel.strip(estimated - spread, estimated + spread, "after", alpha=0.2)
-        panel.across(estimated, "after", width=1.6)
-        dots(panel, np.arange(1.0, count + 1), np.asarray(found, dtype=np.float64), "before")
-        limits(panel, np.asarray(found, dtype=np.float64), np.array([estimated - spread, estimated + spread]))
-        count_along(panel, count)
-
+    sheet = Sheet()
+    panel = sheet.panel("Dip of the field below horizontal [°]", top=36, height=220, x_label="attitude")
+    if spread > 0:
+        panel.strip(estimated - spread, estimated + spread, "after", alpha=0.2)
+    panel.across(estimated, "after", width=1.6)
+    dots(panel, np.arange(1.0, count + 1), np.asarray(found, dtype=np.float64), "before")
+    limits(panel, np.asarray(found, dtype=np.float64), np.array([estimated - spread, estimated + spread]))
+    count_along(panel, count)
     alt = f"Dip of the magnetic field in {count} attitudes; estimated {estimated:.2f} degrees."
-    return draw("dip", 320, alt, paint)
+    return sheet.draw("dip", 320, alt)
 
 
 def video(curve: PeriodCurve, name: str, period_s: float) -> str:
     """How well the picture repeats after each period, and by how much the platter ran ahead of a constant rate."""
-
-    def paint(sheet: Sheet) -> None:
-        """Draw how well the picture repeats after each period, and how far the platter ran ahead."""
-        panel = sheet.panel("Likeness of pictures one period apart", top=36, height=180, x_label="period [s]")
-        panel.line(curve.period_s, curve.score, "after", width=1.4)
-        limits(panel, curve.score)
-        panel.x.span(*_ends(curve.period_s))
-        panel.x.grid = True
-        if np.isfinite(period_s):
-            panel.upright(period_s, "accent", width=1.6, dash=(5.0, 3.0))
-        degrees = 360 * curve.phase_error_turns
-        panel = sheet.panel("Platter ahead of a constant rate [°]", top=320, height=180, x_label="time [s]")
-        dots(panel, curve.t_s, degrees, "after", size=4)
-        limits(panel, degrees, symmetric=True)
-        panel.x.span(*_ends(curve.t_s))
-        panel.across(0, "muted")
-
+    sheet = Sheet()
+    panel = sheet.panel("Likeness of pictures one period apart", top=36, height=180, x_label="period [s]")
+    panel.line(curve.period_s, curve.score, "after", width=1.4)
+    limits(panel, curve.score)
+    panel.x.span(*_ends(curve.period_s))
+    panel.x.grid = True
+    if np.isfinite(period_s):
+        panel.upright(period_s, "accent", width=1.6, dash=(5.0, 3.0))
+    degrees = 360 * curve.phase_error_turns
+    panel = sheet.panel("Platter ahead of a constant rate [°]", top=320, height=180, x_label="time [s]")
+    dots(panel, curve.t_s, degrees, "after", size=4)
+    limits(panel, degrees, symmetric=True)
+    panel.x.span(*_ends(curve.t_s))
+    panel.across(0, "muted")
     alt = f"Video {curve.name}: likeness of pictures over the period between them, and the phase error of the platter."
-    return draw(name, 560, alt, paint)
+    return sheet.draw(name, 560, alt)
 
 
 def _ends(values: Floats) -> tuple[float, float]:
@@ -123,17 +116,15 @@ def history(found: IterationHistory, name: str) -> str:
     """Residual quadratic form after each step of the paper's iteration."""
     step = np.arange(len(found.q), dtype=np.float64)
 
-    def paint(sheet: Sheet) -> None:
-        """Draw q and the parameters after each iteration."""
-        panel = sheet.panel("Residual quadratic form q", top=36, height=200, x_label="iteration")
-        positive = np.where(found.q > 0, found.q, np.nan)
-        panel.line(step, positive, "after", width=1.6)
-        dots(panel, step, positive, "after")
-        if highest(positive) > 10 * -highest(-positive):
-            log_limits(panel, found.q)
-        else:
-            limits(panel, positive)
-        panel.x.span(-0.4, highest(step, 1.0) + 0.4)
-        panel.x.most, panel.x.whole = 10, True
-
-    return draw(name, 300, f"Residual quadratic form over {len(found.q)} steps of the paper's iteration.", paint)
+    sheet = Sheet()
+    panel = sheet.panel("Residual quadratic form q", top=36, height=200, x_label="iteration")
+    positive = np.where(found.q > 0, found.q, np.nan)
+    panel.line(step, positive, "after", width=1.6)
+    dots(panel, step, positive, "after")
+    if highest(positive) > 10 * -highest(-positive):
+        log_limits(panel, found.q)
+    else:
+        limits(panel, positive)
+    panel.x.span(-0.4, highest(step, 1.0) + 0.4)
+    panel.x.most, panel.x.whole = 10, True
+    return sheet.draw(name, 300, f"Residual quadratic form over {len(found.q)} steps of the paper's iteration.")

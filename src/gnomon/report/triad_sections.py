@@ -16,7 +16,7 @@ COUNTED = {"poses": "pose", "turntable": "steady part", "magnetometer": "stretch
 """What one row of a table of poses is, by the kind of calibration; of the magnetometer, samples close together."""
 COUNTED_PLURAL = {"poses": "poses", "turntable": "steady parts", "magnetometer": "stretches"}
 _SYMBOLS = {"specific force": "|f| − g", "angular rate": "|ω| − rate", "magnetic field": "|h| − field"}
-_BAND = Legend(mark="band", color="before", label="±2σ predicted")
+_BAND = Legend("band", "before", "±2σ predicted")
 _POINTS = {
     "specific force": ("gravity", "a pose with this direction up would help most"),
     "angular rate": ("the axis of rotation", "mounting the sensor with this direction upwards would help most"),
@@ -37,27 +37,27 @@ def directions_section(diagnostics: TriadDiagnostics) -> Section | None:
             continue
         pointed, advice = _POINTS[record.quantity]
         gap, towards = largest_gap(there)
-        legend = [Legend(mark="dot", color="after", label="used")]
+        legend = [Legend("dot", "after", "used")]
         if not used.all():
-            legend.append(Legend(mark="ring", color="accent", label="left out"))
+            legend.append(Legend("ring", "accent", "left out"))
         alt = f"Directions of {pointed} in the body frame in {len(there)} {plural} that were used."
         figures.append(
             Figure(
-                title=f"Directions of {pointed} in the body frame",
-                svg=magnitude_figures.directions(f"directions-{name}", record.poses.direction, used, alt),
-                legend=tuple(legend),
-                caption="Both halves of the sphere in equal-area projection, seen from outside; circles every 30°. The "
+                f"Directions of {pointed} in the body frame",
+                magnitude_figures.directions(f"directions-{name}", record.poses.direction, used, alt),
+                legend,
+                "Both halves of the sphere in equal-area projection, seen from outside; circles every 30°. The "
                 f"emptiest spot is ({towards}), {fixed(gap, 0)}° from the nearest {counted}: {advice}.",
             )
         )
     if not figures:
         return None
     return Section(
-        anchor="directions",
-        title="Directions",
-        lead="Scales, misalignments and biases come apart only if the known vector was measured from many sides. The "
+        "directions",
+        "Directions",
+        "Scales, misalignments and biases come apart only if the known vector was measured from many sides. The "
         "more evenly the points are spread, the better.",
-        blocks=tuple(figures),
+        figures,
     )
 
 
@@ -75,28 +75,25 @@ def triad_section(diagnostics: TriadDiagnostics, name: str, found: int) -> Secti
         return None
     symbol = _SYMBOLS[record.quantity]
     figure = Figure(
-        title=f"Error of the magnitude of {record.quantity}",
-        svg=magnitude_figures.magnitude_errors(
+        f"Error of the magnitude of {record.quantity}",
+        magnitude_figures.magnitude_errors(
             f"errors-{name}",
             record.poses,
             record.si_unit,
             counted,
             f"Error of the magnitude of {record.quantity} in {int(used.sum())} {plural} before and after the fit.",
         ),
-        legend=(*SERIES, _BAND),
-        caption=f"{symbol} in each {counted}. Before: one nominal scale and no bias, as an uncalibrated sensor reads. "
+        (*SERIES, _BAND),
+        f"{symbol} in each {counted}. Before: one nominal scale and no bias, as an uncalibrated sensor reads. "
         f"Held out: the calibration was made without the {counted} that it is tested on."
         + (f" Of {found} {plural} {len(used)} at equal distances are shown here." if len(used) < found else ""),
     )
     rows = tuple(
         (kind, *(shown(value, record.si_unit) for value in values)) for kind, values in in_numbers(record.poses)
     )
-    blocks = (figure, Table(title="In numbers", head=(symbol, "rms", "mean size", "worst"), rows=rows))
+    blocks = (figure, Table("In numbers", (symbol, "rms", "mean size", "worst"), rows))
     return Section(
-        anchor=name,
-        title=name.capitalize(),
-        lead=_noise_text(record, counted),
-        blocks=(*blocks, *_pose_tables(record, counted, plural)),
+        name, name.capitalize(), _noise_text(record, counted), (*blocks, *_pose_tables(record, counted, plural))
     )
 
 
@@ -131,9 +128,9 @@ def _pose_tables(record: TriadRecord, counted: str, plural: str) -> tuple[Table,
         errors = (poses.error_after[i], poses.error_holdout[i], poses.sigma[i])
         rows.append((*row, *(number(factor * float(value), 3, trim=False) for value in errors)))
     table = Table(
-        title=f"Every {counted}",
-        head=tuple(head),
-        rows=tuple(rows),
+        f"Every {counted}",
+        tuple(head),
+        rows,
         faint=frozenset(np.flatnonzero(~used).tolist()),
         caption="" if used.all() else "Those that were left out are set faint.",
         dense=True,
@@ -160,7 +157,7 @@ def _reasons(poses: PoseTable, plural: str) -> tuple[Table, ...]:
         (reason or MISSING, str(len(which)), ", ".join(which[:5]) + (" …" if len(which) > 5 else ""))
         for reason, which in names.items()
     )
-    return (Table(title="Why they were left out", head=("reason", plural, "which"), rows=rows, prose=True),)
+    return (Table("Why they were left out", ("reason", plural, "which"), rows, prose=True),)
 
 
 def rates_section(diagnostics: TriadDiagnostics) -> Section | None:
@@ -168,34 +165,34 @@ def rates_section(diagnostics: TriadDiagnostics) -> Section | None:
     if not diagnostics.rates:
         return None
     table = Table(
-        title="Speeds",
-        head=("speed", "steady parts", "beforehand [rad/s]", "after the fit [rad/s]", "change", "after the fit [rpm]"),
-        rows=tuple(_rate_row(rate) for rate in diagnostics.rates),
-        caption="The change is counted in standard deviations of what was known beforehand.",
+        "Speeds",
+        ("speed", "steady parts", "beforehand [rad/s]", "after the fit [rad/s]", "change", "after the fit [rpm]"),
+        tuple(_rate_row(rate) for rate in diagnostics.rates),
+        "The change is counted in standard deviations of what was known beforehand.",
     )
     figures: list[Figure] = []
     for i, curve in enumerate(diagnostics.videos):
         rate = next((rate for rate in diagnostics.rates if rate.name == curve.name), None)
         period = 2 * pi / abs(rate.stated) if rate is not None and rate.stated else float("nan")
         turns = f" over {number(rate.turns, 4)} turns" if rate is not None and isfinite(rate.turns) else ""
-        legend = [Legend(mark="line", color="after", label="likeness")]
-        legend += [Legend(mark="dash", color="accent", label=f"one turn, {number(period, 6)} s")] * isfinite(period)
+        legend = [Legend("line", "after", "likeness")]
+        legend += [Legend("dash", "accent", f"one turn, {number(period, 6)} s")] * isfinite(period)
         figures.append(
             Figure(
-                title=f"Video {curve.name}",
-                svg=triad_figures.video(curve, f"video-{i}", period),
-                legend=tuple(legend),
-                caption="Above: how well the picture repeats after a time; after whole turns it does best. Below: "
+                f"Video {curve.name}",
+                triad_figures.video(curve, f"video-{i}", period),
+                legend,
+                "Above: how well the picture repeats after a time; after whole turns it does best. Below: "
                 f"where the platter was against one that turns at a constant rate{turns}. A slow wave is a speed that "
                 "varies, steps are frames that were lost.",
             )
         )
     return Section(
-        anchor="speeds",
-        title="Speed of the turntable",
-        lead="The rate of the turntable is the reference of every scale: a relative error of the rate is the same "
+        "speeds",
+        "Speed of the turntable",
+        "The rate of the turntable is the reference of every scale: a relative error of the rate is the same "
         "relative error of all three scales.",
-        blocks=(table, *figures),
+        (table, *figures),
     )
 
 
@@ -224,15 +221,12 @@ def at_rest_section(rest: GyroscopeAtRest | None) -> Section | None:
     if rest is None or not len(rest.t_s):
         return None
     unit = readable_unit(rest.unit)
-    legend = (
-        *(Legend(mark="dot", color=axis, label=f"{axis} measured, ±2σ") for axis in "xyz"),
-        Legend(mark="ring", color="ink", label="predicted"),
-    )
+    legend = (*(Legend("dot", axis, f"{axis} measured, ±2σ") for axis in "xyz"), Legend("ring", "ink", "predicted"))
     figure = Figure(
-        title="Mean rate at rest in each attitude",
-        svg=triad_figures.at_rest(rest),
-        legend=legend,
-        caption="Each axis less its mean over all attitudes, so that what depends on the attitude shows. Predicted are "
+        "Mean rate at rest in each attitude",
+        triad_figures.at_rest(rest),
+        legend,
+        "Each axis less its mean over all attitudes, so that what depends on the attitude shows. Predicted are "
         "constant bias, drift, g-sensitivity and, where the latitude was stated, the earth's rate. Below, the drift "
         "that was estimated along with them.",
     )
@@ -242,23 +236,18 @@ def at_rest_section(rest: GyroscopeAtRest | None) -> Section | None:
             axis,
             *(
                 f"{number(value, 3, trim=False)}\u00a0{unit}"
-                for value in (
-                    rms(centred[:, i]),
-                    rms(left[:, i]),
-                    largest(left[:, i]),
-                    rms(rest.sigma[:, i]),
-                )
+                for value in (rms(centred[:, i]), rms(left[:, i]), largest(left[:, i]), rms(rest.sigma[:, i]))
             ),
         )
         for i, axis in enumerate("xyz")
     )
     head = ("axis", "constant bias, rms", "with g-sensitivity, rms", "worst", "expected (σ)")
     return Section(
-        anchor="at-rest",
-        title="Gyroscope at rest",
-        lead="At rest a gyroscope reads its bias, which depends on the specific force: the static experiment of "
+        "at-rest",
+        "Gyroscope at rest",
+        "At rest a gyroscope reads its bias, which depends on the specific force: the static experiment of "
         "document B. Six attitudes or more give the whole g-sensitivity.",
-        blocks=(figure, Table(title="Measured against predicted", head=head, rows=rows)),
+        (figure, Table("Measured against predicted", head, rows)),
     )
 
 
@@ -269,22 +258,18 @@ def dip_section(dip: DipTable | None) -> Section | None:
     left = dip.dip_rad - dip.estimated_rad
     value, sigma = with_sigma(float(np.degrees(dip.estimated_rad)), float(np.degrees(dip.sigma_rad)))
     figure = Figure(
-        title="Dip in each attitude",
-        svg=triad_figures.dip(dip),
-        legend=(
-            Legend(mark="dot", color="before", label="measured"),
-            Legend(mark="line", color="after", label="estimated"),
-            Legend(mark="band", color="after", label="±2σ"),
-        ),
-        caption=f"Estimated {_plus_minus(value, sigma)}°; attitudes differ from it by "
+        "Dip in each attitude",
+        triad_figures.dip(dip),
+        (Legend("dot", "before", "measured"), Legend("line", "after", "estimated"), Legend("band", "after", "±2σ")),
+        f"Estimated {_plus_minus(value, sigma)}°; attitudes differ from it by "
         f"{number(float(np.degrees(rms(left))), 3)}° rms, {number(float(np.degrees(largest(left))), 3)}° at worst.",
     )
     return Section(
-        anchor="dip",
-        title="Alignment to the accelerometer",
-        lead="Magnitudes cannot tell how the magnetometer lies to the accelerometer. The angle between field and "
+        "dip",
+        "Alignment to the accelerometer",
+        "Magnitudes cannot tell how the magnetometer lies to the accelerometer. The angle between field and "
         "gravity can: it is the same in every attitude when the two are aligned.",
-        blocks=(figure,),
+        (figure,),
     )
 
 
@@ -322,9 +307,7 @@ def noise_section(diagnostics: TriadDiagnostics) -> Section | None:
             rows.append((words, f"× {number(value, 3)}"))
         else:
             rows.append((words, quantity(value, unit) if unit else number(value, 3)))
-    return Section(
-        anchor="noise", title="Noise", blocks=(Table(title="What was found", head=("", ""), rows=tuple(rows)),)
-    )
+    return Section("noise", "Noise", blocks=(Table("What was found", ("", ""), rows),))
 
 
 def trials_section(diagnostics: TriadDiagnostics) -> Section | None:
@@ -335,9 +318,9 @@ def trials_section(diagnostics: TriadDiagnostics) -> Section | None:
         rows = [(t.model, str(t.parameters), shown(t.holdout_rms, record.si_unit)) for t in diagnostics.trials]
         blocks.append(
             Table(
-                title="Models",
-                head=("model", "parameters", f"{_SYMBOLS[record.quantity]}, held out"),
-                rows=tuple(rows),
+                "Models",
+                ("model", "parameters", f"{_SYMBOLS[record.quantity]}, held out"),
+                rows,
                 marked=next((i for i, trial in enumerate(diagnostics.trials) if trial.chosen), None),
                 caption="Each model was fitted and tested on data left out of its fit. The model in use is marked.",
             )
@@ -345,7 +328,7 @@ def trials_section(diagnostics: TriadDiagnostics) -> Section | None:
     for name, found in diagnostics.triads.items():
         if found.history is not None and finite(found.history.q).size:
             blocks += _history(name, found)
-    return Section(anchor="choices", title="What was tried", blocks=tuple(blocks)) if blocks else None
+    return Section("choices", "What was tried", blocks=blocks) if blocks else None
 
 
 def _history(name: str, record: TriadRecord) -> tuple[Figure, Table]:
@@ -353,8 +336,8 @@ def _history(name: str, record: TriadRecord) -> tuple[Figure, Table]:
     assert record.history is not None
     q, X = record.history.q, record.history.parameters
     figure = Figure(
-        title=f"Document C's iteration, {name}",
-        svg=triad_figures.history(record.history, f"history-{name}"),
+        f"Document C's iteration, {name}",
+        triad_figures.history(record.history, f"history-{name}"),
         caption="The quadratic form of the residuals after each step of Eqs. (9) to (11). The iteration stops where a "
         "step changes it no more.",
     )
@@ -368,5 +351,5 @@ def _history(name: str, record: TriadRecord) -> tuple[Figure, Table]:
     )
     caption = f"Angles a in mrad, biases b in {unit}, scale factors k in {scale}."
     title = "The nine parameters, step by step"
-    table = Table(title=title, head=head, rows=rows[:MOST_ROWS], caption=caption, dense=True)
+    table = Table(title, head, rows[:MOST_ROWS], caption, dense=True)
     return figure, table

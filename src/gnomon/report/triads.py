@@ -65,20 +65,17 @@ def _key_numbers(calibration: Calibration, diagnostics: TriadDiagnostics) -> tup
         if name in diagnostics.triads:
             unit = "" if name == "magnetometer" else diagnostics.triads[name].si_unit
             note = f"rms of {symbol} in {counted} left out of the fit"
-            numbers.append(KeyNumber(label=f"{name.capitalize()} on unseen data", value=shown(value, unit), note=note))
+            numbers.append(KeyNumber(f"{name.capitalize()} on unseen data", shown(value, unit), note))
     numbers.append(
         KeyNumber(
-            label=f"{counted.capitalize()} used",
-            value=f"{assessment.intervals_used} of {assessment.intervals_found}",
-            note=_spread(diagnostics),
+            f"{counted.capitalize()} used",
+            f"{assessment.intervals_used} of {assessment.intervals_found}",
+            _spread(diagnostics),
         )
     )
     numbers += _reference(calibration, diagnostics)
     model = _MODELS.get(assessment.model, assessment.model)
-    return (
-        *numbers,
-        KeyNumber(label="Body frame" + (" and model" if model else ""), value=calibration.frame, note=model),
-    )
+    return (*numbers, KeyNumber("Body frame" + (" and model" if model else ""), calibration.frame, model))
 
 
 def _spread(diagnostics: TriadDiagnostics) -> str:
@@ -93,31 +90,29 @@ def _reference(calibration: Calibration, diagnostics: TriadDiagnostics) -> list[
     found: list[KeyNumber] = []
     if diagnostics.kind != "magnetometer" and "accelerometer" in diagnostics.triads:
         source = calibration.gravity.source
-        found.append(
-            KeyNumber(label="Gravity", value=gravity_text(calibration.gravity), note=source[:1].upper() + source[1:])
-        )
+        found.append(KeyNumber("Gravity", gravity_text(calibration.gravity), source[:1].upper() + source[1:]))
     if diagnostics.rates:
         fastest = max(diagnostics.rates, key=lambda rate: abs(rate.estimated))
         known = fastest.estimated_sigma > 0 and fastest.estimated != 0
         spread = f"known to {number(100 * fastest.estimated_sigma / abs(fastest.estimated), 2)} %" if known else ""
         speeds = f"fastest of {len(diagnostics.rates)} speeds" if len(diagnostics.rates) > 1 else "the one speed"
         note = ", ".join(filter(None, (speeds, spread)))
-        found.append(KeyNumber(label="Turntable", value=quantity(abs(fastest.estimated), "rad/s", 6), note=note))
+        found.append(KeyNumber("Turntable", quantity(abs(fastest.estimated), "rad/s", 6), note))
     if diagnostics.dip is not None:
         degrees = 57.29577951308232
         value, sigma = diagnostics.dip.estimated_rad * degrees, diagnostics.dip.sigma_rad * degrees
         note = "of the field below horizontal, the same in all attitudes"
-        found.append(KeyNumber(label="Dip", value=f"{number(value, 4)} ± {number(sigma, 2)}°", note=note))
+        found.append(KeyNumber("Dip", f"{number(value, 4)} ± {number(sigma, 2)}°", note))
     return found
 
 
 def _parameters(calibration: Calibration) -> Section:
     return Section(
-        anchor="parameters",
-        title="Parameters",
-        lead="Each estimate with its standard deviation σ. Bars show the estimate, whiskers ±2σ; the bars of one group "
+        "parameters",
+        "Parameters",
+        "Each estimate with its standard deviation σ. Bars show the estimate, whiskers ±2σ; the bars of one group "
         "share one scale. Parameters without σ are fixed by the definition of the body frame or by the model.",
-        blocks=(Parameters(groups=parameter_groups(calibration)),),
+        (Parameters(parameter_groups(calibration)),),
     )
 
 
@@ -149,7 +144,7 @@ def _assumptions(calibration: Calibration, diagnostics: TriadDiagnostics) -> Sec
     if assessment.held_by_prior:
         held = ", ".join(assessment.held_by_prior)
         points.append(f"Not determined by this recording, and held by assumption: {held}.")
-    return Section(anchor="assumptions", title="What was assumed", blocks=(Prose(lines=tuple(points), points=True),))
+    return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
 
 
 def _magnetic(calibration: Calibration) -> list[str]:

@@ -36,11 +36,11 @@ def trust_section(assessment: Assessment, trust: Trust | None) -> Section | None
     if not blocks:
         return None
     return Section(
-        anchor="trust",
-        title="Can it be trusted?",
-        lead="What the recording tells of its own calibration: whether it is good enough for its use, how the standard "
+        "trust",
+        "Can it be trusted?",
+        "What the recording tells of its own calibration: whether it is good enough for its use, how the standard "
         "deviations were found, and whether parts of the recording, each calibrated for itself, agree within them.",
-        blocks=tuple(blocks),
+        blocks,
     )
 
 
@@ -65,9 +65,9 @@ def _needs(use: str, needs: tuple[Need, ...]) -> Table:
         "cannot know. It counts, but for biases, which every use has to follow."
     )
     return Table(
-        title=f"What {use} needs" if use else "What is needed",
-        head=("", "σ of this calibration", *(("between recordings",) if floors else ()), "needed", "verdict"),
-        rows=rows,
+        f"What {use} needs" if use else "What is needed",
+        ("", "σ of this calibration", *(("between recordings",) if floors else ()), "needed", "verdict"),
+        rows,
         faint=frozenset(i for i, need in enumerate(needs) if need.verdict == "pass"),
         caption="What to do about those that are not enough stands at the top." + (said if floors else ""),
     )
@@ -81,7 +81,7 @@ def _amount(value: float, unit: str) -> str:
 def _origin(trust: Trust) -> Prose:
     """Say where the standard deviations come from."""
     if trust.clusters is None:
-        return Prose(lines=("The standard deviations hold if all errors are independent of each other.",))
+        return Prose(("The standard deviations hold if all errors are independent of each other.",))
     clusters = trust.clusters
     text = (
         f"The standard deviations come from leaving out each of {clusters.count} clusters of "
@@ -90,14 +90,14 @@ def _origin(trust: Trust) -> Prose:
     )
     known = [ratio for ratio in trust.ratios if isfinite(ratio.ratio)]
     if not known:
-        return Prose(lines=(text,))
+        return Prose((text,))
     usual = float(np.median([ratio.ratio for ratio in known]))
     text += f" They are {number(usual, 2)} times those for independent errors (median of the blocks)"
     wide = sorted((r for r in known if r.ratio > _OPEN), key=lambda r: -r.ratio)[:_SHOWN]
     if not wide:
-        return Prose(lines=(f"{text}: the model explains the recording.",))
+        return Prose((f"{text}: the model explains the recording.",))
     names = ", ".join(f"{ratio.block} ({number(ratio.ratio, 2)} times)" for ratio in wide)
-    return Prose(lines=(f"{text}. Most: {names}. There errors last, or the model leaves something out.",))
+    return Prose((f"{text}. Most: {names}. There errors last, or the model leaves something out.",))
 
 
 def _splits(splits: Splits) -> list[Block]:
@@ -117,21 +117,21 @@ def _splits(splits: Splits) -> list[Block]:
     pooled += (f"limit {number(splits.limit, 2)}" if isfinite(splits.limit) else MISSING,)
     return [
         Figure(
-            title="Do parts of the recording agree?",
-            svg=agreement(splits),
-            legend=(
-                Legend(mark="dot", color="after", label="published σ"),
-                Legend(mark="ring", color="before", label="σ for independent errors"),
-                Legend(mark="dash", color="accent", label="as expected"),
+            "Do parts of the recording agree?",
+            agreement(splits),
+            (
+                Legend("dot", "after", "published σ"),
+                Legend("ring", "before", "σ for independent errors"),
+                Legend("dash", "accent", "as expected"),
             ),
-            caption=f"The recording was cut into {cut}, each part calibrated for itself. z is the difference of two "
+            f"The recording was cut into {cut}, each part calibrated for itself. z is the difference of two "
             "parts over its standard deviation; its rms is 1 where the standard deviations are right.",
         ),
         Table(
-            title=f"Differences of {cut} over their standard deviation",
-            head=("", "differences", "z rms", "z rms, independent errors", "largest |z|"),
-            rows=(*rows, pooled),
-            caption="The limit is what right standard deviations exceed in one of a hundred recordings. Errors that "
+            f"Differences of {cut} over their standard deviation",
+            ("", "differences", "z rms", "z rms, independent errors", "largest |z|"),
+            (*rows, pooled),
+            "The limit is what right standard deviations exceed in one of a hundred recordings. Errors that "
             "all parts share, as those of a wrong lens, do not show here.",
             dense=True,
             remarked=True,
@@ -156,9 +156,9 @@ def _models(models: tuple[ModelStep, ...]) -> Table:
         for step in models
     )
     return Table(
-        title="What the model holds, by evidence",
-        head=("block", "parameters", "gain on unseen data", "needed", "in the model", "what it moves most"),
-        rows=rows,
+        "What the model holds, by evidence",
+        ("block", "parameters", "gain on unseen data", "needed", "in the model", "what it moves most"),
+        rows,
         faint=frozenset(i for i, step in enumerate(models) if not step.used),
         caption="Each block is judged by the log-likelihood of clusters of time that were left out of the estimate, "
         "beyond the model of the blocks used before it. What is needed grows with the number of blocks tried.",
@@ -186,8 +186,8 @@ def _weak(weak: tuple[WeakDirection, ...]) -> Table:
         )
 
     return Table(
-        title="What the recording hardly determines",
-        head=("how far", "what", "what to do"),
-        rows=tuple((held(direction), direction.words, direction.cure) for direction in weak),
+        "What the recording hardly determines",
+        ("how far", "what", "what to do"),
+        tuple((held(direction), direction.words, direction.cure) for direction in weak),
         prose=True,
     )

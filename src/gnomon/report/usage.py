@@ -16,8 +16,8 @@ def use_section(calibration: Calibration) -> Section:
     to = "kalibr" if all(imu.accelerometer is not None for imu in imus.values()) else "csv"
     blocks = [
         Code(
-            title="On the command line",
-            text="gnomon apply calibration.yaml RECORDING -o calibrated.csv\n"
+            "On the command line",
+            "gnomon apply calibration.yaml RECORDING -o calibrated.csv\n"
             "gnomon show calibration.yaml\n"
             f"gnomon convert calibration.yaml --to {to}",
         )
@@ -25,8 +25,8 @@ def use_section(calibration: Calibration) -> Section:
     for name, imu in imus.items():
         blocks.append(
             Code(
-                title="In Python" if len(imus) == 1 else f"In Python, {name}",
-                text="import gnomon\n\n"
+                "In Python" if len(imus) == 1 else f"In Python, {name}",
+                "import gnomon\n\n"
                 'calibration = gnomon.load("calibration.yaml")\n'
                 f'samples = gnomon.{_reader(imu)}("RECORDING").imus[{name!r}]\n'
                 f"calibrated = calibration.imus[{name!r}].apply(samples)\n"
@@ -37,10 +37,7 @@ def use_section(calibration: Calibration) -> Section:
     meant = [text for triad, text in _MEANT.items() if any(getattr(imu, triad) is not None for imu in imus.values())]
     listed = " and ".join(filter(None, (", ".join(meant[:-1]), meant[-1])))
     return Section(
-        anchor="use",
-        title="How to use it",
-        lead=f"The calibration maps what the sensor reads to {listed} in the body frame.",
-        blocks=tuple(blocks),
+        "use", "How to use it", f"The calibration maps what the sensor reads to {listed} in the body frame.", blocks
     )
 
 
@@ -61,16 +58,16 @@ def _formulas(imu: ImuCalibration) -> Iterator[Code]:
     if (accelerometer := imu.accelerometer) is not None:
         text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + matrix_text("S", accelerometer.sensitivity)
         text += "\n\n" + matrix_text("b", accelerometer.bias[:, None])
-        yield Code(title=f"Accelerometer: m in {accelerometer.unit}, f in m/s²", text=text)
+        yield Code(f"Accelerometer: m in {accelerometer.unit}, f in m/s²", text)
     if (gyroscope := imu.gyroscope) is not None:
         felt = imu.accelerometer is not None or bool(gyroscope.g_sensitivity.any())
         text = "y = S ω + b + G f    ω = S⁻¹ (y − b − G f)" if felt else "y = S ω + b          ω = S⁻¹ (y − b)"
         text += "\n\n" + matrix_text("S", gyroscope.sensitivity)
         text += "\n\n" + matrix_text("b", gyroscope.bias[:, None])
         text += "\n\n" + matrix_text("G", gyroscope.g_sensitivity) if felt else ""
-        yield Code(title=f"Gyroscope: y in {gyroscope.unit}, ω in rad/s", text=text)
+        yield Code(f"Gyroscope: y in {gyroscope.unit}, ω in rad/s", text)
     if (magnetometer := imu.magnetometer) is not None:
         text = "c = S h + b          h = S⁻¹ (c − b)\n\n" + matrix_text("S", magnetometer.sensitivity)
         text += "\n\n" + matrix_text("b", magnetometer.bias[:, None])
         field = "µT" if magnetometer.field_unit == "uT" else "units of the local field"
-        yield Code(title=f"Magnetometer: c in {readable_unit(magnetometer.unit)}, h in {field}", text=text)
+        yield Code(f"Magnetometer: c in {readable_unit(magnetometer.unit)}, h in {field}", text)
