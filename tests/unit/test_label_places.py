@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.report.camera_imu_motion import rig
-from gnomon.report.figures import TEXT
-from gnomon.report.label_places import LabelPlaces, half_size
+from gnomon.report.figures import TEXT, LabelPlaces, half_size
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 
 

@@ -12,7 +12,7 @@ from gnomon.diagnostics import DetectorTrace, Result
 from gnomon.errors import OutputError
 from gnomon.findings import Finding
 from gnomon.report import write_report
-from gnomon.report.figures import coarser, dots, draw, thinned
+from gnomon.report.figures import Sheet, coarser, dots, thinned
 from gnomon.report.imu_parameters import parameter_groups
 from gnomon.report.numbers import fixed, number, prefixed, quantity, with_sigma
 from html_page import Page
@@ -279,11 +279,10 @@ def test_thinned_keeps_extremes():
 
 
 def test_drawing_keeps_every_dot_and_its_own_ids():
-    def paint(sheet):
-        axes = sheet.panel("<b>", top=30, height=100)
-        dots(axes, np.arange(5.0), np.array([1.0, 2.0, np.nan, 4.0, 5.0]), "x", ring=True)
-
-    svg = draw("name", 200, 'a "quoted" <alt>', paint)
+    sheet = Sheet()
+    axes = sheet.panel("<b>", top=30, height=100)
+    dots(axes, np.arange(5.0), np.array([1.0, 2.0, np.nan, 4.0, 5.0]), "x", ring=True)
+    svg = sheet.draw("name", 200, 'a "quoted" <alt>')
     paths = re.findall(r'class="dots"><path d="([^"]*)"', svg)
     assert [path.count("M") for path in paths] == [4, 4]
     assert "&lt;b&gt;" in svg

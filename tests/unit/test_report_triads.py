@@ -12,8 +12,8 @@ from gnomon.diagnostics import Result
 from gnomon.findings import Finding
 from gnomon.report import write_report
 from gnomon.report.imu_parameters import parameter_groups
-from gnomon.report.magnitude_figures import _covered, _labels
-from gnomon.report.magnitude_units import scaled, shown
+from gnomon.report.numbers import magnitude_text, magnitude_unit
+from gnomon.report.static_figures import _covered, _labels
 from gnomon.sensors import ImuCalibration
 from gnomon.writers.diagnostics_file import save_diagnostics
 from html_page import Page
@@ -43,7 +43,7 @@ WORDS = {
         "Accelerometer calibration", "Warn. This calibration can be used", "Accelerometer on unseen data", "1.90 mm/s²",
         "17 of 18", "9.80665 ± 0.02 m/s²", "Give --latitude", "Accelerometer scale", "655.400 ± 0.060",
         "Directions of gravity", "Error of the magnitude of specific force", "In numbers", "Every pose", "pose 18",
-        "Why they were left out", "What was tried", "Document C's iteration", "step by step", "Noise",
+        "Why they were left out", "What was tried", "Angrisano's iteration", "step by step", "Noise",
         "What was assumed", "f = S⁻¹ (m − b)", "Provenance",
     ),
     "poses with gyroscope": (
@@ -199,14 +199,14 @@ def test_a_parameter_table_of_any_triad():
 
 
 def test_units_of_magnitudes():
-    assert scaled(0.002, "m/s^2") == ("mm/s²", 1000.0)
-    assert scaled(48.0, "uT") == ("µT", 1.0)
-    assert scaled(0.05, "uT") == ("nT", 1000.0)
-    assert scaled(0.01, "") == ("% of the field", 100.0)
-    assert shown(0.00265, "rad/s") == "2.65\u00a0mrad/s"
-    assert shown(0.0123, "") == "1.23\u00a0%"
-    assert shown(48.25, "uT") == "48.2\u00a0µT"
-    assert shown(float("nan"), "") == "–"
+    assert magnitude_unit(0.002, "m/s^2") == ("mm/s²", 1000.0)
+    assert magnitude_unit(48.0, "uT") == ("µT", 1.0)
+    assert magnitude_unit(0.05, "uT") == ("nT", 1000.0)
+    assert magnitude_unit(0.01, "") == ("% of the field", 100.0)
+    assert magnitude_text(0.00265, "rad/s") == "2.65\u00a0mrad/s"
+    assert magnitude_text(0.0123, "") == "1.23\u00a0%"
+    assert magnitude_text(48.25, "uT") == "48.2\u00a0µT"
+    assert magnitude_text(float("nan"), "") == "–"
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -1,15 +1,13 @@
 """Calibration and diagnostics -> one self-contained HTML file.
 
-page.py is the design, the same for every kind of calibration; imu.py says what an IMU calibration puts on it,
-camera_imu.py what a camera-IMU calibration does, cameras.py what one of cameras alone does, triads.py what a
-calibration from known magnitudes does.
+page.py is the design, the same for every kind of calibration; static.py says what a calibration of one sensor puts on
+it, camera_imu.py what a camera-IMU calibration does, cameras.py what one of cameras alone does.
 """
 
 from pathlib import Path
 
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, JoinedDiagnostics, Result
+from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, Result
 from ..output import write_whole
-from ..triad_diagnostics import TriadDiagnostics
 
 
 def write_report(result: Result, path: str | Path) -> None:
@@ -38,16 +36,8 @@ def write_report(result: Result, path: str | Path) -> None:
         from .cameras import cameras_page
 
         page = cameras_page(calibration, diagnostics)
-    elif isinstance(diagnostics, TriadDiagnostics):
-        from .triads import triad_page
-
-        page = triad_page(calibration, diagnostics)
-    elif isinstance(diagnostics, JoinedDiagnostics):
-        from .joined import joined_page
-
-        page = joined_page(calibration, diagnostics)
     else:
-        from .imu import imu_page
+        from .static import static_page
 
-        page = imu_page(calibration, diagnostics)
+        page = static_page(calibration, diagnostics)
     write_whole(path, render(page))

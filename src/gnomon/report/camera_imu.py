@@ -8,14 +8,12 @@ from ..calibration import Calibration, CameraImuFit
 from ..diagnostics import CameraImuDiagnostics
 from . import camera_imu_evidence as evidence
 from . import camera_imu_sections as sections
-from .calibration_page import calibration_page
 from .camera_imu_corners import corner_view
 from .camera_imu_quality import images_section
 from .numbers import MISSING, number, with_sigma
 from .page import Code, KeyNumber, Page, Prose, Section, typeset
-from .provenance import provenance_section
+from .sections import FRAMES, calibration_page, gravity_text, matrix_text, provenance_section
 from .trust_section import trust_section
-from .wording import FRAMES, gravity_text, matrix_text
 
 _MODELS = {
     "basic": "the IMU is ideal but for its biases",

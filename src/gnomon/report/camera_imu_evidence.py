@@ -11,8 +11,7 @@ from . import camera_imu_images as images
 from . import camera_imu_motion, camera_imu_signals
 from .camera_imu_corners import CornerView, field_magnification
 from .camera_imu_signals import signal_name
-from .imu_parameters import readable_unit
-from .numbers import finite, fixed, largest, number, positive, quantity, rms, share
+from .numbers import finite, fixed, largest, number, positive, quantity, readable_unit, rms, share
 from .page import Figure, Legend, Section, Table
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")

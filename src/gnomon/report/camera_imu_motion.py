@@ -12,11 +12,9 @@ from ..recording import Floats, Integers
 from . import svg
 from .camera_imu_images import TIMES, time_spans
 from .camera_imu_signals import AXES, half_panel, histograms
-from .figures import TEXT, WIDTH, Sheet
-from .label_places import LabelPlaces, half_size
+from .figures import SPHERE_HEIGHT, TEXT, WIDTH, LabelPlaces, Sheet, half_size, hemisphere, lambert
 from .numbers import finite, highest, number, rms
 from .panel import DASHED, Panel
-from .sphere import SPHERE_HEIGHT, hemisphere, lambert
 
 _DEG = 180 / np.pi
 _PATCH = 2 * np.sqrt(2) / 25

@@ -16,8 +16,8 @@ from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotatio
 from ..models.forms import in_own_axes
 from ..recording import Floats
 from ..units import STANDARD_GRAVITY_M_S2
-from .imu_parameters import readable_unit, with_bars
-from .numbers import MISSING, fixed, number, with_sigma
+from .imu_parameters import with_bars
+from .numbers import MISSING, fixed, number, readable_unit, with_sigma
 from .page import Parameter, ParameterGroup, Table
 
 AXES = "xyz"

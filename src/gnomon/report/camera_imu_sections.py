@@ -25,10 +25,9 @@ from .camera_imu_parameters import (
     plus_minus,
 )
 from .imu_origin import origin_figure
-from .imu_parameters import readable_unit
-from .numbers import fixed, number
+from .numbers import fixed, number, readable_unit
 from .page import Code, Figure, Legend, ParameterGroup, Parameters, Section, Table
-from .wording import matrix_text
+from .sections import matrix_text
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 _MOST_ROWS = 60

@@ -7,8 +7,7 @@ import numpy as np
 from ..diagnostics import BiasTrack, SignalFit
 from ..recording import Floats
 from .figures import WIDTH, Sheet, coarser, limits, zigzag
-from .imu_parameters import readable_unit
-from .numbers import finite, highest, positive, prefixed
+from .numbers import finite, highest, positive, prefixed, readable_unit
 from .panel import DASHED, Panel
 
 AXES = ("x", "y", "z")

@@ -8,7 +8,6 @@ import numpy as np
 from ..calibration import Calibration, CamerasFit
 from ..diagnostics import CamerasDiagnostics
 from . import cameras_sections as sections
-from .calibration_page import calibration_page
 from .camera_imu_corners import CornerView, corner_view
 from .camera_imu_quality import images_section
 from .camera_imu_sections import noise_table, parameters_section, steps_table
@@ -18,7 +17,7 @@ from .cameras_parameters import pose_numbers
 from .cameras_use import use_section
 from .numbers import MISSING, finite, number, share, with_sigma
 from .page import KeyNumber, Page, Prose, Section, typeset
-from .provenance import provenance_section
+from .sections import calibration_page, provenance_section
 from .trust_section import trust_section
 
 _WHOLE = 0.97

@@ -15,7 +15,7 @@ from .cameras_pairs import epipolar_errors
 from .cameras_parameters import lens_groups, pose_groups
 from .numbers import MISSING, finite, fixed, number, share
 from .page import Block, Code, Figure, Legend, Parameters, Section, Table
-from .wording import matrix_text
+from .sections import matrix_text
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 

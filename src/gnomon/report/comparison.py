@@ -13,8 +13,7 @@ from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
 from .comparison_figures import color_of, deviations, drawn_blocks, truth_of
-from .imu_parameters import readable_unit
-from .numbers import MISSING, fixed, number
+from .numbers import MISSING, fixed, number, readable_unit
 from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
 
 _MOST_PAIRS = 10  # calibrations of which all pairs are shown

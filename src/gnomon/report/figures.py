@@ -12,6 +12,8 @@ from . import svg
 from .numbers import finite
 from .panel import Panel
 
+AXES = ("x", "y", "z")
+
 WIDTH = 760.0
 """Width of every figure in its own units; on a desktop one unit is about one pixel."""
 
@@ -126,3 +128,107 @@ def limits(panel: Panel, *series: Floats, symmetric: bool = False) -> None:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
     room = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
     panel.y.span(low - room, high + room)
+
+
+def count_along(panel: Panel, count: int) -> None:
+    """Let the x scale count from one."""
+    panel.x.span(0.4, max(count, 1) + 0.6)
+    panel.x.most, panel.x.whole = 8, True
+
+
+SPHERE_HEIGHT = 390.0
+"""Height of a figure of two hemispheres in figure units."""
+
+
+def hemisphere(sheet: Sheet, side: float) -> Panel:
+    """Return the panel of the upper (side +1, left) or lower (side -1, right) hemisphere; points as of `lambert`."""
+    size, margin, top = 296.0, 42.0, 62.0
+    left = 0.0 if side > 0 else WIDTH / 2
+    panel = sheet.bare_panel(left=left + margin, top=top, width=size, height=size)
+    panel.x.span(-1.43, 1.43)
+    panel.y.span(-1.43, 1.43)
+    turn = np.linspace(0, 2 * np.pi, 91)
+    for polar_deg, color in ((30, "grid"), (60, "grid"), (90, "muted")):
+        radius = 2 * np.sin(np.radians(polar_deg) / 2)
+        panel.line(radius * np.cos(turn), radius * np.sin(turn), color, clip=False)
+    for x, y in ((np.sqrt(2), 0), (0, np.sqrt(2))):
+        panel.line(np.array([-x, x]), np.array([-y, y]), "grid")
+    centre, y_up = left + margin + size / 2, "+y" if side > 0 else "−y"
+    y_down = "−y" if side > 0 else "+y"
+    middle = top + size / 2 + 4
+    for text, x, y in ((y_up, centre, top - 5), (y_down, centre, top + size + 20)):
+        sheet.text(text, x=x, y=y, color="muted", align="center")
+    sheet.text("−x", x=left + margin - 5, y=middle, color="muted", align="right")
+    sheet.text("+x", x=left + margin + size + 5, y=middle, color="muted")
+    sheet.text("Above (z up)" if side > 0 else "Below (z down)", x=left, y=20, color="ink", weight="bold")
+    return panel
+
+
+def lambert(directions: Floats, side: float) -> Floats:
+    """Project unit vectors (n, 3) of one hemisphere, seen from outside, to the plane (n, 2); its rim is at √2."""
+    with np.errstate(invalid="ignore"):
+        stretch = np.sqrt(2 / (1 + np.clip(side * directions[:, 2], 0, 1)))
+    return np.stack([directions[:, 0] * stretch, side * directions[:, 1] * stretch], axis=1)
+
+
+_APART = 2.5  # figure units between the points by which lines are seen
+
+
+_LETTER = 0.62  # width of a letter over its size
+
+
+_ROOM = 1.25  # letters are larger on small screens
+
+
+_LATER = 0.1  # cost of a later candidate
+
+
+_COVERED = 12.0  # units of lines under a label beyond which it cannot be read
+
+
+class LabelPlaces:
+    """Hands out places for labels, in figure units (right, down).
+
+    Parameters
+    ----------
+    lines : (n, 2, 2) ends of everything that is drawn
+    width, height : of the drawing
+    """
+
+    def __init__(self, lines: Floats, width: float, height: float) -> None:
+        steps = [np.linspace(0.0, 1.0, 2 + int(np.linalg.norm(b - a) / _APART))[:, None] for a, b in lines]
+        points = [a + step * (b - a) for (a, b), step in zip(lines, steps, strict=True)]
+        self._points = np.concatenate(points) if points else np.empty((0, 2))
+        self._edge = np.array([width, height])
+        self._taken: list[tuple[Floats, Floats]] = []
+
+    def take(self, text: str, candidates: Floats) -> Floats:
+        """Return the centre (2,) of the best place for a text, earlier candidates (n, 2) first."""
+        best, _ = self._best(text, candidates)
+        self._taken.append((best, half_size(text)))
+        return best
+
+    def take_free(self, text: str, candidates: Floats) -> Floats | None:
+        """Return the same, and None where the text could not be read in any place."""
+        best, cost = self._best(text, candidates)
+        if cost > _COVERED:
+            return None
+        self._taken.append((best, half_size(text)))
+        return best
+
+    def _best(self, text: str, candidates: Floats) -> tuple[Floats, float]:
+        costs = [self._cost(centre, half_size(text)) for centre in candidates]
+        best = int(np.argmin(np.array(costs) + _LATER * np.arange(len(costs))))
+        return candidates[best], costs[best]
+
+    def _cost(self, centre: Floats, half: Floats) -> float:
+        """Return units of lines under a label, more where it lies on another one or over the edge."""
+        covered = _APART * float(np.count_nonzero((np.abs(self._points - centre) < half).all(axis=1)))
+        shared = [np.clip(half + other_half - np.abs(centre - other), 0, None) for other, other_half in self._taken]
+        beyond = np.clip(half - centre, 0, None) + np.clip(centre + half - self._edge, 0, None)
+        return covered + 3 * sum(float(np.prod(s)) for s in shared) + 10 * float(beyond.sum())
+
+
+def half_size(text: str) -> Floats:
+    """Return half of the width and of the height (2,) that a label takes, with some room."""
+    return 0.5 * _ROOM * TEXT * np.array([_LETTER * len(text), 1.0])

@@ -7,8 +7,7 @@ from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.origin import AXES
 from ..recording import Floats
 from . import svg
-from .figures import TEXT, WIDTH, Sheet
-from .label_places import LabelPlaces, half_size
+from .figures import TEXT, WIDTH, LabelPlaces, Sheet, half_size
 from .numbers import number
 from .page import Figure, Legend
 from .panel import DASHED, Panel

@@ -15,7 +15,7 @@ from ..calibration import (
 )
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
-from .numbers import fixed, number, with_sigma
+from .numbers import fixed, number, readable_unit, with_sigma
 from .page import Bar, Parameter, ParameterGroup
 
 _AXES = "xyz"
@@ -30,11 +30,6 @@ _AGAINST = {
     MagnetometerCalibration: "the mean of the three axes; soft iron is part of it",
 }
 """What scales are compared with where the unit has no nominal one."""
-
-
-def readable_unit(unit: str) -> str:
-    """Return a unit as it is printed, such as "m/s²" for "m/s^2"."""
-    return unit.replace("^2", "²").replace("deg/s", "°/s").replace("uT", "µT")
 
 
 def parameter_groups(calibration: Calibration) -> tuple[ParameterGroup, ...]:

@@ -9,7 +9,7 @@ from . import noise_figures
 from .noise_figures import AXES, COLORS
 from .numbers import number, quantity, with_sigma
 from .page import Code, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
-from .provenance import provenance_section
+from .sections import provenance_section
 
 _HEADLINES = {
     "pass": "This noise is good to use.",

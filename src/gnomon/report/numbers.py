@@ -130,3 +130,43 @@ def highest(values: Floats, otherwise: float = 0.0) -> float:
     """Return the highest of the finite values; another number without any."""
     kept = finite(values)
     return float(kept.max()) if kept.size else otherwise
+
+
+def estimate(value: float, sigma: float, unit: str = "", *, sign: bool = False) -> str:
+    """Return a value with its sigma, where it has one, and its unit, such as "414.872 ± 0.061 px"."""
+    text, spread = with_sigma(value, sigma, sign=sign)
+    return (f"{text} ± {spread}" if spread else text) + (f"\u00a0{unit}" if unit else "")
+
+
+def readable_unit(unit: str) -> str:
+    """Return a unit as it is printed, such as "m/s²" for "m/s^2"."""
+    return unit.replace("^2", "²").replace("deg/s", "°/s").replace("uT", "µT")
+
+
+_MAGNITUDES = {"m/s^2": ("m/s²", 1.0), "rad/s": ("rad/s", 1.0), "uT": ("T", 1e-6)}
+"""Unit of a record -> unit that takes an SI prefix, and what one of the former is in the latter."""
+
+
+def magnitude_unit(largest: float, si_unit: str) -> tuple[str, float]:
+    """Return the unit with a prefix that suits values as large as this, and the factor to it from the record's unit.
+
+    Examples
+    --------
+    >>> magnitude_unit(0.002, "m/s^2"), magnitude_unit(48.0, "uT"), magnitude_unit(0.01, "")
+    (('mm/s²', 1000.0), ('µT', 1.0), ('% of the field', 100.0))
+    """
+    if si_unit not in _MAGNITUDES:
+        return "% of the field", 100.0
+    unit, base = _MAGNITUDES[si_unit]
+    prefix, factor = prefixed(largest * base)
+    return f"{prefix}{unit}", float(f"{factor * base:.12g}")
+
+
+def magnitude_text(value: float, si_unit: str, digits: int = 3) -> str:
+    """Return a value of a record as text with its unit, such as "2.65 mrad/s" or "1.23 %"."""
+    if not isfinite(value):
+        return MISSING
+    if si_unit not in _MAGNITUDES:
+        return f"{number(100 * value, digits, trim=False)}\u00a0%"
+    unit, base = _MAGNITUDES[si_unit]
+    return quantity(value * base, unit, digits)
