@@ -58,7 +58,7 @@ class ParameterGroup:
 
     title: str
     note: str
-    rows: tuple[Parameter, ...]
+    rows: Sequence[Parameter]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +125,7 @@ class Code:
 class Parameters:
     """The parameter table, with a title of its own where the section has several."""
 
-    groups: tuple[ParameterGroup, ...]
+    groups: Sequence[ParameterGroup]
     title: str = ""
     caption: str = ""
     kind: str = "parameters"
