@@ -34,6 +34,27 @@ class StaticIntervals:
         return StaticIntervals(start=self.start[keep], stop=self.stop[keep])
 
 
+def split_long(intervals: StaticIntervals, most: int) -> tuple[StaticIntervals, Integers]:
+    """Return intervals of about the usual length, into which long ones are cut, and the number of each one's whole.
+
+    Parameters
+    ----------
+    intervals : (n)
+    most : parts of one interval, at most
+
+    Returns
+    -------
+    (m) parts in the order of the intervals, and (m,) which interval each is of
+    """
+    length = intervals.stop - intervals.start
+    usual = float(np.median(length)) if len(length) else 1.0
+    parts = np.clip(np.round(length / max(usual, 1.0)), 1, most).astype(np.int64)
+    whole = np.repeat(np.arange(len(parts)), parts)
+    k = np.arange(len(whole)) - np.repeat(np.cumsum(parts) - parts, parts)
+    edges = [intervals.start[whole] + length[whole] * (k + i) // parts[whole] for i in (0, 1)]
+    return StaticIntervals(start=edges[0], stop=edges[1]), whole
+
+
 def interval_means(values: Floats, intervals: StaticIntervals) -> Floats:
     """Return the mean of the samples of every interval, (n, 3) [unit]."""
     if not len(intervals):

@@ -5,9 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.estimate.multiposition.bias_changes import accelerometer_changes, gyroscope_changes
-from gnomon.estimate.multiposition.bias_segments import with_bias_segments
+from gnomon.estimate.multiposition.bias_changes import (
+    BiasChanges,
+    RestMeans,
+    accelerometer_changes,
+    before,
+    gyroscope_changes,
+)
+from gnomon.estimate.multiposition.bias_segments import with_bias_steps
 from gnomon.estimate.multiposition.fit import fit_multiposition
+from gnomon.estimate.multiposition.unseen_changes import unseen_changes
+from gnomon.intervals import StaticIntervals, split_long
 
 N = 40
 T_S = np.concatenate([[25.0], 50 + 6.0 * np.arange(N - 1)])
@@ -23,13 +31,13 @@ def directions(rng):
 def gyroscope(rng, bias):
     u = directions(rng)
     means = bias + 1e-4 * u @ rng.normal(size=(3, 3)) + SIGMA * rng.normal(size=(N, 3))
-    return gyroscope_changes(T_S, HALF_S, means, SIGMA**2, u)
+    return gyroscope_changes(RestMeans(rest=np.arange(N), t_s=T_S, half_s=HALF_S, means=means, variance=SIGMA**2), u)
 
 
 def accelerometer(rng, bias):
     shape = np.eye(3) + 0.02 * rng.normal(size=(3, 3))
     means = directions(rng) @ shape.T + bias + SIGMA * rng.normal(size=(N, 3))
-    return accelerometer_changes(T_S, HALF_S, means, SIGMA**2)
+    return accelerometer_changes(RestMeans(rest=np.arange(N), t_s=T_S, half_s=HALF_S, means=means, variance=SIGMA**2))
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-5, 1e-4])
@@ -49,7 +57,7 @@ def test_a_step_is_found_where_it_is(find):
         found = find(rng, size * np.array([0.6, -0.6, 0.5]) * (np.arange(N) >= at)[:, None])
         assert found.steps == (at,)
         assert not found.warm_up_s
-        np.testing.assert_array_equal(found.segments(N), np.arange(N) >= at)
+        np.testing.assert_array_equal(before(found.steps[0], N), np.arange(N) < at)
 
 
 @pytest.mark.parametrize("find", [gyroscope, accelerometer])
@@ -72,24 +80,49 @@ def test_a_rest_that_stands_out_is_no_step():
     assert not found
 
 
-@pytest.mark.parametrize("reference", [-1, 0, None])
-def test_segments_that_are_given_have_biases_of_their_own(multiposition, reference):
-    """Turn-on biases of two joined parts: the bias of the model is that of the reference, or the mean of both."""
+def test_parts_of_a_long_rest_show_when_a_bias_stepped_within_it():
+    """The initial rest in eight parts: one place among them, and 2.3 of them are 2.3 / 8 of the rest."""
+    rng = np.random.default_rng(5)
+    rest = np.repeat(np.arange(N), [8, *[1] * (N - 1)])
+    t_s = np.concatenate([3.0 + 6.0 * np.arange(8), T_S[1:]])
+    sigma = 4e-4 / np.sqrt(6.0) * np.ones((len(rest), 3))
+    u = directions(rng)
+    means = u[rest] + before(2.3, len(rest))[:, None] * 8e-3 * u[0] + sigma * rng.normal(size=sigma.shape)
+    rests = RestMeans(rest=rest, t_s=t_s, half_s=np.full(len(rest), 2.0), means=means, variance=sigma**2)
+    [place] = accelerometer_changes(rests).steps
+    assert abs(place - 2.3 / 8) < 0.02
+    assert rests.place(8.0) == 1.0
+
+
+def test_long_intervals_are_split():
+    parts, whole = split_long(StaticIntervals(start=np.array([0, 100, 130]), stop=np.array([95, 110, 140])), 8)
+    np.testing.assert_array_equal(whole, [0] * 8 + [1, 2])
+    assert (parts.start[0], parts.stop[7]) == (0, 95)
+    np.testing.assert_array_equal(parts.stop[:7], parts.start[1:8])
+
+
+def test_each_part_has_a_bias_of_its_own(multiposition):
     problem, _ = multiposition(5, intervals=30, t_init_s=20.0, gyroscope_noise_density=1e-4)
     data, step = problem.data, np.array([0.02, -0.01, 0.015]) / problem.gyroscope.spread
-    segment = (np.arange(30) >= 12).astype(np.int64)
-    moved = data.gyroscope + segment[:, None] * step
-    before = fit_multiposition(data, g_sensitivity=False).state.matrices[3]
+    moved = data.gyroscope + (np.arange(30) >= 12)[:, None] * step
+    before_it = fit_multiposition(data, g_sensitivity=False).state.matrices[3]
     rate = np.array(data.segments.gyroscope)
     rate[int(data.segments.first[12]) :] += step
-
     data = replace(data, gyroscope=moved, segments=replace(data.segments, gyroscope=rate))
-    sigma = None if reference is not None else np.abs(step)
-    fit = fit_multiposition(
-        with_bias_segments(data, gyroscope=segment, reference=reference, gyroscope_sigma=sigma), g_sensitivity=False
-    )
-    expected = before + {-1: 1.0, 0: 0.0, None: 0.5}[reference] * step
-    np.testing.assert_allclose(fit.state.matrices[3], expected, atol=0.03 * np.abs(step).min())
+    fit = fit_multiposition(with_bias_steps(data, gyroscope=(12.0,)), g_sensitivity=False)
+    np.testing.assert_allclose(fit.state.matrices[3], before_it + step, atol=0.03 * np.abs(step).min())
     np.testing.assert_allclose(np.ptp(fit.drift, axis=0), np.abs(step), rtol=0.03)
     assert not fit.data.linked[11]
     assert fit.converged
+
+
+def test_a_step_that_is_not_in_the_model_widens_the_sigma_of_the_bias(multiposition):
+    """Nothing is added where nothing changed; where a step was not taken, as much as the bias is off by it."""
+    problem, _ = multiposition(6, intervals=30, t_init_s=20.0)
+    nothing = (BiasChanges(), BiasChanges())
+    for size, low, high in ((0.0, 0.0, 0.7), (1e-2, 1.0, np.inf)):
+        step = (np.arange(30) >= 20)[:, None] * (size * np.array([0.6, -0.6, 0.5]) / problem.accelerometer.spread)
+        data = replace(problem.data, accelerometer=problem.data.accelerometer + step)
+        fit = fit_multiposition(data, g_sensitivity=False, changes=nothing)
+        ratio = np.sqrt(np.diag(unseen_changes(fit))[6:9] / np.diag(fit.covariance)[6:9])
+        assert low <= ratio.max() <= high

@@ -11,6 +11,7 @@ from .left_out import cluster
 
 _SHOWN = 4  # parts of a recording
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
+_MOSTLY = 0.5  # of a variance
 _SHORT = 5  # static intervals: fewer tell the published bias from little
 
 
@@ -50,6 +51,11 @@ def drift_findings(evidence: ImuEvidence) -> list[Finding]:
             )
         elif size > 0:
             findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, size)))
+    for triad, own in (("gyroscope", slice(21, 24)), ("accelerometer", slice(9, 12))):
+        unseen, sigma = evidence.unseen_sigma[own], np.sqrt(np.diag(evidence.estimate.covariance)[own])
+        if np.any(unseen**2 > _MOSTLY * sigma**2):
+            size = float(np.max(unseen / _per_si(evidence, triad)))
+            findings.append(make_finding("bias-change-possible", triad=triad, size=_shown(triad, size)))
     return findings
 
 
@@ -121,10 +127,11 @@ def _cluster_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list
 def _step_finding(evidence: ImuEvidence, one: BiasSegments) -> Finding:
     per_si = _per_si(evidence, one.triad)
     steps = np.diff(one.bias, axis=0) / per_si
-    where = [
-        f"{_shown(one.triad, float(np.abs(step).max()))} between {one.stop_s[k]:.1f} s and {one.start_s[k + 1]:.1f} s"
-        for k, step in enumerate(steps)
+    when = [
+        f"between {stop:.1f} s and {start:.1f} s" if start > stop else f"at {stop:.1f} s, at rest"
+        for stop, start in zip(one.stop_s[:-1], one.start_s[1:], strict=True)
     ]
+    where = [f"{_shown(one.triad, float(np.abs(step).max()))} {at}" for step, at in zip(steps, when, strict=True)]
     parts = [
         f"{one.start_s[k]:.0f} to {one.stop_s[k]:.0f} s: {' '.join(f'{x:.5g}' for x in one.bias[k] / per_si)}"
         for k in range(len(one.bias))

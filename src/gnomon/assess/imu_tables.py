@@ -50,6 +50,7 @@ class ImuEvidence:
     rivals : model -> leave-one-out errors
     estimate : the parameters
     trust, instabilities : how far they can be trusted, and how biases differed between parts of the recording
+    unseen_sigma : (33,) part of the sigmas that is by changes of a bias which the data cannot exclude
     gravity_m_s2 : magnitude of gravity
     """
 
@@ -69,6 +70,7 @@ class ImuEvidence:
     estimate: ImuEstimate
     trust: Trust
     instabilities: tuple[Instability, ...]
+    unseen_sigma: Floats
     gravity_m_s2: float
 
     @property
@@ -290,31 +292,32 @@ def _bias_segments(evidence: ImuEvidence) -> tuple[BiasSegments, ...]:
     still, t_s = evidence.accelerometer.intervals, evidence.accelerometer.t_s
     found: list[BiasSegments] = []
     first = PARAMETERS
-    for triad, functions, bias, scaling in (
-        ("gyroscope", fit.data.of_gyroscope, BG_, problem.gyroscope),
-        ("accelerometer", fit.data.of_accelerometer, B_, problem.accelerometer),
+    for triad, functions, bias, scaling, changes in (
+        ("gyroscope", fit.data.of_gyroscope, BG_, problem.gyroscope, fit.changes[0]),
+        ("accelerometer", fit.data.of_accelerometer, B_, problem.accelerometer, fit.changes[1]),
     ):
         columns = first + 3 * np.flatnonzero(functions.of_kind("step"))[:, None] + np.arange(3)
         first += 3 * len(functions.kind)
         if not len(columns):
             continue
-        member = functions.at_rest[:, functions.of_kind("step")].T > 0
-        member = np.concatenate([member, ~member.any(axis=0, keepdims=True)])  # the last one has no step of its own
         own = np.arange(bias.start, bias.stop)
         values, sigmas = [fit.state.theta[own]], [np.diag(covariance[np.ix_(own, own)])]
         for step in reversed(columns):
             both = covariance[np.ix_(np.r_[own, step], np.r_[own, step])]
             values.insert(0, fit.state.theta[own] + fit.state.theta[step])
             sigmas.insert(0, np.diag(both)[:3] + np.diag(both)[3:] + 2 * np.diag(both[:3, 3:]))
-        rests = [np.flatnonzero(one) for one in member]
+        starts, stops = (t_s[np.append(edge, edge[-1])] for edge in (still.start, still.stop - 1))
+        first_rest = np.array(changes.steps, dtype=np.int64)
+        within = np.array(changes.steps) - first_rest
+        inside = starts[first_rest] + within * (stops - starts)[first_rest]
         found.append(
             BiasSegments(
                 triad=triad,
-                start_s=np.array([t_s[still.start[one[0]]] for one in rests]),
-                stop_s=np.array([t_s[still.stop[one[-1]] - 1] for one in rests]),
+                start_s=np.append(starts[0], np.where(within > 0, inside, starts[first_rest])),
+                stop_s=np.append(np.where(within > 0, inside, stops[first_rest - 1]), stops[-1]),
                 bias=np.array(values) * scaling.spread + scaling.centre,
                 sigma=np.sqrt(np.maximum(sigmas, 0.0)) * scaling.spread,
-                published=len(rests) - 1,
+                published=len(columns),
             )
         )
     return tuple(found)

@@ -8,14 +8,14 @@ from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats
 
-_LISTED = 5
+_LISTED = 6  # runs of rests with one reason
 _MANY = 0.1  # of the rests
 _FEWEST = 3  # rests behind each other
 _CHANCE = 0.05  # that rests left out independently of each other lie as close together
 
 
 def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], label: str = "") -> list[Finding]:
-    """Name the rests that are not used, with time and reason.
+    """Name the rests that are not used, with time, by reason; those behind each other as one run.
 
     Parameters
     ----------
@@ -26,8 +26,16 @@ def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], la
     out = [k for k, why in enumerate(reason) if why]
     if not out:
         return []
-    listed = [f"{k + 1} ({start_s[k]:.1f} to {stop_s[k]:.1f} s): {reason[k]}" for k in out[:_LISTED]]
-    more = f"; and {len(out) - _LISTED} more, which the report lists" if len(out) > _LISTED else ""
+    listed: list[str] = []
+    for why in dict.fromkeys(reason[k] for k in out):
+        own = np.array([k for k in out if reason[k] == why])
+        runs = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
+        names = [f"{run[0] + 1} to {run[-1] + 1}" if len(run) > 1 else f"{run[0] + 1}" for run in runs[:_LISTED]]
+        shown = [
+            f"{name} ({start_s[run[0]]:.1f} to {stop_s[run[-1]]:.1f} s)" for name, run in zip(names, runs, strict=False)
+        ]
+        more = f" and {sum(map(len, runs[_LISTED:]))} more, which the report lists" if len(runs) > _LISTED else ""
+        listed.append(f"{', '.join(shown)}{more}: {why}")
     return [
         make_finding(
             "intervals-left-out",
@@ -36,7 +44,6 @@ def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], la
             count=len(out),
             total=len(reason),
             listed="; ".join(listed),
-            more=more,
         )
     ]
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from ..detect.samples.noise import resting_noise
 from ..detect.samples.rests import Motion, Rests, find_rests
-from ..detect.samples.rounding import rounding_variance
 from ..detect.samples.static import static_statistic, window_samples
 from ..errors import InitialisationError
 from ..estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
 from ..estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
+from ..estimate.multiposition.problem import TriadStream, rest_means
 from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, TriadSamples
 
@@ -140,20 +140,11 @@ def choose_threshold(
     return best, trials
 
 
-def accelerometer_course(trial: ThresholdTrial, samples: TriadSamples, t_s: Floats) -> tuple[BiasChanges, Floats]:
-    """Return how the accelerometer's bias changed, by its rests, and the functions of time (n, j) that it follows.
-
-    Parameters
-    ----------
-    t_s : (m,) instants of the samples [s]
-    """
-    start, stop = t_s[trial.intervals.start], t_s[trial.intervals.stop - 1]
-    middle, half = 0.5 * (start + stop), 0.5 * (stop - start)
-    noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
-    duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
-    variance = noise / duration[:, None] + rounding_variance(samples.values, trial.intervals)
-    changes = accelerometer_changes(middle, half, trial.means, np.maximum(variance, np.finfo(float).tiny))
-    return changes, functions_of_time(changes, middle, half)
+def accelerometer_course(accelerometer: TriadStream) -> tuple[BiasChanges, Floats]:
+    """Return how the accelerometer's bias changed, by its rests, and the functions of time (n, j) that it follows."""
+    changes = accelerometer_changes(rest_means(accelerometer))
+    start, stop = (accelerometer.t_s[at] for at in (accelerometer.intervals.start, accelerometer.intervals.stop - 1))
+    return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start))
 
 
 def disturbed(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:

@@ -17,7 +17,6 @@ from ..assess.prior_findings import prior_findings
 from ..assess.threshold import (
     FEWEST_INTERVALS,
     RestDetection,
-    ThresholdTrial,
     accelerometer_course,
     detect_rests,
     disturbed,
@@ -36,6 +35,7 @@ from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscaled
 from ..estimate.multiposition.sums import free_jacobian, stretch_sums, with_runs
+from ..estimate.multiposition.unseen_changes import unseen_changes
 from ..estimate.trust.cluster_trust import Trusted, trusted
 from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding
@@ -116,19 +116,34 @@ def calibrate_imu(
     tell("finding static intervals")
     detection = _static_intervals(prepared, options, gravity.value)
     chosen = detection.chosen
-    course, functions = accelerometer_course(chosen, prepared.accelerometer, prepared.accelerometer_time.t_s)
+    at_rest = stream(
+        prepared.accelerometer,
+        prepared.accelerometer_time.t_s,
+        prepared.accelerometer_saturated,
+        chosen.intervals,
+    )
+    course, functions = accelerometer_course(at_rest)
     touched = disturbed(chosen, prepared.accelerometer, functions)
-    problem, streams = _problem(prepared, chosen, touched, options)
+    problem, streams = _problem(prepared, at_rest, touched, options)
     if np.sum(problem.data.linked) < FEWEST_ROTATIONS:
         return calibrate_poses(recording, options, progress, prior)
     units = {"accelerometer": prepared.accelerometer.unit, "gyroscope": prepared.gyroscope.unit}
     known = known_beforehand(prior, options, units, free=options.free, gravity=gravity)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
     walk = _known_walk(recording, problem)
-    model = choose_model(problem, options, known, units=units, gravity_m_s2=gravity.value, walk=walk)
+    model = choose_model(
+        problem,
+        options,
+        known,
+        units=units,
+        gravity_m_s2=gravity.value,
+        walk=walk,
+        course=None if touched.any() else course,
+    )
     estimate = _in_units(model.fit, problem, gravity, options)
     names = covariance_names({"imu0": imu_calibration(estimate, prepared)})
-    trust = _trusted(model.fit, problem, estimate, names, gravity=gravity, options=options)
+    unseen = unseen_changes(model.fit)
+    trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, gravity=gravity, options=options, unseen=unseen)
     weak = imu_weak(estimate)
     estimate = with_fixed(replace(estimate, covariance=trust.covariance), known)
     tell("assessing the result")
@@ -149,6 +164,7 @@ def calibrate_imu(
         estimate=estimate,
         trust=replace(trust.trust, models=model.steps, weak=weak),
         instabilities=trust.instabilities,
+        unseen_sigma=unseen_sigma,
         gravity_m_s2=gravity.value,
     )
     diagnostics = describe(evidence)
@@ -207,12 +223,12 @@ def _static_intervals(prepared: PreparedImu, options: ImuOptions, gravity_m_s2: 
 
 
 def _problem(
-    prepared: PreparedImu, chosen: ThresholdTrial, touched: Booleans, options: ImuOptions
+    prepared: PreparedImu, accelerometer: TriadStream, touched: Booleans, options: ImuOptions
 ) -> tuple[MultiPositionProblem, tuple[TriadStream, TriadStream]]:
     """Gather what the undisturbed intervals and the rotations between them measured."""
-    still = chosen.intervals.where(~touched)
-    samples, t_s = prepared.accelerometer, prepared.accelerometer_time.t_s
-    accelerometer = stream(samples, t_s, prepared.accelerometer_saturated, still)
+    t_s, still = accelerometer.t_s, accelerometer.intervals.where(~touched)
+    if touched.any():
+        accelerometer = stream(prepared.accelerometer, t_s, accelerometer.saturated, still)
     rates, t_gyro = prepared.gyroscope, prepared.gyroscope_time.t_s
     at_rest = gyroscope_intervals(t_gyro, t_s[still.start], t_s[still.stop - 1])
     if len(at_rest) == 0 or np.any(at_rest.stop - at_rest.start < 2):
@@ -248,20 +264,26 @@ def _trusted(
     *,
     gravity: Gravity,
     options: ImuOptions,
-) -> Trusted:
-    """Return the covariance from clusters of static intervals, and how parts of the recording agree."""
+    unseen: Floats,
+) -> tuple[Trusted, Floats]:
+    """Return the covariance from clusters of static intervals, and how parts of the recording agree.
+
+    Also the sigma (m,) that changes of a bias which cannot be excluded add; `unseen` is their covariance of theta.
+    """
     _, jacobian = sensor_scalars(
         fit.state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity.value, latitude_deg=options.latitude
     )
-    return trusted(
+    from_unseen = jacobian @ unseen @ jacobian.T
+    trust = trusted(
         stretch_sums(fit),
         free_jacobian(fit, jacobian),
         names,
-        estimate.covariance,
+        estimate.covariance + from_unseen,
         biases=_BIASES,
         widened=options.covariance == "robust",
         single=stretch_sums(fit, with_runs(fit)),
     )
+    return trust, np.sqrt(np.diag(from_unseen))
 
 
 def _agreement(problem: MultiPositionProblem, known: Evidence, gravity: Gravity, options: ImuOptions) -> list[Finding]:

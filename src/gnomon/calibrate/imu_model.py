@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..estimate.multiposition.bias_changes import BiasChanges
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.leave_one_out import HeldOut, leave_one_out
 from ..estimate.multiposition.problem import MultiPositionProblem
@@ -47,12 +48,16 @@ def choose_model(
     units: dict[str, str],
     gravity_m_s2: float,
     walk: Floats | None,
+    course: BiasChanges | None,
 ) -> ChosenModel:
-    """Fit with g-sensitivity, and keep it where clusters of time that were left out prove it or somebody says so."""
+    """Fit with g-sensitivity, and keep it where clusters of time that were left out prove it or somebody says so.
+
+    `course` is how the accelerometer's bias changed, where that is known already.
+    """
     beforehand = knowledge(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
 
     def fitted(*, g_sensitivity: bool, before: MultiPositionFit | None = None) -> MultiPositionFit:
-        changes = None if before is None else before.changes
+        changes = (None, course) if before is None else before.changes
         return fit_multiposition(
             problem.data, g_sensitivity=g_sensitivity, known=beforehand, walk=walk, changes=changes
         )

@@ -76,14 +76,8 @@ def solve_arrow(system: ArrowSystem) -> ArrowSolution:
     n, d, p = system.border.shape
     per_block = max(1, _GATHERED // d)
     blocks = -(-n // per_block)
-    diagonal, coupling, right = _gather(system, per_block, blocks)
-    inverses, gains, eliminated = _eliminate(diagonal, coupling, right)
-    schur = system.corner.copy()
-    corner_right = -system.corner_gradient
-    for inverse, rhs in zip(inverses, eliminated, strict=True):
-        half = inverse @ rhs
-        schur -= rhs[:, :p].T @ half[:, :p]
-        corner_right = corner_right - rhs[:, :p].T @ half[:, p]
+    inverses, gains, eliminated = _eliminate(*_gather(system, per_block, blocks))
+    schur, corner_right, _ = _reduce(system, inverses, eliminated)
     factor = np.linalg.cholesky(0.5 * (schur + schur.T))
     whitener = np.linalg.inv(factor)
     corner_covariance = whitener.T @ whitener
@@ -101,6 +95,30 @@ def solve_arrow(system: ArrowSystem) -> ArrowSolution:
         next_covariance=next_states - cross[:-1] @ np.swapaxes(z[1:], 1, 2),
         cross_covariance=cross,
     )
+
+
+def reduced_normal_equations(system: ArrowSystem) -> tuple[Floats, Floats, float]:
+    """Return what is left when the states are eliminated.
+
+    Returns
+    -------
+    (p, p) normal matrix and (p,) right-hand side of the border, and by how much the states lower the sum of squares
+    """
+    per_block = max(1, _GATHERED // system.border.shape[1])
+    inverses, _, eliminated = _eliminate(*_gather(system, per_block, -(-len(system.border) // per_block)))
+    return _reduce(system, inverses, eliminated)
+
+
+def _reduce(system: ArrowSystem, inverses: list[Floats], eliminated: list[Floats]) -> tuple[Floats, Floats, float]:
+    """Return the Schur complement, its right-hand side, and by how much the states lower the sum of squares."""
+    p, lowered = len(system.corner), 0.0
+    schur, right = system.corner.copy(), -system.corner_gradient
+    for inverse, rhs in zip(inverses, eliminated, strict=True):
+        half = inverse @ rhs
+        schur -= rhs[:, :p].T @ half[:, :p]
+        right = right - rhs[:, :p].T @ half[:, p]
+        lowered += float(rhs[:, p] @ half[:, p])
+    return schur, right, lowered
 
 
 def _gather(system: ArrowSystem, per_block: int, blocks: int) -> tuple[Floats, Floats, Floats]:

@@ -23,8 +23,10 @@ _MOST = 8  # changes
 _EXTRA = (0.0, 1.0, 10.0, 100.0, 1e4)  # variance of the scatter, in units of the white noise
 _WALK = (0.0, 0.3, 3.0, 30.0, 300.0, 3e4)  # variance that a walk reaches over the recording, in the same unit
 _FEW_EXTRA, _FEW_WALK, _MANY = (0.0, 10.0), (0.0, 3.0, 300.0), 120
-_DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the length of the recording
-_FINER = (0.7, 0.84, 1.0, 1.19, 1.41), (0.92, 0.96, 1.0, 1.04, 1.08)  # times the best of them
+DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the length of the recording
+_FINER_DECAYS = np.array([0.7, 0.84, 1.0, 1.19, 1.41]), np.array([0.92, 0.96, 1.0, 1.04, 1.08])  # times the best
+_FINER_PLACES = (np.linspace(-0.9, 0.9, 19).round(1),)  # beside the best of them
+_WITHIN = 4.0  # of log-likelihood by which a step within a rest must be likelier than one beside it
 _TOLD = 1e-7  # of a column that the model does not explain already
 _LEAST_SCALE = 0.3  # of the white noise that is known: less is chance
 _FEWEST = 12  # rests
@@ -37,14 +39,15 @@ class BiasChanges:
 
     Attributes
     ----------
-    steps : indices k of static intervals, ascending: the bias stepped between k - 1 and k
+    steps : places, ascending: k where the bias stepped between the static intervals k - 1 and k, and k + x where it
+        did within interval k, after a share x of it
     warm_up_s : time constant of an exponential decay [s]; 0 without
     outlying : indices of static intervals that alone stand out
     sensor : index k > 0 of the static interval from which on scales and axes are others, too: another sensor; 0 without
     gain : log-likelihood of all changes together
     """
 
-    steps: tuple[int, ...] = ()
+    steps: tuple[float, ...] = ()
     warm_up_s: float = 0.0
     outlying: tuple[int, ...] = ()
     sensor: int = 0
@@ -53,15 +56,41 @@ class BiasChanges:
     def __bool__(self) -> bool:
         return bool(self.steps or self.warm_up_s)
 
-    def segments(self, n: int) -> Integers:
-        """Return the number of the segment of each of n static intervals, (n,)."""
-        return np.searchsorted(np.array(self.steps, dtype=np.int64), np.arange(n), side="right")
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestMeans:
+    """Means at rest, of which the search is made: of whole static intervals, and of parts of long ones.
+
+    Attributes
+    ----------
+    rest : (m,) number of the static interval that each is of, ascending
+    t_s, half_s : (m,) middle and half of the length [s]
+    means, variance : (m, 3) and the variance that white noise gives them
+    """
+
+    rest: Integers
+    t_s: Floats
+    half_s: Floats
+    means: Floats
+    variance: Floats
+
+    def place(self, at: float) -> float:
+        """Return a place among these means as one among the static intervals; see `BiasChanges.steps`."""
+        k = int(at)
+        own = np.flatnonzero(self.rest == self.rest[k])
+        return float(self.rest[k]) + (at - float(own[0])) / len(own)
+
+
+def before(place: Floats | float, n: int) -> Floats:
+    """Return the share (n, ...) of each of n static intervals that lies before a place of `BiasChanges.steps`."""
+    place = np.asarray(place, dtype=np.float64)
+    return np.clip(place - np.arange(n).reshape(-1, *[1] * place.ndim), 0.0, 1.0)
 
 
 def functions_of_time(changes: BiasChanges, t_s: Floats, half_s: Floats) -> Floats:
     """Return what the bias follows at rest, (n, j): one in each segment but the last, and the decay."""
     n = len(t_s)
-    steps = [(np.arange(n) < k).astype(np.float64) for k in changes.steps]
+    steps = [before(place, n) for place in changes.steps]
     if changes.warm_up_s:
         steps.append(_decay(t_s, half_s, changes.warm_up_s))
     return np.stack(steps, axis=1) if steps else np.empty((n, 0))
@@ -102,33 +131,26 @@ class _Candidates:
     single: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=bool))
 
 
-def gyroscope_changes(t_s: Floats, half_s: Floats, means: Floats, variance: Floats, u: Floats) -> BiasChanges:
+def gyroscope_changes(rests: RestMeans, u: Floats) -> BiasChanges:
     """Return how a gyroscope's bias changed.
 
     Parameters
     ----------
-    t_s, half_s : (n,) middle and half of the length of each static interval [s]
-    means, variance : (n, 3) of the gyroscope
-    u : (n, 3) directions of gravity, which the bias may depend on
+    rests : means of the gyroscope
+    u : (n, 3) directions of gravity in the static intervals, which the bias may depend on
     """
-    n = len(t_s)
+    n, m = len(u), len(rests.t_s)
     if n < _FEWEST:
         return BiasChanges()
-    design = np.column_stack([np.ones(n), u]) if n > _FEWEST + 4 else np.ones((n, 1))
-    series = _Series(y=means, design=design, variance=variance, pull=np.ones((n, 1)))
-    return _search(t_s, half_s, lambda _: series, shortest=2)
+    design = np.column_stack([np.ones(m), u[rests.rest]]) if n > _FEWEST + 4 else np.ones((m, 1))
+    series = _Series(y=rests.means, design=design, variance=rests.variance, pull=np.ones((m, 1)))
+    return _search(rests, lambda _: series, shortest=2)
 
 
-def accelerometer_changes(t_s: Floats, half_s: Floats, means: Floats, variance: Floats) -> BiasChanges:
-    """Return how an accelerometer's bias changed, by the magnitude of gravity alone.
-
-    Parameters
-    ----------
-    t_s, half_s : (n,) middle and half of the length of each static interval [s]
-    means, variance : (n, 3) of the accelerometer
-    """
-    n = len(t_s)
-    if n < _FEWEST + 6:
+def accelerometer_changes(rests: RestMeans) -> BiasChanges:
+    """Return how an accelerometer's bias changed, by the magnitude of gravity alone."""
+    n, means, variance = len(rests.t_s), rests.means, rests.variance
+    if rests.rest[-1] + 1 < _FEWEST + 6:
         return BiasChanges()
     try:
         start = fit_magnitude(means, 1.0)
@@ -152,23 +174,23 @@ def accelerometer_changes(t_s: Floats, half_s: Floats, means: Floats, variance: 
             pull=pull,
         )
 
-    return _search(t_s, half_s, magnitudes, shortest=4)
+    return _search(rests, magnitudes, shortest=4)
 
 
-def _search(t_s: Floats, half_s: Floats, series: Callable[[Floats], _Series], shortest: int) -> BiasChanges:
+def _search(rests: RestMeans, series: Callable[[Floats], _Series], shortest: int) -> BiasChanges:
     """Take one change after the other.
 
     Parameters
     ----------
-    series : measurements about a bias (n, 3) that is known so far
-    shortest : static intervals in a segment
+    series : measurements about a bias (m, 3) that is known so far
+    shortest : means in a segment
     """
-    n = len(t_s)
-    candidates = _candidates(t_s, half_s, shortest)
+    n = len(rests.t_s)
+    candidates = _candidates(rests, shortest)
     taken: list[int] = []
     total = 0.0
     moved = np.zeros((n, 3))
-    whitened = _whitened(t_s, series(moved), candidates)
+    whitened = _whitened(rests, series(moved), candidates)
     for _ in range(_MOST):
         gains = _gains(whitened, candidates, taken) - _price(candidates, n, taken, shortest)
         best = int(np.argmax(gains))
@@ -176,31 +198,36 @@ def _search(t_s: Floats, half_s: Floats, series: Callable[[Floats], _Series], sh
             break
         taken.append(best)
         total += float(gains[best])
-        if "warm-up" in {candidates.kind[k] for k in taken}:
-            candidates = _with_finer_decay(t_s, half_s, series(moved), candidates, taken)
-            whitened = _whitened(t_s, series(moved), candidates)
+        candidates = _refined(rests, series(moved), candidates, taken)
+        whitened = _whitened(rests, series(moved), candidates)
         if whitened[0].pulls > 1:  # the magnitude is not linear in the bias
             moved = _moved(series(np.zeros((n, 3))), candidates, taken)
-            whitened = _whitened(t_s, series(moved), candidates)
+            whitened = _whitened(rests, series(moved), candidates)
     sensor = _other_sensor(series(moved), whitened, taken) if whitened[0].pulls > 1 else 0
-    kinds = [candidates.kind[k] for k in taken]
-    at = [float(candidates.at[k]) for k in taken]
+    at = {
+        kind: [float(candidates.at[k]) for k in taken if candidates.kind[k] == kind]
+        for kind in ("step", "warm-up", "single")
+    }
+    alone = np.bincount(rests.rest[np.array(at["single"], dtype=np.int64)], minlength=1)
+    most = 2 * alone > np.bincount(rests.rest)[: len(alone)]
     return BiasChanges(
-        steps=tuple(sorted(int(a) for kind, a in zip(kinds, at, strict=True) if kind == "step")),
-        warm_up_s=next((a for kind, a in zip(kinds, at, strict=True) if kind == "warm-up"), 0.0),
-        outlying=tuple(sorted(int(a) for kind, a in zip(kinds, at, strict=True) if kind == "single")),
-        sensor=sensor,
+        steps=tuple(sorted(map(rests.place, at["step"]))),
+        warm_up_s=next(iter(at["warm-up"]), 0.0),
+        outlying=tuple(map(int, np.flatnonzero(most))),
+        sensor=int(rests.rest[sensor]),
         gain=total,
     )
 
 
-def _candidates(t_s: Floats, half_s: Floats, shortest: int) -> _Candidates:
-    n = len(t_s)
+def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
+    n, t_s = len(rests.t_s), rests.t_s
     span = max(float(t_s[-1] - t_s[0]), 1e-9)
-    at = np.arange(shortest, n - shortest + 1)
-    steps = (np.arange(n)[:, None] < at).astype(np.float64)
-    tau = np.array(_DECAYS) * span
-    decays = _decay(t_s[:, None], half_s[:, None], tau)
+    in_first = int(np.sum(rests.rest == 0))  # what came before is another turn-on, however short
+    at = np.arange(1 if in_first > 1 else shortest, n - shortest + 1)
+    at = at[(at >= shortest) | (at <= in_first)]
+    steps = before(at.astype(np.float64), n)
+    tau = np.array(DECAYS) * span
+    decays = _decay(t_s[:, None], rests.half_s[:, None], tau)
     return _Candidates(
         values=np.concatenate([steps, decays, np.eye(n)], axis=1),
         places=np.concatenate([np.full(len(at), len(at)), np.full(len(tau), len(tau)), np.full(n, n)]).astype(float),
@@ -210,26 +237,34 @@ def _candidates(t_s: Floats, half_s: Floats, shortest: int) -> _Candidates:
     )
 
 
-def _with_finer_decay(
-    t_s: Floats, half_s: Floats, series: _Series, candidates: _Candidates, taken: Sequence[int]
-) -> _Candidates:
-    """Return the candidates with the time constant of the decay that was taken where the likelihood is largest."""
-    decay = next(k for k in taken if candidates.kind[k] == "warm-up")
-    others = [k for k in taken if k != decay]
+def _refined(rests: RestMeans, series: _Series, candidates: _Candidates, taken: Sequence[int]) -> _Candidates:
+    """Return the candidates with the time constant of the decay, and the place of the last step, that are likeliest.
+
+    A step stays between two means unless a place within one of them is likelier by far.
+    """
+    n = len(rests.t_s)
     values, at = candidates.values.copy(), candidates.at.copy()
-    for factors in _FINER:
-        tau = at[decay] * np.array(factors)
-        chosen = [*others, *[decay] * len(tau)]
-        trial = _Candidates(
-            values=np.concatenate([values[:, others], _decay(t_s[:, None], half_s[:, None], tau)], axis=1),
-            places=candidates.places[chosen],
-            kind=tuple(candidates.kind[k] for k in chosen),
-            at=at[chosen],
-            single=candidates.single[chosen],
-        )
-        gains = _gains(_whitened(t_s, series, trial), trial, range(len(others)))
-        best = tau[int(np.argmax(gains[len(others) :]))]
-        at[decay], values[:, decay] = best, _decay(t_s, half_s, float(best))
+    for k in (k for k in taken if candidates.kind[k] == "warm-up" or (k == taken[-1] and candidates.kind[k] == "step")):
+        others = [other for other in taken if other != k]
+        for grid in _FINER_DECAYS if candidates.kind[k] == "warm-up" else _FINER_PLACES:
+            finer = at[k] * grid if candidates.kind[k] == "warm-up" else at[k] + grid
+            columns = (
+                _decay(rests.t_s[:, None], rests.half_s[:, None], finer)
+                if candidates.kind[k] == "warm-up"
+                else before(finer, n)
+            )
+            chosen = [*others, *[k] * len(finer)]
+            trial = _Candidates(
+                values=np.concatenate([values[:, others], columns], axis=1),
+                places=candidates.places[chosen],
+                kind=tuple(candidates.kind[k] for k in chosen),
+                at=np.append(at[others], finer),
+                single=candidates.single[chosen],
+            )
+            gains = _gains(_whitened(rests, series, trial), trial, range(len(others)))[len(others) :]
+            gains[grid % 1 != 0] -= _WITHIN if candidates.kind[k] == "step" else 0.0
+            best = int(np.argmax(gains))
+            at[k], values[:, k] = finer[best], columns[:, best]
     return replace(candidates, values=values, at=at)
 
 
@@ -280,19 +315,20 @@ class _Whitened:
     logdet: float
 
 
-def _whitened(t_s: Floats, series: _Series, candidates: _Candidates) -> list[_Whitened]:
-    """Return the series by each kind of noise on the grid."""
-    n, d = series.pull.shape
+def _whitened(rests: RestMeans, series: _Series, candidates: _Candidates) -> list[_Whitened]:
+    """Return the series by each kind of noise on the grid; the parts of one rest have its scatter in common."""
+    (n, d), t_s = series.pull.shape, rests.t_s
     typical = np.median(series.variance, axis=0)
     white = np.mean(series.variance / typical, axis=1)
     since = (t_s - t_s[0]) / max(float(t_s[-1] - t_s[0]), 1e-9)
     walk = np.minimum(since[:, None], since) * (series.pull @ series.pull.T) / np.mean(series.pull**2) / d
     blocks = _blocks(series, candidates).reshape(n, -1)
+    scatter = (rests.rest[:, None] == rests.rest).astype(np.float64)
     extra, walks = (_EXTRA, _WALK) if n <= _MANY else (_FEW_EXTRA, _FEW_WALK)
     found: list[_Whitened] = []
     for a in extra:
         for b in walks:
-            factor = np.linalg.cholesky(np.diag(white + a) + b * walk)
+            factor = np.linalg.cholesky(np.diag(white) + a * scatter + b * walk)
             root = np.linalg.inv(factor)
             found.append(
                 _Whitened(

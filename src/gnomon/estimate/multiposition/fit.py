@@ -16,7 +16,7 @@ from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...solve.arrow import ArrowSolution, solve_arrow
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
-from .bias_segments import with_bias_segments, with_warm_up, without_rates
+from .bias_segments import with_bias_steps, with_warm_up, without_rates
 from .drift import (
     accelerometer_drifts,
     walk_density,
@@ -142,7 +142,7 @@ def fit_multiposition(
     g_sensitivity: bool,
     known: Knowledge | None = None,
     walk: Floats | None = None,
-    changes: tuple[BiasChanges, BiasChanges] | None = None,
+    changes: tuple[BiasChanges | None, BiasChanges | None] = (None, None),
 ) -> MultiPositionFit:
     """Fit the multi-position model.
 
@@ -155,7 +155,7 @@ def fit_multiposition(
     g_sensitivity : whether the gyroscope's bias may depend on the specific force
     known : what is known beforehand
     walk : (3,) random walk of the gyroscope's bias, where it is known [unit^2/s]; otherwise the residuals tell
-    changes : steps and warm-up of the gyroscope's and the accelerometer's bias, where another fit has found them
+    changes : steps and warm-up of the gyroscope's and the accelerometer's bias, where they are known already
 
     Raises
     ------
@@ -172,7 +172,7 @@ def fit_multiposition(
     point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
     data = with_sampling_error(data, point.state)
     task = replace(task, data=data)
-    data, changes = _with_changes(data, point.state, changes)
+    data, found = _with_changes(data, point.state, changes)
     if walk is None:
         at_rest = point.lines.gyroscope
         if data.drifting:
@@ -181,7 +181,7 @@ def fit_multiposition(
             at_rest = with_trend(data.interval_s, data.gyroscope, at_rest, point.state.u, used[0])
         walk = walk_density(data.interval_s, at_rest, used[0])
     s, b, *_ = point.state.matrices
-    if not changes[1] and accelerometer_drifts(data.interval_s, data.accelerometer, s, b, used[0]):
+    if not found[1] and accelerometer_drifts(data.interval_s, data.accelerometer, s, b, used[0]):
         data = with_accelerometer_drift(data)
     if walk is not None:
         data = with_drift(data)
@@ -207,7 +207,7 @@ def fit_multiposition(
     whitening = _whitening(task, second.state, extra, used)
     last = _gauss_newton(task, second.state, second.lines, whitening, _NEGLIGIBLE_STEP)
     iterations = point.iterations + second.iterations + last.iterations
-    return _finished(task, replace(last, iterations=iterations), extra, used, changes)
+    return _finished(task, replace(last, iterations=iterations), extra, used, found)
 
 
 def _with_zeros(state: State, task: Task) -> State:
@@ -217,25 +217,22 @@ def _with_zeros(state: State, task: Task) -> State:
 
 
 def _with_changes(
-    data: MultiPositionData, state: State, changes: tuple[BiasChanges, BiasChanges] | None
+    data: MultiPositionData, state: State, known: tuple[BiasChanges | None, BiasChanges | None]
 ) -> tuple[MultiPositionData, tuple[BiasChanges, BiasChanges]]:
     """Return the data with the steps and the warm-up of the biases for which the rests speak.
 
     Where segments were given, the biases of other instants are not looked for.
     """
-    if data.drifting or data.half_s is None:
+    if data.drifting or data.rests is None:
         return data, (BiasChanges(), BiasChanges())
-    n, t_s, half_s = len(data.interval_s), data.interval_s, data.half_s
+    accelerometer, gyroscope = data.rests
     floor = data.earth_rate_variance / np.sum(state.matrices[2] ** 2, axis=0)
-    of_gyroscope, of_accelerometer = changes or (
-        gyroscope_changes(t_s, half_s, data.gyroscope, data.gyroscope_variance + floor, state.u),
-        accelerometer_changes(t_s, half_s, data.accelerometer, data.accelerometer_variance),
-    )
-    data = with_bias_segments(
-        data,
-        gyroscope=of_gyroscope.segments(n) if of_gyroscope.steps else None,
-        accelerometer=of_accelerometer.segments(n) if of_accelerometer.steps else None,
-    )
+    of_gyroscope, of_accelerometer = known
+    if of_gyroscope is None:
+        of_gyroscope = gyroscope_changes(replace(gyroscope, variance=gyroscope.variance + floor), state.u)
+    if of_accelerometer is None:
+        of_accelerometer = accelerometer_changes(accelerometer)
+    data = with_bias_steps(data, gyroscope=of_gyroscope.steps, accelerometer=of_accelerometer.steps)
     data = without_rates(data, of_gyroscope.outlying)
     data = with_warm_up(data, gyroscope_s=of_gyroscope.warm_up_s, accelerometer_s=of_accelerometer.warm_up_s)
     return data, (of_gyroscope, of_accelerometer)
@@ -355,7 +352,8 @@ def _whitening(task: Task, state: State, extra: ExtraVariance, used: tuple[Boole
     )
 
 
-def _cost(lines: Linearisation, whitening: Whitening, from_prior: Floats) -> float:
+def squares(lines: Linearisation, whitening: Whitening, from_prior: Floats) -> float:
+    """Return the sum of squares of all residuals, whitened."""
     parts = (
         np.einsum("kij,kj->ki", whitening.accelerometer, lines.accelerometer),
         np.einsum("kij,kj->ki", whitening.gyroscope, lines.gyroscope),
@@ -382,7 +380,7 @@ def _parameter_step(task: Task, arrow: ArrowSolution) -> Floats:
 
 def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whitening, tolerance: float) -> Point:
     """Iterate until no parameter moves by more than `tolerance` sigma; that last step is taken without integrating."""
-    cost = _cost(lines, whitening, state.theta - task.prior_mean)
+    cost = squares(lines, whitening, state.theta - task.prior_mean)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         arrow = _solve(task, state, lines, whitening)
         step = _parameter_step(task, arrow)
@@ -399,7 +397,7 @@ def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whi
         while True:
             trial = state.moved(length * step, length * arrow.states)
             trial_lines = linearise(task.data, trial)
-            trial_cost = _cost(trial_lines, whitening, trial.theta - task.prior_mean)
+            trial_cost = squares(trial_lines, whitening, trial.theta - task.prior_mean)
             if trial_cost <= cost * (1 + 1e-9) + 1e-9 or length < 1e-3:
                 break
             length *= 0.3

@@ -21,6 +21,7 @@ import numpy as np
 from ...geometry.so3 import skew, tangent_basis
 from ...recording import Floats
 from ...solve.arrow import ArrowSystem
+from .bias_changes import RestMeans
 from .rotations import MotionSegments, integrate, propagate
 
 LOWER = np.tril_indices(3)
@@ -82,6 +83,8 @@ class MultiPositionData:
     earth_rate_variance : variance per axis of the part of the earth's rate that is not modelled [(rad/s)^2]
     sampling_variance : variance of each rotation per axis by motion between samples, see sampling.py [rad^2]
     half_s : (n,) half of the length of each static interval [s], or None
+    rests : means of the accelerometer and the gyroscope at rest, long static intervals in parts; None where the biases
+        of other instants are not looked for
     gyroscope_functions, accelerometer_functions : what the biases follow in time; None where they are constant
     """
 
@@ -98,6 +101,7 @@ class MultiPositionData:
     earth_rate_variance: float = 0.0
     sampling_variance: float = 0.0
     half_s: Floats | None = None
+    rests: tuple[RestMeans, RestMeans] | None = None
     gyroscope_functions: BiasFunctions | None = None
     accelerometer_functions: BiasFunctions | None = None
 

@@ -4,14 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...intervals import Booleans, StaticIntervals, interval_means
+from ...intervals import Booleans, StaticIntervals, interval_means, split_long
 from ...recording import Floats, Integers
+from .bias_changes import RestMeans
 from .model import MultiPositionData
 from .rotations import MotionSegments, cut_segments, segments_between
 from .scaling import Scaling
 
 _LONGEST_GAP_S = 0.05
 _LONGEST_GAP_PERIODS = 3.5
+_PARTS_OF_A_REST = 8  # most of them, between which a bias is looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,6 +116,10 @@ def build_problem(
         linked=np.array([not reason for reason in unlinked], dtype=bool),
         interval_s=0.5 * (accelerometer.t_s[still.start] + accelerometer.t_s[still.stop - 1]),
         half_s=0.5 * (accelerometer.t_s[still.stop - 1] - accelerometer.t_s[still.start]),
+        rests=(
+            rest_means(accelerometer, scale_a),
+            rest_means(gyroscope, scale_g, alike=len(means_g)),
+        ),
         rotation_s=0.5 * (start_s + stop_s),
         span_s=(float(accelerometer.t_s[still.start[0]]), float(accelerometer.t_s[still.stop[-1] - 1])),
         earth_rate_variance=earth_rate_variance,
@@ -127,6 +133,25 @@ def build_problem(
         start_s=start_s,
         stop_s=stop_s,
         unlinked=unlinked,
+    )
+
+
+def rest_means(stream: TriadStream, scaling: Scaling | None = None, alike: int = 1) -> RestMeans:
+    """Return the means at rest of a stream, long static intervals in parts; in scaled units where a scaling is given.
+
+    Parameters
+    ----------
+    alike : static intervals that are rounded alike
+    """
+    scaling = scaling or Scaling(centre=np.zeros(3), spread=np.ones(3))
+    parts, rest = split_long(stream.intervals, _PARTS_OF_A_REST)
+    start, stop = stream.t_s[parts.start], stream.t_s[parts.stop - 1]
+    return RestMeans(
+        rest=rest,
+        t_s=0.5 * (start + stop),
+        half_s=0.5 * (stop - start),
+        means=scaling.scaled(interval_means(stream.values, parts)),
+        variance=_variance_of_means(stream, scaling, alike)[rest] * np.bincount(rest)[rest, None],
     )
 
 

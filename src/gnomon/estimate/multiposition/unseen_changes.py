@@ -1,0 +1,155 @@
+"""What changes of a bias that the data cannot exclude would move.
+
+A step or a warm-up near the limit of what a search finds is left out of the model, or one is taken for another. Each
+model m with one more such change, or another in place of one that was taken, has odds against the model that was taken:
+the gain of likelihood, at the best of a few levels of the scatter between static intervals, over the price of
+`bias_changes.py` without its margin. From the minimum it moves the parameters by d_m. The average over the models
+(Hoeting et al., 1999) differs from the model taken by the second moment
+
+    sum w_m d_m d_m' / (1 + sum w_m),    w_m the odds,
+
+which is added to the covariance. Where nothing changed the odds are next to nothing, and so is this.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...recording import Floats, Integers
+from ...solve.arrow import reduced_normal_equations
+from .bias_changes import DECAYS, before
+from .bias_segments import decay_functions, step_functions
+from .fit import MultiPositionFit, squares
+from .model import PARAMETERS, BiasFunctions, State, linearise, normal_equations
+from .noise_levels import whitened_rest
+
+_MOST_PLACES = 40
+_BESIDE = (0.7, 0.84, 1.19, 1.41)  # times the time constant that was taken
+_SCATTER = (1.0, 0.3, 0.0)  # of the extra variance that was taken
+_RARE = 1.5  # logarithm of how many recordings there are to one in which a bias changed unseen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Level:
+    """The reduced normal equations at one level of scatter, and the log-likelihood at the minimum of the fit."""
+
+    matrix: Floats
+    right: Floats
+    likelihood: float
+
+
+def unseen_changes(fit: MultiPositionFit) -> Floats:
+    """Return the covariance (30, 30) of theta, scaled units, that changes which cannot be excluded add."""
+    added = np.zeros((PARAMETERS, PARAMETERS))
+    if fit.data.rests is None:
+        return added
+    for triad in ("gyroscope", "accelerometer"):
+        moves, odds = alternatives(fit, triad)
+        weight = np.exp(odds - max(odds.max(), 0.0))
+        weight /= weight.sum() + np.exp(-max(odds.max(), 0.0))
+        added += (moves * weight[:, None]).T @ moves
+    return added
+
+
+def alternatives(fit: MultiPositionFit, triad: str) -> tuple[Floats, Floats]:
+    """Return how far each other model moves theta, (m, 30), and the logarithm of its odds, (m,)."""
+    gyroscope = triad == "gyroscope"
+    present = fit.data.of_gyroscope if gyroscope else fit.data.of_accelerometer
+    candidates, price = _candidates(fit, triad)
+    first = PARAMETERS + 3 * len(fit.data.of_gyroscope.kind)
+    new = (first if gyroscope else len(fit.free)) + np.arange(3 * len(candidates.kind)).reshape(-1, 3)
+    own = (PARAMETERS if gyroscope else first) + np.arange(3 * len(present.kind)).reshape(-1, 3)
+    fitted = np.setdiff1d(np.arange(len(fit.free) + new.size), new)
+    levels = _levels(fit, triad, candidates, fitted, new.ravel())
+    estimated, theta = fitted[fit.free], np.zeros(len(fit.free) + new.size)
+    theta[fitted] = fit.state.theta
+    taken = fitted[own[present.of_kind("step", "warm-up")]]
+    none = max(_solved(level, estimated, np.zeros(len(theta)))[1] for level in levels)
+    moves, odds = list[Floats](), list[float]()
+    for k, columns in enumerate(new):
+        for out in (None, *taken):
+            start, kept = np.zeros(len(theta)), estimated
+            if out is not None:
+                start[out] = -theta[out]
+                kept = np.setdiff1d(estimated, out)
+            x, likelihood = max(
+                (_solved(level, np.append(kept, columns), start) for level in levels), key=lambda found: found[1]
+            )
+            moves.append(x[:PARAMETERS])
+            odds.append(likelihood - none - (price[k] if out is None else 0.0))
+    return np.array(moves), np.array(odds)
+
+
+def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Floats]:
+    """Return steps and decays that may have been, and the price of each.
+
+    Their means over what the published bias is the mean of are zero, so that it is the bias in every model.
+    """
+    data, n = fit.data, len(fit.data.interval_s)
+    changes = fit.changes[triad == "accelerometer"]
+    at = np.unique(np.linspace(1, n - 1, min(n - 1, _MOST_PLACES)).round())
+    at = at[~np.isin(at, changes.steps)]
+    tau = np.append(
+        np.array(DECAYS) * (data.span_s[1] - data.span_s[0]),
+        np.array(_BESIDE) * changes.warm_up_s if changes.warm_up_s else [],
+    )
+    found = BiasFunctions.none(n)
+    for place in at:
+        found = found.beside(step_functions(np.array([place]), n, triad))
+    for one in tau:
+        found = found.beside(decay_functions(data, float(one), triad))
+    mean = _published(fit, triad) @ found.at_rest
+    found = replace(found, at_rest=found.at_rest - mean, in_motion=found.in_motion - mean)
+    price = _RARE + np.repeat(np.log([len(at), len(tau)]), [len(at), len(tau)]) + 1.5 * np.log(n)
+    return found, price
+
+
+def _levels(
+    fit: MultiPositionFit, triad: str, candidates: BiasFunctions, fitted: Integers, new: Integers
+) -> list[_Level]:
+    """Return the normal equations with all candidates at a few levels of scatter of a triad's static intervals."""
+    data, count = fit.data, len(fitted) + len(new)
+    if triad == "gyroscope":
+        data = replace(data, gyroscope_functions=data.of_gyroscope.beside(candidates))
+    else:
+        data = replace(data, accelerometer_functions=data.of_accelerometer.beside(candidates))
+    theta, from_prior, free = np.zeros(count), np.zeros(count), np.ones(count, dtype=bool)
+    theta[fitted], from_prior[fitted] = fit.state.theta, fit.from_prior
+    prior = np.zeros((count, count))
+    prior[np.ix_(fitted, fitted)] = fit.whitening.prior
+    prior[new, new] = 1 / candidates.sigma.ravel() ** 2
+    lines = linearise(data, State(theta=theta, u=fit.state.u))
+    scatter = getattr(fit.extra, triad)
+    found: list[_Level] = []
+    for share in _SCATTER if scatter else _SCATTER[:1]:
+        extra = replace(fit.extra, **{triad: share * scatter})
+        accelerometer, gyroscope = (
+            root * fit.interval_used[:, None, None] for root in whitened_rest(data, fit.state, extra)
+        )
+        whitening = replace(fit.whitening, accelerometer=accelerometer, gyroscope=gyroscope, prior=prior)
+        used = (accelerometer if triad == "accelerometer" else gyroscope)[fit.interval_used]
+        matrix, right, lowered = reduced_normal_equations(normal_equations(lines, whitening, from_prior, free))
+        level = float(np.sum(np.linalg.slogdet(used)[1])) - 0.5 * (squares(lines, whitening, from_prior) - lowered)
+        found.append(_Level(matrix=matrix, right=right, likelihood=level))
+    return found
+
+
+def _solved(level: _Level, free: Integers, start: Floats) -> tuple[Floats, float]:
+    """Return the step (p,) that is best where the parameters that are not free step as stated, and its likelihood."""
+    x = start.copy()
+    x[free] = np.linalg.solve(level.matrix[np.ix_(free, free)], (level.right - level.matrix @ start)[free])
+    return x, level.likelihood + float(x @ level.right - 0.5 * x @ level.matrix @ x)
+
+
+def _published(fit: MultiPositionFit, triad: str) -> Floats:
+    """Return the weight (n,) of each static interval in the mean that the published bias is."""
+    data, changes = fit.data, fit.changes[triad == "accelerometer"]
+    assert data.half_s is not None
+    functions = data.of_accelerometer if triad == "accelerometer" else data.of_gyroscope
+    n = len(data.interval_s)
+    share = 1 - before(changes.steps[-1], n) if changes.steps else np.ones(n)
+    if functions.of_kind("walk", "line", "warm-up").any():
+        weight = np.gradient(data.interval_s) * share
+    else:
+        weight = data.half_s * share * fit.interval_used
+    return weight / weight.sum()
