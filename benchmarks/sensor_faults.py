@@ -55,7 +55,8 @@ Case = Callable[[int], Outcome]
 
 
 def tried(
-    result: Callable[[], "gnomon.Result"], error: Callable[["gnomon.Calibration"], tuple[Floats, Floats, Floats]]
+    result: Callable[[], "gnomon.Result"],
+    error: Callable[["gnomon.Calibration"], tuple[list[Floats], list[Floats], list[Floats]]],
 ):
     """Return the outcome of a calibration; `error` gives errors, sigmas and what is needed."""
     try:
@@ -374,10 +375,12 @@ def turntable_cases() -> Iterator[tuple[str, Case]]:
 # ---- poses
 
 
-def _pose_outcome(seed: int, scenario: PoseScenario, size: float, shape: Callable[[Floats], Floats]) -> Outcome:
+def _pose_outcome(
+    seed: int, scenario: PoseScenario, size: float, shape: Callable[[Floats], Floats], *, in_order: bool = False
+) -> Outcome:
     simulation = simulate_poses(scenario, seed)
     n, rng = len(simulation.poses), np.random.default_rng(seed)
-    order = rng.permutation(n) if scenario.attitudes == "sphere" else np.arange(n)
+    order = rng.permutation(n) if scenario.attitudes == "sphere" and not in_order else np.arange(n)
     way = shape(np.linspace(0, 1, n))
     direction = rng.standard_normal(3)
     drift = size * (way - way.mean())[:, None] * direction / np.linalg.norm(direction)
@@ -414,6 +417,13 @@ def pose_cases() -> Iterator[tuple[str, Case]]:
                     lambda seed, s=scenario, size=size, shape=shape: _pose_outcome(seed, s, size, shape),
                 )
         yield f"healthy: {attitudes}", lambda seed, s=scenario: _pose_outcome(seed, s, 0.0, shapes["line"])
+    downwards = PoseScenario(sensor="drawn", units="si", attitudes="sphere", poses=24)  # from above to below
+    for name, shape in shapes.items():
+        for size in (0.05, 0.2):
+            yield (
+                f"order like time, {name} of {size} m/s^2",
+                lambda seed, size=size, shape=shape: _pose_outcome(seed, downwards, size, shape, in_order=True),
+            )
 
 
 KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {

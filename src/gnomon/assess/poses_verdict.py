@@ -4,7 +4,7 @@ import numpy as np
 
 from ..calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
 from ..estimate.triads.angrisano import AngrisanoFit
-from ..estimate.triads.pose_drift import PoseDrift
+from ..estimate.triads.pose_drift import SIGNIFICANT, PoseDrift
 from ..estimate.triads.triad_poses import B_, S_
 from ..findings import Finding, make_finding
 from ..parameters import element_names
@@ -25,7 +25,8 @@ _HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _DETERMINED = 9  # attitudes
 _UNIT_FACTOR = 1.5
 _NAMED = 4
-_SIGNIFICANT, _DRIFT_WARN = 4.0, 0.03  # sigmas; m/s^2
+_DRIFT_WARN = 0.03  # m/s^2
+_OPEN, _OPEN_WARN = 0.5, 0.8  # of a usual drift, that the poses do not tell
 _OF_ROTATIONS = {"saturation", "gaps", "static-start", "time-rounded", "jitter", "gyroscope-missing"}
 
 
@@ -106,16 +107,17 @@ def _drift_findings(drift: PoseDrift | None) -> list[Finding]:
         return []
     size, sigma = float(np.linalg.norm(drift.change)), float(np.linalg.norm(drift.sigma))
     findings: list[Finding] = []
-    if (np.abs(drift.change) > _SIGNIFICANT * drift.sigma).any():
+    if (np.abs(drift.change) > SIGNIFICANT * drift.sigma).any():
         moved = ", ".join(f"{1e3 * value:.2g}" for value in drift.change)
         findings.append(
             make_finding(
                 "accelerometer-drift", severity="warning" if size > _DRIFT_WARN else "info", moved=moved, sigma=sigma
             )
         )
-    if not drift.told.all():
-        axes = " and ".join(_AXES[axis] for axis in np.flatnonzero(~drift.told))
-        findings.append(make_finding("drift-not-told", axes=axes, sigma=sigma))
+    if (drift.open > _OPEN).any():
+        axes = " and ".join(_AXES[axis] for axis in np.flatnonzero(drift.open > _OPEN))
+        severity = "warning" if drift.open.max() > _OPEN_WARN else "info"
+        findings.append(make_finding("drift-not-told", severity=severity, axes=axes, sigma=sigma))
     return findings
 
 

@@ -178,11 +178,16 @@ class AllanFit:
         bound = np.array([np.nan if sure[i] else self._bound(straight, found, i, misfit) for i in range(len(KINDS))])
         count = len(KINDS)
         theta = found.theta[:count]
+        # What was left out may be there, up to its bound, and the others would then be other ones.
+        sigma = found.sigma[:count]
+        if (left_out := _SLOWEST & ~found.kinds[:count]).any():
+            all_slow = found.kinds | np.append(left_out, np.zeros(len(COLUMNS) - count, dtype=bool))
+            sigma = np.fmax(sigma, self._solved(straight, all_slow, misfit).sigma[:count])
         spread = float(np.sqrt(self.slope_variance[:count] @ np.where(sure, theta, bound)))
         change = self._other_slopes(straight, found, misfit)
         return AxisFit(
             theta=np.where(sure, theta, 0.0),
-            sigma=np.where(sure, np.hypot(found.sigma[:count], change), np.nan),
+            sigma=np.where(sure, np.hypot(sigma, change), np.nan),
             bound=bound,
             slope=slope,
             slope_sigma=spread,

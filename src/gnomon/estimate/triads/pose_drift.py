@@ -2,7 +2,8 @@
 
 A straight line in time with a mean of zero over the poses is estimated along: measured = S g u + b + d tau. Where the
 order of the attitudes resembles time, gravity's magnitude hardly tells it from scales and angles; there it is held to
-what such sensors do, and counts in the sigmas of all other parameters.
+what such sensors do, and counts in the sigmas of all other parameters. A bias that drifted need not have done so
+evenly: beside the line it is taken to have walked at random, about as far (a Brownian bridge), and sigmas count that.
 """
 
 from dataclasses import dataclass, replace
@@ -11,8 +12,9 @@ import numpy as np
 
 from ...recording import Floats
 from .triad import TriadFit, fit_triad
-from .triad_poses import G_, PARAMETERS, TriadPoses, TriadPrior
+from .triad_poses import B_, G_, PARAMETERS, TriadPoses, TriadPrior
 
+SIGNIFICANT = 4.0  # sigmas, for a drift to count as one
 _USUAL_M_S2 = 0.015  # 1.5 mg from the first pose to the last: some kelvin of a consumer's sensor
 _LARGE, _WIDER, _ROUNDS = 2.0, 2.0, 3  # usual drifts; what is found, that the next round allows
 _BY_TIME = np.arange(PARAMETERS)[G_][::3]  # the first column of the g-sensitivity, whose force is time here
@@ -25,12 +27,12 @@ class PoseDrift:
     Attributes
     ----------
     change, sigma : (3,) with what is usual taken into account [m/s^2]
-    told : (3,) bool, whether the poses tell it
+    open : (3,) how much of what is usual the poses leave open, 0 to 1
     """
 
     change: Floats
     sigma: Floats
-    told: np.ndarray
+    open: Floats
 
 
 def fit_with_drift(
@@ -66,7 +68,9 @@ def fit_with_drift(
             break
         usual = np.maximum(usual, _WIDER * float(np.abs(change).max()))
     sigma = fit.sigma[_BY_TIME] / scale
-    return fit, PoseDrift(change=change, sigma=sigma, told=sigma < 0.5 * usual)
+    if (np.abs(change) > SIGNIFICANT * sigma).any():
+        fit = _with_wander(fit, tau, scale * float(np.sqrt(np.mean(change**2))))
+    return fit, PoseDrift(change=change, sigma=sigma, open=sigma / usual)
 
 
 def _with_drift(prior: TriadPrior | None, sigma: Floats) -> TriadPrior:
@@ -79,3 +83,18 @@ def _with_drift(prior: TriadPrior | None, sigma: Floats) -> TriadPrior:
     fixed[_BY_TIME] = False
     precision[_BY_TIME, _BY_TIME] = 1 / sigma**2
     return TriadPrior(mean=mean, precision=precision, fixed=fixed)
+
+
+def _with_wander(fit: TriadFit, tau: Floats, size: Floats) -> TriadFit:
+    """Return the fit with sigmas that count a wander beside the line, of a line's size (3,) [unit]."""
+    lines, n = fit.lines, len(tau)
+    since, until = tau - tau.min(), tau.max() - tau
+    about_mean = np.eye(n) - 1 / n
+    bridge = about_mean @ np.where(since[:, None] <= since, since[:, None] * until, since * until[:, None]) @ about_mean
+    column = [int(np.flatnonzero(lines.unscaled[row])[0]) for row in range(B_.start, B_.stop)]
+    by_bias = lines.jacobian[:, column] * size / np.diag(lines.unscaled[B_][:, column])
+    pull = np.zeros((n, lines.jacobian.shape[1], 3))
+    np.add.at(pull, lines.pose, lines.jacobian[:, :, None] * by_bias[:, None, :])
+    normal = lines.jacobian.T @ lines.jacobian + lines.prior_information
+    moves = lines.unscaled @ np.linalg.solve(normal, pull)  # (n, 21, 3)
+    return replace(fit, covariance=fit.covariance + np.einsum("kl,kpi,lqi->pq", bridge, moves, moves, optimize=True))

@@ -12,6 +12,8 @@ from ..trust.cluster_trust import Trusted, trusted
 from ..trust.clusters import ClusterSums
 from .triad import TriadFit
 
+_FEWEST_FREEDOM = 3.0  # below, Student's t has no variance
+
 
 def triad_sums(fit: TriadFit, stretch: Integers, t_s: Floats) -> ClusterSums:
     """Return pulls and information of stretches of time on the free parameters.
@@ -70,8 +72,17 @@ def robust_triad(
         widened=widened,
     )
     covariance = fit.covariance.copy()
-    covariance[:count, :count] = found.covariance
+    covariance[:count, :count] = found.covariance * _few_residuals(fit)
     return replace(fit, covariance=covariance), found
+
+
+def _few_residuals(fit: TriadFit) -> float:
+    """Return by how much variances are larger since few residuals tell the level of noise: as Student's t has it."""
+    if not fit.extra_sigma > 0:
+        return 1.0
+    share = min(1.0, fit.extra_sigma**2 / max(float(np.median(fit.magnitude_sigma[fit.used] ** 2)), 1e-300))
+    freedom = max(fit.degrees_of_freedom, _FEWEST_FREEDOM)
+    return 1 + share * 2 / (freedom - 2)
 
 
 def together(trusts: Sequence[Trust]) -> Trust:
