@@ -10,8 +10,7 @@ import pytest
 
 from gnomon.study.runs import Workers
 from gnomon.study.tedaldi import study_tedaldi
-from gnomon.study.tedaldi_claims import claims, group_errors
-from gnomon.study.tedaldi_thesis import GROUPS
+from gnomon.study.tedaldi_claims import GROUPS, claims, group_errors
 from gnomon.study.tedaldi_trial import METHODS
 
 

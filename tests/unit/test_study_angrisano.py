@@ -18,14 +18,15 @@ from gnomon.report.page import render
 from gnomon.report.study_angrisano import angrisano_page
 from gnomon.simulate import PoseScenario, simulate_poses
 from gnomon.study.angrisano import SETTINGS, claims, group_rms, study_angrisano, tables
-from gnomon.study.angrisano_basin import Basin, offsets
 from gnomon.study.angrisano_trial import (
     DATASHEET,
     TABLE_2,
     TRUTH,
+    Basin,
     Trial,
     drawn_start,
     in_document_c,
+    offsets,
     pose_means,
     run_trial,
 )

@@ -10,13 +10,21 @@ import pytest
 from gnomon.report.page import render
 from gnomon.report.study_krebs import krebs_page
 from gnomon.simulate.camera_imu import simulate_camera_imu
-from gnomon.study.krebs import SERIES, Independence, KrebsStudy, Sample, group_mean, study_krebs
+from gnomon.study.krebs import SERIES, SETTINGS, Independence, KrebsStudy, Sample, group_mean, study_krebs
 from gnomon.study.krebs_claims import claims, tables
-from gnomon.study.krebs_run import OPTIONS, SCENARIO, KrebsRun, KrebsTask, calibrated_run, run_krebs, sensed
-from gnomon.study.krebs_single import CHANGES, SETTINGS, ChangeTask, changed, run_changed
+from gnomon.study.krebs_run import (
+    CHANGES,
+    OPTIONS,
+    SCENARIO,
+    KrebsRun,
+    KrebsTask,
+    calibrated_run,
+    changed,
+    run_krebs,
+    sensed,
+)
 from gnomon.study.krebs_thesis import GROUPS, NAMES, KrebsRig, columns, stated_sigma
-from gnomon.study.records import Records
-from gnomon.study.runs import seeds
+from gnomon.study.runs import Records, seeds
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 from html_page import Page
 
@@ -28,9 +36,9 @@ def drawn_study(runs: int = RUNS, seed: int = 0) -> KrebsStudy:
     rng = np.random.default_rng(seed)
     samples = []
     for k, series in enumerate(SERIES):
-        sigma = np.nan_to_num(stated_sigma(k % 4 if k < 3 else 0), nan=1e-3) * series.noise_factor ** (k > 3)
+        sigma = np.nan_to_num(stated_sigma(k % 4 if k < 3 else 0), nan=1e-3) * series.task.noise_factor ** (k > 3)
         bias = np.zeros(len(NAMES))
-        if series.model == "basic":
+        if series.task.model == "basic":
             bias[columns("p_cb")] = 4e-3, 1e-3, -2e-3
             sigma = sigma / 3
         errors = bias + sigma * rng.standard_normal((runs, len(NAMES)))
@@ -125,7 +133,10 @@ def test_sigmas_of_gravity_follow_from_direction_and_magnitude(short_runs):
 
 def test_a_change_moves_its_own_estimate_alone(short_runs):
     sigma = short_runs[0].sigma
-    before, after = (run_changed(ChangeTask(name=name, duration_s=12.0, seed=1)) for name in ("", "M_g zy"))
+    before, after = (
+        run_krebs(KrebsTask(changed=name, noise_factor=0.0, pixel_noise_px=0.0, duration_s=12.0, seed=1))
+        for name in ("", "M_g zy")
+    )
     assert np.abs((after.error - before.error) / sigma).max() < 0.05
 
 
@@ -145,14 +156,14 @@ def test_a_recording_that_cannot_be_used_is_told():
 
 
 def test_runs_can_be_kept_in_a_journal():
-    task = SERIES[4].task(7, 90.0)
+    task = SERIES[4].run(7, 90.0)
     records = Records(run_krebs, [task])
     run = KrebsRun(error=np.array([1.5, np.nan]), sigma=np.array([0.1, np.nan]), nees=float("nan"), iterations=3,
                    converged=False, failure="no")  # fmt: skip
     (back,) = records.read(records.written(run))
     np.testing.assert_array_equal(back.error, run.error)
     assert (back.iterations, back.converged, back.failure) == (3, False, "no")
-    others = Records(run_krebs, [series.task(7, 90.0) for series in SERIES])
+    others = Records(run_krebs, [series.run(7, 90.0) for series in SERIES])
     assert len({others.key(k) for k in range(len(SERIES))}) == len(SERIES)
 
 
@@ -246,16 +257,23 @@ def test_every_run_comes_into_its_series(monkeypatch):
         values = np.full(len(NAMES), float(number))
         return KrebsRun(error=values, sigma=values, nees=number, iterations=1, converged=True)
 
-    monkeypatch.setattr("gnomon.study.krebs.run_krebs", lambda task: told(task.seed * (task.model == "full")))
-    monkeypatch.setattr("gnomon.study.krebs.run_changed", lambda task: told(1 + NAMES.index(task.name or NAMES[0])))
-    monkeypatch.setattr("gnomon.study.krebs.run_quiet", lambda task: told(task.earth_rate))
-    monkeypatch.setattr("gnomon.study.krebs.run_setting", lambda task: told(SETTINGS.index(task.setting)))
+    settings = [setting.task for setting in SETTINGS]
+
+    def run(task):
+        if task.weighed_as < 1:
+            return told(task.earth_rate)
+        if task.noise_factor == 0:
+            return told(1 + NAMES.index(task.changed or NAMES[0]))
+        own = replace(task, seed=0)
+        return told(settings.index(own) if own in settings[1:] else task.seed * (task.model == "full"))
+
+    monkeypatch.setattr("gnomon.study.krebs.run_krebs", run)
     study = study_krebs(runs=3, seed=4)
     for sample in study.samples:
         expected = [0, 0, 0] if sample is study.basic else seeds(4, 3)
         np.testing.assert_array_equal(sample.errors[:, 0], np.array(expected, dtype=np.float64))
     np.testing.assert_array_equal(study.independence.moved[:, 0], np.arange(len(NAMES)))
-    assert [run.nees for _, run in study.settings] == list(range(len(SETTINGS)))
+    assert [run.nees for _, run in study.settings] == [seeds(4, 1)[0], *range(1, len(SETTINGS))]
     assert [run.nees for run in study.quiet] == [1, 0]
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError, RecordingError, SolveError
-from gnomon.study.records import Records
-from gnomon.study.runs import Workers, carry_out, seeds
+from gnomon.study.runs import Records, Workers, carry_out, seeds
 from gnomon.study.tedaldi_trial import SCENARIO, run_trial, trial
 from repeatable import to_the_last_digit
 from study_work import Task, drawn, lost, process, product, refused

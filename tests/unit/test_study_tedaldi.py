@@ -14,17 +14,28 @@ from gnomon.simulate.imu import simulate_imu, true_signals
 from gnomon.simulate.scenarios import Scenario
 from gnomon.study import tedaldi
 from gnomon.study.tedaldi import study_tedaldi, trials
-from gnomon.study.tedaldi_claims import claims, group_errors, noise_alone, sigma_over_scatter, tables
-from gnomon.study.tedaldi_metrics import SignalErrors, signal_errors
-from gnomon.study.tedaldi_thesis import GROUPS, MEAN_ERROR, SET_1, SPREAD, UNITS
+from gnomon.study.tedaldi_claims import (
+    GROUPS,
+    MEAN_ERROR,
+    SET_1,
+    SPREAD,
+    UNITS,
+    claims,
+    group_errors,
+    noise_alone,
+    sigma_over_scatter,
+    tables,
+)
 from gnomon.study.tedaldi_trial import (
     METHODS,
     SCENARIO,
+    SignalErrors,
     corrected,
     ideal_signals,
     in_document_a,
     recorded,
     run_trial,
+    signal_errors,
     trial,
 )
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser

@@ -7,8 +7,7 @@ import numpy as np
 from ..intervals import Booleans
 from ..recording import Floats
 from ..study.angrisano import NAMES, AngrisanoStudy, Sample, claims, group_rms
-from ..study.angrisano_basin import GROUPS, Basin, Journey
-from ..study.angrisano_trial import TABLE_2, TRUTH
+from ..study.angrisano_trial import GROUPS, TABLE_2, TRUTH, Basin, Journey
 from . import svg
 from .figures import LEFT, Sheet, dots, limits
 from .numbers import fixed, number

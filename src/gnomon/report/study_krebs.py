@@ -5,8 +5,7 @@ import numpy as np
 from ..recording import Floats
 from ..study.krebs import KrebsStudy, Sample, group_mean, group_rms, reduction
 from ..study.krebs_claims import claims
-from ..study.krebs_run import PIXEL_NOISE_PX, SCENARIO
-from ..study.krebs_single import CHANGES
+from ..study.krebs_run import CHANGES, PIXEL_NOISE_PX, SCENARIO
 from ..study.krebs_thesis import GROUPS, NAMES, UNITS, Group, columns, stated_mean, stated_sigma
 from .numbers import finite, fixed, number
 from .page import Figure, KeyNumber, Legend, Page, Prose, Section, Table

@@ -4,8 +4,19 @@ import numpy as np
 
 from ..recording import Floats
 from ..study.tedaldi import TedaldiStudy, known_mean
-from ..study.tedaldi_claims import NAMES, claims, group_errors, noise_alone, sigma_over_scatter
-from ..study.tedaldi_thesis import DIVERGENCE, GROUPS, MEAN_ERROR, ROTATION, SIGNAL_ERROR, SPREAD
+from ..study.tedaldi_claims import (
+    DIVERGENCE,
+    GROUPS,
+    MEAN_ERROR,
+    NAMES,
+    ROTATION,
+    SIGNAL_ERROR,
+    SPREAD,
+    claims,
+    group_errors,
+    noise_alone,
+    sigma_over_scatter,
+)
 from ..study.tedaldi_trial import METHODS, SCENARIO, Method
 from . import study_tedaldi_figures as figures
 from .numbers import fixed, number

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..recording import Floats
 from ..study.tedaldi import Example, TedaldiStudy
-from ..study.tedaldi_thesis import GROUPS
+from ..study.tedaldi_claims import GROUPS
 from ..study.tedaldi_trial import METHODS
 from .figures import Sheet, dots, limits, log_limits, zigzag
 from .page import Figure, Legend

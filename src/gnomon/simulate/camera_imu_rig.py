@@ -122,10 +122,10 @@ def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator, furth
     def value(name: str, spread: float | None) -> Floats:
         centre = 1.0 if name.startswith("S_") else 0.0
         if spread is None and further and not ideal:
-            spread = float(np.abs(_TABLE_A1[name] - centre).max())
+            spread = float(np.abs(TABLE_A1[name] - centre).max())
         if spread is not None:
             return centre + spread * draws[name]
-        return np.full(_DRAWN[name], centre) if ideal else _TABLE_A1[name]
+        return np.full(_DRAWN[name], centre) if ideal else TABLE_A1[name]
 
     preset = NOISE[scenario.imu]
     noise: dict[str, float] = {}
@@ -182,7 +182,7 @@ def placed(scenario: CameraImuScenario, imu: ImuTruth, number: int, rng: np.rand
 
 _DRAWN = {"S_a": 3, "M_a": 3, "S_g": 3, "M_g": 3, "q_bg": 3, "B_g": 9, "b_a": 3, "b_g": 3}
 
-_TABLE_A1: dict[str, Floats] = {
+TABLE_A1: dict[str, Floats] = {
     "S_a": np.array([1.001, 1.0008, 0.9986]),
     "M_a": np.array([0.0052, -0.0017, 0.0026]),
     "S_g": np.array([1.002, 0.999, 1.0011]),

@@ -3,25 +3,15 @@
 simulate one motion with ever new noise -> calibrate camera and IMU -> errors, scatter, sigmas against the truth
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from ..errors import SolveError
 from ..recording import Floats
-from .krebs_run import PIXEL_NOISE_PX, SCENARIO, KrebsRun, KrebsTask, Model, run_krebs
-from .krebs_single import (
-    SETTINGS,
-    ChangeTask,
-    Independence,
-    QuietTask,
-    Setting,
-    SettingTask,
-    run_changed,
-    run_quiet,
-    run_setting,
-)
+from .krebs_run import SCENARIO, KrebsRun, KrebsTask, run_krebs
 from .krebs_thesis import GROUPS, NAMES, columns
 from .runs import HERE, Progress, Workers, carry_out, seeds
 
@@ -31,41 +21,69 @@ _CHANGED_S = 40.0  # recordings without noise tell as much when they are short
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Series:
-    """How the recordings of one series are made and calibrated.
-
-    Attributes
-    ----------
-    name : S1, S2 and S3 are document B's
-    noise_factor : of the IMU
-    pixel_noise_px : of the corners
-    model : extended (full) or basic
-    """
+    """How recordings are made and calibrated: its name in words, and the task but for seed and duration."""
 
     name: str
-    noise_factor: float
-    pixel_noise_px: float = PIXEL_NOISE_PX
-    model: Model = "full"
+    task: KrebsTask
 
-    def task(self, seed: int, duration_s: float) -> KrebsTask:
+    def run(self, seed: int, duration_s: float) -> KrebsTask:
         """Return what to do for one run."""
-        return KrebsTask(
-            seed=seed,
-            noise_factor=self.noise_factor,
-            pixel_noise_px=self.pixel_noise_px,
-            model=self.model,
-            duration_s=duration_s,
-        )
+        return replace(self.task, seed=seed, duration_s=duration_s)
 
 
 SERIES = (
-    Series(name="S1", noise_factor=1.0),
-    Series(name="S2", noise_factor=0.1),
-    Series(name="S3", noise_factor=0.01),
-    Series(name="S1, basic model", noise_factor=1.0, model="basic"),
-    Series(name="S1, no pixel noise", noise_factor=1.0, pixel_noise_px=0.0),
-    Series(name="S2, no pixel noise", noise_factor=0.1, pixel_noise_px=0.0),
-    Series(name="S3, no pixel noise", noise_factor=0.01, pixel_noise_px=0.0),
+    Series(name="S1", task=KrebsTask()),
+    Series(name="S2", task=KrebsTask(noise_factor=0.1)),
+    Series(name="S3", task=KrebsTask(noise_factor=0.01)),
+    Series(name="S1, basic model", task=KrebsTask(model="basic")),
+    Series(name="S1, no pixel noise", task=KrebsTask(pixel_noise_px=0.0)),
+    Series(name="S2, no pixel noise", task=KrebsTask(noise_factor=0.1, pixel_noise_px=0.0)),
+    Series(name="S3, no pixel noise", task=KrebsTask(noise_factor=0.01, pixel_noise_px=0.0)),
 )
+"""Of many runs each; S1, S2 and S3 are document B's."""
+
+SETTINGS = (
+    Series(name="as S1", task=KrebsTask()),
+    Series(name="corners with 1 px of noise", task=KrebsTask(pixel_noise_px=1.0)),
+    Series(name="10 frames per second", task=KrebsTask(camera_rate_hz=10.0)),
+    Series(name="gyroscope walk 2·10⁻⁵ rad/s/√s, as consumer sensors have", task=KrebsTask(gyroscope_random_walk=2e-5)),
+    Series(name="magnitude of gravity known", task=KrebsTask(gravity_known=True)),
+)
+"""S1 with one thing changed that document B leaves open, or that can be read otherwise; of one run each."""
+
+_NOISELESS = KrebsTask(noise_factor=0.0, pixel_noise_px=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Independence:
+    """What a change of one parameter does to the estimates.
+
+    Attributes
+    ----------
+    moved : (34, 34) of the estimates, beyond what was changed: row by row the parameter that was changed
+    sigma : (34,) of one recording at the noise of Table A.1
+    """
+
+    moved: Floats
+    sigma: Floats
+
+    @property
+    def of_own(self) -> Floats:
+        """Error of the changed parameter's own move, in sigmas, (34,)."""
+        return np.diag(self.moved) / self.sigma
+
+    @property
+    def of_others(self) -> Floats:
+        """Largest move of another parameter, in sigmas, (34,)."""
+        share = np.abs(self.moved / self.sigma)
+        np.fill_diagonal(share, 0.0)
+        return share.max(axis=1)
+
+    def moved_most(self, row: int) -> str:
+        """Return which other parameter moves most where one is changed."""
+        share = np.abs(self.moved[row] / self.sigma)
+        share[row] = 0.0
+        return NAMES[int(np.argmax(share))]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -139,7 +157,7 @@ class KrebsStudy:
     seed: int
     samples: tuple[Sample, ...]
     independence: Independence
-    settings: tuple[tuple[Setting, KrebsRun], ...]
+    settings: tuple[tuple[Series, KrebsRun], ...]
     quiet: tuple[KrebsRun, KrebsRun]
 
     def sample(self, name: str) -> Sample:
@@ -186,7 +204,7 @@ def study_krebs(
         If hardly any recording of a series could be calibrated.
     """
     drawn = seeds(seed, runs)
-    tasks = [series.task(number, duration_s) for number in drawn for series in SERIES]
+    tasks = [series.run(number, duration_s) for number in drawn for series in SERIES]
     outcomes = carry_out(run_krebs, tasks, workers=workers, progress=progress, name="recording")
     samples = tuple(
         Sample(series=series, outcomes=tuple(outcomes[k :: len(SERIES)])) for k, series in enumerate(SERIES)
@@ -194,40 +212,25 @@ def study_krebs(
     for sample in samples:
         if len(sample.found) < _FEWEST:
             raise SolveError(f"{sample.series.name}: no result of {runs} recordings, {sample.outcomes[0].failure}")
+
+    def run_each(name: str, tasks: Iterable[KrebsTask], seconds: float = duration_s) -> list[KrebsRun]:
+        first = [replace(task, seed=drawn[0], duration_s=seconds) for task in tasks]
+        return carry_out(run_krebs, first, workers=workers, progress=progress, name=name)
+
+    changes = (replace(_NOISELESS, changed=name) for name in ("", *NAMES))
+    before, *after = run_each("changed parameter", changes, min(duration_s, _CHANGED_S))
+    settings = run_each("setting", (setting.task for setting in SETTINGS))
+    quiet = (replace(_NOISELESS, weighed_as=SERIES[2].task.noise_factor, earth_rate=turns) for turns in (True, False))
+    turning, still = run_each("recording without noise", quiet)
+    moved = np.array([run.error - before.error for run in after])
     return KrebsStudy(
         runs=runs,
         seed=seed,
         samples=samples,
-        independence=_independence(drawn[0], samples[0].sigma, workers, progress, min(duration_s, _CHANGED_S)),
-        settings=_settings(drawn[0], workers, progress, duration_s),
-        quiet=_quiet(drawn[0], workers, progress, duration_s),
+        independence=Independence(moved=moved, sigma=samples[0].sigma),
+        settings=tuple(zip(SETTINGS, settings, strict=True)),
+        quiet=(turning, still),
     )
-
-
-def _independence(
-    seed: int, sigma: Floats, workers: Workers, progress: Progress | None, duration_s: float
-) -> Independence:
-    tasks = [ChangeTask(name=name, duration_s=duration_s, seed=seed) for name in ("", *NAMES)]
-    before, *after = carry_out(run_changed, tasks, workers=workers, progress=progress, name="changed parameter")
-    return Independence(moved=np.array([run.error - before.error for run in after]), sigma=sigma)
-
-
-def _settings(
-    seed: int, workers: Workers, progress: Progress | None, duration_s: float
-) -> tuple[tuple[Setting, KrebsRun], ...]:
-    tasks = [SettingTask(setting=setting, duration_s=duration_s, seed=seed) for setting in SETTINGS]
-    found = carry_out(run_setting, tasks, workers=workers, progress=progress, name="setting")
-    return tuple(zip(SETTINGS, found, strict=True))
-
-
-def _quiet(seed: int, workers: Workers, progress: Progress | None, duration_s: float) -> tuple[KrebsRun, KrebsRun]:
-    least = SERIES[2].noise_factor
-    tasks = [
-        QuietTask(weighed_as=least, earth_rate=earth_rate, duration_s=duration_s, seed=seed)
-        for earth_rate in (True, False)
-    ]
-    turning, still = carry_out(run_quiet, tasks, workers=workers, progress=progress, name="recording without noise")
-    return turning, still
 
 
 def group_rms(values: Floats) -> dict[str, float]:

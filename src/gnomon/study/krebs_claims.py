@@ -6,10 +6,9 @@ import numpy as np
 
 from ..recording import Floats
 from .krebs import KrebsStudy, Sample, group_mean, group_rms, reduction
-from .krebs_single import CHANGES
+from .krebs_run import CHANGES
 from .krebs_thesis import GROUPS, NAMES, UNITS, columns, stated_mean, stated_sigma
-from .runs import scatter_bounds
-from .tables import Cell, Claim, StudyTable, claims_table, told
+from .tables import Cell, Claim, StudyTable, claims_table, sigmas_claim, told
 
 _CHANCE = 1e-3
 """That a claim about many means fails although it holds."""
@@ -119,14 +118,8 @@ def _honest(study: KrebsStudy) -> Iterator[Claim]:
         found=", ".join(f"{sample.series.name} {sample.nees:.1f}" for sample in study.noise_levels),
         holds=told(bool(np.abs(found - expected).max() < half), 1 - half / len(NAMES), 1 + half / len(NAMES)),
     )
-    least, most = scatter_bounds(study.runs - 1, 0.15)
     ratios = np.concatenate([sample.sigma / sample.scatter for sample in study.noise_levels])
-    yield Claim(
-        claim="And each sigma is that of the scatter",
-        expected=f"sigma over scatter {least:.2f} to {most:.2f} for all of them, S1 to S3",
-        found=f"{ratios.min():.3f} to {ratios.max():.3f}",
-        holds=told(bool(ratios.min() > least and ratios.max() < most), least, most),
-    )
+    yield sigmas_claim("And each sigma is that of the scatter", ratios, study.runs - 1, " for all of them, S1 to S3")
 
 
 def _like_document_b(study: KrebsStudy) -> Iterator[Claim]:

@@ -55,6 +55,12 @@ Model = Literal["full", "basic"]
 
 _NEGLIGIBLE = 1e-12
 
+CHANGES = {
+    **{"p_cb": 0.02, "q_cb": 0.02, "M_a": 0.01, "M_g": 0.01, "S_a": 0.01, "S_g": 0.01},
+    **{"B_g": 1e-3, "q_bg": 0.02, "g_w": 0.01, "d": 0.02},
+}
+"""By how much one element of each group is changed, in its unit."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KrebsTask:
@@ -63,17 +69,27 @@ class KrebsTask:
     Attributes
     ----------
     seed : of the noise
+    duration_s, camera_rate_hz, gyroscope_random_walk : as in the scenario
     noise_factor : multiplies noise and walk of the IMU
     pixel_noise_px : standard deviation of a corner, per axis
+    earth_rate : whether the Earth turns in the simulation; it does not in the model
     model : extended (full) or basic
-    duration_s : length of the recording
+    gravity_known : whether gravity's magnitude is known, and only its direction estimated
+    weighed_as : noise factor by which a recording without noise is weighed
+    changed : parameter of `NAMES` that is changed as `CHANGES` says; "" for none
     """
 
-    seed: int
+    seed: int = 0
+    duration_s: float = SCENARIO.duration_s
+    camera_rate_hz: float = SCENARIO.camera_rate_hz
+    gyroscope_random_walk: float | None = SCENARIO.gyroscope_random_walk
     noise_factor: float = 1.0
     pixel_noise_px: float = PIXEL_NOISE_PX
+    earth_rate: bool = True
     model: Model = "full"
-    duration_s: float = SCENARIO.duration_s
+    gravity_known: bool = False
+    weighed_as: float = 1.0
+    changed: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -99,18 +115,49 @@ class KrebsRun:
 
 
 def run_krebs(task: KrebsTask) -> KrebsRun:
-    """Simulate one recording and calibrate it."""
+    """Simulate one recording and calibrate it; errors are those against what is true of the rig, changed or not."""
     scenario = replace(
         SCENARIO,
         duration_s=task.duration_s,
+        camera_rate_hz=task.camera_rate_hz,
+        gyroscope_random_walk=task.gyroscope_random_walk,
         noise_factor=task.noise_factor,
         pixel_noise_px=task.pixel_noise_px,
+        earth_rate_latitude=SCENARIO.earth_rate_latitude if task.earth_rate else None,
     )
-    rig = KrebsRig()
-    simulation = simulate_camera_imu(scenario, task.seed)
-    pixel_sigma = task.pixel_noise_px or NO_PIXEL_NOISE_PX * task.noise_factor
-    options = replace(OPTIONS, model=task.model, pixel_sigma=pixel_sigma)
-    return calibrated_run(simulation, rig, options)
+    unseen_px = NO_PIXEL_NOISE_PX * task.noise_factor or PIXEL_NOISE_PX
+    options = replace(
+        OPTIONS,
+        model=task.model,
+        pixel_sigma=task.pixel_noise_px or unseen_px,
+        free=() if task.gravity_known else OPTIONS.free,
+    )
+    rig = changed(KrebsRig(), task.changed) if task.changed else KrebsRig()
+    return calibrated_run(simulate_camera_imu(scenario, task.seed), rig, options, task.weighed_as)
+
+
+def changed(rig: KrebsRig, name: str) -> KrebsRig:
+    """Return the rig with one parameter of `NAMES` changed as `CHANGES` says."""
+    step = np.zeros(len(NAMES))
+    step[NAMES.index(name)] = CHANGES[name.split(maxsplit=1)[0]]
+
+    def part(symbol: str) -> Floats:
+        return step[columns(symbol)]
+
+    T_cam_imu = rig.T_cam_imu.copy()
+    T_cam_imu[:3, 3] += part("p_cb")
+    T_cam_imu[:3, :3] = T_cam_imu[:3, :3] @ rotation_from_rotvec(2 * part("q_cb"))
+    return KrebsRig(
+        T_cam_imu=T_cam_imu,
+        M_a=rig.M_a + part("M_a"),
+        M_g=rig.M_g + part("M_g"),
+        S_a=rig.S_a + part("S_a"),
+        S_g=rig.S_g + part("S_g"),
+        B_g=rig.B_g + part("B_g").reshape(3, 3),
+        C_bg=rig.C_bg @ rotation_from_rotvec(2 * part("q_bg")),
+        gravity=rig.gravity + part("g_w"),
+        time_shift_s=rig.time_shift_s + float(part("d")[0]),
+    )
 
 
 def calibrated_run(

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..recording import Floats
+from ..simulate.camera_imu_rig import TABLE_A1
 
 GRAVITY = 9.80665
 """Magnitude of gravity [m/s^2], section 3.2.5."""
@@ -43,14 +44,12 @@ class KrebsRig:
     """
 
     T_cam_imu: Floats = field(default_factory=_cam_imu)
-    M_a: Floats = field(default_factory=lambda: np.array([0.0052, -0.0017, 0.0026]))
-    M_g: Floats = field(default_factory=lambda: np.array([0.0035, -0.0026, -0.0044]))
-    S_a: Floats = field(default_factory=lambda: np.array([1.001, 1.0008, 0.9986]))
-    S_g: Floats = field(default_factory=lambda: np.array([1.002, 0.999, 1.0011]))
-    B_g: Floats = field(
-        default_factory=lambda: np.array([[-12, 8, 15], [-13, 1, -14], [16, 13, -9]], dtype=np.float64) * 1e-4
-    )
-    C_bg: Floats = field(default_factory=lambda: rotation_from_rotvec(np.array([0.0, 0.0, np.radians(1.0)])))
+    M_a: Floats = field(default_factory=lambda: TABLE_A1["M_a"])
+    M_g: Floats = field(default_factory=lambda: TABLE_A1["M_g"])
+    S_a: Floats = field(default_factory=lambda: TABLE_A1["S_a"])
+    S_g: Floats = field(default_factory=lambda: TABLE_A1["S_g"])
+    B_g: Floats = field(default_factory=lambda: TABLE_A1["B_g"].reshape(3, 3))
+    C_bg: Floats = field(default_factory=lambda: rotation_from_rotvec(TABLE_A1["q_bg"]))
     gravity: Floats = field(default_factory=_gravity)
     time_shift_s: float = 0.007
     b_a: float = 0.491
@@ -95,11 +94,7 @@ GROUPS = (
         unit="m",
         elements=_XYZ,
         table_5_3=0.004160,
-        sigma=(
-            (1.715e-3, 3.909e-3, 6.855e-3),
-            (8.439e-4, 8.685e-4, 1.681e-3),
-            (3.524e-4, 2.380e-4, 4.640e-4),
-        ),
+        sigma=((1.715e-3, 3.909e-3, 6.855e-3), (8.439e-4, 8.685e-4, 1.681e-3), (3.524e-4, 2.380e-4, 4.640e-4)),
         mean_error=(
             (-2.640e-5, -7.096e-5, -2.106e-2),
             (-3.203e-5, -3.667e-5, -1.998e-2),
@@ -112,11 +107,7 @@ GROUPS = (
         unit="-",
         elements=("i", "j", "k"),
         table_5_3=0.001586,
-        sigma=(
-            (3.506e-4, 6.904e-4, 4.429e-4),
-            (5.241e-5, 1.118e-4, 9.359e-5),
-            (1.612e-5, 1.532e-5, 1.724e-5),
-        ),
+        sigma=((3.506e-4, 6.904e-4, 4.429e-4), (5.241e-5, 1.118e-4, 9.359e-5), (1.612e-5, 1.532e-5, 1.724e-5)),
     ),
     Group(
         name="misalignment of the accelerometer",
@@ -124,11 +115,7 @@ GROUPS = (
         unit="rad",
         elements=_LOWER,
         table_5_3=0.001745,
-        sigma=(
-            (2.220e-3, 1.999e-3, 1.016e-3),
-            (2.983e-4, 4.456e-4, 2.899e-4),
-            (6.955e-5, 2.142e-4, 8.108e-5),
-        ),
+        sigma=((2.220e-3, 1.999e-3, 1.016e-3), (2.983e-4, 4.456e-4, 2.899e-4), (6.955e-5, 2.142e-4, 8.108e-5)),
         mean_error=(
             (4.933e-5, -1.794e-4, -8.920e-5),
             (-4.392e-5, -1.424e-5, 4.878e-6),
@@ -141,16 +128,8 @@ GROUPS = (
         unit="rad",
         elements=_LOWER,
         table_5_3=0.002456,
-        sigma=(
-            (4.352e-3, 4.557e-3, 2.307e-3),
-            (4.973e-4, 6.707e-4, 6.393e-4),
-            (8.878e-5, 2.081e-4, 1.910e-4),
-        ),
-        mean_error=(
-            (1.406e-4, -5.781e-4, 1.800e-4),
-            (4.549e-5, -6.838e-7, 7.626e-5),
-            (8.030e-6, -1.330e-6, 5.325e-5),
-        ),
+        sigma=((4.352e-3, 4.557e-3, 2.307e-3), (4.973e-4, 6.707e-4, 6.393e-4), (8.878e-5, 2.081e-4, 1.910e-4)),
+        mean_error=((1.406e-4, -5.781e-4, 1.800e-4), (4.549e-5, -6.838e-7, 7.626e-5), (8.030e-6, -1.330e-6, 5.325e-5)),
     ),
     Group(
         name="scale factors of the accelerometer",
@@ -158,16 +137,8 @@ GROUPS = (
         unit="-",
         elements=_XYZ,
         table_5_3=0.001593,
-        sigma=(
-            (2.175e-3, 1.282e-3, 1.323e-3),
-            (2.880e-4, 1.891e-4, 2.825e-4),
-            (5.264e-5, 4.801e-5, 1.011e-4),
-        ),
-        mean_error=(
-            (3.082e-5, 1.759e-4, 1.656e-4),
-            (5.818e-6, 3.818e-5, -1.712e-5),
-            (1.239e-5, 9.961e-6, 2.068e-6),
-        ),
+        sigma=((2.175e-3, 1.282e-3, 1.323e-3), (2.880e-4, 1.891e-4, 2.825e-4), (5.264e-5, 4.801e-5, 1.011e-4)),
+        mean_error=((3.082e-5, 1.759e-4, 1.656e-4), (5.818e-6, 3.818e-5, -1.712e-5), (1.239e-5, 9.961e-6, 2.068e-6)),
     ),
     Group(
         name="scale factors of the gyroscope",
@@ -175,11 +146,7 @@ GROUPS = (
         unit="-",
         elements=_XYZ,
         table_5_3=0.003081,
-        sigma=(
-            (5.061e-3, 3.003e-3, 1.180e-3),
-            (8.903e-4, 6.824e-4, 2.260e-4),
-            (2.335e-4, 1.842e-4, 7.708e-5),
-        ),
+        sigma=((5.061e-3, 3.003e-3, 1.180e-3), (8.903e-4, 6.824e-4, 2.260e-4), (2.335e-4, 1.842e-4, 7.708e-5)),
         mean_error=(
             (-2.435e-3, -5.218e-5, -6.492e-5),
             (2.377e-5, -2.862e-5, -5.151e-6),
@@ -209,11 +176,7 @@ GROUPS = (
         unit="-",
         elements=("i", "j", "k"),
         table_5_3=0.000658,
-        sigma=(
-            (9.092e-4, 8.173e-4, 8.993e-4),
-            (1.869e-4, 2.088e-4, 1.228e-4),
-            (3.880e-5, 7.000e-5, 3.561e-5),
-        ),
+        sigma=((9.092e-4, 8.173e-4, 8.993e-4), (1.869e-4, 2.088e-4, 1.228e-4), (3.880e-5, 7.000e-5, 3.561e-5)),
     ),
     Group(name="gravity", symbol="g_w", unit="m/s^2", elements=_XYZ, table_5_3=0.014348),
     Group(name="time offset of the camera", symbol="d", unit="s", elements=("",), table_5_3=0.000144),

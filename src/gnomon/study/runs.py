@@ -4,6 +4,10 @@ What a run gives depends on its task alone, and the libraries below NumPy use on
 same bit by bit whoever does the work, and whichever part of it was done before.
 """
 
+import base64
+import binascii
+import hashlib
+import json
 import multiprocessing
 import os
 import signal
@@ -13,16 +17,21 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from functools import cache, cached_property
+from typing import Any, Generic, Protocol, TypeVar, get_origin, get_type_hints
 
+import cattrs
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from ..errors import OptionError, SolveError
 from ..processes import safe_path
-from .records import Records
 
 Progress = Callable[[str], None]
+RunCount = Callable[[str, int, int], None]
+"""Is told the name of some tasks, how many of them are done, and how many there are."""
+
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
 
@@ -36,14 +45,6 @@ class Journal(Protocol):
 
     def keep(self, key: str, record: str) -> None:
         """Keep a record, one line of text, under a key."""
-        ...
-
-
-class RunCount(Protocol):
-    """Is told after each run how many there are."""
-
-    def __call__(self, name: str, done: int, total: int) -> None:
-        """Take notice that so many tasks of that name are done."""
         ...
 
 
@@ -81,6 +82,7 @@ HERE = Workers()
 
 _MOST_PROCESSES = 61  # of one pool on Windows
 _TOLD = 20  # times that progress is told where nobody counts
+_NUMBERS = "biufc"  # kinds of arrays that are kept: truth values, integers, floating-point and complex numbers
 
 
 def seeds(seed: int, count: int) -> list[int]:
@@ -105,7 +107,7 @@ def carry_out(
     """Return what `work` makes of each task, in the order of the tasks.
 
     With a journal, `work` states the type that it returns, and task and outcome are numbers, texts, arrays, tuples and
-    dataclasses of such (`records`). A record is found again by the name of `work` and the whole content of the task.
+    dataclasses of such (`Records`). A record is found again by the name of `work` and the whole content of the task.
 
     Parameters
     ----------
@@ -123,8 +125,8 @@ def carry_out(
         If a process or a cluster ends before its work is done.
     """
     total = len(tasks)
-    kept = None if workers.journal is None else _Kept(work, tasks, workers.journal)
-    outcomes = {} if kept is None else dict(kept.found())
+    records, journal = Records(work, tasks), workers.journal
+    outcomes = {} if journal is None else dict(records.found(journal))
     if outcomes and progress:
         progress(f"{name}: {len(outcomes)} of {total} were done before and are taken over")
     if outcomes and workers.count:
@@ -134,8 +136,8 @@ def carry_out(
         for place, outcome in stream:
             index = left[place]
             outcomes[index] = outcome
-            if kept is not None:
-                kept.keep(index, outcome)
+            if journal is not None:
+                journal.keep(records.key(index), records.written(outcome))
             done = len(outcomes)
             if workers.count:
                 workers.count(name, done, total)
@@ -160,25 +162,6 @@ def scatter_bounds(runs: int, wanted: float) -> tuple[float, float]:
 
     least, most = (float(np.sqrt(0.5 * runs / gammaincinv(0.5 * runs, p))) for p in (0.9999, 0.0001))
     return min(1 - wanted, least), max(1 + wanted, most)
-
-
-class _Kept(Generic[Outcome]):
-    """What the journal holds of these tasks."""
-
-    def __init__(self, work: Callable[..., Outcome], tasks: Sequence[Any], journal: Journal) -> None:
-        self._records, self._journal, self._total = Records(work, tasks), journal, len(tasks)
-
-    def found(self) -> Iterator[tuple[int, Outcome]]:
-        """Yield the index and the outcome of every task that was done before."""
-        for index in range(self._total):
-            record = self._journal.find(self._records.key(index))
-            read = self._records.read(record) if record is not None else None
-            if read is not None:
-                yield index, read[0]
-
-    def keep(self, index: int, outcome: Outcome) -> None:
-        """Keep the outcome of a task."""
-        self._journal.keep(self._records.key(index), self._records.written(outcome))
 
 
 def _stream(work: Callable[[Task], Outcome], tasks: Sequence[Task], workers: Workers) -> Generator[tuple[int, Outcome]]:
@@ -224,3 +207,91 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+class Records(Generic[Outcome]):
+    """How the tasks of some work are named in a journal, and how its outcomes are written and read.
+
+    Lines of JSON give back the same bits, and nothing but data can be read from them. An outcome is made of numbers,
+    texts, truth values, None, arrays, tuples, lists, mappings, and dataclasses of such. Which types there are is known
+    from what the work says that it returns; a record names none.
+
+    Parameters
+    ----------
+    work : states the type that it returns
+    tasks : in order
+    """
+
+    def __init__(self, work: Callable[..., Outcome], tasks: Sequence[Any]) -> None:
+        self._function = work
+        self._work = f"{work.__module__}.{work.__qualname__}"
+        self._tasks = tasks
+
+    @cached_property
+    def _returned(self) -> Any:
+        return get_type_hints(self._function)["return"]
+
+    def found(self, journal: Journal) -> Iterator[tuple[int, Outcome]]:
+        """Yield the index and the outcome of every task of which a journal has one."""
+        for index in range(len(self._tasks)):
+            record = journal.find(self.key(index))
+            read = self.read(record) if record is not None else None
+            if read is not None:
+                yield index, read[0]
+
+    def key(self, index: int) -> str:
+        """Return the name of a task: a hash of the work's name and of all that the task holds."""
+        content = json.dumps([self._work, _converter().unstructure(self._tasks[index])], default=_plain)
+        return hashlib.sha256(content.encode()).hexdigest()[:32]
+
+    def written(self, outcome: Outcome) -> str:
+        """Return an outcome as one line of JSON."""
+        return json.dumps(_converter().unstructure(outcome), default=_plain, separators=(",", ":"))
+
+    def read(self, record: str) -> tuple[Outcome] | None:
+        """Return the outcome of a record, in a tuple; None where it is none of this work's."""
+        try:
+            return (_converter().structure(json.loads(record), self._returned),)
+        except Exception:  # whatever a damaged record provokes: the run is done again
+            return None
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON does not know as what it knows."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return _array_written(value)
+    raise TypeError(f"{type(value).__name__} cannot be kept in a journal.")
+
+
+@cache
+def _converter() -> cattrs.Converter:
+    converter = cattrs.Converter(forbid_extra_keys=True)
+    converter.register_structure_hook_func(_is_array, _array_read)
+    converter.register_unstructure_hook_func(_is_array, _array_written)
+    return converter
+
+
+def _is_array(kind: Any) -> bool:
+    return kind is np.ndarray or get_origin(kind) is np.ndarray
+
+
+def _array_written(values: NDArray[Any]) -> dict[str, Any]:
+    if values.dtype.kind not in _NUMBERS:
+        raise TypeError(f"an array of {values.dtype} cannot be kept in a journal.")
+    content = base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+    return {"dtype": values.dtype.str, "shape": list(values.shape), "base64": content}
+
+
+def _array_read(content: Any, _kind: Any) -> NDArray[Any]:
+    dtype = np.dtype(str(content["dtype"]))
+    if dtype.kind not in _NUMBERS:
+        raise ValueError(f"an array of {dtype} is in no journal.")
+    try:
+        raw = base64.b64decode(content["base64"], validate=True)
+    except binascii.Error as error:
+        raise ValueError("this is no base64.") from error
+    values = np.frombuffer(raw, dtype=dtype).reshape([int(n) for n in content["shape"]]).copy()
+    values.flags.writeable = False
+    return values

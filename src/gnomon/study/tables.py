@@ -5,6 +5,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from io import StringIO
 
+from ..recording import Floats
+from .runs import scatter_bounds
+
 Cell = str | int | float | bool
 
 
@@ -59,6 +62,23 @@ def told(inside: bool, least: float, most: float) -> bool | None:
     (True, None, False)
     """
     return None if inside and (least <= 1 / _TELLING or most >= _TELLING) else inside
+
+
+def sigmas_claim(claim: str, ratios: Floats, runs: int, where: str = "") -> Claim:
+    """Return the claim that stated sigmas are those of the scatter of so many runs, to 15 % as far as they tell.
+
+    Parameters
+    ----------
+    ratios : stated sigma over scatter, of every parameter
+    where : of which parameters, in words
+    """
+    least, most = scatter_bounds(runs, 0.15)
+    return Claim(
+        claim=claim,
+        expected=f"sigma over scatter {least:.2f} to {most:.2f}{where}",
+        found=f"{ratios.min():.3f} to {ratios.max():.3f}",
+        holds=told(bool(ratios.min() > least and ratios.max() < most), least, most),
+    )
 
 
 def claims_table(claims: Iterable[Claim]) -> StudyTable:

@@ -13,11 +13,11 @@ from ..options import ImuOptions
 from ..recording import Floats
 from ..simulate.imu import simulate_imu
 from .runs import HERE, Progress, Workers, carry_out, seeds
-from .tedaldi_metrics import SignalErrors
 from .tedaldi_trial import (
     METHODS,
     SCENARIO,
     Method,
+    SignalErrors,
     Trial,
     TrialOutcome,
     corrected,
