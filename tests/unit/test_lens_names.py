@@ -6,7 +6,7 @@ from gnomon.estimate.cameras.first_lens import BENDINGS, SHAPES, names_of
 from gnomon.models import lens_names
 from gnomon.models.distortions import DISTORTIONS
 from gnomon.models.projections import PROJECTIONS
-from gnomon.report.cameras_use import DISTORTION_FORMULAS, PROJECTION_FORMULAS
+from gnomon.report.cameras import DISTORTION_FORMULAS, PROJECTION_FORMULAS
 from gnomon.writers.kalibr_results import LENS_NAMES
 
 

@@ -17,7 +17,7 @@ from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, parameters
 from gnomon.readers.own.calibration_file import load
 from gnomon.readers.projects.kalibr_imu import read_kalibr
-from gnomon.report.imu_origin import origin_figure
+from gnomon.report.rig import origin_figure
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.trust import Need, TrustNote

@@ -14,20 +14,12 @@ from gnomon.diagnostics import SignalFit
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report import write_report
-from gnomon.report.camera_imu_corners import corner_view, field_magnification
-from gnomon.report.camera_imu_motion import motion_of
-from gnomon.report.camera_imu_parameters import (
-    NOT_ABOVE,
-    baseline_groups,
-    camera_groups,
-    every_parameter,
-    imu_groups,
-    mounting,
-    mounting_text,
-    other_reading,
-)
 from gnomon.report.camera_imu_sections import imu_section
-from gnomon.report.camera_imu_signals import signal_name, telling_section
+from gnomon.report.camera_imu_signals import motion_of, signal_name, telling_section
+from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting, mounting_text
+from gnomon.report.corners import corner_view, field_magnification
+from gnomon.report.estimation import every_parameter
+from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
 from html_page import Page
 
 

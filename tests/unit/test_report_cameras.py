@@ -15,8 +15,7 @@ from gnomon.diagnostics import ViewPose
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.camera import Camera
 from gnomon.report import write_report
-from gnomon.report.cameras_board import board_section
-from gnomon.report.cameras_images import unseen_places, view_groups
+from gnomon.report.camera_parameters import pose_numbers
 from gnomon.report.cameras_lens import (
     field_of_view,
     focal_at_axis,
@@ -25,9 +24,9 @@ from gnomon.report.cameras_lens import (
     radial_curve,
     straightened,
 )
-from gnomon.report.cameras_pairs import epipolar_errors
-from gnomon.report.cameras_parameters import pose_numbers
-from gnomon.report.cameras_views import views_around
+from gnomon.report.cameras_sections import board_section
+from gnomon.report.cameras_views import epipolar_errors, views_around
+from gnomon.report.corner_figures import unseen_places, view_groups
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import CamerasScenario
 from html_page import Page

@@ -12,7 +12,7 @@ from gnomon.cli.summary import parameter_lines
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.parameters import covariance_names
 from gnomon.report.camera_imu import camera_imu_page
-from gnomon.report.camera_imu_parameters import placed_imu_groups
+from gnomon.report.camera_parameters import placed_imu_groups
 from gnomon.writers.camera_imu_files import residuals
 
 POSE = np.eye(4)

@@ -14,8 +14,6 @@ from .terminal import Terminal
 
 USAGE, BAD_INPUT, BUG, INTERRUPTED = 2, 3, 1, 130
 """Exit codes of work that was not finished; those of finished work are in `results`."""
-
-
 _INTERRUPTED = "interrupted; no file is half-written."
 
 

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 
 ImagesAs = Literal["folder", "euroc", "ros1", "ros2", "mcap"]
-
-
 NO_TARGET = (
     "--target is missing: the file that describes the board. Name it, or put it into {folder} as target.yaml; "
     "gnomon target writes one beside the board that it prints; "

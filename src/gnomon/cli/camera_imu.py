@@ -42,8 +42,6 @@ _NO_CAM = (
     "--cam is missing: Kalibr's file of the cameras and their intrinsics, or gnomon's calibration.yaml. Name it, or "
     "put it into {folder} as camchain.yaml; gnomon camera {recording} --target {target} makes one."
 )
-
-
 _SIMULATED = ("imu0.csv.gz", "imu0-acc.csv.gz", "camchain.yaml", "imu.yaml", "target.yaml", "cam0", "mav0")
 
 

@@ -17,22 +17,16 @@ if TYPE_CHECKING:
 
 Flat = tyro.conf.arg(name="")
 """Options of a nested class appear without a prefix."""
-
 Switch = tyro.conf.arg(help_behavior_hint="")
-
 Json = Annotated[bool, tyro.conf.arg(help_behavior_hint="", help="Print one JSON document instead of text.")]
-
 Report = Annotated[bool, tyro.conf.arg(help_behavior_hint="", help="Do not make the report.")]
-
 Seed = Annotated[int, tyro.conf.arg(help="All random numbers follow from it.")]
-
 Workers = Annotated[
     int | None,
     tyro.conf.arg(
         help="How many look for the board in the images at once; as many as there are cores where not given."
     ),
 ]
-
 Cache = Annotated[
     bool,
     tyro.conf.arg(
@@ -41,7 +35,6 @@ Cache = Annotated[
         "there.",
     ),
 ]
-
 _USE = "What it is for: vio, ahrs, gimbal, phone, or a YAML file that states what is needed"
 
 
@@ -52,16 +45,11 @@ def use_option(text: str) -> object:
 
 ForUse = Annotated[str | None, use_option(f"{_USE}; the verdict is then for that use.")]
 PlannedUse = Annotated[str | None, use_option(f"{_USE}.")]
-
 CalibrationPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")]
-
 FileOption = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
-
 ImuFiles = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, FileOption]
 """Kalibr's imu.yaml, keyed by the IMUs, or given once for each of them."""
-
 CamFile = Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")]
-
 Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
 """Options of a bag; `topics_of` reads them."""
 

@@ -17,7 +17,6 @@ from .command import Command, FromScenario
 DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
 Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."""
-
 _CONFIG = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes)
 _CLASSES = {
     "imu": "imu.Imu",

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 
 PAGE, TABLE = "report.html", "comparison.csv"
-
-
 _STYLES = {"pass": "bold green", "warn": "bold yellow", "fail": "bold red"}
 
 

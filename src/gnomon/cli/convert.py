@@ -24,14 +24,8 @@ CalibrationForm = Literal[
     "imu_tk", "kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis", "px4", "ardupilot", "ros2", "imucal",
     "c-header", "json", "csv",
 ]  # fmt: skip
-
-
 RecordingForm = Literal["euroc", "ros1", "ros2", "mcap"]
-
-
 _HEAD = 4096
-
-
 _NOISE_FILES = ("imu.yaml", "noise.yaml")
 """Where the noise of an IMU stands in the folder of a result, those that are looked for first before the others."""
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 _LEGEND = """\
 N white noise, B bias instability (floor of the curve: 0.664 B), K random walk,
 Q quantisation, R rate ramp; +- standard deviation, < upper bound"""
-
-
 _VERDICTS = {
     "pass": ("usable", "bold green"),
     "warn": ("usable, with reservations", "bold yellow"),

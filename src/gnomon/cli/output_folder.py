@@ -14,47 +14,23 @@ from ..output import files_together, put_in_place, refuse_input, spare_inputs
 
 RESULT_FILES = ("calibration.yaml", "report.html", "diagnostics.npz")
 """gnomon's own files in the folder of a result."""
-
-
 CAMERA_FILES = (*RESULT_FILES, "camchain.yaml", "results-cam.txt")
 """The same of a calibration of cameras; the last two are Kalibr's."""
-
-
 CAMERA_IMU_FILES = (*RESULT_FILES, "trajectory.txt", "camchain-imucam.yaml", "imu.yaml", "results-imucam.txt")
 """The same of a camera-IMU calibration; the last three are Kalibr's."""
-
-
 NOISE_FILES = ("noise.yaml", "imu.yaml", "allan.csv", "report.html")
 """The same of noise that was identified."""
-
-
 ALL_RESULT_FILES = frozenset((*CAMERA_FILES, *CAMERA_IMU_FILES, *NOISE_FILES))
-
-
 DEMO_RECORDING = "recording.npz"
-
-
 _TELLING = {"comparison.csv": "compare", "study.html": "study", "runs.journal": "study"}
 """File -> the command that alone makes it in the folder of a result."""
-
-
 _RESULTS = ("calibration.yaml", "noise.yaml")
-
-
 _METHOD = re.compile(r"(?m)^provenance:\n(?:[ #].*\n)*? +method: *['\"]?([a-z][a-z-]*)")
-
-
 _COMMANDS = {"cameras": "camera"}
 """Method in a result's provenance -> its command, where that is called otherwise."""
-
-
 SCENARIO, TRUTH = "scenario.yaml", "truth.yaml"
-
-
 _TEXTS = ("calibrations", "cam", "prior", "rate", "use")
 """Fields of commands and of their options that may name files, or a folder with a calibration."""
-
-
 _FILES = (".yaml", ".yml", ".json", ".html", ".csv", ".txt", ".npz", ".pdf", ".zip")
 """Endings that nobody gives to a folder."""
 

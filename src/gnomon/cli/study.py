@@ -141,11 +141,7 @@ STUDIES: Mapping[str, StudyEntry] = {
     ),
 }
 """The studies by their names."""
-
-
 PAGE = "study.html"
-
-
 _OLD_JOURNAL = "unfinished.journal"  # of gnomon before studies kept it
 
 

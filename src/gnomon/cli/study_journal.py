@@ -22,11 +22,7 @@ from ..errors import OutputError
 
 JOURNAL = "runs.journal"
 """Name of the file in the folder of a study."""
-
-
 _MARK = b"gnomon study journal 1"
-
-
 _SYNC_S = 2.0
 """So much work at most is lost with the power; nothing is when only the program ends."""
 

@@ -23,11 +23,7 @@ if TYPE_CHECKING:
 
 
 WIDTH = 80
-
-
 AXES = "xyz"
-
-
 VERDICTS = {
     "pass": ("usable", "bold green"),
     "warn": ("usable, with reservations", "bold yellow"),

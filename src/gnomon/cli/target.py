@@ -24,14 +24,8 @@ if TYPE_CHECKING:
 
 
 KINDS = ("aprilgrid", "checkerboard", "circlegrid", "charuco")
-
-
 _TO_METRES = {"": 1.0, "m": 1.0, "cm": 100.0, "mm": 1000.0}
-
-
 _LONGEST_M = 5.0
-
-
 _OPTIONS: dict[str, tuple[str, ...]] = {
     "cols": KINDS,
     "rows": KINDS,
@@ -51,14 +45,8 @@ def _optional(metavar: str) -> object:
 
 
 _ANY_M, _MARKER, _SPACING = 0.1, 0.75, 0.3
-
-
 _COUNTS = {"aprilgrid": (6, 6), "checkerboard": (9, 6), "circlegrid": (7, 6), "charuco": (7, 9)}
-
-
 _ASYMMETRIC = (4, 11)
-
-
 _NEXT = "Print at 100 %, measure both rulers (100 mm), glue it onto glass or aluminium."
 
 

@@ -8,8 +8,9 @@ from ..calibration import Calibration, CameraImuFit
 from ..diagnostics import CameraImuDiagnostics
 from . import camera_imu_evidence as evidence
 from . import camera_imu_sections as sections
-from .camera_imu_corners import corner_view
-from .camera_imu_quality import images_section
+from .camera_images import images_section
+from .corners import corner_view
+from .estimation import parameters_section
 from .numbers import MISSING, number, with_sigma
 from .page import Code, KeyNumber, Page, Prose, Section, typeset
 from .sections import FRAMES, calibration_page, gravity_text, matrix_text, provenance_section
@@ -35,7 +36,7 @@ def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics)
         images_section(diagnostics.corners),
         evidence.coverage_section(diagnostics, views),
         evidence.biases_section(diagnostics),
-        sections.parameters_section(diagnostics),
+        parameters_section(diagnostics),
         sections.solution_section(diagnostics, converged=fit is None or fit.converged),
         _assumptions(calibration, diagnostics),
         _use(calibration),

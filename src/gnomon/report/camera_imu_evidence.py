@@ -1,16 +1,12 @@
 """The sections of a camera-IMU report that show how well the estimate explains the recording, and what that covers."""
 
-import re
-from math import isfinite
-
 import numpy as np
 
-from ..diagnostics import CameraImuDiagnostics, CornerFit, SignalFit
-from ..recording import Floats
-from . import camera_imu_images as images
-from . import camera_imu_motion, camera_imu_signals
-from .camera_imu_corners import CornerView, field_magnification
+from ..diagnostics import CameraImuDiagnostics, SignalFit
+from . import camera_imu_signals
 from .camera_imu_signals import signal_name
+from .corner_figures import density
+from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out, time_legends
 from .numbers import finite, fixed, largest, number, positive, quantity, readable_unit, rms, share
 from .page import Figure, Legend, Section, Table
 
@@ -18,7 +14,6 @@ _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 _PREDICTED = tuple(Legend("line", axis, f"predicted {axis}") for axis in "xyz")
 _BASIC = Legend("line", "accent", "basic model")
 _BAND = Legend("band", "before", "±2σ of one sample")
-_MOST_ROWS = 60
 
 
 def fit_section(diagnostics: CameraImuDiagnostics) -> Section | None:
@@ -101,7 +96,7 @@ def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, Corner
             )
         )
     for name, view in views.items():
-        blocks += [corner_scatter(name, view), _frames(name, view)]
+        blocks += [corner_scatter(name, view), frames_figure(name, view)]
     if views:
         blocks.append(field_figure(views))
     blocks += frames_left_out(diagnostics.corners)
@@ -120,88 +115,6 @@ def _beyond(fit: SignalFit, shown: str) -> str:
     return f"{number(100 * share, 2)} % of the {shown.lower()}'s"
 
 
-def _spans(t: Floats) -> tuple[Legend, ...]:
-    edges = images.time_spans(t)
-    decimals = 0 if edges[-1] - edges[0] > 20 else 1
-    return tuple(
-        Legend("dot", color, f"{fixed(float(a), decimals)}–{fixed(float(b), decimals)} s")
-        for color, a, b in zip(images.TIMES, edges[:-1], edges[1:], strict=True)
-    )
-
-
-def corner_scatter(name: str, view: CornerView) -> Figure:
-    """Return the residuals of one camera: their distributions, and their scatter."""
-    fit = view.fit
-    outside = int((np.fmax(*np.abs(view.residual.T)) > view.reach).sum())
-    beyond = f", {outside} lie outside of what is drawn" if outside else ""
-    step = images.scatter_step(view)
-    share = f" The scatter shows one corner in {step}." if step > 1 else ""
-    normal = Legend("dash", "ink", f"normal, σ = {number(fit.sigma_px, 3)} px")
-    along = (Legend("line", "x", "u"), Legend("line", "y", "v"))
-    return Figure(
-        f"Corners of {name}",
-        images.corner_residuals(name, view),
-        (*along, normal, *_spans(view.t_s)),
-        f"Predicted minus detected, of {len(view.residual)} corners; circles at 1, 2 and 3σ. "
-        f"{view.weighed_down} fit less well and were weighed down{beyond}.{share}",
-    )
-
-
-def _frames(name: str, view: CornerView) -> Figure:
-    fit = view.fit
-    used, corners = np.asarray(fit.frame_used, dtype=bool), np.asarray(fit.frame_corners)
-    left_out = (Legend("ring", "accent", "left out"),) if not used.all() else ()
-    empty = int((corners == 0).sum())
-    return Figure(
-        f"Frames of {name}",
-        images.frames(name, fit),
-        (Legend("dot", "after", "used"), *left_out, Legend("dash", "ink", "σ of a corner")),
-        f"{int(used.sum())} of {len(used)} frames were used." + (f" {empty} show no corner." if empty else ""),
-    )
-
-
-def field_figure(views: dict[str, CornerView]) -> Figure:
-    """Return the mean residual over the images, as arrows."""
-    longer = field_magnification(views)
-    worst = {name: largest(np.hypot(*view.field.mean.T)) for name, view in views.items()}
-    longest = "; ".join(f"{name} {number(size, 2)} px" for name, size in worst.items() if isfinite(size))
-    return Figure(
-        "Mean residual over the image",
-        images.field(views),
-        caption=f"Arrows from the detected corners to the predicted ones, {number(longer)} times as long as they are. "
-        "A swirl, or arrows that all point outwards or inwards, speak of intrinsics or a lens model that do not fit "
-        "this camera." + (f" The longest: {longest}." if longest else ""),
-    )
-
-
-def frames_left_out(corners: dict[str, CornerFit], title: str = "Frames that were left out") -> list[Table]:
-    """Return the reasons for not using frames, each with a count and the first times."""
-    rows: list[tuple[str, ...]] = []
-    for name, fit in corners.items():
-        groups: dict[str, list[tuple[float, str]]] = {}
-        for t, used, reason in zip(fit.frame_t_s.tolist(), fit.frame_used, fit.frame_reason, strict=True):
-            if not used:
-                # Reasons that differ in their numbers alone are one.
-                groups.setdefault(re.sub(r"\d+(\.\d+)?", "…", reason), []).append((t, reason))
-        for pattern, found in groups.items():
-            alike = len({reason for _, reason in found}) == 1
-            reason = (found[0][1] if alike else pattern) or "no reason given"
-            times = ", ".join(fixed(t, 2) for t, _ in found[:6]) + (" …" if len(found) > 6 else "")
-            rows.append((f"{name}: {reason}", str(len(found)), times))
-    if not rows:
-        return []
-    more = len(rows) - _MOST_ROWS
-    return [
-        Table(
-            title,
-            ("reason", title.split(maxsplit=1)[0].lower(), "at [s]"),
-            tuple(rows[:_MOST_ROWS]),
-            f"And {more} more reasons." if more > 0 else "",
-            prose=True,
-        )
-    ]
-
-
 def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
     """Return what the recording covers: the image, rotation, acceleration, and the path."""
     blocks: list[Figure | Table] = []
@@ -211,13 +124,13 @@ def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerV
         blocks.append(
             Figure(
                 "Corners in the image",
-                images.density(views),
+                density(views),
                 caption="The stronger the colour, the more corners. Share of the image that they reached: "
                 f"{reached}. Elsewhere nothing tests the lens.",
             )
         )
     if len(diagnostics.trajectory.t_ns) > 1:
-        blocks += _motion(camera_imu_motion.motion_of(diagnostics.trajectory, diagnostics.gravity_target))
+        blocks += _motion(camera_imu_signals.motion_of(diagnostics.trajectory, diagnostics.gravity_target))
     return Section(
         "coverage",
         "Coverage",
@@ -227,7 +140,7 @@ def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerV
     )
 
 
-def _motion(motion: camera_imu_motion.Motion) -> list[Figure | Table]:
+def _motion(motion: camera_imu_signals.Motion) -> list[Figure | Table]:
     rows: list[tuple[str, ...]] = []
     for label, values, unit in (("Angular rate", motion.rate, "°/s"), ("Acceleration", motion.acceleration, "m/s²")):
         for measure, of in (("rms", rms), ("largest", largest)):
@@ -235,21 +148,21 @@ def _motion(motion: camera_imu_motion.Motion) -> list[Figure | Table]:
     return [
         Figure(
             "Axes of rotation",
-            camera_imu_motion.axes_of_rotation(motion),
+            camera_imu_signals.axes_of_rotation(motion),
             caption="Directions of the angular rate in the body frame, wherever the rig turned at more than a third of "
             "its rms rate. The stronger the colour, the longer it did.",
         ),
         Figure(
             "Rate and acceleration along the body axes",
-            camera_imu_motion.rates(motion),
+            camera_imu_signals.rates(motion),
             _AXES,
             "How often which value occurred; gravity is not part of the acceleration.",
         ),
         Table("In numbers", ("body axis", *"xyz"), rows),
         Figure(
             "Path of the IMU",
-            camera_imu_motion.path(motion),
-            _spans(motion.t_s),
+            camera_imu_signals.path(motion),
+            time_legends(motion.t_s),
             "In the frame of the target: x and y in its plane, z along its normal.",
         ),
     ]

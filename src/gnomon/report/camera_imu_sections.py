@@ -1,41 +1,26 @@
-"""The sections of a camera-IMU report that show the estimate: cameras, IMU, every scalar, noise and solution."""
+"""The sections of a camera-IMU report that show the estimate: cameras, IMU, noise and solution."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import reduce
 from math import degrees, isfinite
 
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, EstimatedParameter, NoiseLevel, SolverStep
+from ..diagnostics import CameraImuDiagnostics
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..recording import Floats
-from . import camera_imu_images as images
-from . import camera_imu_motion
-from .camera_imu_parameters import (
-    baseline_groups,
-    camera_groups,
-    every_parameter,
-    gyroscope_quaternion,
-    imu_groups,
-    mounting_text,
-    other_reading,
-    placed_imu_groups,
-    plus_minus,
-)
-from .imu_origin import origin_figure
-from .numbers import fixed, number, readable_unit
+from .camera_parameters import baseline_groups, camera_groups, mounting_text, placed_imu_groups
+from .estimation import noise_table, steps_table
+from .imu_parameters import gyroscope_quaternion, imu_groups, other_reading
+from .numbers import estimate, fixed, number
 from .page import Code, Figure, Legend, ParameterGroup, Parameters, Section, Table
+from .rig import origin_figure, rig_drawing
 from .sections import matrix_text
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
-_MOST_ROWS = 60
-_MOST_PAIRS = 12
 _IMU_GROUPS = 8
 """Groups of parameters of an IMU that is wholly estimated."""
-_STRONG = 0.5
-"""Correlation from which a pair is listed."""
 _SYMBOLS = {
     "Accelerometer scale": "S_a",
     "Accelerometer misalignment": "M_a",
@@ -60,7 +45,7 @@ def cameras_section(calibration: Calibration, diagnostics: CameraImuDiagnostics)
     first = next(iter(calibration.cameras))
     rig = Figure(
         "The rig",
-        camera_imu_motion.rig(calibration),
+        rig_drawing(calibration),
         _AXES,
         f"The frames of the {'IMUs' if len(calibration.imus) > 1 else 'IMU'} and of the cameras, to scale, "
         f"seen from behind {first}, a little from above. A camera's z looks out of the lens, x to the right of its "
@@ -156,66 +141,6 @@ def imu_section(calibration: Calibration) -> Section:
     return Section("imu", "IMU", lead, blocks)
 
 
-def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> Section | None:
-    """Return every scalar with its sigma, and how they are correlated; None without any."""
-    if not diagnostics.parameters:
-        return None
-    blocks: list[Figure | Table] = [every_parameter(diagnostics)]
-    free = [p for p in diagnostics.parameters if p.status in ("estimated", "prior")]
-    matrix = np.asarray(diagnostics.correlation, dtype=np.float64)
-    if len(free) > 1 and matrix.shape == (len(free), len(free)):
-        legend = (Legend("band", "after", "positive"), Legend("band", "heldout", "negative"))
-        blocks += [
-            Figure(
-                "Correlation",
-                images.correlation(_groups(free), matrix),
-                legend,
-                "The stronger the colour, the stronger the correlation; below 0.05 it is left out. What is "
-                "strongly correlated is known better together than each on its own.",
-            ),
-            _strongest(free, matrix),
-        ]
-    return Section(
-        "parameters",
-        "Every parameter",
-        "All scalars of the batch estimation, and how strongly they depend on each other.",
-        blocks,
-    )
-
-
-_SHORTER = (
-    ("T_cam_imu.", ""),
-    ("T_cam_cam0.", ""),
-    ("T_imu_body.", ""),
-    ("time_shift_cam_imu", "time_shift"),
-    ("distortion_coeffs", "distortion"),
-)
-
-
-def _groups(free: list[EstimatedParameter]) -> list[tuple[str, list[str]]]:
-    """Return consecutive parameters of one block under one name, with what tells them apart."""
-    groups: list[tuple[str, list[str]]] = []
-    for parameter in free:
-        name, _, index = parameter.name.partition("[")
-        short = reduce(lambda text, pair: text.replace(*pair), _SHORTER, name)
-        if not groups or groups[-1][0] != short:
-            groups.append((short, []))
-        groups[-1][1].append(index.rstrip("]"))
-    return groups
-
-
-def _strongest(free: list[EstimatedParameter], matrix: Floats) -> Table:
-    first, second = np.triu_indices(len(free), 1)
-    values = np.nan_to_num(matrix[first, second])
-    order = np.argsort(-np.abs(values), kind="stable")
-    strong = [k for k in order[:_MOST_PAIRS].tolist() if abs(values[k]) >= _STRONG] or order[:1].tolist()
-    return Table(
-        "Strongest correlations",
-        ("parameter", "with", "correlation"),
-        tuple((free[int(first[k])].name, free[int(second[k])].name, fixed(float(values[k]), 3)) for k in strong),
-    )
-
-
 def solution_section(diagnostics: CameraImuDiagnostics, *, converged: bool) -> Section:
     """Return noise levels, gravity, and the iterations of the solver."""
     blocks = [
@@ -226,44 +151,9 @@ def solution_section(diagnostics: CameraImuDiagnostics, *, converged: bool) -> S
     return Section("solution", "Noise and solution", blocks=blocks)
 
 
-def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> list[Table]:
-    """Return noise levels as stated, found and used; none without any."""
-    if not noise:
-        return []
-    return [
-        Table(
-            "Noise",
-            ("of", "stated", "found in the residuals", "used", "unit"),
-            tuple(_noise_row(level) for level in noise),
-            f"Noise found in the residuals holds all that the model does not explain, such as {example}.",
-        )
-    ]
-
-
-def steps_table(steps: tuple[SolverStep, ...], *, converged: bool) -> list[Table]:
-    """Return the iterations of the solver; none without any."""
-    if not steps:
-        return []
-    rows = tuple(
-        (str(i + 1), number(s.cost, 7), number(s.largest_step, 3), number(s.damping, 2), _ACCEPTED[s.accepted])
-        for i, s in enumerate(steps[:_MOST_ROWS])
-    )
-    return [
-        Table(
-            "Iterations",
-            ("", "cost before", "largest step [σ]", "damping", ""),
-            rows,
-            "The solver came to rest." if converged else "The solver did not come to rest.",
-        )
-    ]
-
-
-_ACCEPTED = {True: "accepted", False: "rejected"}
-
-
 def _gravity(diagnostics: CameraImuDiagnostics) -> Table:
     values, spreads = diagnostics.gravity_target, diagnostics.gravity_sigma
-    cells = [plus_minus(float(v), float(s)) for v, s in zip(values, spreads, strict=True)]
+    cells = [estimate(float(v), float(s)) for v, s in zip(values, spreads, strict=True)]
     size = float(np.linalg.norm(values))
     magnitude = next((p for p in diagnostics.parameters if p.name == "gravity.magnitude"), None)
     spread = 0.0 if magnitude is None else magnitude.sigma
@@ -273,12 +163,6 @@ def _gravity(diagnostics: CameraImuDiagnostics) -> Table:
     return Table(
         "Gravity in the frame of the target",
         ("[m/s²]", *"xyz", "size"),
-        (("gravity", *cells, plus_minus(size, spread)),),
+        (("gravity", *cells, estimate(size, spread)),),
         f"It points along {towards} of the target, but for {number(degrees(np.arccos(cosine)), 3)}°.",
     )
-
-
-def _noise_row(level: NoiseLevel) -> tuple[str, ...]:
-    sensor, _, what = level.name.partition(".")
-    unit = readable_unit(level.unit).replace("sqrt(Hz)", "√Hz")
-    return (f"{sensor} {what}", *(number(v, 3) for v in (level.nominal, level.estimated, level.used)), unit)

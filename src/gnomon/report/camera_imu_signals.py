@@ -1,16 +1,30 @@
-"""Figures of a camera-IMU report that run over time: signals as measured and as predicted, residuals, biases."""
+"""Figures of a camera-IMU report: signals measured and predicted, residuals, biases, and how the rig was moved."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..diagnostics import BiasTrack, SignalFit
-from ..recording import Floats
-from .figures import WIDTH, Sheet, coarser, limits, zigzag
-from .numbers import finite, highest, positive, prefixed, readable_unit
+from ..diagnostics import BiasTrack, SignalFit, TrajectoryTrack
+from ..geometry.quaternion import rotation_from_quaternion
+from ..recording import Floats, Integers
+from .corner_figures import TIMES, time_spans
+from .figures import (
+    AXES,
+    SPHERE_HEIGHT,
+    WIDTH,
+    Sheet,
+    coarser,
+    half_panel,
+    hemisphere,
+    histograms,
+    lambert,
+    limits,
+    zigzag,
+)
+from .numbers import finite, highest, positive, prefixed, readable_unit, rms
 from .panel import DASHED, Panel
 
-AXES = ("x", "y", "z")
 ZOOM_S = 2.0
 _FINEST = 400
 """Points per line that a section is drawn with."""
@@ -161,35 +175,6 @@ def normalised(signals: dict[str, SignalFit]) -> str:
     return sheet.draw("normalised", pitch * -(-len(names) // 2), alt)
 
 
-def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: float, left: float = 62.0) -> Panel:
-    """Return a panel of half the width of the sheet, on the left for even places and on the right for odd ones."""
-    edge = (place % 2) * WIDTH / 2
-    panel = sheet.panel("", top=top, height=height, left=edge + left, right=WIDTH / 2 - edge + 14)
-    panel.x.most = 5
-    sheet.text(title, x=edge, y=top - 18, color="ink", weight="bold")
-    return panel
-
-
-def histograms(
-    panel: Panel, series: list[tuple[Floats, str]], *, reach: float, sigma: float = 0.0, bins: int = 60
-) -> None:
-    """Draw the densities of values as steps within ±reach, and that of a normal distribution of this sigma, if any."""
-    edges = np.linspace(-reach, reach, bins + 1)
-    top = 0.0
-    for values, color in series:
-        kept = finite(values)
-        density = np.histogram(kept, edges)[0] / max(len(kept), 1) / (edges[1] - edges[0])
-        panel.steps(density, edges, color)
-        top = max(top, float(density.max()))
-    if sigma > 0:
-        x = np.linspace(-reach, reach, 121)
-        density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
-        panel.line(x, density, "ink", width=1.4, dash=DASHED)
-        top = max(top, float(density.max()))
-    panel.x.span(-reach, reach)
-    panel.y.span(0, 1.05 * positive(top))
-
-
 def bias_figure(biases: dict[str, BiasTrack]) -> str:
     """Draw the biases less their means, with sigma bands, and the bounds of the random walk that was assumed."""
     pitch = 258.0
@@ -225,3 +210,100 @@ def _bias_reach(value: Floats, sigma: Floats, walked: Floats) -> float:
     inner = highest(np.abs(value) + np.nan_to_num(sigma))
     outer = highest(walked)
     return 1.08 * positive(min(max(inner, outer), 6 * inner) if inner else outer)
+
+
+_DEG = 180 / np.pi
+_PATCH = 2 * np.sqrt(2) / 25
+"""Side of the patches in which axes of rotation are counted, in the equal-area projection."""
+_FASTER_THAN = 0.3
+"""Share of the rms rate above which a sample says something about the axis of rotation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """How the rig moved.
+
+    Attributes
+    ----------
+    t_s : (n,) [s from the first stamp of the trajectory]
+    rate : (n, 3) angular rate, body frame [deg/s]
+    acceleration : (n, 3) linear acceleration, body frame [m/s^2]
+    position : (n, 3) of the IMU, in the frame of the target [m]
+    """
+
+    t_s: Floats
+    rate: Floats
+    acceleration: Floats
+    position: Floats
+
+
+def motion_of(track: TrajectoryTrack, gravity_target: Floats) -> Motion:
+    """Return the motion; linear acceleration is specific force plus gravity."""
+    t = (track.t_ns - track.t_ns[0]) * 1e-9 if len(track.t_ns) else np.empty(0)
+    R = rotation_from_quaternion(np.asarray(track.q_target_imu_wxyz))
+    acceleration = track.f_imu + np.einsum("nji,j->ni", R, gravity_target)
+    return Motion(t_s=t, rate=track.omega_imu * _DEG, acceleration=acceleration, position=track.p_target_imu)
+
+
+def axes_of_rotation(motion: Motion) -> str:
+    """Draw the axes about which the rig turned, in the body frame, where it turned fast enough to tell."""
+    speed = np.linalg.norm(motion.rate, axis=1)
+    fast = speed > _FASTER_THAN * rms(speed)
+    directions = motion.rate[fast] / speed[fast, None]
+    counted: dict[float, tuple[Floats, Floats]] = {}
+    for side in (1.0, -1.0):
+        flat = lambert(directions[(directions[:, 2] >= 0) == (side > 0)], side)
+        spots, count = np.unique(np.floor(flat / _PATCH + 0.5), axis=0, return_counts=True)
+        counted[side] = spots, count.astype(np.float64)
+    most = max(float(count.max(initial=0)) for _, count in counted.values()) or 1.0
+
+    sheet = Sheet()
+    for side, (spots, count) in counted.items():
+        panel = hemisphere(sheet, side)
+        panel.rim = np.sqrt(2)
+        panel.cells((spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=np.sqrt(count / most), color="after")
+    return sheet.draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.")
+
+
+def rates(motion: Motion) -> str:
+    """Draw histograms of angular rate and linear acceleration per axis."""
+    parts = (("Angular rate [°/s]", motion.rate), ("Linear acceleration [m/s²]", motion.acceleration))
+
+    sheet = Sheet()
+    for k, (title, values) in enumerate(parts):
+        sizes = np.abs(finite(values))
+        reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
+        axes = half_panel(sheet, title, k, top=36, height=220, left=20)
+        histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
+        axes.y.ticks = ()
+    return sheet.draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.")
+
+
+def path(motion: Motion) -> str:
+    """Draw the path of the IMU in the target's frame, from the front and along its y axis, coloured by time."""
+    kept = _sampled(motion, 1500)
+    high = np.array([highest(axis) for axis in motion.position.T])
+    low = -np.array([highest(-axis) for axis in motion.position.T])
+    span = 0.54 * max(float((high - low).max()), 1e-3)
+    spans = time_spans(motion.t_s)
+    colour = np.clip(np.searchsorted(spans, motion.t_s[kept], side="right") - 1, 0, len(TIMES) - 1)
+    torn = np.diff(motion.t_s[kept], append=np.inf) > 5 * np.median(np.diff(motion.t_s[kept], append=0.0))
+
+    sheet = Sheet()
+    for k, (title, across, up) in enumerate((("Plane: y over x [m]", 0, 1), ("Depth: z over x [m]", 0, 2))):
+        axes = half_panel(sheet, title, k, top=36, height=314)
+        axes.x.grid = True
+        for i, name in enumerate(TIMES):
+            # A piece reaches to the first point of the next one, and a gap interrupts it.
+            piece = (colour == i) | np.concatenate([[False], (colour == i)[:-1]])
+            line = motion.position[kept][:, [across, up]].copy()
+            line[torn] = np.nan
+            axes.line(line[piece, 0], line[piece, 1], name, width=1.3)
+        middle = (low + high) / 2
+        axes.x.span(middle[across] - span, middle[across] + span)
+        axes.y.span(middle[up] - span, middle[up] + span)
+    return sheet.draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.")
+
+
+def _sampled(motion: Motion, most: int) -> Integers:
+    return np.arange(0, len(motion.t_s), max(1, -(-len(motion.t_s) // most)))

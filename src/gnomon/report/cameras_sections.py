@@ -1,4 +1,4 @@
-"""The sections of a camera report: lenses and rig, coverage, residuals, views, and what the lens does."""
+"""The sections of a camera report: lenses and rig, coverage, residuals, views, what the lens does, and the board."""
 
 from math import degrees, isfinite
 
@@ -7,14 +7,16 @@ import numpy as np
 from ..calibration import Calibration, CamerasFit
 from ..diagnostics import CamerasDiagnostics, LensTrial
 from ..recording import Floats
-from . import camera_imu_motion, cameras_figures, cameras_images, cameras_views
-from .camera_imu_corners import CornerView
-from .camera_imu_evidence import corner_scatter, field_figure, frames_left_out
+from . import cameras_lens, cameras_views
+from .camera_parameters import lens_groups, pose_groups
 from .cameras_lens import ProjectionSpread, RadialCurve
-from .cameras_pairs import epipolar_errors
-from .cameras_parameters import lens_groups, pose_groups
-from .numbers import MISSING, finite, fixed, number, share
+from .cameras_views import epipolar_errors
+from .corner_figures import arrows, coverage, unseen_places
+from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
+from .figures import WIDTH, Sheet, dots
+from .numbers import MISSING, estimate, finite, fixed, largest, number, positive, share
 from .page import Block, Code, Figure, Legend, Parameters, Section, Table
+from .rig import rig_drawing
 from .sections import matrix_text
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
@@ -31,7 +33,7 @@ def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -
         blocks.append(
             Figure(
                 "The rig",
-                camera_imu_motion.rig(calibration),
+                rig_drawing(calibration),
                 _AXES,
                 f"The frames of the cameras, to scale, seen from behind {first}, a little from above. A "
                 "camera's z looks out of the lens, x to the right of its image, y down.",
@@ -95,7 +97,7 @@ def coverage_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVie
         (
             Figure(
                 "Corners in the image",
-                cameras_images.coverage(views, counts),
+                coverage(views, counts),
                 (
                     Legend("dot", "after", "corner used"),
                     Legend("band", "accent", "cell without any"),
@@ -111,7 +113,7 @@ def _next_views(counts: dict[str, Floats]) -> str:
     parts = [
         f"{name} in the {_listed([place for _, place in found])}"
         for name, count in counts.items()
-        if (found := cameras_images.unseen_places(count))
+        if (found := unseen_places(count))
     ]
     if not parts:
         return "No larger part of an image is without corners."
@@ -126,7 +128,7 @@ def residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVi
     """Return what is left of the corners: over the image, their scatter, and view by view."""
     blocks: list[Block] = [field_figure(views)] if views else []
     for name, view in views.items():
-        blocks += [corner_scatter(name, view), _views_figure(name, view)]
+        blocks += [corner_scatter(name, view), frames_figure(name, view, "view")]
     blocks += frames_left_out(diagnostics.corners, "Views that were not used")
     return Section(
         "residuals",
@@ -134,22 +136,6 @@ def residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVi
         "Residuals that look like noise, without a pattern over the image and alike in views used and held out, "
         "say that the lens model is right and does not follow the noise.",
         blocks,
-    )
-
-
-def _views_figure(name: str, view: CornerView) -> Figure:
-    groups = {key: int(found.sum()) for key, found in cameras_images.view_groups(view.fit).items()}
-    legend = [Legend("dot", "after", "used")]
-    if groups["spare"]:
-        legend.append(Legend("ring", "heldout", "not needed"))
-    if groups["bad"]:
-        legend.append(Legend("ring", "accent", "left out"))
-    return Figure(
-        f"Views of {name}",
-        cameras_images.views_over_time(name, view.fit),
-        (*legend, Legend("dash", "ink", "σ of a corner")),
-        f"{groups['used']} of {sum(groups.values())} views were used."
-        + (" The others have a pose of their own and the lens of these." if groups["spare"] + groups["bad"] else ""),
     )
 
 
@@ -225,7 +211,7 @@ def lens_section(
 def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSpread]) -> Figure:
     return Figure(
         "Uncertainty of the projection [px]",
-        cameras_figures.spread({name: views[name] for name in spreads}, spreads),
+        cameras_lens.spread({name: views[name] for name in spreads}, spreads),
         (
             Legend("band", "heldout", "with corners: the stronger, the less certain"),
             Legend("band", "before", "without corners, by the formula of the model alone"),
@@ -259,7 +245,7 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
     high, wide = (f"{fixed(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
     return Figure(
         f"From ray to pixel, {name}",
-        cameras_figures.curve(name, found),
+        cameras_lens.curve(name, found),
         (
             Legend("line", "after", "this lens"),
             Legend("dash", "before", "pinhole, f tan θ"),
@@ -276,7 +262,7 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
 def _grid_figure(calibration: Calibration, name: str) -> Figure:
     return Figure(
         f"The image of {name}, straightened",
-        cameras_figures.grid(name, calibration.cameras[name].camera),
+        cameras_lens.grid(name, calibration.cameras[name].camera),
         (Legend("line", "after", "rows and columns of pixels"), Legend("dash", "ink", "frame of the image")),
         "Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
         "point. Rays more than 68° off the axis are left out.",
@@ -302,7 +288,7 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
         blocks.append(
             Figure(
                 f"Lens models tried on {name}",
-                cameras_figures.trials(name, tried),
+                cameras_lens.trials(name, tried),
                 (Legend("dot", "after", "views held out"), Legend("ring", "before", "views used")),
             )
         )
@@ -317,3 +303,96 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
         )
     )
     return blocks
+
+
+_STEPS = 4
+"""Sizes of the dots that show how far a point is out of the plane."""
+_TO_SPEAK_OF = 0.05
+"""Share of the largest shift from which shifts in the plane are drawn."""
+_SHAPES = {"target.aspect": "aspect", "target.bow": "bow", "target.corners": "place of every point"}
+
+
+def board_section(fit: CamerasFit, diagnostics: CamerasDiagnostics) -> Section:
+    """Return what was found of the board."""
+    shifts = np.asarray(diagnostics.board_shifts, dtype=np.float64)
+    blocks: list[Block] = []
+    added = ", ".join(_SHAPES.get(name, name) for name in fit.board_added)
+    if shifts.any():
+        blocks.append(_figure(diagnostics.board_points, shifts))
+    blocks.append(_numbers(fit, shifts))
+    lead = (
+        f"The views prove that the board is not as stated; estimated: {added}."
+        if added
+        else "The board was taken as stated: flat, and its points where the file says. Nothing else was estimated."
+    )
+    return Section("board", "Board", lead, blocks)
+
+
+def _numbers(fit: CamerasFit, shifts: Floats) -> Table:
+    def row(name: str, value: float, sigma: float, unit: str, meaning: str) -> tuple[str, ...]:
+        held = not (isfinite(value) and sigma > 0)
+        text = "not estimated" if held else f"{estimate(value, sigma, sign=True)} {unit}".replace(" ", "\u00a0")
+        return name, text, meaning
+
+    rows = [
+        row("aspect", 1e3 * fit.aspect, 1e3 * fit.aspect_sigma, "‰", "scale of y over that of x, minus 1"),
+        row("bow", 1e3 * fit.bow_m, 1e3 * fit.bow_sigma_m, "mm", "of the middle, towards the viewer"),
+        row("print scale", 1e3 * (fit.print_scale - 1), 1e3 * fit.print_scale_sigma, "‰",
+            "true size over stated, minus 1; needs --baseline"),
+    ]  # fmt: skip
+    for name, part in (("largest shift in the plane", shifts[:, :2]), ("largest shift out of it", shifts[:, 2:])):
+        size = largest(np.linalg.norm(part, axis=1)) if len(part) else float("nan")
+        text = f"{number(1e3 * size, 2)}\u00a0mm" if size > 0 else MISSING
+        rows.append((name, text, "of a point"))
+    return Table("In numbers", ("", "found", "what it is"), rows, remarked=True)
+
+
+def _figure(points: Floats, shifts: Floats) -> Figure:
+    longer = _magnification(points, shifts)
+    high = 1e3 * largest(shifts[:, 2])
+    drawn = f"Arrows are {number(longer)} times as long as the shifts. " if longer else ""
+    return Figure(
+        "Where the points of the board are",
+        board(points, shifts, longer),
+        (
+            Legend("dot", "after", "above the plane (+z)"),
+            Legend("dot", "heldout", "below it (−z)"),
+            *((Legend("line", "ink", "shift in the plane"),) if longer else ()),
+        ),
+        f"{drawn}The larger a dot, the farther its point is out of the plane, up to {number(high, 2)} mm. What "
+        "a shift, a turn and a common scale of all points do is part of the poses, and was taken off.",
+    )
+
+
+def _magnification(points: Floats, shifts: Floats) -> float:
+    """Return by how much arrows are lengthened, a round number; zero without shifts in the plane to speak of."""
+    most = largest(np.linalg.norm(shifts[:, :2], axis=1))
+    if not most > _TO_SPEAK_OF * largest(shifts):
+        return 0.0
+    wanted = 0.06 * positive(float(np.ptp(points[:, :2], axis=0).max())) / most
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= wanted * 1.0001))
+
+
+def board(points: Floats, shifts: Floats, longer: float) -> str:
+    """Draw the points with dots for how high they are and arrows for how they are shifted in the plane."""
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    room = 0.09 * positive(float((high - low).max()))
+    low, high = low - room, high + room
+    width = min(WIDTH - 90, 470 * (high[0] - low[0]) / (high[1] - low[1]))
+    height = width * (high[1] - low[1]) / (high[0] - low[0])
+    up, most = shifts[:, 2], positive(largest(shifts[:, 2]))
+
+    sheet = Sheet()
+    panel = sheet.panel("Board: y over x [m]", top=36, height=height, left=62, right=WIDTH - 62 - width)
+    panel.x.grid = True
+    panel.x.span(low[0], high[0])
+    panel.y.span(low[1], high[1])
+    for color, sign in (("after", 1.0), ("heldout", -1.0)):
+        step = np.ceil(_STEPS * np.clip(sign * up / most, 0, 1)).astype(int)
+        for k in range(1, _STEPS + 1):
+            dots(panel, points[step == k, 0], points[step == k, 1], color, size=2.5 + 3.0 * k)
+    dots(panel, points[:, 0], points[:, 1], "ink", size=1.6)
+    if longer:
+        arrows(panel, points[:, :2], longer * shifts[:, :2], "ink")
+    return sheet.draw("board", height + 84, f"Shifts of the {len(points)} points of the board.")

@@ -1,17 +1,19 @@
-"""Figures of a camera report that show from where the board was seen: pyramids around it, tilts, distances."""
+"""Figures of a camera report that show from where the board was seen, and how two cameras of a rig fit together."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..diagnostics import ViewPose
+from ..calibration import Calibration
+from ..diagnostics import CornerFit, ViewPose
 from ..geometry.rotation_vector import rotation_from_rotvec
-from ..recording import Floats
+from ..geometry.so3 import skew
+from ..models.camera import Camera
+from ..recording import Floats, Integers
 from . import svg
-from .camera_imu_signals import half_panel
-from .figures import TEXT, WIDTH, Sheet, dots
-from .numbers import number, positive
+from .figures import TEXT, WIDTH, Sheet, dots, fit_to_scale, half_panel
+from .numbers import finite, number, positive
 from .panel import Panel
 
 _MOST_DRAWN = 120
@@ -113,7 +115,7 @@ def scene(around: ViewsAround) -> str:
     sheet = Sheet()
     panel = sheet.bare_panel(left=0, top=0, width=WIDTH, height=_HEIGHT)
     board, flat = _flat(around.board), _flat(outlines)
-    _fit(panel, np.concatenate([board, flat.reshape(-1, 2)]))
+    fit_to_scale(panel, np.concatenate([board, flat.reshape(-1, 2)]), _HEIGHT, room=(60, 40))
     panel.line(board[:, 0], board[:, 1], "ink", width=1.6)
     wide = f"{number(float(np.ptp(around.board[:, 0])), 3)} m"
     x, y = board[:2].mean(axis=0).tolist()
@@ -127,15 +129,6 @@ def scene(around: ViewsAround) -> str:
 def _flat(points: Floats) -> Floats:
     """Project points (..., 3) to the page (..., 2), y up."""
     return (points @ _LOOK.T)[..., :2]
-
-
-def _fit(panel: Panel, drawn: Floats) -> None:
-    """Give the panel limits that hold all points, to scale."""
-    low, high = drawn.min(axis=0), drawn.max(axis=0)
-    scale = max((high[0] - low[0]) / (WIDTH - 60), (high[1] - low[1]) / (_HEIGHT - 40), 1e-9)
-    middle = (low + high) / 2
-    panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
-    panel.y.span(middle[1] - scale * _HEIGHT / 2, middle[1] + scale * _HEIGHT / 2)
 
 
 def _draw_outlines(panel: Panel, flat: Floats, telling: np.ndarray) -> None:
@@ -187,3 +180,85 @@ def attitudes(around: ViewsAround) -> str:
     other.y.span(0, 1.08 * positive(float(count.max())))
     other.y.whole = True
     return sheet.draw("attitudes", 396, f"Tilt of the board against the line of sight in {len(degrees)} views.")
+
+
+_SAME_S = 1e-3
+"""Frames of two cameras whose stamps differ by less show the same instant."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EpipolarErrors:
+    """Corners that two cameras saw at one instant.
+
+    Attributes
+    ----------
+    error : (m,) signed distance of the corner in the second image from the epipolar line of that in the first [px]
+    used : (m,) whether both frames were used by the estimate
+    """
+
+    error: Floats
+    used: np.ndarray
+
+    @property
+    def typical_used(self) -> float:
+        """Robust standard deviation about zero over the views used [px]."""
+        return _typical(self.error[self.used])
+
+    @property
+    def typical_other(self) -> float:
+        """The same over the other views [px]; nan without any."""
+        return _typical(self.error[~self.used])
+
+
+def _typical(errors: Floats) -> float:
+    """Return 1.4826 times the median distance from zero, the rms of normal errors whatever a few others are."""
+    known = finite(errors)
+    return 1.4826 * float(np.median(np.abs(known))) if known.size else float("nan")
+
+
+def epipolar_errors(calibration: Calibration, corners: dict[str, CornerFit], first: str, second: str) -> EpipolarErrors:
+    """Return the errors of all corners that both cameras saw at one instant; no pose and no board take part in them.
+
+    With rays a and b of the first and the second camera, c = b' [t]x R a vanishes; c over its derivative by the place
+    of the corner in the second image, along the steepest direction, is the distance from the line there.
+    """
+    one, other = corners[first], corners[second]
+    pairs = _common(one, other)
+    cameras = calibration.cameras
+    T = cameras[second].T_cam_body @ np.linalg.inv(cameras[first].T_cam_body)
+    a, sees = cameras[first].camera.unproject(one.pixels[pairs[0]])
+    lens = cameras[second].camera
+    b, too = lens.unproject(other.pixels[pairs[1]])
+    kept = sees & too
+    a, b, pairs = a[kept], b[kept], (pairs[0][kept], pairs[1][kept])
+    normal = a @ (skew(T[:3, 3]) @ T[:3, :3]).T
+    used = np.asarray(one.frame_used, dtype=bool)[one.frame[pairs[0]]]
+    used &= np.asarray(other.frame_used, dtype=bool)[other.frame[pairs[1]]]
+    return EpipolarErrors(error=_distance(lens, b, normal), used=used)
+
+
+def _distance(lens: Camera, rays: Floats, normal: Floats) -> Floats:
+    """Return rays . normal over its derivative by the pixels of the rays (m,) [px]."""
+    by_ray = lens.project(rays).by_point
+    assert by_ray is not None
+    slope = np.linalg.norm(np.einsum("mi,mij->mj", normal, np.linalg.pinv(by_ray)), axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(slope > 0, np.sum(rays * normal, axis=1) / slope, np.nan)
+
+
+def _common(one: CornerFit, other: CornerFit) -> tuple[Integers, Integers]:
+    """Return the places in both lists of corners of what both saw at one instant, frames that fit badly apart."""
+    if not len(other.frame_t_s) or not len(one.frame):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    order = np.argsort(other.frame_t_s, kind="stable")
+    after = np.searchsorted(other.frame_t_s[order], one.frame_t_s).clip(1, max(len(order) - 1, 1))
+    near = np.stack([order[after - 1], order[np.fmin(after, len(order) - 1)]])
+    apart = np.abs(other.frame_t_s[near] - one.frame_t_s)
+    match = np.where(apart.min(axis=0) < _SAME_S, near[apart.argmin(axis=0), np.arange(near.shape[1])], -1)
+    points = 1 + max(int(one.point.max(initial=0)), int(other.point.max(initial=0)))
+    frame = match[one.frame]
+    there = (frame >= 0) & np.isfinite(one.residual).all(axis=1)
+    wanted = np.where(there, frame * points + one.point, -1)
+    found = np.where(np.isfinite(other.residual).all(axis=1), other.frame * points + other.point, -2)
+    _, first, second = np.intersect1d(wanted, found, return_indices=True)
+    return first, second

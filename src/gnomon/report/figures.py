@@ -9,17 +9,14 @@ import numpy as np
 
 from ..recording import Floats
 from . import svg
-from .numbers import finite
-from .panel import Panel
+from .numbers import finite, positive
+from .panel import DASHED, Panel
 
 AXES = ("x", "y", "z")
-
 WIDTH = 760.0
 """Width of every figure in its own units; on a desktop one unit is about one pixel."""
-
 LEFT, RIGHT = 78.0, 14.0
 """Margins for the labels of the y axis and for the last label of the x axis."""
-
 TEXT = 12.5
 """Size of titles and names in figure units."""
 
@@ -172,17 +169,9 @@ def lambert(directions: Floats, side: float) -> Floats:
 
 
 _APART = 2.5  # figure units between the points by which lines are seen
-
-
 _LETTER = 0.62  # width of a letter over its size
-
-
 _ROOM = 1.25  # letters are larger on small screens
-
-
 _LATER = 0.1  # cost of a later candidate
-
-
 _COVERED = 12.0  # units of lines under a label beyond which it cannot be read
 
 
@@ -232,3 +221,44 @@ class LabelPlaces:
 def half_size(text: str) -> Floats:
     """Return half of the width and of the height (2,) that a label takes, with some room."""
     return 0.5 * _ROOM * TEXT * np.array([_LETTER * len(text), 1.0])
+
+
+def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: float, left: float = 62.0) -> Panel:
+    """Return a panel of half the width of the sheet, on the left for even places and on the right for odd ones."""
+    edge = (place % 2) * WIDTH / 2
+    panel = sheet.panel("", top=top, height=height, left=edge + left, right=WIDTH / 2 - edge + 14)
+    panel.x.most = 5
+    sheet.text(title, x=edge, y=top - 18, color="ink", weight="bold")
+    return panel
+
+
+def histograms(
+    panel: Panel, series: list[tuple[Floats, str]], *, reach: float, sigma: float = 0.0, bins: int = 60
+) -> None:
+    """Draw the densities of values as steps within ±reach, and that of a normal distribution of this sigma, if any."""
+    edges = np.linspace(-reach, reach, bins + 1)
+    top = 0.0
+    for values, color in series:
+        kept = finite(values)
+        density = np.histogram(kept, edges)[0] / max(len(kept), 1) / (edges[1] - edges[0])
+        panel.steps(density, edges, color)
+        top = max(top, float(density.max()))
+    if sigma > 0:
+        x = np.linspace(-reach, reach, 121)
+        density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
+        panel.line(x, density, "ink", width=1.4, dash=DASHED)
+        top = max(top, float(density.max()))
+    panel.x.span(-reach, reach)
+    panel.y.span(0, 1.05 * positive(top))
+
+
+def fit_to_scale(panel: Panel, drawn: Floats, height: float, room: tuple[float, float]) -> None:
+    """Give a panel as wide as the sheet limits that hold all points (n, 2), to scale, with room for labels."""
+    known = drawn[np.isfinite(drawn).all(axis=1)]
+    if not len(known):
+        return
+    low, high = known.min(axis=0), known.max(axis=0)
+    middle, size = (low + high) / 2, high - low
+    scale = max(size[0] / (WIDTH - room[0]), size[1] / (height - room[1]), 1e-9)
+    panel.x.span(middle[0] - scale * WIDTH / 2, middle[0] + scale * WIDTH / 2)
+    panel.y.span(middle[1] - scale * height / 2, middle[1] + scale * height / 2)

@@ -9,7 +9,6 @@ from ..units import share_words
 
 MISSING = "–"
 """Shown where there is no number."""
-
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PREFIXES = (("", 1.0), ("m", 1e3), ("µ", 1e6), ("n", 1e9))
 

@@ -99,7 +99,6 @@ def decades(low: float, high: float, most: int = 6) -> Sequence[float]:
 
 DASHED = (4.0, 3.0)
 """Lengths of dashes and gaps, in widths of the line."""
-
 _LABEL = 12.0
 """Size of the labels of ticks."""
 _BELOW, _ASIDE, _LOWER = 23.12, 9.0, 4.56

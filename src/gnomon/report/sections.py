@@ -12,8 +12,6 @@ HEADLINES = {
     "warn": "This calibration can be used, with the reservations below.",
     "fail": "Do not use this calibration.",
 }
-
-
 FRAMES = {
     "accel-x": "the x axis of the body is the sensitivity axis of the x accelerometer, and the y accelerometer lies in "
     "the x-y plane (Kalibr's convention)",

@@ -135,8 +135,6 @@ def rotation_errors(rotations: RotationTable) -> str:
 
 
 _PREFIXED = ("rad/s", "deg/s")
-
-
 _MOST = 300
 """Attitudes beyond this are drawn only in part."""
 
@@ -286,8 +284,6 @@ def directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) 
 
 _CHARACTER, _LINE, _DOT, _APART = 0.054, 0.075, 0.04, 0.06
 """Width and height of a character of a label, half a dot, and the distance of a label, in units of the projection."""
-
-
 _AXIS_NAMES = ((0.0, 1.5), (0.0, -1.5), (1.55, 0.0), (-1.55, 0.0))
 
 

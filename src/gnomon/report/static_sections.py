@@ -35,8 +35,6 @@ COUNTED = {
     "magnetometer": ("stretch", "stretches"),
 }
 """What one row of a table of vectors is; of the magnetometer, samples close together."""
-
-
 _QUANTITIES = {
     "specific force": ("|f| − g", "gravity", "a {} with this direction up would help most"),
     "angular rate": ("|ω| − rate", "the axis of rotation", "mounting the sensor with this direction upwards would "
@@ -45,18 +43,12 @@ _QUANTITIES = {
                        "help most"),
 }  # fmt: skip
 """Symbol of the error, what pointed, and where it should point."""
-
-
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
-
-
 _SERIES = (
     Legend("dot", "before", "before"),
     Legend("dot", "after", "after"),
     Legend("ring", "heldout", "held out of the fit"),
 )
-
-
 _MOST_ROWS = 60
 """Rows of a table beyond this are counted instead of shown."""
 

@@ -19,10 +19,8 @@ _AXES = ("x", "y", "z")
 _SHOWN = (degrees(1.0), 1.0, 1e3)
 _UNITS = ("°", "counts", "10⁻³ m/s² per count")
 """How offsets of angles, biases and scale factors are shown."""
-
 _MOST = 12
 """Iterations that a figure shows at most."""
-
 _SETUP = (
     "The simulated sensor is the one that document C found (Table 1, first set): 16 bits, ±50 m/s², misaligned by up "
     "to 0.8°. It lies on the six faces and the twelve edges of a cube, each only roughly: the tilts scatter by 1° or "

@@ -14,7 +14,6 @@ from .study_page import study_page
 
 _SHOWN = {"m": "mm", "s": "ms", "rad": "mrad", "-": "10⁻³", "rad/s per m/s^2": "mrad/s per m/s²", "m/s^2": "mm/s²"}
 """Units as which a thousandth of each is shown."""
-
 _SETUP = (
     f"One motion of {SCENARIO.duration_s:g} s before a checkerboard, ever new noise: IMU at 200 Hz with the errors and "
     "the noise of Table A.1, gravity, the Earth's rate; mean rate 0.366 rad/s, mean acceleration 3.12 m/s². S2 and S3 "
@@ -27,7 +26,6 @@ _SETUP = (
     "neither M, S, q_bg nor B_g.",
     "q_cb and q_bg are the vector parts of the quaternions of the error, half the angle, as in Table B.2.",
 )
-
 _DOUBTS = (
     "Table B.1 gives p_cb,z a mean error of -2 cm at every noise level, though section 5.1.2 finds the means on the "
     "truth. Table B.2 estimates -10 mm: the reference was +10 mm, so a sign in the reference explains all of it. Here "

@@ -14,7 +14,6 @@ from .panel import Panel
 AXES = ("x", "y", "z")
 LEVELS = ("t1", "t3", "t5")
 """Colours of S1, S2 and S3."""
-
 _DASHED = (4.0, 3.0)
 _GAP, _TOP, _HEIGHT = 32.0, 40.0, 118.0
 _PITCH = _HEIGHT + 84

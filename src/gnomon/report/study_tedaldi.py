@@ -25,7 +25,6 @@ from .study_page import study_page
 
 _CALLED = {"gnomon": "gnomon", "tedaldi2014-text": "Algorithm 1 as printed", "tedaldi2014": "authors' script"}
 """The methods, as the page calls them; the last two are presets of gnomon."""
-
 _SETUP = (
     "As document A says: 100 Hz; 5000 samples at rest, then 400 after each motion; three sinusoids of different "
     "pulsation, scaled at random in each motion, as accelerations; gravity turning at a random zenith and a random "

@@ -14,10 +14,8 @@ from .page import Figure, Legend
 _AXES = ("x", "y", "z")
 _COLORS = ("after", "heldout", "accent")
 """Of the methods."""
-
 _BINS = 700
 """Of an envelope over a whole recording."""
-
 _SENSORS = (("accelerometer", "m/s²"), ("gyroscope", "rad/s"))
 
 

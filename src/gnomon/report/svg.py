@@ -8,8 +8,6 @@ from ..recording import Floats
 
 _FAR = 99_999.0
 """Nothing is drawn farther out than this [figure units], where no screen shows it."""
-
-
 MIDDLE = 0.26
 """Height of the middle of a line of text above its baseline, in sizes of the font."""
 

@@ -1,4 +1,4 @@
-"""The section of a camera-IMU report on the images themselves: blur, exposure, and how certain the corners are."""
+"""The section of camera pages on the images themselves: blur, exposure, and how certain the corners are."""
 
 from math import isfinite
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from ..diagnostics import CornerFit
 from ..recording import Floats, FrameQuality
-from .camera_imu_signals import half_panel
-from .figures import WIDTH, Sheet, coarser, dots, limits, thinned, zigzag
+from .figures import WIDTH, Sheet, coarser, dots, half_panel, limits, thinned, zigzag
 from .numbers import finite, fixed, highest, number, positive
 from .page import Figure, Legend, Section, Table
 from .panel import DASHED, Panel
@@ -98,9 +97,6 @@ def _median(values: Floats, digits: int) -> str:
     return number(float(np.median(known)) if known.size else float("nan"), digits)
 
 
-# ---- how certain the corners are ----
-
-
 def _certainty(name: str, fit: CornerFit) -> Figure | None:
     if fit.corner_sigma_px is None or len(finite(fit.corner_sigma_px)) < _FEWEST:
         return None
@@ -164,9 +160,6 @@ def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
     sheet.text("σ of a corner [px]", x=WIDTH - 14, y=286, color="muted", align="right")
     alt = f"Standard deviations of {len(known)} corners of {name}, and the scatter of their residuals against them."
     return sheet.draw(f"certainty-{name}", 300, alt)
-
-
-# ---- in numbers ----
 
 
 def _numbers(known: dict[str, CornerFit]) -> Table:

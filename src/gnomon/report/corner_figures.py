@@ -1,23 +1,34 @@
-"""Figures of a camera-IMU report that show the corners: in the image, over the frames, and their residuals."""
+"""Figures of the corners: in the image, over the frames, and their residuals."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
+from ..assess.cameras_tables import NOT_CHOSEN
 from ..diagnostics import CornerFit
 from ..recording import Floats
 from . import svg
-from .camera_imu_corners import CornerView, field_magnification
-from .camera_imu_signals import half_panel, histograms
-from .figures import RIGHT, WIDTH, Sheet, coarser, dots, limits, log_limits, thinned, zigzag
+from .corners import CornerView, field_magnification
+from .figures import (
+    RIGHT,
+    TEXT,
+    WIDTH,
+    Sheet,
+    coarser,
+    dots,
+    half_panel,
+    histograms,
+    limits,
+    log_limits,
+    thinned,
+    zigzag,
+)
 from .numbers import finite, highest, positive
 from .panel import DASHED, Panel
 
 TIMES = ("t1", "t2", "t3", "t4", "t5")
 """Inks of five equal spans of time."""
 _DOTS = 1500
-_LEAST_MATRIX = 200.0
-"""Side of a matrix of few parameters, so that a small screen shows it as well."""
 
 
 def corner_residuals(name: str, view: CornerView) -> str:
@@ -60,36 +71,6 @@ def time_spans(t: Floats) -> Floats:
     """Return the six edges of five equal spans of time [s]."""
     known = finite(t)
     return np.linspace(known.min(), known.max(), len(TIMES) + 1) if known.size else np.linspace(0, 1, len(TIMES) + 1)
-
-
-def frames(name: str, fit: CornerFit) -> str:
-    """Draw the residual of every frame over time, those left out marked, and the number of corners in it."""
-    used = np.asarray(fit.frame_used, dtype=bool)
-    t = fit.frame_t_s
-    order = np.argsort(t, kind="stable")
-    known = finite(fit.frame_rms)
-    wide = known.size > 0 and float(known.max()) > 8 * float(np.median(known))
-    sigma = positive(fit.sigma_px, 0.0)
-
-    sheet = Sheet()
-    axes = sheet.panel("rms residual of the frame [px]", top=36, height=190)
-    axes.across(sigma, "ink", width=1.4, dash=DASHED)
-    for chosen, color, ring, size in ((used, "after", False, 4.0), (~used, "accent", True, 7.0)):
-        dots(axes, *thinned(t[chosen], fit.frame_rms[chosen]), color, ring=ring, size=size)
-    if wide:
-        log_limits(axes, fit.frame_rms, np.array([sigma]))
-    else:
-        limits(axes, fit.frame_rms, np.zeros(1))
-    below = sheet.panel("Corners in the frame", top=284, height=96, x_label="time [s]")
-    count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
-    zigzag(below, *coarser(t[order], count, count, bins=400), "before")
-    limits(below, count, np.zeros(1))
-    below.y.most = 3
-    for panel in (axes, below):
-        panel.x.span(0, positive(highest(t)))
-    axes.x.labelled = False
-    alt = f"rms residual and number of corners of {len(t)} frames of {name}; {int((~used).sum())} were left out."
-    return sheet.draw(f"frames-{name}", 446, alt)
 
 
 def image_panels(sheet: Sheet, views: Mapping[str, CornerView]) -> list[Panel]:
@@ -160,53 +141,96 @@ def arrows(panel: Panel, start: Floats, along: Floats, color: str = "after") -> 
     panel.line(line[:, 0], line[:, 1], color, width=1.5, clip=False)
 
 
-def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
-    """Draw a correlation matrix; labels are groups of parameters: (name of the group, names of its entries)."""
-    count = len(matrix)
-    left = 232.0
-    pitch = min((WIDTH - left - RIGHT) / max(count, 1), max(24.0, _LEAST_MATRIX / max(count, 1)))
-    size = pitch * count
+_PLACES = ("upper left", "upper middle", "upper right", "middle left", "middle", "middle right",
+           "lower left", "lower middle", "lower right")  # fmt: skip
+_MUCH_UNSEEN = 0.3
+"""Share of a ninth of the image without corners from which it is named."""
+_MOST_NAMED = 3
+
+
+def unseen_places(count: Floats, most: int = _MOST_NAMED) -> list[tuple[int, str]]:
+    """Return the ninths of the image that lack most of their corners, the worst first: (index, name).
+
+    Parameters
+    ----------
+    count : (rows, cols) corners used in each cell of the image
+    """
+    rows, cols = count.shape
+    y = np.minimum(3 * np.arange(rows) // max(rows, 1), 2)
+    x = np.minimum(3 * np.arange(cols) // max(cols, 1), 2)
+    empty = np.asarray(count == 0, dtype=np.float64)
+    share = np.array([_mean(empty[np.ix_(y == i, x == j)]) for i in range(3) for j in range(3)])
+    worst = np.argsort(-share, kind="stable")[:most].tolist()
+    return [(k, _PLACES[k]) for k in worst if share[k] >= _MUCH_UNSEEN]
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if values.size else 0.0
+
+
+def coverage(views: Mapping[str, CornerView], counts: Mapping[str, Floats]) -> str:
+    """Draw the corners used, the cells without any, and where to hold the board next."""
+    sheet = Sheet()
+    for panel, (name, view) in zip(image_panels(sheet, views), views.items(), strict=True):
+        count = counts[name]
+        rows, cols = count.shape
+        width, height = view.fit.resolution
+        size = (width / cols, height / rows)
+        y, x = np.nonzero(count == 0)
+        corner = np.stack([x * size[0], y * size[1]], axis=1) - 0.5
+        panel.cells(corner, size, level=np.full(len(x), 0.25), color="accent")
+        kept = np.asarray(view.fit.frame_used, dtype=bool)[view.fit.frame]
+        pixels = view.fit.pixels[kept]
+        pixels = pixels[:: max(1, -(-len(pixels) // _DOTS))]
+        dots(panel, pixels[:, 0], pixels[:, 1], "after", size=2.4)
+        for k, _ in unseen_places(count, 1):
+            low = np.array([k % 3 * width, k // 3 * height]) / 3 - 0.5
+            high = low + np.array([width, height]) / 3
+            box = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
+            panel.line(box[:, 0], box[:, 1], "accent", width=1.6, dash=DASHED)
+            at = (low + high) / 2
+            style = svg.text_style("accent", TEXT, "center", bold=True)
+            panel.text("next", float(at[0]), float(at[1]), style, offset=(0.0, 4.0))
+    return sheet.draw("coverage", images_height(views), "Where in the image of each camera corners were used.")
+
+
+def view_groups(fit: CornerFit) -> dict[str, np.ndarray]:
+    """Return which frames with corners were used, which were not needed, and which were left out as bad, (f,) each."""
+    used = np.asarray(fit.frame_used, dtype=bool)
+    spare = np.array([reason == NOT_CHOSEN for reason in fit.frame_reason], dtype=bool) & ~used
+    seen = np.asarray(fit.frame_corners) > 0
+    return {"used": used, "spare": spare & seen, "bad": ~used & ~spare & seen}
+
+
+def frames_over_time(name: str, fit: CornerFit, word: str) -> str:
+    """Draw the residual of every frame over time, those not needed and those left out marked, and its corners."""
+    groups = view_groups(fit)
+    t, order = fit.frame_t_s, np.argsort(fit.frame_t_s, kind="stable")
+    good = fit.frame_rms[groups["used"] | groups["spare"]]
+    known = finite(fit.frame_rms)
+    wide = known.size > 0 and float(known.max()) > 8 * positive(
+        float(np.median(finite(good))) if finite(good).size else 0.0
+    )
+    sigma = positive(fit.sigma_px, 0.0)
+    count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
 
     sheet = Sheet()
-    panel = sheet.panel("", top=20, height=size, left=left, right=WIDTH - left - size)
-    panel.x.span(0, count)
-    panel.y.span(count, 0)
-    panel.x.ticks = panel.y.ticks = ()
-    y, x = np.divmod(np.arange(count * count), count)
-    corners = np.stack([x, y], axis=1).astype(np.float64)
-    values = np.where(x == y, 0.0, np.nan_to_num(matrix.ravel()))
-    for sign, color in ((1, "after"), (-1, "heldout")):
-        strength = np.where(sign * values >= 0.05, sign * values, 0.0)
-        panel.cells(corners, (1.0, 1.0), level=strength, color=color)
-    panel.cells(corners[x == y], (1.0, 1.0), level=np.ones(count), color="grid")
-    _separate(panel, labels, count)
-    _name_groups(sheet, labels, left - 26, pitch)
-    row = 0
-    for _, entries in labels:
-        for entry in entries if pitch >= 8 else ():
-            y = row + entries.index(entry) + 0.5
-            font = min(10.0, 0.8 * pitch)
-            style = svg.text_style("muted", font, "right")
-            panel.text(entry, 0, y, style, offset=(-5, svg.MIDDLE * font), fine=True)
-        row += len(entries)
-    strongest = highest(np.abs(matrix[~np.eye(count, dtype=bool)]))
-    alt = f"Correlation matrix of {count} parameters; the strongest correlation is {strongest:.2f}."
-    return sheet.draw("correlation", size + 30, alt)
-
-
-def _separate(panel: Panel, labels: list[tuple[str, list[str]]], count: int) -> None:
-    """Draw lines between groups."""
-    for edge in np.cumsum([len(entries) for _, entries in labels])[:-1].tolist():
-        x, y = np.array([0, count, np.nan, edge, edge]), np.array([edge, edge, np.nan, 0, count])
-        panel.line(x, y, "muted", width=0.7, alpha=0.5)
-
-
-def _name_groups(sheet: Sheet, labels: list[tuple[str, list[str]]], right: float, pitch: float) -> None:
-    """Write the name of each group at its middle, where there is room for it."""
-    row, free_from = 0, 0.0
-    for name, entries in labels:
-        middle = 20 + pitch * (row + len(entries) / 2) + 4
-        if middle >= free_from:
-            sheet.text(name, x=right, y=middle, color="ink", align="right")
-            free_from = middle + 13
-        row += len(entries)
+    axes = sheet.panel(f"rms residual of the {word}, per axis [px]", top=36, height=200)
+    axes.across(sigma, "ink", width=1.4, dash=DASHED)
+    for key, color, ring, size in (
+        ("used", "after", False, 5.0), ("spare", "heldout", True, 7.0), ("bad", "accent", True, 7.0),
+    ):  # fmt: skip
+        dots(axes, *thinned(t[groups[key]], fit.frame_rms[groups[key]]), color, ring=ring, size=size)
+    if wide:
+        log_limits(axes, fit.frame_rms, np.array([sigma]))
+    else:
+        limits(axes, fit.frame_rms, np.zeros(1))
+    below = sheet.panel(f"Corners in the {word}", top=294, height=96, x_label="time [s]")
+    zigzag(below, *coarser(t[order], count, count, bins=400), "before")
+    limits(below, count, np.zeros(1))
+    below.y.most = 3
+    for panel in (axes, below):
+        panel.x.span(0, positive(highest(t)))
+    axes.x.labelled = False
+    alt = f"rms residual and number of corners of {len(t)} frames of {name}; {int(groups['used'].sum())} were used."
+    return sheet.draw(f"{word}s-{name}", 456, alt)
