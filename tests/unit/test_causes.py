@@ -1,6 +1,6 @@
 """Causes come first, and what follows from them is said to."""
 
-from gnomon.assess.causes import causes_first
+from gnomon.assess.verdict import merge_by_cause
 from gnomon.findings import Finding
 
 
@@ -9,7 +9,7 @@ def finding(code, severity="warning"):
 
 
 def told(*findings):
-    return [(one.code, one.severity) for one in causes_first(list(findings))]
+    return [(one.code, one.severity) for one in merge_by_cause(list(findings))]
 
 
 def test_findings_of_one_severity_keep_their_order():
@@ -21,7 +21,7 @@ def test_findings_of_one_severity_keep_their_order():
 
 
 def test_what_follows_from_a_cause_is_information_that_names_it():
-    ordered = causes_first([finding("target-scale", "problem"), finding("tag-spacing")])
+    ordered = merge_by_cause([finding("target-scale", "problem"), finding("tag-spacing")])
     assert [(one.code, one.severity) for one in ordered] == [("tag-spacing", "problem"), ("target-scale", "info")]
     assert "tag-spacing" in ordered[1].consequence
     assert not ordered[1].cure
@@ -50,10 +50,10 @@ def test_consequences_come_after_causes_of_the_same_severity():
 
 def test_the_verdict_is_no_better_for_it():
     before = [finding("clock-drift"), finding("clock-jump"), finding("not-converged", "problem")]
-    assert min(one.severity for one in before) == "problem" == causes_first(before)[0].severity
+    assert min(one.severity for one in before) == "problem" == merge_by_cause(before)[0].severity
 
 
 def test_what_follows_from_a_cause_names_its_code():
-    by_code = {finding.code: finding for finding in causes_first([finding("reprojection"), finding("tag-spacing")])}
+    by_code = {finding.code: finding for finding in merge_by_cause([finding("reprojection"), finding("tag-spacing")])}
     assert by_code["reprojection"].follows_from == "tag-spacing"
     assert not by_code["tag-spacing"].follows_from

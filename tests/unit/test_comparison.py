@@ -7,7 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.assess.candidates import Candidate, in_common_frame
-from gnomon.assess.lens_difference import lens_difference
+from gnomon.assess.comparison import lens_difference
 from gnomon.assess.quantities import statement_of
 from gnomon.calibrate.comparison import compare
 from gnomon.calibration import Calibration, Covariance, Gravity

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.likely_missing import neighbours
-from gnomon.assess.trust_findings import model_incomplete, parts_disagree, trust_note
+from gnomon.assess.early_findings import neighbours
+from gnomon.assess.verdict import model_incomplete, parts_disagree, trust_note
 from gnomon.diagnostics import SignalFit
 from gnomon.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gnomon.assess.triad_clocks import check_triad_clocks
+from gnomon.assess.doctor import check_triad_clocks
 from gnomon.errors import InitialisationError
 from gnomon.estimate.camera_imu.alignment import Alignment
 from gnomon.estimate.camera_imu.blocks import blocks

@@ -7,7 +7,7 @@ from ..estimate.multiposition.model import PARAMETERS
 from ..findings import Finding, make_finding
 from ..recording import Floats
 from .imu_tables import ImuEvidence, interval_numbers
-from .left_out import cluster
+from .protocol import cluster
 
 _SHOWN = 4  # parts of a recording
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor

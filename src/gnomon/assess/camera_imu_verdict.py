@@ -12,7 +12,7 @@ from .camera_imu_tables import MISFIT, CameraImuEvidence
 from .clock_drift import check_drift
 from .rig_precision import precision_findings
 from .rig_residuals import cut_findings, residual_findings
-from .verdict import gravity_findings, verdict_of, worst_first
+from .verdict import gravity_findings, merge_by_cause, verdict_of
 from .weak_findings import PLACES_AND_CLOCKS, weak_findings
 
 _PIXELS_WARN, _PIXELS_FAIL = 1.0, 3.0
@@ -61,7 +61,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
         *cut_findings(diagnostics.segments, tuple(evidence.published.imus)),
         *gravity_findings(evidence.gravity),
     ]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,

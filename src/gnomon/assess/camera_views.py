@@ -1,12 +1,67 @@
-"""What single frames show of the board: how many corners, how large, and whether they tell a pose."""
+"""Views of a board: which there are, copies, and mirrored ones."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..findings import Finding, make_finding
 from ..models.target import Target
-from ..recording import CameraFrames, Floats, Integers
+from ..recording import CameraFrames, Floats, Integers, Recording
+
+_FEW = 0.02
+
+
+def without_copies(recording: Recording) -> tuple[Recording, tuple[Finding, ...]]:
+    """Return a recording of cameras in which every view is there once, and what there is to say of the copies.
+
+    Noise makes the corners of two images differ, also of a board that does not move: what is equal to the last digit is
+    the same image, copied or delivered again.
+    """
+    cameras: dict[str, CameraFrames] = {}
+    findings: list[Finding] = []
+    for name, frames in recording.cameras.items():
+        copies, views = _copies(frames)
+        cameras[name] = frames
+        if copies:
+            kept = ~np.isin(frames.frame, list(copies))
+            sigma = None if frames.sigma_px is None else frames.sigma_px[kept]
+            cameras[name] = replace(
+                frames, frame=frames.frame[kept], point=frames.point[kept], pixels=frames.pixels[kept], sigma_px=sigma
+            )
+            findings.append(_finding(name, copies, views))
+    return (replace(recording, cameras=cameras), tuple(findings)) if findings else (recording, ())
+
+
+def _copies(frames: CameraFrames) -> tuple[dict[int, int], int]:
+    """Return the frames whose corners are those of an earlier one -> that one, and how many frames have corners."""
+    shown, first = np.unique(frames.frame, return_index=True)
+    ends = np.append(first, len(frames.frame))
+    seen: dict[bytes, int] = {}
+    copies: dict[int, int] = {}
+    for k, frame in enumerate(shown.tolist()):
+        part = slice(ends[k], ends[k + 1])
+        order = np.argsort(frames.point[part], kind="stable")
+        key = frames.point[part][order].tobytes() + frames.pixels[part][order].tobytes()
+        if seen.setdefault(key, frame) != frame:
+            copies[frame] = seen[key]
+    return copies, len(shown)
+
+
+def _finding(name: str, copies: Mapping[int, int], views: int) -> Finding:
+    share = len(copies) / views
+    frame, original = next(iter(copies.items()))
+    return make_finding(
+        "views-copied",
+        severity="warning" if share > _FEW else "info",
+        name=name,
+        count=len(copies),
+        views=views,
+        frame=frame + 1,
+        original=original + 1,
+    )
+
 
 Booleans = NDArray[np.bool_]
 
@@ -67,3 +122,45 @@ def image_coverage(pixels: Floats, resolution: tuple[int, int], cells: tuple[int
     column, row = index[:, 0], index[:, 1]
     inside = (column >= 0) & (column < cells[0]) & (row >= 0) & (row < cells[1])
     return len(np.unique(column[inside] * cells[1] + row[inside])) / (cells[0] * cells[1])
+
+
+_MIRRORED = 0.5
+_SOME = 0.02
+
+
+def check_handedness(name: str, frames: CameraFrames, usable: Integers, target: Target) -> list[Finding]:
+    """Say that points of the board run the other way round in the image, as in a mirror.
+
+    x cross y of the board points to the viewer, and v runs down in images: the determinant of the affine map from the
+    board to the image is negative in every view. A mirrored image fits as well, with a board that is seen from behind
+    and a principal point on the wrong side of the middle: no residual shows it.
+
+    Parameters
+    ----------
+    usable : (k,) frames that tell a pose
+    """
+    if target.kind == "circlegrid" and target.asymmetric:  # printed in both senses, which the detector finds out
+        return []
+    mirrored = _from_behind(frames, usable, target)
+    share = float(np.mean(mirrored)) if len(mirrored) else 0.0
+    if share <= _SOME:
+        return []
+    if share > _MIRRORED:
+        what = f"in {np.count_nonzero(mirrored)} of {len(mirrored)} views the points of the board run as in a mirror"
+        since = "the images are mirrored, or the corners are numbered the other way round than target.yaml says"
+    else:
+        what = f"in {np.count_nonzero(mirrored)} of {len(mirrored)} views alone the points run as in a mirror"
+        since = "some images are mirrored, or their corners are numbered in another way"
+    return [make_finding("board-mirrored", name=name, what=what, since=since)]
+
+
+def _from_behind(frames: CameraFrames, usable: Integers, target: Target) -> Booleans:
+    """Return of each frame whether the affine map from the board to the image keeps the sense of turning, (k,)."""
+    ends = np.searchsorted(frames.frame, np.stack([usable, usable + 1]))
+    turned = np.zeros(len(usable), dtype=np.bool_)
+    for k, (first, last) in enumerate(ends.T.tolist()):
+        board = target.points[frames.point[first:last], :2]
+        pixels = frames.pixels[first:last]
+        board, pixels = board - board.mean(axis=0), pixels - pixels.mean(axis=0)
+        turned[k] = np.linalg.det(np.linalg.lstsq(board, pixels, rcond=None)[0]) > 0
+    return turned

@@ -16,7 +16,7 @@ from ..models.camera import Camera
 from ..recording import Floats
 from ..requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
 from ..trust import ParameterChange, QuantityChange, Trust
-from .verdict import graded, verdict_of, worst_first
+from .verdict import graded, merge_by_cause, verdict_of
 
 CHANGED = "parameter-changed"
 
@@ -87,7 +87,7 @@ def with_changes(calibration: Calibration, trust: Trust | None) -> Calibration:
         return calibration
     changes = tuple(change for one in trust.changes for change in quantity_changes(one, calibration))
     assessment = calibration.assessment
-    findings = worst_first([*assessment.findings, *change_findings(changes, None)])
+    findings = merge_by_cause([*assessment.findings, *change_findings(changes, None)])
     return replace(
         calibration,
         assessment=replace(

@@ -11,18 +11,19 @@ from ..errors import FormatError, OptionError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..recording import Floats, Integers, frozen_array, recorded_hashes
 from .candidates import FRAME, Candidate, in_common_frame
-from .common_origin import at_common_origins
 from .comparison import (
     UNJUDGED,
     ComparedCalibration,
     Comparison,
     Difference,
+    LensDifference,
     Repeatability,
     Scatter,
     largest_z_limit,
+    lens_difference,
 )
 from .comparison_findings import with_words
-from .lens_difference import LensDifference, lens_difference
+from .comparison_words import at_common_origins
 from .quantities import Quantity, Statement, statement_of, with_scatter_between_recordings
 
 _MIXED_UNITS = 1.5

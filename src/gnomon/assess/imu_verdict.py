@@ -11,14 +11,22 @@ from ..estimate.multiposition.scaling import ImuEstimate
 from ..findings import Finding, make_finding
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
-from .bias_findings import bias_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
 from .imu_tables import ImuEvidence
-from .left_out import left_out_findings as rests_left_out
+from .protocol import left_out_findings as rests_left_out
 from .scatter_findings import rotation_scatter
 from .touched_intervals import touched_findings
-from .trust_findings import model_incomplete, parts_disagree, trust_note
-from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
+from .verdict import (
+    SEVERITIES,
+    bias_findings,
+    graded,
+    gravity_findings,
+    merge_by_cause,
+    model_incomplete,
+    parts_disagree,
+    trust_note,
+    verdict_of,
+)
 from .weak_findings import weak_findings
 
 _AXES = "xyz"
@@ -67,7 +75,7 @@ def assess(
         *_allan_findings(diagnostics),
         *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
     ]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,

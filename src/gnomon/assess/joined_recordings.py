@@ -18,7 +18,7 @@ from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ..trust import TrustNote
 from .comparison import standing_out
 from .needs import general_precision, number_words
-from .verdict import verdict_of, worst_first
+from .verdict import merge_by_cause, verdict_of
 
 _OTHER: Mapping[str, float] = {
     "accelerometer_scale": 1e-2,
@@ -189,7 +189,7 @@ def joined_assessment(
         ),
     )
     judged = replace(calibration, assessment=assessment)
-    findings = worst_first(
+    findings = merge_by_cause(
         [
             *_of_each(each, names),
             *standing_out_findings(scalars, names),

@@ -8,13 +8,11 @@ from ..evidence import NAMES, TRIADS, Evidence
 from ..findings import Finding, Severity, make_finding
 from ..recording import Floats
 from ..units import MAGNETOMETER_UNITS_UT
-from .bias_findings import bias_findings
 from .imu_verdict import convergence_findings
 from .magnetometer_handedness import handedness_findings
 from .magnetometer_tables import FieldEvidence, Strays, strays
 from .prior_findings import prior_findings
-from .trust_findings import parts_disagree, trust_note
-from .verdict import graded, verdict_of, worst_first
+from .verdict import bias_findings, graded, merge_by_cause, parts_disagree, trust_note, verdict_of
 
 _COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
 _COVER_WARN = 0.7
@@ -58,7 +56,7 @@ def assess_field(
         *bias_findings(evidence.trust.instabilities, {"magnetometer": _unit_per_field(evidence)}),
         *convergence_findings(fit.iron.converged, fit.iron.iterations),
     ]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,

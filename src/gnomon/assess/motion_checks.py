@@ -8,9 +8,7 @@ from ..findings import Finding, make_finding
 from ..recording import ImuSamples, TriadSamples, measurable
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 from .protocol import looks_like, why_no_gravity
-from .signals import check_signal, is_silent
-from .stamps import check_stamps
-from .vibration import check_vibration
+from .signals import check_signal, check_stamps, check_vibration, is_silent
 
 _SLOW_HZ, _SLOWEST_HZ = 50.0, 10.0
 _SHORT_S = 5.0

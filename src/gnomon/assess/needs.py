@@ -22,7 +22,7 @@ from ..trust import Need
 from .changes import CHANGED, change_findings
 from .directions import Kind, Part, amount, cure, one_direction, parts, relative
 from .observability import LIMITS
-from .verdict import graded, verdict_of, worst_first
+from .verdict import graded, merge_by_cause, verdict_of
 from .weak_findings import PLACES_AND_CLOCKS
 
 _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
@@ -65,7 +65,7 @@ _PREFIXES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Offer:
+class Achieved:
     """What a calibration offers of a quantity.
 
     Attributes
@@ -91,7 +91,7 @@ class Offer:
         return f"{words} of {self.sensor}"
 
 
-def offers(calibration: Calibration) -> Iterator[Offer]:
+def offers(calibration: Calibration) -> Iterator[Achieved]:
     """Yield what a calibration offers of every quantity that it has.
 
     Gravity's part is taken off the accelerometer's scale: see `requirements`.
@@ -104,7 +104,7 @@ def offers(calibration: Calibration) -> Iterator[Offer]:
     known = {(part.sensor, part.kind): part for part in parts(found.names, found.covariance, turns)}
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
 
-    def offer(quantity: str, sensor: str, sigma: float) -> Offer:
+    def offer(quantity: str, sensor: str, sigma: float) -> Achieved:
         held = any(_is_of(name, quantity, sensor) for name in calibration.assessment.held_by_prior)
         kind = _KINDS.get(quantity)
         part = None if kind is None else known.get((sensor, kind))
@@ -112,7 +112,7 @@ def offers(calibration: Calibration) -> Iterator[Offer]:
             triad = quantity.removesuffix("_bias")
             at = [column[f"{sensor}.{triad}.bias[{i}]"] for i in range(3)]
             part = _follows(known.values(), found.covariance, max(at, key=lambda i: spread[i]))
-        return Offer(quantity=quantity, sensor=sensor, sigma=sigma, part=part, held=held)
+        return Achieved(quantity=quantity, sensor=sensor, sigma=sigma, part=part, held=held)
 
     def largest(names: list[str]) -> float:
         return float(max(spread[column[name]] for name in names))
@@ -212,7 +212,7 @@ def needs(calibration: Calibration, use: Use) -> tuple[Need, ...]:
     return tuple(_need(calibration, offer, use) for offer in _asked(calibration, use) if offer.sigma > 0)
 
 
-def _asked(calibration: Calibration, use: Use) -> list[Offer]:
+def _asked(calibration: Calibration, use: Use) -> list[Achieved]:
     return [offer for offer in offers(calibration) if offer.quantity in use.needs]
 
 
@@ -228,7 +228,7 @@ _SAME_CONDITIONS = (
 )
 
 
-def _need(calibration: Calibration, offer: Offer, use: Use) -> Need:
+def _need(calibration: Calibration, offer: Achieved, use: Use) -> Need:
     quantity, needed = QUANTITIES[offer.quantity], use.needs[offer.quantity]
     floor = _floor(calibration, offer.quantity, use)
     counted = _within(calibration, offer) if offer.quantity in TURN_ON else float(np.hypot(offer.sigma, floor))
@@ -250,14 +250,14 @@ def _floor(calibration: Calibration, quantity: str, use: Use) -> float:
     return 0.0 if of_several or use.name == GENERAL else BETWEEN_RECORDINGS.get(quantity, 0.0)
 
 
-def _within(calibration: Calibration, offer: Offer) -> float:
+def _within(calibration: Calibration, offer: Achieved) -> float:
     """Return the sigma without what changes from recording to recording, in the next one and in the mean of all."""
     trust = calibration.assessment.trust
     between = trust.between.get(offer.quantity, 0.0) ** 2 * (1 + 1 / max(trust.recordings, 1))
     return float(np.sqrt(max(offer.sigma**2 - _ROUNDING * between, 0.0)))
 
 
-def _cure(calibration: Calibration, offer: Offer, needed: float) -> str:
+def _cure(calibration: Calibration, offer: Achieved, needed: float) -> str:
     fit, part = calibration.assessment.camera_imu, offer.part
     if not offer.held and min(offer.sigma, _within(calibration, offer)) < needed:
         return _MEASURE_IT if offer.sigma <= needed else _SAME_CONDITIONS
@@ -285,7 +285,7 @@ def number_words(number: float) -> str:
     return f"{number:.2g}" if abs(number) < 100 else f"{number:.0f}"
 
 
-def _more_attitudes(calibration: Calibration, offer: Offer, needed: float) -> str:
+def _more_attitudes(calibration: Calibration, offer: Achieved, needed: float) -> str:
     """Say how many more rests would do, where so many can be asked of a person."""
     rests = calibration.assessment.intervals_used
     more = int(np.ceil(rests * ((offer.sigma / needed) ** 2 - 1)))
@@ -310,12 +310,12 @@ def judged(calibration: Calibration, use: Use | None) -> Calibration:
         _regraded(f, "problem" if serious else "info") for f in general.findings if f.code not in (*_PRECISION, CHANGED)
     ]
     changed = change_findings(general.trust.changes, use)
-    findings = worst_first(
+    findings = merge_by_cause(
         [*kept, *changed, *_imprecise(found, use), *_not_estimated(asked, use), *_turn_on(calibration, asked, use)]
     )
     verdict = verdict_of(findings)
     if verdict != general.verdict:
-        findings = worst_first([*findings, _why(general, verdict, use)])
+        findings = merge_by_cause([*findings, _why(general, verdict, use)])
     assessment = replace(
         general,
         verdict=verdict,
@@ -361,7 +361,7 @@ def _with_floor(need: Need) -> str:
     return f", with the {number_words(need.floor)} that one recording cannot know {both}"
 
 
-def _turn_on(calibration: Calibration, asked: list[Offer], use: Use) -> Iterator[Finding]:
+def _turn_on(calibration: Calibration, asked: list[Achieved], use: Use) -> Iterator[Finding]:
     """Say which biases are known less well at the next switching-on than a use needs; it has to follow them."""
     trust = calibration.assessment.trust
     parts_of_it: list[str] = []
@@ -375,7 +375,7 @@ def _turn_on(calibration: Calibration, asked: list[Offer], use: Use) -> Iterator
         yield make_finding("use-turn-on", name=use.name, source=source, parts_of_it=", ".join(parts_of_it))
 
 
-def _not_estimated(asked: list[Offer], use: Use) -> Iterator[Finding]:
+def _not_estimated(asked: list[Achieved], use: Use) -> Iterator[Finding]:
     missing = [offer.words for offer in asked if not offer.sigma > 0]
     if missing:
         yield make_finding("use-not-estimated", name=use.name, missing=", the ".join(missing))
@@ -408,7 +408,7 @@ def _general(calibration: Calibration) -> Assessment:
         if finding.code not in (*_USE, CHANGED)
     ]
     kept += change_findings(assessment.trust.changes, None)
-    findings = worst_first([*kept, *general_precision(calibration)])
+    findings = merge_by_cause([*kept, *general_precision(calibration)])
     return replace(
         assessment,
         verdict=verdict_of(findings),

@@ -15,8 +15,7 @@ from .imu_tables import rms
 from .pose_tables import PoseEvidence, RestingGyroscope
 from .resting_gyroscope import gyroscope_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
-from .trust_findings import trust_note
-from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
+from .verdict import SEVERITIES, graded, gravity_findings, merge_by_cause, trust_note, verdict_of
 
 _AXES = "xyz"
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
@@ -57,7 +56,7 @@ def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Asses
         *triad_trust_findings([(evidence.trust, evidence.fit)]),
         *_convergence(evidence),
     ]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,
@@ -90,7 +89,7 @@ def assess_published(
         *left_out_findings(table, left_out),
         *gravity_findings(gravity),
     ]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,

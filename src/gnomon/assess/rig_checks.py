@@ -17,12 +17,11 @@ from ..models.target import Target
 from ..recording import CameraFrames, Floats, ImuSamples, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .board_turn import BoardTurns, board_move, moved_finding
-from .causes import causes_first
 from .clock_drift import look_at_drift
 from .imu_verdict import axis_findings
-from .rig_axes import AxesFit, accelerometer_axes, gyroscope_axes
-from .rig_frames import FrameTimes, frame_times
+from .rig_axes import AxesFit, FrameTimes, accelerometer_axes, frame_times, gyroscope_axes
 from .rig_lens import check_lens
+from .verdict import merge_by_cause
 
 _EXPLAINED, _GYRO_EXPLAINED = 0.9, 0.8
 _MIRRORED = 2.0  # times as much as a mirror leaves, what a rotation leaves
@@ -48,7 +47,7 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
     for name, samples in others:
         found = _beside(name, samples, guide, target, lens=False)
         findings += [about(name, finding) for finding in found if finding.code in _OF_AN_IMU]
-    return causes_first(findings)
+    return merge_by_cause(findings)
 
 
 _OF_AN_IMU = frozenset(

@@ -16,11 +16,9 @@ from ..images import Frame, Grey, ImageRecording, ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
 from ..recording import FrameQuality, ImuSamples, Integers, Recording
-from .camera_checks import all_stamps, beside, check_cameras, check_common_time, check_rhythm, imu_stamps
-from .cameras_checks import check_views
+from .camera_checks import all_stamps, beside, check_cameras, check_common_time, check_rhythm, check_views, imu_stamps
 from .clock_checks import check_clocks, check_epochs
-from .image_checks import Sight, boxes, check_quality, check_sight
-from .image_samples import ImageLook, check_looks, check_sizes, look_at
+from .image_checks import ImageLook, Sight, boxes, check_looks, check_quality, check_sight, check_sizes, look_at
 from .motion_checks import check_moving_imu
 from .rig_checks import check_recording_rig
 

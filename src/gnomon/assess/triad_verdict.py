@@ -10,8 +10,7 @@ from ..estimate.triads.triad_trust import together
 from ..estimate.trust.cluster_trust import Trusted
 from ..findings import Finding, make_finding
 from ..recording import Floats
-from .bias_findings import bias_findings
-from .trust_findings import model_incomplete, parts_disagree
+from .verdict import bias_findings, model_incomplete, parts_disagree
 
 _BEYOND_NOISE = 3.0  # times the noise of a mean, from where the noise is not the story
 _SCATTER_WARN = 2e-3  # of the magnitude

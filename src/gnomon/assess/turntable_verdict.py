@@ -14,9 +14,8 @@ from ..trust import TrustNote
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .imu_verdict import axis_findings, convergence_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, triad_trust_findings
-from .trust_findings import trust_note
 from .turntable_tables import TurntableEvidence, holdout_rms, turntable_trusts
-from .verdict import SEVERITIES, graded, gravity_findings, verdict_of, worst_first
+from .verdict import SEVERITIES, graded, gravity_findings, merge_by_cause, trust_note, verdict_of
 
 _RATE_WORTH = 2e-4  # what a video gives
 _SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, without that of the rates
@@ -69,7 +68,7 @@ def assess_turntable(
     found = evidence.fit.accelerometer
     if found is not None:
         findings += [*axis_findings(fit.sensitivity), *gravity_findings(evidence.gravity)]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,

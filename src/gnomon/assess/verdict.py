@@ -1,13 +1,242 @@
-"""What verdicts on calibrations of any kind have in common."""
+"""What verdicts on calibrations of any kind have in common: severity, verdict, trust, and which findings are causes.
+
+Findings are the consequence of a cause where it makes them by itself: a wrong spacing of the tags looks like a wrong
+size of the board, a clock that jumped like one that drifts. They are kept, as information that names the cause, and the
+cause takes over their severity.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from ..calibration import Gravity, Verdict
+from ..estimate.trust.cluster_trust import Instability
 from ..findings import Finding, Severity, make_finding
+from ..trust import SigmaRatio, Splits, Trust, TrustNote
 from ..units import STANDARD_GRAVITY_M_S2
-from .causes import SEVERITIES, causes_first
+
+SEVERITIES: dict[Severity, int] = {"problem": 0, "warning": 1, "info": 2, "good": 3}
+"""The worst first."""
+
+_LOUD = ("problem", "warning")
+
+_BENT = frozenset(
+    {
+        *("not-converged", "target-scale", "intrinsics-doubtful", "reprojection", "frames-left-out", "noise-differs"),
+        *("model-too-simple", "model-incomplete", "parts-disagree", "rotation-disagrees", "imprecise", "clock-drift"),
+        *("corners-outlying", "gyroscope-drift", "walk-differs", "need"),
+    }
+)
+"""What a camera-IMU estimation says when something does not fit, whatever it is."""
+
+_MISFIT = frozenset(
+    {
+        *("reprojection", "board-found", "board-bow", "board-aspect", "lens-uncertain", "views-left-out"),
+        *("corners-outlying", "holdout-reprojection", "parts-disagree", "not-converged", "baseline-uncertain"),
+    }
+)
+"""What a calibration of cameras alone says where the lens model is wrong."""
+
+_EXPLAINS: dict[str, frozenset[str]] = {
+    "stamps-unit": _BENT | {"streams-apart", "clock-drift"},
+    "triads-apart": _BENT | {"never-static", "rotations-left-out", "holdout-rotation", "rests-unsteady"},
+    "gravity-magnitude": frozenset({"attitudes", "always-static", "unit", "gravity-doubtful"}),
+    "axes-differ": _BENT | {"triads-apart"},
+    "axes-mirrored": _BENT | {"triads-apart"},
+    "samples-repeated": frozenset({"noise-differs", "jitter"}),
+    "jitter": frozenset({"time-repeated", "noise-differs", "gyroscope-drift", "frames-late", "triads-apart"}),
+    "saturation": frozenset(
+        {"rotations-left-out", "target-scale", "noise-differs", "parts-disagree", "board-moved", "frames-late"}
+    ),
+    "gaps": frozenset({"rotations-left-out"}),
+    "tag-spacing": (_BENT | {"distortion"}) - {"clock-drift"},
+    "rolling-shutter": (_BENT | {"frames-late", "board-moved", "triads-apart"}) - {"clock-drift"},
+    "distortion": (_BENT | {"frames-late", "board-moved", "triads-apart"}) - {"clock-drift"},
+    "frames-repeated": _BENT | {"frames-late", "triads-apart", "board-moved"},
+    "clock-jump": _BENT | {"frames-late", "triads-apart", "board-moved"},
+    "board-moved": _BENT | {"frames-late", "triads-apart"},
+    "frames-late": _BENT | {"triads-apart"},
+    "vibration": frozenset({"noise-differs", "model-incomplete", "parts-disagree", "rests-unsteady"}),
+    "rotation-one-axis": frozenset({"not-converged", "imprecise", "parts-disagree", "need"}),
+    "target-scale": frozenset({"model-incomplete", "parts-disagree"}),
+    "intrinsics-doubtful": frozenset({"model-incomplete", "parts-disagree", "target-scale", "reprojection"}),
+    "model-too-simple": frozenset({"model-incomplete", "parts-disagree"}),
+    "motion-slow": frozenset(
+        {
+            "rotation-disagrees",
+            "parts-disagree",
+            "model-incomplete",
+            "imprecise",
+            "rate-magnitude",
+            "need",
+        }
+    ),
+    "not-observable": frozenset(
+        {"uncertainty-accelerometer", "uncertainty-gyroscope", "holdout-accelerometer", "holdout-rotation", "imprecise"}
+    ),
+    "attitudes-alike": frozenset({"lens-uncertain", "not-converged", "parts-disagree", "holdout-reprojection"}),
+    "views-few": frozenset({"lens-uncertain", "not-converged", "holdout-reprojection", "baseline-uncertain"}),
+    "lens-model": _MISFIT,
+    "board-small": frozenset({"lens-uncertain", "image-coverage", "not-converged", "baseline-uncertain"}),
+    "image-coverage": frozenset({"lens-uncertain"}),
+    "parameter-changed": frozenset(
+        {
+            *("parts-disagree", "model-incomplete", "holdout-accelerometer", "holdout-rotation"),
+            *(
+                "rotations-left-out",
+                "uncertainty-accelerometer",
+                "uncertainty-gyroscope",
+                "beyond-noise",
+                "imprecise",
+                "lens-uncertain",
+            ),
+        }
+    ),
+    "accelerometer-drift": frozenset({"holdout-accelerometer", "beyond-noise", "model-incomplete", "parts-disagree"}),
+}
+"""Cause -> what it explains; causes in the order in which they are told, the most fundamental first."""
+
+_ORDER = {code: rank for rank, code in enumerate(_EXPLAINS)}
+_SYMPTOMS = frozenset().union(*_EXPLAINS.values()) - _EXPLAINS.keys()
+
+
+def merge_by_cause(findings: list[Finding]) -> tuple[Finding, ...]:
+    """Return findings by severity, causes before what follows from them, otherwise in their order."""
+    told = _explained(findings)
+    return tuple(sorted(told, key=lambda finding: (SEVERITIES[finding.severity], _rank(finding.code))))
+
+
+def _rank(code: str) -> int:
+    return _ORDER.get(code, len(_ORDER) + (code in _SYMPTOMS))
+
+
+def _explained(findings: list[Finding]) -> list[Finding]:
+    """Return findings of which those that follow from a cause are information, and the cause is as bad as they were."""
+    told = list(findings)
+    for cause in sorted({f.code for f in told if f.severity in _LOUD and f.code in _EXPLAINS}, key=_ORDER.__getitem__):
+        if not any(f.code == cause and f.severity in _LOUD for f in told):
+            continue  # another cause explains this one
+        follow = [k for k, f in enumerate(told) if f.severity in _LOUD and f.code in _EXPLAINS[cause]]
+        if not follow:
+            continue
+        worst: Severity = "problem" if any(told[k].severity == "problem" for k in follow) else "warning"
+        for k in follow:
+            told[k] = replace(
+                told[k], severity="info", consequence=f"It follows from: {cause}.", cure="", follows_from=cause
+            )
+        for k, finding in enumerate(told):
+            if finding.code == cause and SEVERITIES[worst] < SEVERITIES[finding.severity] < SEVERITIES["info"]:
+                told[k] = replace(finding, severity=worst)
+                break
+    return told
+
+
+_INCOMPLETE = 2.0
+"""Published sigma over that for independent errors from which on the model leaves something out."""
+
+_SHOWN = 3
+
+
+def trust_note(trust: Trust) -> TrustNote:
+    """Return what the calibration file keeps."""
+    clusters = trust.clusters
+    return TrustNote(
+        covariance="ordinary" if clusters is None else "cluster-robust",
+        clusters=0 if clusters is None else clusters.count,
+        cluster_s=0.0 if clusters is None else clusters.length_s,
+        sigma_ratio={entry.block: entry.ratio for entry in trust.ratios},
+        split_z=float("nan") if trust.splits is None else trust.splits.z_rms,
+    )
+
+
+def incomplete(trust: Trust) -> list[SigmaRatio]:
+    """Return the blocks whose errors are larger than independent errors would be, the worst first."""
+    wide = [entry for entry in trust.ratios if entry.ratio > _INCOMPLETE]
+    return sorted(wide, key=lambda entry: -entry.ratio) if trust.clusters is not None else []
+
+
+def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -> list[Finding]:
+    """Say where errors are larger than independent errors would be: the model leaves something out.
+
+    Parameters
+    ----------
+    trust : of a result
+    likely : what the residuals show to be missing, as parts of a sentence
+    cure : the next step
+    """
+    wide = incomplete(trust)
+    if not wide or trust.clusters is None:
+        return []
+    listed = ", ".join(f"{entry.block} {entry.ratio:.2g} times" for entry in wide[:_SHOWN])
+    more = f" and {len(wide) - _SHOWN} more" if len(wide) > _SHOWN else ""
+    missing = f" Likely missing: {'; '.join(likely)}." if likely else ""
+    return [
+        make_finding(
+            "model-incomplete/rig",
+            lasting=_lasting(trust.clusters.memory_s),
+            listed=listed,
+            more=more,
+            stretches=trust.clusters.count,
+            missing=missing,
+            cure=cure,
+        )
+    ]
+
+
+def _lasting(memory_s: float) -> str:
+    return f"Errors that last for {memory_s:.2g} s" if memory_s > 0 else "Errors of different size"
+
+
+def parts_disagree(splits: Splits | None, cure: str = "") -> list[Finding]:
+    """Say that parts of the recording contradict each other by more than their sigmas allow."""
+    if splits is None or splits.z_rms <= splits.limit:
+        return []
+    worst = max(splits.blocks, key=lambda entry: entry.z_rms)
+    return [
+        make_finding(
+            "parts-disagree",
+            splits=", ".join(splits.splits),
+            z_rms=splits.z_rms,
+            limit=splits.limit,
+            block=worst.block,
+            largest=worst.largest,
+            where=worst.where,
+            case="explained" if cure else "",
+            cure=cure,
+        )
+    ]
+
+
+_SHOWN_IN = {"accelerometer": "m/s^2", "gyroscope": "rad/s", "magnetometer": "of the field"}
+
+
+def bias_findings(instabilities: Sequence[Instability], per_si: Mapping[str, float]) -> list[Finding]:
+    """Say which biases differ between parts of the recording that follow each other, and by how much.
+
+    Parameters
+    ----------
+    instabilities : of the biases
+    per_si : triad -> its unit per SI unit
+    """
+    findings: list[Finding] = []
+    for one in instabilities:
+        if not one.proven:
+            continue
+        triad = one.block.split(".")[1]
+        scale = 1 / per_si[triad]
+        findings.append(
+            make_finding(
+                "bias-instability/recordings",
+                triad=triad,
+                moved=scale * one.size,
+                unit=_SHOWN_IN[triad],
+                where=one.where,
+                sigmas=one.size / one.sigma,
+            )
+        )
+    return findings
+
 
 _ON_EARTH_M_S2 = 9.76, 9.84
-
-__all__ = ["SEVERITIES", "graded", "gravity_findings", "verdict_of", "worst_first"]
 
 
 def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
@@ -21,11 +250,6 @@ def graded(value: float, warn: float, fail: float) -> Severity:
     return "problem" if not value <= fail else "warning" if value > warn else "good"
 
 
-def worst_first(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Return findings by severity, causes before what follows from them; see `causes`."""
-    return causes_first(findings)
-
-
 def gravity_findings(gravity: Gravity) -> list[Finding]:
     """Say aloud what was taken for gravity."""
     relative = gravity.sigma / gravity.value
@@ -33,7 +257,7 @@ def gravity_findings(gravity: Gravity) -> list[Finding]:
     if not least - gravity.sigma < gravity.value < most + gravity.sigma:
         return [
             make_finding(
-                "gravity/assumed",
+                "gravity/implausible",
                 gravity=gravity.value,
                 source=gravity.source,
                 least=least,
@@ -45,6 +269,6 @@ def gravity_findings(gravity: Gravity) -> list[Finding]:
         return [make_finding("gravity/known", gravity=gravity.value, source=gravity.source)]
     return [
         make_finding(
-            "gravity/implausible", gravity=gravity.value, sigma=gravity.sigma, source=gravity.source, relative=relative
+            "gravity/assumed", gravity=gravity.value, sigma=gravity.sigma, source=gravity.source, relative=relative
         )
     ]

@@ -14,10 +14,9 @@ from ..assess.added_findings import added_findings, delays_found, out_of_order, 
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
 from ..assess.changes import with_changes
-from ..assess.early_findings import judged_again
-from ..assess.likely_missing import likely_missing
+from ..assess.early_findings import judged_again, unmodelled_effects
 from ..assess.prior_findings import prior_used
-from ..assess.trust_findings import incomplete, model_incomplete, parts_disagree, trust_note
+from ..assess.verdict import incomplete, model_incomplete, parts_disagree, trust_note
 from ..assess.weak_findings import camera_imu_weak
 from ..calibration import Calibration, Covariance, Provenance, covariance_names
 from ..diagnostics import Result
@@ -136,7 +135,7 @@ def _calibrated(
     weak = camera_imu_weak(result, certain, described.parameters, solution.state.trajectory.grid.duration_s)
     trust = replace(recording_trust(result, certain), weak=weak, models=chosen.steps)
     diagnostics = replace(described, trust=trust)
-    likely = likely_missing(solution, described.signals) if incomplete(trust) else []
+    likely = unmodelled_effects(solution, described.signals) if incomplete(trust) else []
     found_arms = options.model == "auto" and chosen.arms_told
     took_up = added_findings(
         chosen.added, start, solution.state.parameters, board_told=chosen.board_told, arms_told=found_arms

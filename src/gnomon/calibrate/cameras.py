@@ -11,13 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
+from ..assess.camera_checks import check_views
 from ..assess.camera_synchronism import JointResiduals, check_synchronism
-from ..assess.cameras_checks import check_views
+from ..assess.camera_views import without_copies
 from ..assess.cameras_tables import CamerasEvidence, LensOpinion, describe
 from ..assess.cameras_verdict import assess
 from ..assess.changes import with_changes
-from ..assess.copied_views import without_copies
-from ..assess.trust_findings import trust_note
+from ..assess.verdict import trust_note
 from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
 from ..camera_options import CameraOptions
 from ..diagnostics import Result

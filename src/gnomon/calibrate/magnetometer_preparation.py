@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..assess.magnetometer_checks import check_field_samples
+from ..assess.doctor import check_field_samples
 from ..calibration import Calibration
 from ..detect.samples.repair import repaired
 from ..detect.samples.saturation import saturated

@@ -16,7 +16,7 @@ from ..assess.imu_tables import envelope
 from ..assess.noise_checks import check_length, check_samples, check_still
 from ..assess.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.noise_verdict import assess_noise
-from ..assess.verdict import verdict_of, worst_first
+from ..assess.verdict import merge_by_cause, verdict_of
 from ..calibration import Provenance
 from ..detect.samples.noise import averaging_time
 from ..detect.samples.rest import RestTable, RestWatch
@@ -97,7 +97,7 @@ def identify_noise(
     noise = {name: _triad_noise(curve, fits[name], steady[name]) for name, curve in curves.items()}
     t_init_s = _t_init(curves["gyroscope"]) if "gyroscope" in curves else nan
     findings += assess_noise(noise, fits, t_init_s)
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     stated = {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
     return NoiseResult(
         noise=SensorNoise(

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..assess.needs import judged, needs
 from ..assess.observability import HELD, known_of, weak_directions
-from ..assess.verdict import verdict_of, worst_first
+from ..assess.verdict import merge_by_cause, verdict_of
 from ..assess.weak_findings import weak_findings
 from ..calibration import Calibration
 from ..errors import GnomonError
@@ -213,7 +213,7 @@ def _predicted(
     held = tuple(
         name for name, size, prior in zip(known.names, sigma, known.prior_sigma, strict=True) if size > HELD * prior
     )
-    findings = worst_first(weak_findings(weak, with_camera=bool(found.cameras)))
+    findings = merge_by_cause(weak_findings(weak, with_camera=bool(found.cameras)))
     assessment = replace(found.assessment, findings=findings, verdict=verdict_of(findings), held_by_prior=held)
     return replace(found, assessment=assessment), weak
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.imu_verdict import axis_findings, convergence_findings, holdout_findings, unit_findings
-from ..assess.verdict import gravity_findings, verdict_of, worst_first
+from ..assess.verdict import gravity_findings, merge_by_cause, verdict_of
 from ..calibration import (
     Assessment,
     Calibration,
@@ -131,7 +131,7 @@ def _assess(
         make_finding("preset", preset=preset),
         *convergence_findings(converged),
     ]
-    ordered = worst_first(findings)
+    ordered = merge_by_cause(findings)
     return Assessment(
         verdict=verdict_of(ordered),
         findings=ordered,

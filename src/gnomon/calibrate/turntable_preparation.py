@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..assess.signals import check_signal
-from ..assess.stamps import check_stamps
+from ..assess.signals import check_signal, check_stamps
 from ..detect.samples.repair import repaired
 from ..detect.samples.saturation import saturated
 from ..detect.samples.steady import block_samples, find_steady, largest_rate

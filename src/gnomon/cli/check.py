@@ -66,8 +66,7 @@ class Check(Command):
 
 
 def _check_imu(command: Check, terminal: Terminal) -> int:
-    from ..assess.doctor import check
-    from ..assess.magnetometer_checks import check_magnetometers
+    from ..assess.doctor import check, check_magnetometers
     from ..readers import read
 
     source = command.recording
