@@ -308,15 +308,15 @@ class Calibration:
         """Return the same calibration with the origin of each IMU at another point, its covariance too.
 
         Only a calibration with lever arms changes. It is exact but for the gyroscope's g-sensitivity, which acts on the
-        specific force at the body's origin: two places a centimetre apart differ by 1e-5 rad/s there. What weighs the
-        accelerometers in p* is the motion, which the covariance takes for exact: a trajectory is known to a thousandth.
+        specific force at the body's origin: two places a centimetre apart differ by 1e-5 rad/s there. The weights of
+        the accelerometers in p* are stated numbers, which the covariance takes for exact.
 
         Parameters
         ----------
         origin : "optimal", the point whose place is known best (p*); the accelerometer "x", "y" or "z"; a place from
             the x accelerometer in the IMU's axes, such as "0.010,0,-0.005" [m]; or the `origin` of an IMU of another
-            calibration, whose motion then weighs the accelerometers. Without it that of this calibration does, where it
-            is known; else p* is that of a motion alike about all axes
+            calibration, whose weights of the accelerometers then count. Without it those of this calibration do, where
+            they are known; else p* is that of a motion alike about all axes
 
         Raises
         ------

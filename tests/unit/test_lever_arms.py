@@ -266,10 +266,14 @@ def test_the_default_is_of_the_point_that_it_names(recorded, origin):
     if origin == "optimal":
         assert sigma.max() < 5e-4
         assert np.abs(truth.parameter("cam0.T_cam_imu.translation")
-                      - recorded.truth.parameter("cam0.T_cam_imu.translation")).max() < 2e-4  # fmt: skip
+                      - recorded.truth.parameter("cam0.T_cam_imu.translation")).max() < 1e-3  # fmt: skip
     else:
         assert sigma.max() > 1e-3
-        best = found.with_origin("optimal")
+        best, default = found.with_origin("optimal"), calibrated(recorded, model="auto", gravity=9.80665)
+        np.testing.assert_allclose(best.parameter("cam0.T_cam_imu.translation"),
+                                   default.parameter("cam0.T_cam_imu.translation"), rtol=0, atol=1e-4)  # fmt: skip
+        np.testing.assert_allclose(best.sigma("cam0.T_cam_imu.translation"),
+                                   default.sigma("cam0.T_cam_imu.translation"), rtol=0.1)  # fmt: skip
         assert best.sigma("cam0.T_cam_imu.translation").max() < 5e-4
         back = best.with_origin(origin)
         np.testing.assert_allclose(back.uncertainty.matrix, found.uncertainty.matrix, rtol=1e-6, atol=1e-13)
@@ -299,7 +303,9 @@ def test_compare_says_what_it_cannot_move(recorded, camera_calibration):
     compared = gnomon.compare(found, plain, names=["arms", "plain"])
     assert "lever-arms-in-some" in {finding.code for finding in compared.findings}
     translation = next(one for one in compared.differences if one.path == "cam0.translation")
-    assert np.linalg.norm(translation.values) < 0.3 * np.linalg.norm(PLACES, axis=1).max()
+    assert np.linalg.norm(translation.values) < 1e-4 < 0.01 * np.linalg.norm(PLACES, axis=1).max()
+    for path in ("cam0.T_cam_imu.translation",):  # the point of the default is that of the model with one place
+        assert np.linalg.norm(found.parameter(path) - plain.parameter(path)) < 2e-4
     imu = plain.imus["imu0"]
     other = replace(
         imu, origin=Origin(point="optimal", weights=np.array([np.eye(3), np.zeros((3, 3)), np.zeros((3, 3))]))
@@ -387,22 +393,35 @@ def test_report_and_screen_show_the_point(recorded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size_mm", [0, 2, 10, 20])
+@pytest.mark.parametrize("size_mm", [0, 10, 2, 20])
 def test_errors_at_p_star_are_what_their_sigmas_say(size_mm):
-    """z of t over recordings of 30 s; GNOMON_STUDY scales their number (50)."""
-    z = []
+    """z of t over recordings of 15 s, by default and with one place for all; GNOMON_STUDY scales their number (50).
+
+    A model with one place for all accelerometers is at its p* by its nature; its sigmas hold what it leaves out, too.
+    """
+    path = "cam0.T_cam_imu.translation"
+    z: dict[str, list[np.ndarray]] = {"auto": [], "full": []}
+    ratio, apart_mm = [], []
     for seed in range(max(6, round(50 * float(os.environ.get("GNOMON_STUDY", "1"))))):
         arms = np.random.default_rng((seed, 1)).normal(size=6)
         arms *= 1e-3 * size_mm / np.sqrt(np.mean(arms**2))
-        scenario = CameraImuScenario(duration_s=30.0, accelerometer_arms_m=tuple(arms) if size_mm else ())
+        scenario = CameraImuScenario(duration_s=15.0, accelerometer_arms_m=tuple(arms) if size_mm else ())
         simulation = simulate_camera_imu(scenario, 400 + seed)
-        found = calibrated(simulation, model="auto", gravity=9.80665)
-        truth = simulation.truth.with_origin(found.imus["imu0"].origin)
-        path = "cam0.T_cam_imu.translation"
-        z.append((found.parameter(path) - truth.parameter(path)) / found.sigma(path))
-    rms = float(np.sqrt(np.mean(np.square(z))))
-    print(f"\narms of {size_mm} mm: z rms of t {rms:.3f}, {np.size(z)} scalars")
-    assert abs(rms - 1) < max(0.1, 2.5 / np.sqrt(2 * np.size(z)))
+        found = {model: calibrated(simulation, model=model, gravity=9.80665) for model in z}
+        for model, one in found.items():
+            truth = simulation.truth.with_origin(one.imus["imu0"].origin)
+            z[model].append((one.parameter(path) - truth.parameter(path)) / one.sigma(path))
+        ratio.append(found["auto"].sigma(path) / found["full"].sigma(path))
+        there = found["auto"].with_origin(found["full"].imus["imu0"].origin)
+        apart_mm.append(1e3 * (there.parameter(path) - found["full"].parameter(path)))
+    rms = {model: float(np.sqrt(np.mean(np.square(values)))) for model, values in z.items()}
+    told = f"{np.mean(ratio):.3f}, {np.min(ratio):.3f} to {np.max(ratio):.3f}"
+    print(f"\narms of {size_mm} mm: z rms of t {rms}, {np.size(z['auto'])} scalars; sigma, auto by full: mean {told}; "
+          f"apart {np.std(apart_mm):.3f} mm")  # fmt: skip
+    assert abs(rms["auto"] - 1) < max(0.1, 2.5 / np.sqrt(2 * len(ratio) * 3))
+    assert rms["full"] < 1.1
+    if not size_mm:
+        assert abs(np.mean(ratio) - 1) < 0.05
 
 
 def test_show_names_the_origin(camera_calibration):

@@ -132,14 +132,16 @@ _SIGNIFICANT = 3.0  # sigmas
 _CHIP_M = 0.01
 _MATTERS_M = 1e-4
 _OFF_P_STAR = 0.3
-"""Share of a lever arm by which a model with one place was seen to be off p*."""
+"""Share of a lever arm by which a model with one place may be off the p* of another recording or program,"""
+_OFF_OWN = 0.01
+"""and off that which its own estimate tells."""
 
 
 def at_common_origins(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates, all in one body frame, with the origin of each IMU at one point as far as that is known.
 
-    It is the p* of one with one place for all accelerometers, which cannot be moved; else of the first whose motion is
-    known; else that of a motion alike about all axes.
+    It is the p* of one with one place for all accelerometers, which cannot be moved; else of the first that states
+    its own; else that of a motion alike about all axes.
     """
     origins = {name: _common(candidates, name) for one in candidates for name in one.imus}
     return [_at(one, origins) for one in candidates]
@@ -184,12 +186,13 @@ def origin_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
         having = {one.name: longest for one in held if (longest := _longest(one, imu)) > 0}
         if having and rest:
             most = max(having.values())
+            share = _OFF_P_STAR if any(_weights(one, imu) is None for one in rest) else _OFF_OWN
             yield make_finding(
                 "lever-arms-in-some",
                 having=listed(list(having)),
                 imu=imu,
                 rest=listed([one.name for one in rest]),
-                off_mm=1e3 * _OFF_P_STAR * most,
+                off_mm=1e3 * share * most,
             )
         for first, second in combinations(rest, 2):
             apart = _points_apart(first, second, imu)
@@ -212,8 +215,13 @@ def _longest(one: Candidate, imu: str) -> float:
 
 def _points_apart(first: Candidate, second: Candidate, imu: str) -> float:
     """Return how far the points of two motions are apart, of accelerometers at random 10 mm from each other [m]."""
-    origins = [one.imus[imu].origin for one in (first, second)]
-    weights = [None if origin is None else origin.weights for origin in origins]
+    weights = [_weights(one, imu) for one in (first, second)]
     if weights[0] is None or weights[1] is None:
         return 0.0
     return float(_CHIP_M * np.linalg.norm(weights[0] - weights[1]) / np.sqrt(3))
+
+
+def _weights(one: Candidate, imu: str) -> Floats | None:
+    """Return what p* of an IMU is made of, where that is known."""
+    origin = one.imus[imu].origin
+    return None if origin is None else origin.weights

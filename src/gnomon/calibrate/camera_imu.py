@@ -3,7 +3,7 @@
 prepare -> find the board's poses -> align clocks and axes -> first trajectory -> batch estimation -> assess -> Result
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +21,17 @@ from ..assess.weak_findings import camera_imu_weak
 from ..calibration import Calibration, Covariance, Provenance, covariance_names
 from ..diagnostics import Result
 from ..errors import InitialisationError, SolveError
+from ..estimate.camera_imu.choices import choices
 from ..estimate.camera_imu.first_guess import imu_stream, looks
+from ..estimate.camera_imu.layout import Status
+from ..estimate.camera_imu.origin import moved_to_origins, single_place_origins
 from ..estimate.camera_imu.other_imus import aligned_beside
 from ..estimate.camera_imu.publish import published
 from ..estimate.camera_imu.recording_trust import recording_trust
+from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.uncertainty import Uncertainty, uncertainty, with_detector_scale
 from ..evidence import Priors, refuse_own_data
+from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
@@ -115,6 +120,7 @@ def _calibrated(
         solution.state.parameters,
         detectors,
     )
+    solution, certain = _with_origins(solution, certain, choices(start, options).status)
     basic, uncompared = basic_model(start, solution, options, tell)
     tell("assessing the result")
     result = published(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
@@ -174,6 +180,22 @@ def _calibrated(
         ),
     )
     return Result(calibration=with_changes(calibration, trust), diagnostics=diagnostics)
+
+
+def _with_origins(
+    solution: Solution, certain: Uncertainty, status: Mapping[str, Status]
+) -> tuple[Solution, Uncertainty]:
+    """Return the estimate with the origin of each IMU at p*, unless another one, or a translation, was stated."""
+    stated = any(kind != "estimated" for name, kind in status.items() if ".translation[" in name)
+    wanted = [
+        replace(imu.origin, weights=best.weights)
+        if imu.origin.point != "optimal"
+        else replace(imu.origin, weights=EVEN_WEIGHTS)
+        if stated
+        else best
+        for imu, best in zip(solution.state.parameters.imus, single_place_origins(solution), strict=True)
+    ]
+    return moved_to_origins(solution, certain, wanted)
 
 
 def _delay_sigmas(found: Uncertainty) -> dict[int, float]:

@@ -17,7 +17,6 @@ from ..estimate.camera_imu.inertial_data import on_trajectory, triads
 from ..estimate.camera_imu.initial_trajectory import MARGIN_S
 from ..estimate.camera_imu.knots import knots_per_s
 from ..estimate.camera_imu.layout import Status, layout
-from ..estimate.camera_imu.origin import with_weighed_origin
 from ..estimate.camera_imu.other_imus import Beside, first_imu, with_stated_pose
 from ..estimate.camera_imu.parameters import ImuParameters, Parameters
 from ..estimate.camera_imu.solution import GATE, Solution, solved
@@ -74,7 +73,6 @@ def estimated(
         state = first_state(found, parameters, rig.streams[0], knots, order=options.spline_order, others=biases)
         if solution is None:
             _check_origin(options, choices(state.parameters, options).status)
-            state = _with_origins(state, rig.streams)
             start = parameters = state.parameters
         chosen = choices(state.parameters, options)
         origin = _with_gravity(start, state.parameters)
@@ -165,13 +163,6 @@ def _check_origin(options: CameraImuOptions, status: dict[str, Status]) -> None:
         "T_cam_imu can be of. Let their lever arms be estimated (--model auto, or --free imu0.lever_arms), or leave "
         "--origin out."
     )
-
-
-def _with_origins(state: State, streams: Sequence[ImuStream]) -> State:
-    """Return the state with the origins of the IMUs where their motion puts them."""
-    grid, pairs = state.trajectory.grid, zip(state.parameters.imus, streams, strict=True)
-    imus = tuple(with_weighed_origin(imu, stream, grid) for imu, stream in pairs)
-    return replace(state, parameters=replace(state.parameters, imus=imus))
 
 
 def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dict[str, Status]) -> Measurements:

@@ -1,13 +1,15 @@
 """The point of an IMU to which its poses refer, where its three accelerometers sit at different places.
 
-With B = [alpha]x + [omega]x^2, accelerometer k at r_k feels row k of B r_k more than one at the origin. A model with
-one place for all three takes the p that minimises sum_k E[(b_k' (r_k - p))^2] / sigma_k^2, b_k the row k of B:
+A model with one place for all three, fitted to accelerometers at r_k, puts the IMU at a point between them, linear in
+the r_k:
 
-    p* = (sum_k M_k)^-1 sum_k M_k r_k = sum_k W_k r_k,    M_k = E[b_k b_k'] / sigma_k^2,    sum_k W_k = 1.
+    p* = sum_k W_k r_k,    sum_k W_k = 1
 
-At p* a translation is as well known as by such a model, whether or not the places differ. The place of an accelerometer
-along
-its own axis acts through omega^2 alone: the place of a single accelerometer is known far worse.
+It is the point whose place does not move with the lever arms a: with the covariance of the model that has them, the
+regression of T_cam_imu on a vanishes there, Sigma_ta Sigma_aa^-1 = 0. So at p* a translation is as well known as by the
+model with one place, whether or not the places differ, and whatever is known of the arms beforehand
+(`estimate.camera_imu.origin`). The place of an accelerometer along its own axis acts through omega^2 alone: the place
+of a single accelerometer is known far worse.
 """
 
 from dataclasses import dataclass, replace
@@ -43,9 +45,9 @@ class Origin:
 
     Attributes
     ----------
-    point : "optimal", p* of the motion, of which `weights` tells; "x", "y" or "z", that accelerometer; "place",
+    point : "optimal", p*, of which `weights` tells; "x", "y" or "z", that accelerometer; "place",
         `place_m` from the x accelerometer
-    weights : (3, 3, 3) W_k of p* = sum_k W_k r_k, IMU's axes; None where the motion is not known
+    weights : (3, 3, 3) W_k of p* = sum_k W_k r_k, IMU's axes; None where they are not known
     place_m : (3,) from the x accelerometer to the point "place", IMU's axes [m]; zero for the others
     """
 
@@ -117,9 +119,12 @@ class Origin:
 
 
 def single_point_weights(omega: Floats, alpha: Floats) -> Floats:
-    """Return the W_k (3, 3, 3) of the point p* = sum_k W_k r_k that a model with one place for all three takes.
+    """Return the W_k (3, 3, 3) of p* = sum_k W_k r_k as the motion alone tells them, without an estimate.
 
-    The accelerometers are weighed alike. Where the motion tells nothing of a direction, it is that of `EVEN_WEIGHTS`.
+    With B = [alpha]x + [omega]x^2, accelerometer k at r_k feels row k of B r_k more than one at the origin. One place
+    for all three that minimises sum_k E[(b_k' (r_k - p))^2], b_k the row k of B, all weighed alike, has W_k = (sum_k
+    M_k)^-1 M_k, M_k = E[b_k b_k']. What is estimated beside the place moves p* by up to a third of the arms' length.
+    Where the motion tells nothing of a direction, the weights are those of `EVEN_WEIGHTS`.
 
     Parameters
     ----------

@@ -99,8 +99,8 @@ _LEVER_ARMS = """\
 _ORIGIN = """\
 #
 # Origin: which point of an IMU T_cam_imu and T_imu_body refer to. point: optimal is p* = W_x r_x + W_y r_y + W_z r_z of
-# the places r of its x, y and z accelerometers, weighed as the motion of the recording tells them (`weights`): the
-# point whose place is known best, and near which a model with one place for all three finds it. x, y, z: that
+# the places r of its x, y and z accelerometers, with the `weights` of this recording: the point whose place is known
+# best, since it does not depend on where they sit, and which a model with one place for all three finds. x, y, z: that
 # accelerometer; place: place_m from the x accelerometer, in m. Python's with_origin moves to another point.
 #
 """
