@@ -20,7 +20,7 @@ from .errors import OptionError
 from .estimate.triads.triad_poses import TriadPrior
 from .models.frames import frame_rotation
 from .options import stated_prior
-from .recording import Floats, Integers, Source, recorded_hashes
+from .recording import Floats, Integers, Source, shared_sources
 from .units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
 TRIADS = {"accelerometer": slice(0, 12), "gyroscope": slice(12, 33), "magnetometer": slice(33, 45)}
@@ -175,13 +175,12 @@ def refuse_own_data(prior: Priors, sources: Collection[Source], triads: Collecti
     """
     priors = () if prior is None else (prior,) if isinstance(prior, Calibration) else tuple(prior)
     for one in priors:
-        shared = recorded_hashes(one.provenance.inputs) & recorded_hashes(sources)
+        shared = shared_sources(sources, one.provenance.inputs)
         told = any(getattr(imu, triad) is not None for imu in one.imus.values() for triad in triads)
         if shared and told:
-            name = next(source.name for source in sources if source.sha256 in shared)
             raise OptionError(
-                f"--prior holds a calibration that was made from {name}, the very recording that is calibrated: its "
-                "measurements would count twice. Leave it out, or give one that was made from another recording."
+                f"--prior holds a calibration that was made from {shared[0].name}, the very recording that is "
+                "calibrated: its measurements would count twice. Leave it out, or give one made from another recording."
             )
 
 

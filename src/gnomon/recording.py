@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import RecordingError
 from .findings import Finding
+from .fingerprint import alike, fingerprint
 from .frozen import FrozenMapping
 from .models.camera import Camera
 from .models.noise import ImuNoise
@@ -340,10 +341,18 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """A file that was read: its name without folder, and the SHA-256 of its bytes."""
+    """A file that was read.
+
+    Attributes
+    ----------
+    name : without folder
+    sha256 : of its bytes
+    samples : fingerprints of what a recording holds, with its first file: in another format they are the same
+    """
 
     name: str
     sha256: str
+    samples: tuple[str, ...] = ()
 
 
 _SETTINGS = (".yaml", ".yml")
@@ -352,6 +361,17 @@ _SETTINGS = (".yaml", ".yml")
 def recorded_hashes(sources: Collection[Source]) -> frozenset[str]:
     """Return the hashes of the files that hold what was measured; settings are the same in many recordings."""
     return frozenset(source.sha256 for source in sources if not source.name.lower().endswith(_SETTINGS))
+
+
+def shared_sources(first: Collection[Source], second: Collection[Source]) -> tuple[Source, ...]:
+    """Return the files of one recording that another holds, too, or whose measurements it holds in another format."""
+    hashes = recorded_hashes(first) & recorded_hashes(second)
+    known = [other for source in second for other in source.samples]
+    return tuple(
+        source
+        for source in first
+        if source.sha256 in hashes or any(alike(one, other) for one in source.samples for other in known)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -382,6 +402,15 @@ class Recording:
     def __post_init__(self) -> None:
         object.__setattr__(self, "imus", FrozenMapping(self.imus))
         object.__setattr__(self, "cameras", FrozenMapping(self.cameras))
+        if self.sources and not any(source.samples for source in self.sources):
+            first = replace(self.sources[0], samples=self._fingerprints())
+            object.__setattr__(self, "sources", (first, *self.sources[1:]))
+
+    def _fingerprints(self) -> tuple[str, ...]:
+        imus = [imu.accelerometer if len(imu.accelerometer) else imu.gyroscope for imu in self.imus.values()]
+        fields = [imu.magnetometer for imu in self.imus.values() if imu.magnetometer is not None]
+        series = [triad.values for triad in (*imus, *fields)] + [frames.pixels for frames in self.cameras.values()]
+        return tuple(one for one in map(fingerprint, series) if one)
 
     @classmethod
     def from_arrays(cls, t_s: ArrayLike, gyro: ArrayLike, accel: ArrayLike, units: str | Units = "si") -> Self:

@@ -1,6 +1,7 @@
 """The same data twice: in one file, in two recordings, as a prior, as a lens."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import gnomon
 from gnomon.assess.signals import check_signal
 from gnomon.detect.samples.repeats import repeated_stretches
 from gnomon.errors import OptionError, RecordingError
+from gnomon.fingerprint import alike, fingerprint
 from gnomon.recording import Recording, Source, TriadSamples
 
 OPTIONS = gnomon.ImuOptions(gravity=9.80665)
@@ -111,3 +113,32 @@ def test_a_prior_from_the_very_recording_is_refused(simulated):
     other = replace(simulated, sources=(settings,))
     of_other = replace(found, provenance=replace(found.provenance, inputs=(settings,)))
     assert gnomon.calibrate_imu(other, OPTIONS, prior=of_other).calibration.verdict != "fail"
+
+
+def test_a_recording_in_another_format_is_known_again(simulated, tmp_path):
+    """As text with six digits, in other units and without the last row, against the arrays themselves."""
+    imu = simulated.imus["imu0"]
+    t_s, rate, force = imu.gyroscope.t_s, imu.gyroscope.values, imu.accelerometer.values
+    rows = np.column_stack([t_s, np.degrees(rate), force / 9.80665])[:-1]
+    np.savetxt(tmp_path / "r.csv", rows, fmt="%.6g", delimiter=",", header="t,gx,gy,gz,ax,ay,az", comments="")
+    text = gnomon.read(tmp_path / "r.csv", units="g deg/s")
+    arrays = Recording.from_arrays(t_s, rate, force)
+    with pytest.raises(RecordingError, match="are the same measurements"):
+        gnomon.calibrate_imu([arrays, text], OPTIONS)
+    found = gnomon.calibrate_imu(arrays, OPTIONS).calibration
+    gnomon.save(found, tmp_path / "calibration.yaml")
+    with pytest.raises(OptionError, match="the very recording"):
+        gnomon.calibrate_imu(text, OPTIONS, prior=gnomon.load(tmp_path / "calibration.yaml"))
+
+
+def test_other_recordings_have_other_fingerprints():
+    """Of one sensor on one programme, at rest and coarsely quantised, too."""
+    rng = np.random.default_rng(1)
+    programme = np.sin(np.linspace(0, 40, 4000))[:, None] * [1.0, 2.0, 3.0]
+    series = [programme + 0.05 * rng.standard_normal((4000, 3)) for _ in range(6)]
+    series += [np.round(rng.standard_normal((4000, 3)) / step) * step for step in (0.1, 1.0, 4.0) for _ in range(6)]
+    prints = [fingerprint(values) for values in series]
+    assert all(prints[:12])
+    assert not any(alike(a, b) for a, b in combinations(prints, 2))
+    assert fingerprint(np.zeros((500, 3))) == ""
+    assert not alike("xyz", "xyz")

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import FormatError, OptionError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from ..recording import Floats, Integers, frozen_array, recorded_hashes
+from ..recording import Floats, Integers, frozen_array, recorded_hashes, shared_sources
 from .candidates import FRAME, Candidate, in_common_frame
 from .comparison import (
     UNJUDGED,
@@ -102,10 +102,12 @@ def _check_number(candidates: Sequence[Candidate]) -> None:
 
 def _of_one_occasion(candidates: Sequence[Candidate]) -> frozenset[str]:
     """Return those that are of one recording each, and share it with none of the others."""
-    hashes = {one.name: recorded_hashes(one.inputs) for one in candidates if one.imus and not one.exact}
-    known = {name: found for name, found in hashes.items() if found}
+    inputs = {one.name: one.inputs for one in candidates if one.imus and not one.exact}
+    known = {name: found for name, found in inputs.items() if recorded_hashes(found)}
     alone = {
-        name for name, found in known.items() if not any(found & other for who, other in known.items() if who != name)
+        name
+        for name, found in known.items()
+        if not any(shared_sources(found, other) for who, other in known.items() if who != name)
     }
     single = {one.name for one in candidates if one.name in alone and not one.recordings and one.covariance is not None}
     return frozenset(single) if len(known) > 1 else frozenset()

@@ -9,7 +9,7 @@ import numpy as np
 from ..findings import Finding, make_finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..geometry.so3 import inverse
-from ..recording import Floats, recorded_hashes
+from ..recording import Floats, shared_sources
 from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ..trust import Verdict
 from .candidates import Candidate
@@ -428,11 +428,12 @@ def _knowledge(comparison: Comparison) -> Iterator[Finding]:
         verb, part = ("states", "it takes") if len(silent) == 1 else ("state", "they take")
         rest = f"z is by the sigmas of {listed(stating)} alone" if stating else "there is no z at all"
         yield make_finding("sigmas-not-stated", silent=listed(silent), verb=verb, part=part, rest=rest)
-    groups: dict[str, list[str]] = {}
-    for one in comparison.calibrations:
-        for shared in recorded_hashes(one.inputs):
-            groups.setdefault(shared, []).append(one.name)
-    for names in dict.fromkeys(map(tuple, groups.values())):
+    groups = {
+        tuple(other.name for other in comparison.calibrations if shared_sources((source,), other.inputs)): None
+        for one in comparison.calibrations
+        for source in one.inputs
+    }
+    for names in groups:
         if len(names) > 1:
             yield make_finding("same-recording", names=listed(names))
 

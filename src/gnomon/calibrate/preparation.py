@@ -25,7 +25,7 @@ from ..models.gravity import (
     normal_gravity_m_s2,
 )
 from ..options import CameraImuOptions, ImuOptions
-from ..recording import Floats, ImuSamples, Recording, TriadSamples, recorded_hashes
+from ..recording import Floats, ImuSamples, Recording, TriadSamples, shared_sources
 from ..triad_options import MagnetometerOptions, TurntableOptions
 
 _PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
@@ -124,11 +124,13 @@ def refuse_same_data(recordings: Sequence[Recording], names: Sequence[str]) -> N
     """
     for i, j in combinations(range(len(names)), 2):
         first, second = recordings[i], recordings[j]
-        if recorded_hashes(first.sources) & recorded_hashes(second.sources):
-            raise RecordingError(
-                f"{names[i]} and {names[j]} are the same file: its measurements would count twice. Leave one out."
-            )
         one, other = _telling_triad(first), _telling_triad(second)
+        same = shared_sources(first.sources, second.sources)
+        if same:
+            alike = "file" if same[0].sha256 in {source.sha256 for source in second.sources} else "measurements"
+            raise RecordingError(
+                f"{names[i]} and {names[j]} are the same {alike}, which would count twice. Leave one out."
+            )
         shared = [] if one is None or other is None else repeated_stretches(one.values, other.values)
         if shared and one is not None and other is not None:
             count = sum(repeat.first_stop - repeat.first for repeat in shared)

@@ -28,6 +28,7 @@ from ..models.origin import AXES, Origin
 from ..output import write_whole
 from ..readers.own.calibration_cameras import BOARD_NUMBERS, VIEW_COUNTS, VIEW_NUMBERS
 from ..readers.own.calibration_file import SCHEMA_MAJOR, imu_keys
+from ..recording import Source
 from ..trust import Need, TrustNote
 from .yaml_text import yaml_lines
 
@@ -357,10 +358,15 @@ def provenance_document(provenance: Provenance) -> dict[str, Any]:
     origin: dict[str, Any] = {
         "gnomon_version": provenance.gnomon_version,
         "method": provenance.method,
-        "inputs": [{"name": source.name, "sha256": source.sha256} for source in provenance.inputs],
+        "inputs": [_source(source) for source in provenance.inputs],
         "options": dict(provenance.options),
     }
     return origin if provenance.seed is None else origin | {"seed": provenance.seed}
+
+
+def _source(source: Source) -> dict[str, Any]:
+    found: dict[str, Any] = {"name": source.name, "sha256": source.sha256}
+    return found | {"samples": list(source.samples)} if source.samples else found
 
 
 def _multi_position(assessment: Assessment, minor: int) -> dict[str, Any]:

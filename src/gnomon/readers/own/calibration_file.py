@@ -442,11 +442,18 @@ def provenance_entry(node: Node) -> Provenance:
         If the entry does not say.
     """
     keys = node.mapping(("gnomon_version", "method", "inputs", "options"), ("seed",))
-    inputs = [item.mapping(("name", "sha256")) for item in keys["inputs"].items()]
+    inputs = [item.mapping(("name", "sha256"), ("samples",)) for item in keys["inputs"].items()]
     return Provenance(
         gnomon_version=keys["gnomon_version"].text(),
         method=keys["method"].text(),
-        inputs=tuple(Source(name=item["name"].text(), sha256=item["sha256"].text()) for item in inputs),
+        inputs=tuple(
+            Source(
+                name=item["name"].text(),
+                sha256=item["sha256"].text(),
+                samples=tuple(one.text() for one in item["samples"].items()) if "samples" in item else (),
+            )
+            for item in inputs
+        ),
         options={item.key: item.text() for item in keys["options"].entries()},
         seed=keys["seed"].integer() if "seed" in keys else None,
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ...recording import KnownRig, Source, frozen_array, recorded_hashes
+from ...recording import KnownRig, Source, frozen_array, shared_sources
 from ..own.calibration_file import load
 from ..own.own_root import is_own
 from ..projects.basalt_json import basalt_of, is_basalt
@@ -74,7 +74,7 @@ def read_rig(path: str | PathLike[str]) -> KnownRig | None:
 
 def made_from(path: str | PathLike[str], sources: Collection[Source]) -> bool:
     """Tell whether a calibration of gnomon's own was made from one of the files that are read now."""
-    return is_own(path) and bool(recorded_hashes(load(path).provenance.inputs) & recorded_hashes(sources))
+    return is_own(path) and bool(shared_sources(sources, load(path).provenance.inputs))
 
 
 def imu_paths(files: ImuFiles | None) -> tuple[Path, ...]:
