@@ -1,4 +1,4 @@
-"""The error terms of document B, section 4.1.2, written anew and literally, to test the estimation by.
+"""The error terms of Krebs, section 4.1.2, written anew and literally, to test the estimation by.
 
 Everything is computed with complex numbers and any number of variants at once, (v, ...): the derivative by a number is
 the imaginary part that a step of 1e-30 i leaves, exact to rounding.

@@ -96,7 +96,7 @@ def test_kalibrs_files_hold_the_same(result):
 def test_the_screen(views, made):
     out = made[1]
     assert "target.yaml in the recording's folder is used." in out
-    for words in ("of 24 views", "on unseen views", "% of the image", "pinhole-radtan *", "t_x from cam0", "mm apart"):
+    for words in ("of 24 views", "hold-out  ", "% of the image", "pinhole-radtan *", "t_x from cam0", "mm apart"):
         assert words in out
     assert "next         gnomon camera-imu RECORDING --target" in out
     assert max(map(len, out.replace(str(views.parent), "").splitlines())) < 200

@@ -310,7 +310,7 @@ def test_the_screen_says_it_too(run, spoilt):
     code, out, err = run("camera-imu", folder, "-o", folder.parent / "out", "--no-report")
     said = " ".join(out.split())
     assert code == 0, err
-    assert said.startswith("understood: ")
+    assert said.startswith("detected: ")
     assert "warn: usable, with reservations" in said
     assert "The accelerometer says that the board is 2 % smaller than stated" in said
     assert "-> Measure the board and correct target.yaml" in said

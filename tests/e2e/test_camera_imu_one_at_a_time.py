@@ -1,4 +1,4 @@
-"""Vary one parameter of a rig at a time: only its own estimate moves (document B, section 5.1.1)."""
+"""Vary one parameter of a rig at a time: only its own estimate moves (Krebs, section 5.1.1)."""
 
 import sys
 from dataclasses import replace

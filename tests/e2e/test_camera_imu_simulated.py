@@ -153,7 +153,7 @@ def test_models_estimate_what_they_say():
 
 
 def test_the_basic_model_predicts_worse_and_is_biased():
-    # Document B, Figs. 5.4, 5.6 and 5.7
+    # Krebs, Figs. 5.4, 5.6 and 5.7
     simulation = simulated(scale_range=0.02)
     result, _ = calibrated(simulation, compare=True)
     for name in ("imu0.accelerometer", "imu0.gyroscope"):
@@ -382,7 +382,8 @@ def test_accelerometer_and_gyroscope_with_stamps_of_their_own():
     )
     result, found = calibrated(simulation, replace(simulation.recording, imus={"imu0": apart}))
     assert_right(result, found)
-    # Its delay is estimated along: readings that might leave the trajectory are left out, a twentieth of a second each.
+    # Its delay is estimated jointly: readings that might leave the trajectory are left out, a twentieth of a second
+    # each.
     signal = result.diagnostics.signals["imu0.accelerometer"]
     inside = apart.accelerometer.t_ns[7:-7]
     assert len(signal.t_s) == len(inside)

@@ -56,7 +56,7 @@ def test_the_whole_way(simulated, run, names):
     known = read_imu_input(folder / "imu.yaml")["imu0"]
     assert known.noise == noise.imu_noise()
     assert known.update_rate_hz == pytest.approx(RATE_HZ)
-    assert out.splitlines()[0].startswith("understood: accelerometer in m/s^2")
+    assert out.splitlines()[0].startswith("detected: accelerometer in m/s^2")
     assert "10^-3 m/s^2/sqrt(Hz)" in out
     assert max(map(len, out.splitlines()[:-5])) <= 82
     assert str(folder / "report.html") in out

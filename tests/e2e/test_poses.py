@@ -35,7 +35,7 @@ def in_sigmas(calibration, truth):
 
 @pytest.fixture(scope="module")
 def simulation():
-    """Document C's accelerometer in 18 poses, each to a degree."""
+    """Angrisano's accelerometer in 18 poses, each to a degree."""
     return simulate_poses(PoseScenario(samples=400), seed=3)
 
 
@@ -99,7 +99,7 @@ def test_the_frame_of_named_poses(simulation):
 
 
 class TestKnownAttitudes:
-    """Document C, Eqs. (4) to (7): the components are known, and the sensor lies somehow in its jig."""
+    """Angrisano, Eqs. (4) to (7): the components are known, and the sensor lies somehow in its jig."""
 
     SCENARIO = PoseScenario(**SI, known=True, attitude_error_deg=0.02, jig_rotation_deg=(3.0, -5.0, 2.0), samples=400)
 
@@ -173,7 +173,7 @@ class TestKnownAttitudes:
 
 
 class TestPresetAngrisano:
-    """Document C as its authors carry it out."""
+    """Angrisano as its authors carry it out."""
 
     OPTIONS = gnomon.ImuOptions(preset="angrisano", gravity=9.80665, bits=16, full_scale=50.0)
 

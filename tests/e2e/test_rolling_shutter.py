@@ -28,7 +28,7 @@ def test_an_unstated_line_delay_is_found_and_said(motion):
     (finding,) = shutters(found)
     assert finding.severity == "info"
     assert "us a row" not in finding.consequence
-    assert "estimated along: 2" in finding.consequence
+    assert "estimated jointly: 2" in finding.consequence
     assert "line delay" in found.assessment.trust.added
     assert not any("line_delay" in str(text) for text in found.provenance.options.get("free", ()))
     shift = simulation.truth.cameras["cam0"].time_shift_cam_imu

@@ -1,4 +1,4 @@
-"""The static experiment of document B, section 5.2: a gyroscope's g-sensitivity from six attitudes or more.
+"""The static experiment of Krebs, section 5.2: a gyroscope's g-sensitivity from six attitudes or more.
 
 `pytest tests/e2e/test_static_experiment.py -s` prints how the g-sensitivity of eight real sensors repeats.
 """
@@ -17,7 +17,7 @@ from gnomon.writers.pose_files import save_pose_files, save_poses
 from gnomon.writers.recording_file import save_recording
 
 THESIS = (-0.0012, 0.0008, 0.0015, -0.0013, 0.0001, -0.0014, 0.0016, 0.0013, -0.0009)
-"""Document B, appendix A.1, row by row [rad/s per m/s^2]."""
+"""Krebs, appendix A.1, row by row [rad/s per m/s^2]."""
 
 SIX = PoseScenario(
     attitudes="six",

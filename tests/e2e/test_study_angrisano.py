@@ -1,4 +1,4 @@
-"""The whole study of document C: 500 runs of each setting.
+"""The whole study of Angrisano: 500 runs of each setting.
 
 `pytest tests/e2e/test_study_angrisano.py -m slow` takes some minutes; tests/unit/test_study_angrisano.py is small.
 """

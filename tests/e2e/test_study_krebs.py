@@ -1,4 +1,4 @@
-"""The whole study of document B: 100 recordings of 90 s of each of seven series.
+"""The whole study of Krebs: 100 recordings of 90 s of each of seven series.
 
 `pytest tests/e2e/test_study_krebs.py -m slow` takes most of an hour; tests/unit/test_study_krebs.py is small.
 """
@@ -14,7 +14,7 @@ from gnomon.study.krebs_thesis import columns
 from gnomon.study.runs import Workers
 
 OPEN = ("of the same size", "mean lies on the true value")
-"""What does not hold: document B's camera is not known, and neither it nor gnomon models the Earth's rate."""
+"""What does not hold: Krebs's camera is not known, and neither it nor gnomon models the Earth's rate."""
 
 
 @pytest.mark.slow

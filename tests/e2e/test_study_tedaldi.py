@@ -1,4 +1,4 @@
-"""The whole study of document A: 30 recordings of each of 40 parameter sets.
+"""The whole study of Tedaldi: 30 recordings of each of 40 parameter sets.
 
 `pytest tests/e2e/test_study_tedaldi.py -m slow` takes some twenty minutes of one core; tests/unit/test_study_tedaldi.py
 is small.

@@ -1,4 +1,4 @@
-"""The gyroscope on a record player (document C) against the truth of simulations, and through the command.
+"""The gyroscope on a record player (Angrisano) against the truth of simulations, and through the command.
 
 `pytest tests/e2e/test_turntable.py -m slow -s` prints the table of the whole study.
 """

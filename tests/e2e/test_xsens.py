@@ -1,4 +1,4 @@
-"""The recording behind the tables of document A: its published results, and what the default makes of it."""
+"""The recording behind the tables of Tedaldi: its published results, and what the default makes of it."""
 
 from functools import cache
 
@@ -51,7 +51,7 @@ def calibrated(recording):
 
 
 def scales_and_misalignment(sensitivity):
-    """Return 1/k and T of document A's correction T K."""
+    """Return 1/k and T of Tedaldi's correction T K."""
     correction = np.linalg.inv(sensitivity)
     k = np.diag(correction)
     return 1 / k, correction / k

@@ -1,4 +1,4 @@
-"""Both geometries of document C are exact views of any upper triangular sensor."""
+"""Both geometries of Angrisano are exact views of any upper triangular sensor."""
 
 import numpy as np
 from hypothesis import given

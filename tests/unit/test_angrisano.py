@@ -1,4 +1,4 @@
-"""Document C's method, equation by equation."""
+"""Angrisano's method, equation by equation."""
 
 import numpy as np
 import pytest

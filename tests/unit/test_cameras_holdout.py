@@ -1,4 +1,4 @@
-"""Views that were held out, and views that tell most."""
+"""Views that were held out, and most informative views."""
 
 from dataclasses import replace
 

@@ -72,7 +72,7 @@ def images(tmp_path):
 def test_corners_with_all_that_is_known(corners) -> None:
     code, out, err = run("check", corners)
     assert (code, err) == (0, "")
-    assert "understood: camchain.yaml, imu.yaml and target.yaml in the recording's folder are used." in out
+    assert "detected: camchain.yaml, imu.yaml and target.yaml in the recording's folder are used." in out
     assert "cam0               " in out
     assert "never-static" not in out
     assert "The clocks of cam0 and imu0 keep together" in " ".join(out.split())
@@ -88,7 +88,7 @@ def test_corners_without_camera_and_board(corners, tmp_path) -> None:
         (tmp_path / name).write_bytes((corners / name).read_bytes())
     code, out, _ = run("check", tmp_path)
     assert code == 0
-    assert "without --cam and --target only stamps and samples are looked at" in out
+    assert "without --cam and --target only timestamps and samples are looked at" in out
     found, codes = document(tmp_path)
     assert set(codes.values()) == {"good"}
     assert found["cameras"]["cam0"]["corners"] > 10_000

@@ -85,7 +85,7 @@ def test_images_without_imu_are_written_and_that_is_said(tmp_path):
     write_images(tmp_path / "rig/cam0", stamps(3))
     code, out, err = run("convert", tmp_path / "rig", "--to", "euroc")
     assert code == 0, err
-    assert "understood: there are no samples of an IMU in this folder." in out
+    assert "detected: there are no samples of an IMU in this folder." in out
 
 
 def test_a_damaged_image_is_left_out_and_that_is_said(rig, tmp_path):

@@ -72,7 +72,7 @@ def test_noise_beside_the_calibration_is_taken(result, to):
     assert code == 0, err
     assert f"noise and rate are taken from {result.parent / 'imu.yaml'}" in out
     assert "noise and rate:" not in out
-    assert "lost:    held by assumption, not measured (1 numbers): cam0.time_shift_cam_imu: " in out
+    assert f"not representable in {to}: held by assumption, not measured (1 numbers): cam0.time_shift_cam_imu: " in out
     found = load_foreign(*sorted((result.parent / to).iterdir())).imu_data["imu0"]
     for key in ImuNoise.__slots__:
         assert getattr(found.noise, key) == pytest.approx(getattr(NOISE, key), rel=1e-14)
@@ -92,7 +92,7 @@ def a_noise():
 def test_noise_is_given_or_lies_in_noise_yaml(result, tmp_path):
     code, out, _ = run("convert", result, "--to", "openvins", "-o", tmp_path / "none")
     assert code == 0
-    assert "lost:    noise and rate: accelerometer_noise_density" in out
+    assert "not representable in openvins: noise and rate: accelerometer_noise_density" in out
     save_noise(a_noise(), result.parent / "noise.yaml")
     code, out, _ = run("convert", result, "--to", "openvins", "-o", tmp_path / "beside")
     assert f"taken from {result.parent / 'noise.yaml'}" in out
@@ -114,7 +114,7 @@ def test_noise_that_cannot_be_used(result, tmp_path):
     code, out, _ = run("convert", result, "--to", "kalibr", "-o", tmp_path / "out")
     assert code == 0
     assert "imu.yaml beside the calibration was not used: " in out
-    assert "lost:    noise and rate" in out
+    assert "not representable in kalibr: noise and rate" in out
     code, _, err = run("convert", result, "--to", "kalibr", "-o", tmp_path / "x", "--imu", result.parent / "imu.yaml")
     assert code == 3
     assert "expected a number greater than zero" in err

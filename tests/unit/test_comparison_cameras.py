@@ -142,6 +142,6 @@ def test_report_says_what_was_compared(three, tmp_path):
     for words in ("Poses are to cam0", "Lens of cam0", "Translation of cam1 against cam0 [mm]", "axes of cam0 against",
                   "p_cam1 = T_cam1_cam0 p_cam0", "Where both would see one ray"):  # fmt: skip
         assert words in text, words
-    for words in ("T_cam_imu", "document B: measured", "m/s²"):
+    for words in ("T_cam_imu", "Krebs: measured", "m/s²"):
         assert words not in text, words
     assert comparison_page(comparison).title == "Comparison of calibrations"

@@ -1,4 +1,4 @@
-"""The forms of documents A, B and C and of Kalibr against each other, by equations derived apart from the code."""
+"""The forms of Tedaldi, Krebs, Angrisano and Kalibr against each other, by equations derived apart from the code."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Rotations: equations as document A prints them, limits near zero in high precision, corner cases."""
+"""Rotations: equations as Tedaldi prints them, limits near zero in high precision, corner cases."""
 
 import mpmath
 import numpy as np

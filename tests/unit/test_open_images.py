@@ -1,4 +1,4 @@
-"""Recordings of images in folders: which layouts are read, what is mended with a note, and what is refused."""
+"""Recordings of images in folders: which layouts are read, what is fixed with a note, and what is refused."""
 
 import hashlib
 

@@ -1,4 +1,4 @@
-"""Pattern matrices of document B, section 4.3, whose printed Jacobians are wrong."""
+"""Pattern matrices of Krebs, section 4.3, whose printed Jacobians are wrong."""
 
 import numpy as np
 import pytest

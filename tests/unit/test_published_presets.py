@@ -1,4 +1,4 @@
-"""Document A as published: what the presets need of T_init is told in words."""
+"""Tedaldi as published: what the presets need of T_init is told in words."""
 
 import pytest
 

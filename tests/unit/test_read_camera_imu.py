@@ -1,4 +1,4 @@
-"""Reading recordings of cameras and IMUs: both layouts of corners, what is mended with a note, and what is refused."""
+"""Reading recordings of cameras and IMUs: both layouts of corners, what is fixed with a note, and what is refused."""
 
 import gzip
 import hashlib

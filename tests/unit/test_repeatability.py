@@ -1,4 +1,4 @@
-"""Tables B.4 to B.7 of document B: 18 calibrations of one real rig; their means and standard deviations come out."""
+"""Tables B.4 to B.7 of Krebs: 18 calibrations of one real rig; their means and standard deviations come out."""
 
 import numpy as np
 import pytest

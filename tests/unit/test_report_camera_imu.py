@@ -68,7 +68,7 @@ def test_page_says_the_verdict_first_and_everything_once(result, page_of, tmp_pa
         "Camera-IMU calibration", "Warn. This calibration can be used", "0.126 px", "2258 of 2394",
         "7.0500 ± 0.0060 ms", "60 s in 2 pieces", "Move faster", "The rig", "T_cam_imu of cam0", "T_cam_imu of cam1",
         "Between the cameras", "Accelerometer scale", "0.98860 ± 0.00030", "Gyroscope rotation", "B_g of chapter 4",
-        "q_bg = (0.999962, 0.000000, 0.000000, 0.008727)", "B_g in the reading of chapter 3",
+        "q_bg = (0.999962, 0.000000, 0.000000, 0.008727)", "force in the gyroscope's axes (Krebs, chapter 3)",
         "Accelerometer over the recording", "Gyroscope over the recording", "models differ by up to",
         "Samples of the IMU", "Corners of cam0", "Frames of cam1", "Mean residual over the image",
         "fits badly: 47 sigma", "Corners in the image", "Axes of rotation", "Path of the IMU", "About their means",
@@ -227,7 +227,7 @@ def test_sigmas_of_the_gyroscope_follow_from_the_covariance(uncertain):
 
 
 def test_entries_not_above_their_sigma_are_marked(result):
-    """Rule B16 of document B: q_bg about x and y are zero, and B_g yy is half its sigma."""
+    """Rule B16 of Krebs: q_bg about x and y are zero, and B_g yy is half its sigma."""
     groups = imu_groups(result.calibration, "imu0")
     marked = [f"{group.title}: {row.name}" for group in groups for row in group.rows if row.note == NOT_ABOVE]
     assert marked == [

@@ -40,7 +40,7 @@ def in_order(text, words):
 
 WORDS = {
     "poses": (
-        "Accelerometer calibration", "Warn. This calibration can be used", "Accelerometer on unseen data", "1.90 mm/s²",
+        "Accelerometer calibration", "Warn. This calibration can be used", "Accelerometer hold-out error", "1.90 mm/s²",
         "17 of 18", "9.80665 ± 0.02 m/s²", "Give --latitude", "Accelerometer scale", "655.400 ± 0.060",
         "Directions of gravity", "Error of the magnitude of specific force", "In numbers", "Every pose", "pose 18",
         "Why they were left out", "What was tried", "Angrisano's iteration", "step by step", "Noise",
@@ -51,7 +51,7 @@ WORDS = {
         "Measured against predicted", "with g-sensitivity, rms", "0.120 count",
     ),
     "turntable": (
-        "Turntable calibration", "Pass.", "Gyroscope on unseen data", "110 µrad/s", "39 of 40", "3.49510 rad/s",
+        "Turntable calibration", "Pass.", "Gyroscope hold-out error", "110 µrad/s", "39 of 40", "3.49510 rad/s",
         "gyro-x", "Speed of the turntable", "webcam.mp4", "1.67552 ± 0.00016", "1.67558 ± 0.00012", "+0.4 σ",
         "16.0006 ± 0.0011", "33.33rpm", "+1.4 σ", "Video webcam.mp4", "one turn, 3.75 s", "161.2 turns",
         "Directions of the axis of rotation", "|ω| − rate", "Models", "they cannot tell how these axes",

@@ -199,7 +199,7 @@ def test_a_calibration_of_the_cameras_comes_along_with_the_recording(simulation,
 
 
 def test_cameras_that_were_calibrated_from_this_very_recording_are_no_prior(simulation, tmp_path):
-    """The same corners would count twice: what they told is where the lenses start, and they are estimated along."""
+    """The same corners would count twice: what they told is where the lenses start, and they are estimated jointly."""
     save_camera_imu_recording(simulation, tmp_path)
     calibration = cameras_calibration(2, 2)
     files = {"imu": tmp_path / "imu.yaml", "target": tmp_path / "target.yaml"}

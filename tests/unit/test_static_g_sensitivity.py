@@ -7,7 +7,7 @@ from gnomon.errors import InitialisationError
 from gnomon.estimate.triads.static_g_sensitivity import RestingRates, fit_static_g_sensitivity
 
 THESIS = np.array([[-0.0012, 0.0008, 0.0015], [-0.0013, 0.0001, -0.0014], [0.0016, 0.0013, -0.0009]])
-"""Document B, appendix A.1."""
+"""Krebs, appendix A.1."""
 
 FACES = np.concatenate([np.eye(3), -np.eye(3)])
 SEVEN = FACES[[5, 4, 2, 1, 0, 3, 5]]

@@ -1,4 +1,4 @@
-"""The study of document C, small; `pytest -m slow` runs it whole (tests/e2e/test_study_angrisano.py)."""
+"""The study of Angrisano, small; `pytest -m slow` runs it whole (tests/e2e/test_study_angrisano.py)."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""The study of document B, small; `pytest -m slow` runs it whole (tests/e2e/test_study_krebs.py)."""
+"""The study of Krebs, small; `pytest -m slow` runs it whole (tests/e2e/test_study_krebs.py)."""
 
 import csv
 from dataclasses import replace
@@ -32,7 +32,7 @@ RUNS = 40
 
 
 def drawn_study(runs: int = RUNS, seed: int = 0) -> KrebsStudy:
-    """Return what a study would have found where everything in document B is true."""
+    """Return what a study would have found where everything in Krebs is true."""
     rng = np.random.default_rng(seed)
     samples = []
     for k, series in enumerate(SERIES):

@@ -1,4 +1,4 @@
-"""The study of document A, small; `pytest -m slow` runs it whole (tests/e2e/test_study_tedaldi.py)."""
+"""The study of Tedaldi, small; `pytest -m slow` runs it whole (tests/e2e/test_study_tedaldi.py)."""
 
 import csv
 from dataclasses import replace

@@ -71,7 +71,7 @@ def test_sigmas_are_the_scatter_of_drawn_sensors(random_calibration, form):
 
 
 def test_published_imu_tk_result_reads_as_printed():
-    """imu_tk's numbers for the Xsens recording, in document A's letters: angles with their signs, 1/s, b added."""
+    """imu_tk's numbers for the Xsens recording, in Tedaldi's letters: angles with their signs, 1/s, b added."""
     T = np.array([[1, -0.00335929903323, -0.00890639474323], [0, 1, -0.0213341193852], [0, 0, 1]])
     K = 1 / np.array([414.458873925, 412.010468453, 414.648662243])
     b = np.array([33124.1825646, 33275.1794342, 32364.4156494])

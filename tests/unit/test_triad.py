@@ -14,7 +14,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 GRAVITY = 9.80665
 FACES = np.concatenate([np.eye(3), -np.eye(3)])
 EDGES = np.array([np.roll([a, b, 0.0], k) for k in range(3) for a in (1, -1) for b in (1, -1)]) / np.sqrt(2)
-ATTITUDES = np.concatenate([FACES, EDGES])  # the eighteen of document C
+ATTITUDES = np.concatenate([FACES, EDGES])  # the eighteen of Angrisano
 SENSITIVITY = np.array([[547.6, 0.0, 0.0], [-0.25, 552.8, 0.0], [2.0, 7.4, 550.6]])
 BIAS = np.array([33610.0, 33382.0, 32063.0])
 G_SENSITIVITY = 550 * np.array([[-0.0012, 0.0008, 0.0015], [-0.0013, 0.0001, -0.0014], [0.0016, 0.0013, -0.0009]])
@@ -194,7 +194,7 @@ def test_with_unknown_scale_ratios_are_known_and_the_common_scale_is_not():
 
 
 def test_rests_alone_give_g_sensitivity_where_the_scale_is_known():
-    # The static experiment of document B: six attitudes, the rate is zero in all of them.
+    # The static experiment of Krebs: six attitudes, the rate is zero in all of them.
     rng = np.random.default_rng(5)
     force = GRAVITY * tilted(np.tile(FACES, (3, 1)), 0.05, rng)
     poses = TriadPoses.of(
@@ -298,7 +298,7 @@ def test_held_parameters_stay():
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_stated_start_changes_nothing(seed):
-    # Document C, Table 2, three times as wide.
+    # Angrisano, Table 2, three times as wide.
     rng = np.random.default_rng(seed)
     poses = eighteen(np.random.default_rng(1))
     angles, bias = np.radians(rng.uniform(-54, 57, 3)), 32767.5 + rng.uniform(-4500, 7500, 3)

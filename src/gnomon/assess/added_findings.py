@@ -105,7 +105,7 @@ def _lens(stated: CameraParameters, found: CameraParameters, board_told: bool) -
     doubtful = abs(focal) > _FOCAL_WARN or moved > _PRINCIPAL_WARN_PX
     k3 = found.camera.distortion_coeffs[4] if found.camera.distortion == "radtan5" else 0.0
     bent = f"; k3 is {k3:.3g}" if k3 else ""
-    consequence = "The lens was estimated along: the corners fit clearly better with it than with the stated one."
+    consequence = "The lens was estimated jointly: the corners fit clearly better with it than with the stated one."
     cure = "Use the lens of this result, or calibrate the camera anew."
     if doubtful:
         cure = "Check that camchain.yaml is of this camera, lens and resolution."

@@ -125,14 +125,14 @@ def _with_rig(recording: Recording, cam: str | PathLike[str] | None) -> Recordin
     if rig is None:
         return recording
     what = "the lenses and the poses of the cameras to each other" if rig.T_cam_cam0 else "the lenses"
-    said = f"{what} are known by {Path(cam).name}, and estimated along with its covariance as their prior."
+    said = f"{what} are known by {Path(cam).name}, and estimated jointly with its covariance as their prior."
     return replace(recording, rig=rig, assumptions=(*recording.assumptions, said))
 
 
 def _without_prior(recording: Recording, rig: KnownRig | None, name: str) -> Recording:
     """Return a recording whose cameras were calibrated from this very recording, which therefore is no prior of it.
 
-    Lenses and poses start there and are estimated along; their covariance is made so wide that it adds nothing.
+    Lenses and poses start there and are estimated jointly; their covariance is made so wide that it adds nothing.
     """
     finding = make_finding("prior-same-data", name=name)
     cameras = {

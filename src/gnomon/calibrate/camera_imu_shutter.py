@@ -1,4 +1,4 @@
-"""Rolling shutters that nobody stated: the corners prove them, and the line delay is estimated along.
+"""Rolling shutters that nobody stated: the corners prove them, and the line delay is estimated jointly.
 
 Every frame's pose is free in that proof (`assess.rig_lens`), so that no error of IMU or clock can pass for a shutter:
 six standard deviations, and 1 ms from the first row to the last, below which an error of the lens may look the same.
@@ -68,7 +68,7 @@ def _told(finding: Finding, cameras: Mapping[str, CameraCalibration], sigmas: Ma
     return replace(
         finding,
         severity="info",
-        consequence=f"The line delay was estimated along: {1e6 * delay:.4g} +- {1e6 * sigma:.2g} us.",
+        consequence=f"The line delay was estimated jointly: {1e6 * delay:.4g} +- {1e6 * sigma:.2g} us.",
         cure=f"State it next time, --line-delay {delay:.4g}.",
     )
 

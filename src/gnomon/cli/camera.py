@@ -46,7 +46,7 @@ NO_TARGET = (
 
 @dataclass(frozen=True, kw_only=True)
 class CameraCommand(Command):
-    """Calibrate the lenses of one camera or several, and where they sit to each other, from views of a board.
+    """Calibrate the lenses of one camera or several, and their relative poses, from views of a board.
 
     Show the board to the camera in thirty views or more: near and far, tilted by up to 45 degrees to all sides, and in
     every corner of the image; of several cameras as many as possible together. Nothing need be known of the lens.
@@ -65,7 +65,7 @@ class CameraCommand(Command):
     topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC ...", help_behavior_hint="")] = ()
     """Topics of a bag, such as cam0=/left/image_raw cam1=/right/image_raw; guessed where it is clear."""
     units: str | None = None
-    """Unit of the stamps in tables, such as us; recognised where not given."""
+    """Unit of the timestamps in tables, such as us; recognised where not given."""
     workers: Workers = None
     cache: Cache = True
     output: Annotated[Path | None, output_option("DIR")] = None

@@ -28,7 +28,7 @@ def cameras_lines(result: Result) -> Iterator[str]:
         yield f"  {name:<18} {fit.views_used[name]} of {found} views, {fit.corners_used[name]} corners{rest}"
         yield f"    reprojection     {fit.reprojection_rms_px[name]:.3g} px (rms per axis)"
         if isfinite(fit.holdout_rms_px[name]):
-            yield f"    on unseen views  {fit.holdout_rms_px[name]:.3g} px"
+            yield f"    hold-out         {fit.holdout_rms_px[name]:.3g} px"
         yield f"    coverage         {share_words(fit.coverage[name])} of the image"
     yield from _board(fit)
     yield from _readers(result.calibration)
@@ -51,7 +51,8 @@ def programs_reading(calibration: Calibration) -> list[str]:
 def _board(fit: CamerasFit) -> Iterator[str]:
     """Say what the views tell of the board."""
     if fit.aspect_sigma:
-        yield f"  board, y over x    1 {fit.aspect:+.2g} +- {fit.aspect_sigma:.1g}"
+        decimals = common_decimals(np.array([fit.aspect_sigma]))
+        yield f"  board, aspect      {1 + fit.aspect:.{decimals}f} +- {fit.aspect_sigma:.{decimals}f} (y over x)"
     if fit.bow_sigma_m:
         yield f"  board, bow         {1e3 * fit.bow_m:.2f} +- {1e3 * fit.bow_sigma_m:.2f} mm"
     if any("corners" in name or "offsets" in name for name in fit.board_added):
@@ -67,11 +68,11 @@ def trial_table(result: Result) -> Table:
     table = Table(title="lens models (* taken)", title_justify="left", title_style="bold", box=None)
     table.add_column("camera")
     table.add_column("model")
-    for heading in ("parameters", "unseen views [px]", "views used [px]"):
+    for heading in ("parameters", "hold-out views [px]", "views used [px]"):
         table.add_column(heading, justify="right")
     for trial in diagnostics.trials:
-        unseen, used = (_pixels(value) for value in (trial.holdout_rms_px, trial.rms_px))
-        table.add_row(trial.camera, trial.model + " *" * trial.chosen, str(trial.parameters), unseen, used)
+        held_out, used = (_pixels(value) for value in (trial.holdout_rms_px, trial.rms_px))
+        table.add_row(trial.camera, trial.model + " *" * trial.chosen, str(trial.parameters), held_out, used)
     return table
 
 

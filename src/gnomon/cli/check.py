@@ -108,7 +108,7 @@ def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[
     found = read_corner_stamps(command.recording.path, command.recording.units)
     findings = [*check_imus(found.imus), *check_stamps_together(found.frames, found.imus, {})]
     missing = " and ".join(f"--{name}" for name in ("cam", "target") if files[name] is None)
-    assumptions = (*taken, *found.assumptions, f"without {missing} only stamps and samples are looked at.")
+    assumptions = (*taken, *found.assumptions, f"without {missing} only timestamps and samples are looked at.")
     cameras = {name: _entry("frames", t, corners=found.corners[name]) for name, t in found.frames.items()}
     return _print_check(findings, found.imus, cameras, assumptions, terminal)
 

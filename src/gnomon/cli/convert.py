@@ -128,7 +128,7 @@ def _convert_calibration(command: Convert, terminal: Terminal) -> int:
     for name in files:
         terminal.print(f"written: {name}")
     for loss in losses:
-        terminal.print(f"lost:    {loss}")
+        terminal.print(f"not representable in {command.to}: {loss}")
     terminal.document({"files": files, "notes": [*notes, *said], "losses": losses})
     return USABLE
 

@@ -40,7 +40,7 @@ def write_result(result: "Result", folder: Path, *, report: bool, terminal: Term
 def print_assumptions(assumptions: Sequence[str], terminal: Terminal) -> None:
     """Print what the reader detected or had to assume."""
     for sentence in assumptions:
-        terminal.print(f"understood: {sentence}")
+        terminal.print(f"detected: {sentence}")
     if assumptions:
         terminal.print("")
 

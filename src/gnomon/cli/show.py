@@ -39,7 +39,7 @@ class Show(Command):
     """A calibration.yaml, a noise.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and
     results-imucam.txt, OpenVINS' chains, Basalt's or imucal's JSON, imu_tk's .calib."""
     form: Literal["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"] = "sensitivity"
-    """Form of the sensor model: gnomon's own, Kalibr's, or that of document A (tedaldi), B (krebs) or C (angrisano)."""
+    """Form of the sensor model: gnomon's own, Kalibr's, or that of Tedaldi 2014, Krebs or Angrisano (see Theory)."""
     use: Annotated[
         str | None,
         use_option(

@@ -72,7 +72,7 @@ class StudyEntry:
     ----------
     about : one sentence
     counted : what --runs counts
-    runs : how many of them the document's numbers need
+    runs : how many of them the published numbers need
     minutes : that these take on one core
     stages : what it does one after the other, as progress names it
     tables : names of its tables
@@ -113,7 +113,7 @@ def _tedaldi() -> Parts:
 
 STUDIES: Mapping[str, StudyEntry] = {
     "tedaldi": StudyEntry(
-        about="document A, an IMU from rests and rotations: Tables 4.1 to 4.5, gnomon beside what was published",
+        about="Tedaldi 2014, an IMU from rests and rotations: Tables 4.1 to 4.5, gnomon beside what was published",
         counted="recordings of each of 40 parameter sets",
         runs=30,
         minutes=15,
@@ -122,7 +122,7 @@ STUDIES: Mapping[str, StudyEntry] = {
         load=_tedaldi,
     ),
     "krebs": StudyEntry(
-        about="document B, camera and IMU before a board: its sigmas at three noise levels, and what neglect costs",
+        about="Krebs, camera and IMU before a board: its sigmas at three noise levels, and what neglect costs",
         counted="recordings of 90 s of each of seven series",
         runs=100,
         minutes=50,
@@ -131,7 +131,7 @@ STUDIES: Mapping[str, StudyEntry] = {
         load=_krebs,
     ),
     "angrisano": StudyEntry(
-        about="document C, the accelerometer from magnitudes: its sigmas, and the starts from which it converges",
+        about="Angrisano, the accelerometer from magnitudes: its sigmas, and the starts from which it converges",
         counted="experiments of each of three settings",
         runs=500,
         minutes=15,
@@ -147,7 +147,7 @@ _OLD_JOURNAL = "unfinished.journal"  # of gnomon before studies kept it
 
 @dataclass(frozen=True, kw_only=True)
 class Study(Command):
-    """Repeat the experiment of a document many times with simulated sensors, and say whether its claims hold.
+    """Repeat a published experiment many times with simulated sensors, and say whether its claims hold.
 
     A study that was interrupted goes on where it was when the same command is given again. Without a name, list the
     studies and what they cost.
@@ -158,11 +158,11 @@ class Study(Command):
         tyro.conf.Positional,
         tyro.conf.arg(metavar=f"[{{{','.join(STUDIES)}}}]", help_behavior_hint=""),
     ] = None
-    """tedaldi: document A's simulations. krebs: document B's. angrisano: document C's experiment."""
+    """tedaldi: the simulations of Tedaldi 2014. krebs: those of Krebs. angrisano: the experiment of Angrisano."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for study.html and the tables as CSV (default: gnomon-study-NAME)."""
     runs: int | None = None
-    """How many runs of each kind (the list says what is counted); as many as the document's numbers need where not
+    """How many runs of each kind (the list says what is counted); as many as the published numbers need where not
     given."""
     jobs: int = 1
     """Processes that share them; the result does not depend on it."""

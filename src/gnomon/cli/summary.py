@@ -41,7 +41,7 @@ def summary_lines(calibration: Calibration) -> Iterator[str]:
         yield f"  rotations          {found.rotations_used} used of {found.rotations_found}"
     errors = [f"{sensor} {engineering(rms, unit)}" for sensor, _, rms, unit in held_out_errors(calibration)]
     if errors:
-        yield from _paragraph(f"{', '.join(errors)} (rms)", "  error on unseen    ", " " * 21)
+        yield from _paragraph(f"{', '.join(errors)} (rms)", "  hold-out error     ", " " * 21)
     if rests_on_gravity(calibration):
         sigma = f" +- {gravity.sigma:.2g}" if gravity.sigma else ""
         yield f"  gravity            {gravity.value:.6g}{sigma} m/s^2 ({gravity.source})"
@@ -61,7 +61,7 @@ def trust_lines(note: TrustNote) -> Iterator[str]:
     if note.recordings:
         yield f"  sigmas             of the sensor on another occasion, from {note.recordings} recordings"
     if math.isfinite(note.split_z):
-        yield f"  halves and thirds  differ by {note.split_z:.2g} of their sigmas (rms)"
+        yield f"  split-half         consistency, z rms {note.split_z:.2g} (1 expected)"
     if note.added:
         yield f"  added by evidence  {', '.join(note.added)}"
     if note.use and note.needs:
@@ -184,7 +184,7 @@ def magnetometer_lines(result: Result) -> Iterator[str]:
     yield f"  strength, samples  {100 * noise['magnetometer.error_std']:.3g} % rms, robustly " + (
         f"{100 * noise['magnetometer.error_spread']:.3g} %"
     )
-    yield f"  error on unseen    {100 * found.holdout.field_rms:.3g} % of the field (rms)"
+    yield f"  hold-out error     {100 * found.holdout.field_rms:.3g} % of the field (rms)"
     yield f"  stretches          {found.intervals_used} used of {found.intervals_found}"
     yield f"  model, body frame  {found.model}, {calibration.frame}; field in {sensor.field_unit}"
 

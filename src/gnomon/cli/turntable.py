@@ -254,7 +254,7 @@ class Rate(Command):
     """
 
     video: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEO")]
-    """A video, with a table of the stamps of its frames beside it where there is one (platter.csv of platter.avi)."""
+    """A video, with a table of its frames' timestamps beside it where there is one (platter.csv of platter.avi)."""
     nominal: Annotated[str | None, tyro.conf.arg(metavar="RATE", help_behavior_hint="")] = None
     """What the rate should be within 10 %, such as 33.33rpm or 2.0rad/s; needed where the picture leaves it open."""
     json: Json = False

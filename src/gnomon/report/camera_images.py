@@ -104,7 +104,7 @@ def _certainty(name: str, fit: CornerFit) -> Figure | None:
     ratio = float(np.median(groups[1] / groups[0])) if len(groups[0]) else float("nan")
     compared = (
         f" Residuals are {number(ratio, 2)} times as large (median of the groups); what is more than 1 comes from "
-        "errors of the lens, the board and the stamps as well."
+        "errors of the lens, the board and the timestamps as well."
         if isfinite(ratio)
         else ""
     )

@@ -215,7 +215,7 @@ def _use(calibration: Calibration) -> Section:
     return Section(
         "use",
         "How to use it",
-        "T_cam_imu takes points from the body frame of the IMU to a camera, the time shift takes stamps from the "
+        "T_cam_imu takes points from the body frame of the IMU to a camera, the time shift takes timestamps from the "
         "camera's clock to the IMU's, and the IMU's matrices turn what it reads into specific force and angular rate.",
         blocks,
     )

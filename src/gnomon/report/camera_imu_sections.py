@@ -117,7 +117,7 @@ def _started(shift_s: float | None) -> str:
 
 
 def imu_section(calibration: Calibration) -> Section:
-    """Return the IMU's parameters in the letters of document B."""
+    """Return the IMU's parameters in the letters of Krebs."""
     blocks: list[Parameters | Table | Figure] = []
     several, shown = len(calibration.imus) > 1, 0
     for name, imu in calibration.imus.items():

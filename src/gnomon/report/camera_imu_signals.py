@@ -116,7 +116,7 @@ def _reach(fit: SignalFit, *residuals: Floats) -> float:
 
 
 def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
-    """Draw a section of a signal as measured and as predicted, and the residual (document B, Figs. 5.6, B.9-B.14)."""
+    """Draw a section of a signal as measured and as predicted, and the residual (Krebs, Figs. 5.6, B.9-B.14)."""
     first, last = np.searchsorted(fit.t_s, section)
     near = slice(int(first), int(last))
     t, measured = fit.t_s[near], fit.measured[near]
@@ -225,7 +225,7 @@ class Motion:
 
     Attributes
     ----------
-    t_s : (n,) [s from the first stamp of the trajectory]
+    t_s : (n,) [s from the first timestamp of the trajectory]
     rate : (n, 3) angular rate, body frame [deg/s]
     acceleration : (n, 3) linear acceleration, body frame [m/s^2]
     position : (n, 3) of the IMU, in the frame of the target [m]

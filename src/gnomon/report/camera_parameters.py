@@ -126,7 +126,7 @@ def lens_group(calibration: Calibration, name: str) -> ParameterGroup:
 
 
 def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> tuple[ParameterGroup, ...]:
-    """Return how the cameras sit to each other, "cam1_cam0" -> T_cam1_cam0 (4, 4)."""
+    """Return the relative poses of the cameras, "cam1_cam0" -> T_cam1_cam0 (4, 4)."""
     groups: list[ParameterGroup] = []
     for pair in baselines:
         to, _, source = pair.partition("_")

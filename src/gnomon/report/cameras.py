@@ -172,7 +172,7 @@ def _assumptions(calibration: Calibration, fit: CamerasFit | None) -> Section:
         )
     points.append("The board is rigid: it has the same shape in all views.")
     if len(calibration.cameras) > 1:
-        points.append("The cameras are fixed to each other, and images with one stamp were taken at one instant.")
+        points.append("The cameras are fixed to each other, and images with one timestamp were taken at one instant.")
     for name, entry in calibration.cameras.items():
         points.append(f"All rows of an image of {name} are exposed at once, or the camera stood still.")
         if not calibration.sigma(f"{name}.intrinsics").any():

@@ -49,7 +49,7 @@ def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -
                 ),
             ]
     blocks += _epipolar(calibration, diagnostics)
-    lead = "The lens of each camera" + (", and how the cameras sit to each other" if several else "")
+    lead = "The lens of each camera" + (", and the relative poses of the cameras" if several else "")
     return Section(
         "cameras",
         "Cameras" if several else "Lens",
@@ -147,7 +147,7 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
     telling = int(around.telling.sum())
     legend = [Legend("line", "ink", "board"), Legend("line", "after", "cam0 in a view")]
     if telling:
-        legend.append(Legend("line", "accent", f"the {telling} views that tell most"))
+        legend.append(Legend("line", "accent", f"the {telling} most informative views"))
     return Section(
         "views",
         "Views",
@@ -164,9 +164,10 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
             Figure(
                 "Tilt of the board",
                 cameras_views.attitudes(around),
-                (Legend("dot", "after", "view"),) + ((Legend("dot", "accent", "tells most"),) if telling else ()),
+                (Legend("dot", "after", "view"),) + ((Legend("dot", "accent", "most informative"),) if telling else ()),
                 "Left, from which side of its normal the board was seen, y over x of it, circles every 15°; "
-                "right, how far it was tilted against the line of sight. Tilts of 20° to 50° to all sides tell most.",
+                "right, how far it was tilted against the line of sight. Tilts of 20° to 50° to all sides are the most "
+                "informative.",
             ),
             _views_table(around),
         ),
@@ -335,9 +336,9 @@ def _numbers(fit: CamerasFit, shifts: Floats) -> Table:
         return name, text, meaning
 
     rows = [
-        row("aspect", 1e3 * fit.aspect, 1e3 * fit.aspect_sigma, "‰", "scale of y over that of x, minus 1"),
+        row("aspect", 100 * fit.aspect, 100 * fit.aspect_sigma, "%", "scale of y over that of x, minus 1"),
         row("bow", 1e3 * fit.bow_m, 1e3 * fit.bow_sigma_m, "mm", "of the middle, towards the viewer"),
-        row("print scale", 1e3 * (fit.print_scale - 1), 1e3 * fit.print_scale_sigma, "‰",
+        row("print scale", 100 * (fit.print_scale - 1), 100 * fit.print_scale_sigma, "%",
             "true size over stated, minus 1; needs --baseline"),
     ]  # fmt: skip
     for name, part in (("largest shift in the plane", shifts[:, :2]), ("largest shift out of it", shifts[:, 2:])):

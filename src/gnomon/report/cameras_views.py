@@ -18,7 +18,7 @@ from .panel import Panel
 
 _MOST_DRAWN = 120
 _TELLING = 5
-"""Views that stand out in the drawing: those that tell most of the lenses."""
+"""Views that stand out in the drawing: the most informative ones for the lenses."""
 _HEIGHT = 430.0
 _PYRAMID = np.array([[-0.5, -0.34, 0.75], [0.5, -0.34, 0.75], [0.5, 0.34, 0.75], [-0.5, 0.34, 0.75]])
 """Corners of the image in front of a camera, in its own axes, for a pyramid of size one."""
@@ -35,7 +35,7 @@ class ViewsAround:
     axes : (v, 3, 3) its axes as columns
     board : (5, 3) outline of the board, closed [m]
     points : (k, 3) its points [m]
-    telling : (v,) whether a view is among those that tell most
+    telling : (v,) whether a view is among the most informative ones
     tilt : (v,) angle between the line of sight and the board's normal [rad]
     seen_from : (v, 2) the part of the direction to the camera in the plane of the board, x and y, as long as the tilt
         [rad]
@@ -132,7 +132,7 @@ def _flat(points: Floats) -> Floats:
 
 
 def _draw_outlines(panel: Panel, flat: Floats, telling: np.ndarray) -> None:
-    """Draw outlines (n, 11, 2), those that tell most above the others."""
+    """Draw outlines (n, 11, 2), the most informative ones above the others."""
     for color, width, chosen in (("after", 0.8, ~telling), ("accent", 1.5, telling)):
         gap = np.full((int(chosen.sum()), 1, 2), np.nan)
         line = np.concatenate([flat[chosen], gap], axis=1).reshape(-1, 2)
@@ -183,7 +183,7 @@ def attitudes(around: ViewsAround) -> str:
 
 
 _SAME_S = 1e-3
-"""Frames of two cameras whose stamps differ by less show the same instant."""
+"""Frames of two cameras whose timestamps differ by less show the same instant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

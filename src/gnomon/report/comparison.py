@@ -155,7 +155,7 @@ def _blocks(comparison: Comparison) -> Section:
     return Section(
         "repeatability",
         "Repeatability",
-        f"{_frame_text(comparison.frame)} Tables as in document B, appendix B.2: every calibration, the mean of "
+        f"{_frame_text(comparison.frame)} Tables as in Krebs, appendix B.2: every calibration, the mean of "
         "all, and their standard deviation beside the one that was predicted.",
         tables or (Prose(("No block was estimated.",)),),
     )
@@ -254,7 +254,7 @@ def _lenses(comparison: Comparison) -> Iterator[Section]:
             ("camera", "first", "second", "models", "rms [px]", "largest [px]", "rms, turned [px]", "turn [°]"),
             rows,
             "Distance of the two images of a ray over the image. A turn of the camera is no error of its lens, "
-            "since its pose takes it up: the last columns are what is left after the best turn, and that turn.",
+            "since its pose includes it: the last columns are what is left after the best turn, and that turn.",
             dense=True,
         )
         yield Section("lenses", "Lenses", blocks=(table,))
@@ -287,7 +287,7 @@ def _calibrations(comparison: Comparison) -> Section:
 def _conventions(comparison: Comparison) -> Section:
     with_imu = any(sensor.startswith("imu") for one in comparison.calibrations for sensor in one.sensors)
     forms = (
-        f"All calibrations were brought into body frame {comparison.frame} and into the form of document B: measured = "
+        f"All calibrations were brought into body frame {comparison.frame} and into the form of Krebs: measured = "
         "S M R x + b, with scales S, M unit lower triangular (yz, zy, zx), and R the rotation from body to triad.",
         "p_cam = T_cam_imu p_imu; t_imu = t_cam + time shift. The rotation of a camera is that from body to camera; "
         "differences of rotations are rotation vectors about the body's axes.",

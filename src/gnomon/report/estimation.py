@@ -106,7 +106,7 @@ _WITH_IMU = (
     "Of rotations and directions the value is the small angle from the start. The priors of estimated parameters are "
     "weak: they only hold what the recording does not determine. Considered: held at what was stated, whose σ is "
     "carried into all others. Faint: fixed, or (≤ σ) an entry of the IMU no farther "
-    "from an ideal sensor's than its σ, which document B takes for ideal."
+    "from an ideal sensor's than its σ, which Krebs takes for ideal."
 )
 
 

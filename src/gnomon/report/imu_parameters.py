@@ -246,7 +246,7 @@ def with_bars(rows: list[Parameter], values: list[tuple[float, float]]) -> tuple
 
 _STEP = 1e-6
 NOT_ABOVE = "within its σ"
-"""Marks an entry that the recording does not tell from an ideal sensor's (the rule of document B, section 5.2)."""
+"""Marks an entry that the recording does not tell from an ideal sensor's (the rule of Krebs, section 5.2)."""
 
 
 def sigmas_of(view: Callable[[Floats], Floats], at: Floats, covariance: Floats) -> Floats:
@@ -276,7 +276,7 @@ def _pairs(values: Floats, spreads: Floats) -> list[tuple[float, float]]:
 
 
 def imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
-    """Return an IMU in the letters of document B, chapter 4: S, M, b of both triads, q_bg and B_g.
+    """Return an IMU in the letters of Krebs, chapter 4: S, M, b of both triads, q_bg and B_g.
 
     Groups that were held at an ideal sensor's values are left out.
     """
@@ -322,7 +322,7 @@ def _lever_arms(calibration: Calibration, path: str) -> list[ParameterGroup]:
 
 
 def gyroscope_quaternion(sensitivity: Floats) -> str:
-    """Return a sentence on the rotation C_bg, as the quaternion of document B and its angle; none without rotation."""
+    """Return a sentence on the rotation C_bg, as the quaternion of Krebs and its angle; none without rotation."""
     rotvec = _gyroscope(sensitivity.ravel())[6:] / _DEG
     angle = float(np.linalg.norm(rotvec))
     if not angle > 0:
@@ -412,7 +412,7 @@ def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit
 
 
 def other_reading(calibration: Calibration, name: str) -> Table | None:
-    """Return B_g as chapter 3 of document B reads it, on the force in the gyroscope's axes; None where it is zero."""
+    """Return B_g as chapter 3 of Krebs reads it, on the force in the gyroscope's axes; None where it is zero."""
     gyroscope = calibration.imus[name].gyroscope
     if gyroscope is None or not gyroscope.g_sensitivity.any():
         return None
@@ -429,7 +429,7 @@ def other_reading(calibration: Calibration, name: str) -> Table | None:
         for i, axis in enumerate(AXES)
     )
     return Table(
-        "B_g in the reading of chapter 3",
+        "g-sensitivity on the force in the gyroscope's axes (Krebs, chapter 3)",
         (f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
         rows,
         "B_g C_bg: it acts on the force in the gyroscope's own axes, which the rotation q_bg turns. The sensor "

@@ -212,7 +212,7 @@ _DENSE = 160
 
 
 def allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s: float) -> str:
-    """Allan deviation of three axes with its interval, and the noise that was found (document A, Fig. 3.2)."""
+    """Allan deviation of three axes with its interval, and the noise that was found (Tedaldi 2014, Fig. 3.2)."""
     prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
 
     sheet = Sheet()

@@ -78,14 +78,14 @@ def _key_numbers(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDi
     if isinstance(diagnostics, ImuDiagnostics):
         milli_g = number(1e3 * holdout.accelerometer_rms / STANDARD_GRAVITY_M_S2, 3)
         note = f"rms of |f| − g in intervals left out of the fit; {milli_g} mg"
-        numbers = [KeyNumber("Accelerometer on unseen data", quantity(holdout.accelerometer_rms, "m/s²"), note)]
+        numbers = [KeyNumber("Accelerometer hold-out error", quantity(holdout.accelerometer_rms, "m/s²"), note)]
         if assessment.model != "none":
             angle = f"{number(degrees(holdout.rotation_rms), 3)}°"
             note = f"rms of gravity propagated over rotations left out; {angle}"
-            numbers.append(KeyNumber("Gyroscope on unseen data", quantity(holdout.rotation_rms, "rad"), note))
+            numbers.append(KeyNumber("Gyroscope hold-out error", quantity(holdout.rotation_rms, "rad"), note))
     else:
         numbers = [
-            KeyNumber(f"{name.capitalize()} on unseen data", magnitude_text(value, diagnostics.triads[name].si_unit
+            KeyNumber(f"{name.capitalize()} hold-out error", magnitude_text(value, diagnostics.triads[name].si_unit
                       if name != "magnetometer" else ""), f"rms of {symbol} in {plural} left out of the fit")
             for name, value, symbol in (
                 ("accelerometer", holdout.accelerometer_rms, "|f| − g"),
@@ -199,7 +199,7 @@ def _joined_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
             for name, value in between.items()
             if value > 0
         ),
-        KeyNumber("Accelerometer on unseen data", unseen, "rms of |f| − g in intervals left out of the fits"),
+        KeyNumber("Accelerometer hold-out error", unseen, "rms of |f| − g in intervals left out of the fits"),
         KeyNumber("Gravity", gravity_text(calibration.gravity), calibration.gravity.source),
         KeyNumber("Body frame", calibration.frame, FRAMES.get(calibration.frame, "")),
     )
@@ -262,7 +262,7 @@ def _joined_sections(diagnostics: JoinedDiagnostics) -> tuple[Section, Section]:
             (
                 Table(
                     "One by one",
-                    ("recording", "verdict", "intervals", "rotations", "accelerometer unseen", "gyroscope unseen"),
+                    ("recording", "verdict", "intervals", "rotations", "accelerometer hold-out", "gyroscope hold-out"),
                     each,
                 ),
                 Table(

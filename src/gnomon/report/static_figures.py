@@ -26,7 +26,7 @@ from .panel import Panel
 
 
 def signals(diagnostics: ImuDiagnostics) -> str:
-    """Raw signals with the static detector over them (document A, Fig. 3.1), and its statistic (Eq. 3.9)."""
+    """Raw signals with the static detector over them (Tedaldi 2014, Fig. 3.1), and its statistic (Eq. 3.9)."""
     gyroscope = diagnostics.gyroscope
     ends = finite(np.concatenate([diagnostics.accelerometer.t_s, diagnostics.intervals.stop_s]))
     duration = float(ends.max()) if ends.size and ends.max() > 0 else 1.0
@@ -84,7 +84,7 @@ def _statistic(panel: Panel, trace: DetectorTrace) -> None:
 
 
 def allan(curve: AllanCurve) -> str:
-    """Allan deviation of the three gyroscope axes (document A, Fig. 3.2), with the advised T_init."""
+    """Allan deviation of the three gyroscope axes (Tedaldi 2014, Fig. 3.2), with the advised T_init."""
     sheet = Sheet()
     prefix, factor = prefixed(float(np.median(finite(curve.deviation))) if finite(curve.deviation).size else 1.0)
     title = f"Allan deviation [{prefix}rad/s]"

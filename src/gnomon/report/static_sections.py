@@ -387,7 +387,7 @@ def _at_rest_section(diagnostics: TriadDiagnostics) -> Section | None:
         (*(Legend("dot", axis, f"{axis} measured, ±2σ") for axis in "xyz"), Legend("ring", "ink", "predicted")),
         "Each axis less its mean over all attitudes, so that what depends on the attitude shows. Predicted are "
         "constant bias, drift, g-sensitivity and, where the latitude was stated, the earth's rate. Below, the drift "
-        "that was estimated along with them.",
+        "that was estimated jointly with them.",
     )
     left, centred = rest.measured - rest.predicted, rest.measured - figures.mean_rate(rest)
     rows: list[tuple[str, ...]] = []

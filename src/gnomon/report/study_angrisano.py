@@ -1,4 +1,4 @@
-"""The page of the study of document C."""
+"""The page of the study of Angrisano."""
 
 from math import degrees
 
@@ -22,10 +22,10 @@ _UNITS = ("°", "counts", "10⁻³ m/s² per count")
 _MOST = 12
 """Iterations that a figure shows at most."""
 _SETUP = (
-    "The simulated sensor is the one that document C found (Table 1, first set): 16 bits, ±50 m/s², misaligned by up "
+    "The simulated sensor is the one that Angrisano found (Table 1, first set): 16 bits, ±50 m/s², misaligned by up "
     "to 0.8°. It lies on the six faces and the twelve edges of a cube, each only roughly: the tilts scatter by 1° or "
     "10° about every axis. Each pose is the mean of one second at 100 Hz, quantised sample by sample.",
-    "Document C solves Eq. (10) again and again from the datasheet start (12), until the residual form q changes by "
+    "Angrisano solves Eq. (10) again and again from the datasheet start (12), until the residual form q changes by "
     "less than 0.05 %. Gnomon fits the same poses by maximum likelihood from a closed form, or from the same start "
     "where that is what is compared; its result is written in the nine parameters of Eq. (3).",
     "The rule as printed, (q before − q) / q ≤ 0.0005, is also met when q grows. Fig. 6 shows iterations that went on, "
@@ -55,10 +55,10 @@ def _key_numbers(study: AngrisanoStudy) -> tuple[KeyNumber, ...]:
         KeyNumber(
             "Iterations from the datasheet",
             f"{fewest}" if fewest == most else f"{fewest} to {most}",
-            f"{usual} in {number(100 * times / study.runs, 3)} % of the runs; document C: 4 to 5",
+            f"{usual} in {number(100 * times / study.runs, 3)} % of the runs; Angrisano: 4 to 5",
         ),
         KeyNumber(
-            "Poor starts, document C's iteration",
+            "Poor starts, Angrisano's iteration",
             f"{number(100 * theirs, 3)} %",
             "end in the right minimum; drawn in Table 2's intervals widened threefold",
         ),
@@ -86,7 +86,7 @@ def _sigmas(study: AngrisanoStudy) -> Section:
 def _group_table(sample: Sample) -> Table:
     shown = np.array([degrees(1) * 60, 1.0, 1e7])
     rows = {
-        "σ, document C's method": group_rms(sample.sigma("paper")),
+        "σ, Angrisano's method": group_rms(sample.sigma("paper")),
         "its scatter": group_rms(sample.scatter("paper")),
         "σ, gnomon": group_rms(sample.sigma("ours")),
         "scatter of gnomon": group_rms(sample.scatter("ours")),
@@ -124,7 +124,7 @@ def _starts(study: AngrisanoStudy) -> Section:
     ]
     return Section(
         "starts",
-        "Starts that lead home (Table 2)",
+        "Basin of convergence (Table 2)",
         "All three parameters of a group are moved by the same offset from the datasheet start. An interval holds "
         "the offsets about zero from which every start led to the right minimum.",
         (
@@ -132,7 +132,7 @@ def _starts(study: AngrisanoStudy) -> Section:
                 "Offsets from which the right minimum was found",
                 _basins(study.basins[0]),
                 (
-                    Legend("band", "before", "document C, Table 2"),
+                    Legend("band", "before", "Angrisano, Table 2"),
                     Legend("band", "y", "its iteration, repeated here; and with the stop rule as printed"),
                     Legend("band", "x", "gnomon"),
                 ),
@@ -158,7 +158,7 @@ def _basins(basins: tuple[Basin, ...]) -> str:
     for k, basin in enumerate(basins):
         title = f"{basin.group[:1].upper()}{basin.group[1:]}: offset [{_UNITS[k]}]"
         _basin(sheet.panel(title, top=36.0 + 178 * k, height=112, left=LEFT + 52, right=44), basin, k)
-    alt = "Offsets of the start from which document C's iteration and gnomon find the right minimum, three groups."
+    alt = "Offsets of the start from which Angrisano's iteration and gnomon find the right minimum, three groups."
     return sheet.draw("basins", 36 + 3 * 178, alt)
 
 
@@ -216,7 +216,7 @@ def _iterations(study: AngrisanoStudy) -> Section:
     return Section(
         "iterations",
         "Iterations (Figs. 4 to 6)",
-        "The figures of document C drawn again from one simulated experiment.",
+        "The figures of Angrisano drawn again from one simulated experiment.",
         figures,
     )
 
@@ -244,7 +244,7 @@ def _journey(name: str, journey: Journey) -> str:
         panel.x.span(-0.2, steps[-1] + 0.9)
         panel.x.whole, panel.x.labelled = True, last
         top += 186
-    alt = f"Document C's iteration {journey.name}: angles, biases and scale factors after each iteration."
+    alt = f"Angrisano's iteration {journey.name}: angles, biases and scale factors after each iteration."
     return sheet.draw(name, 36 + 3 * 186 + 20, alt)
 
 

@@ -1,4 +1,4 @@
-"""The page of the study of document B."""
+"""The page of the study of Krebs."""
 
 import numpy as np
 
@@ -18,10 +18,10 @@ _SETUP = (
     f"One motion of {SCENARIO.duration_s:g} s before a checkerboard, ever new noise: IMU at 200 Hz with the errors and "
     "the noise of Table A.1, gravity, the Earth's rate; mean rate 0.366 rad/s, mean acceleration 3.12 m/s². S2 and S3 "
     "have a tenth and a hundredth of the IMU's noise and of the walks of its biases.",
-    "Document B does not state board, lens, frame rate or pixel noise of its simulation. Here: 7 x 6 corners of 60 mm, "
+    "Krebs does not state board, lens, frame rate or pixel noise of its simulation. Here: 7 x 6 corners of 60 mm, "
     f"640 x 480 px, {SCENARIO.camera_rate_hz:g} frames/s, {PIXEL_NOISE_PX:g} px of noise on each corner and axis; "
-    "chosen before the first run, and kept. The motion is another one than document B's, at the same means.",
-    "The estimate is document B's: all constants of Table 4.1, gravity with its three elements, the noise known, no "
+    "chosen before the first run, and kept. The motion is another one than Krebs's, at the same means.",
+    "The estimate is Krebs's: all constants of Table 4.1, gravity with its three elements, the noise known, no "
     "robust loss. A sixth-order spline of 25 knots/s follows the motion, which ends at 2 Hz. The basic model knows "
     "neither M, S, q_bg nor B_g.",
     "q_cb and q_bg are the vector parts of the quaternions of the error, half the angle, as in Table B.2.",
@@ -38,7 +38,7 @@ _DOUBTS = (
     "a consumer sensor's walk they would be far smaller (last table). It seems to have been simulated as printed.",
     "S_a,z is 0.9986 in Table A.1, and 0.9998 is found without error in Table B.2; B_g is 0.00018 in the table and "
     "seven times that in the matrix below it. Here S_a,z is 0.9986 and B_g the matrix.",
-    "The Earth's rate is in the simulation and not in the model, as in document B. It turns in the body like gravity, "
+    "The Earth's rate is in the simulation and not in the model, as in Krebs. It turns in the body like gravity, "
     "so B_g takes up as much as Ω / g, 7·10⁻⁶ rad/s per m/s²: nothing beside the noise of S1, a sigma or two in S3. "
     "In Table B.1, too, B_g xy, zx and zy of S3 are off by 7.4, 3.6 and 5.0 standard errors of 100 runs.",
 )
@@ -60,9 +60,7 @@ def _key_numbers(study: KrebsStudy) -> tuple[KeyNumber, ...]:
     place = columns("p_cb")
     step = np.exp(np.mean(np.log(reduction(study.noise_levels)), axis=1))
     return (
-        KeyNumber(
-            "σ of p_cb, S1", f"{_row(1e3 * first.scatter[place], 3)} mm", "x, y, z; document B: 1.71, 3.91, 6.86 mm"
-        ),
+        KeyNumber("σ of p_cb, S1", f"{_row(1e3 * first.scatter[place], 3)} mm", "x, y, z; Krebs: 1.71, 3.91, 6.86 mm"),
         KeyNumber(
             "Squared error over covariance",
             ", ".join(fixed(sample.nees, 1) for sample in study.noise_levels),
@@ -71,12 +69,12 @@ def _key_numbers(study: KrebsStudy) -> tuple[KeyNumber, ...]:
         KeyNumber(
             "A tenth of the noise",
             f"σ / {number(step[0], 3)}, / {number(step[1], 3)}",
-            "of p_cb, mean of the axes; document B: 2 to 4",
+            "of p_cb, mean of the axes; Krebs: 2 to 4",
         ),
         KeyNumber(
             "Basic model",
             f"{_row(1e3 * study.basic.mean[place], 2)} mm",
-            "mean error of p_cb; document B: up to 5 mm on one axis",
+            "mean error of p_cb; Krebs: up to 5 mm on one axis",
         ),
     )
 
@@ -121,7 +119,7 @@ def _every(study: KrebsStudy) -> Section:
     return Section(
         "parameters",
         "All parameters (Tables 5.3, B.1 and B.2)",
-        "σ is the scatter over the runs, σ_cal of document B. Beside it the σ that gnomon states for one "
+        "σ is the scatter over the runs, σ_cal of Krebs. Beside it the σ that gnomon states for one "
         "recording, and z, the rms error in units of it, which is 1 where it is true.",
         (
             _table_5_3(study),
@@ -199,7 +197,7 @@ def _parameter_table(sample: Sample, k: int) -> Table:
 def _levels(study: KrebsStudy) -> Section:
     rows: list[tuple[str, ...]] = []
     stated = [np.array(sigma) for sigma in GROUPS[0].sigma]
-    rows.append(("document B, Table 5.2", *_steps(np.array([stated[0] / stated[1], stated[1] / stated[2]]))))
+    rows.append(("Krebs, Table 5.2", *_steps(np.array([stated[0] / stated[1], stated[1] / stated[2]]))))
     rows.append((f"here, {PIXEL_NOISE_PX:g} px", *_steps(reduction(study.noise_levels))))
     rows.append(("here, without pixel noise", *_steps(reduction(study.without_pixel_noise))))
     sigmas = [
@@ -310,7 +308,7 @@ def _setup(study: KrebsStudy) -> Section:
     ]
     return Section(
         "setup",
-        "How it was simulated, and what document B leaves open",
+        "How it was simulated, and what Krebs leaves open",
         blocks=(
             Prose(_SETUP),
             Prose(tuple(_fine(line) for line in _DOUBTS), points=True),

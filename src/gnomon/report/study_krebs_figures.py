@@ -1,4 +1,4 @@
-"""The figures of the study of document B: histograms and fitted normal distributions, three axes side by side."""
+"""The figures of the study of Krebs: histograms and fitted normal distributions, three axes side by side."""
 
 from collections.abc import Sequence
 

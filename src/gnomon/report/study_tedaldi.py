@@ -1,4 +1,4 @@
-"""The page of the study of document A."""
+"""The page of the study of Tedaldi."""
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from .study_page import study_page
 _CALLED = {"gnomon": "gnomon", "tedaldi2014-text": "Algorithm 1 as printed", "tedaldi2014": "authors' script"}
 """The methods, as the page calls them; the last two are presets of gnomon."""
 _SETUP = (
-    "As document A says: 100 Hz; 5000 samples at rest, then 400 after each motion; three sinusoids of different "
+    "As Tedaldi says: 100 Hz; 5000 samples at rest, then 400 after each motion; three sinusoids of different "
     "pulsation, scaled at random in each motion, as accelerations; gravity turning at a random zenith and a random "
     "azimuth rate in each motion; distorted by Eqs. (4.1) and (4.2). The parameters are drawn from the ranges of its "
     "40 sets: accelerometer misalignments ±0.01, scales 1 ± 0.01, biases ±0.1 m/s²; gyroscope misalignments ±0.03, "
@@ -60,12 +60,12 @@ def _key_numbers(study: TedaldiStudy) -> tuple[KeyNumber, ...]:
     drift = float(np.nanmean(study.signals("gnomon", "drift_angle")[..., 0]))
     return (
         KeyNumber(
-            "Accelerometer errors over document A's",
+            "Accelerometer errors over Tedaldi's",
             f"{fixed(float(ratio[:3].min()), 2)} to {fixed(float(ratio[:3].max()), 2)}",
             "misalignment, scale, bias; mean absolute errors over all sets",
         ),
         KeyNumber(
-            "Gyroscope errors over document A's",
+            "Gyroscope errors over Tedaldi's",
             f"{fixed(float(ratio[3:].min()), 2)} to {fixed(float(ratio[3:].max()), 2)}",
             "misalignment, scale; its motion is not known",
         ),
@@ -94,10 +94,10 @@ def _parameters(study: TedaldiStudy) -> Section:
     ]
     first = Table(
         "The first set (Tables 4.1 and 4.2)",
-        ("", "truth", "gnomon: spread", "error", "as printed: spread", "error", "document A: spread", "error"),
+        ("", "truth", "gnomon: spread", "error", "as printed: spread", "error", "Tedaldi: spread", "error"),
         rows,
         "Spread is the standard deviation of the estimates, error their mean absolute error, both in 10⁻³; "
-        "biases in m/s². Document A's first set is another one; all sets are in parameters.csv.",
+        "biases in m/s². Tedaldi's first set is another one; all sets are in parameters.csv.",
         dense=True,
     )
     return Section(
@@ -110,7 +110,7 @@ def _parameters(study: TedaldiStudy) -> Section:
 
 def _groups(study: TedaldiStudy) -> Table:
     theirs = np.array([error for _, error in GROUPS.values()])
-    rows = [("document A, its 40 sets", *(fixed(1e3 * error, 4) for error in theirs))]
+    rows = [("Tedaldi, its 40 sets", *(fixed(1e3 * error, 4) for error in theirs))]
     for method in METHODS:
         errors = group_errors(study, method)
         rows.append((f"{_CALLED[method]}: mean", *(fixed(1e3 * float(error), 4) for error in errors)))
@@ -153,9 +153,9 @@ def _signals(study: TedaldiStudy) -> Section:
     ):
         before, after = SIGNAL_ERROR[sensor]
         rows += [
-            (f"{sensor} [{unit}], uncalibrated: document A, set 1", *_cells(np.array(before))),
+            (f"{sensor} [{unit}], uncalibrated: Tedaldi, set 1", *_cells(np.array(before))),
             ("here, as recorded", *_cells(study.signals(None, name).mean(axis=(0, 1)))),
-            ("calibrated: document A, set 1", *_cells(np.array(after))),
+            ("calibrated: Tedaldi, set 1", *_cells(np.array(after))),
             *((f"{_CALLED[m]}", *_cells(known_mean(study.signals(m, name), axis=(0, 1)))) for m in METHODS),
             ("noise alone", *_cells(np.full(3, alone))),
         ]
@@ -182,7 +182,7 @@ def _gravity(study: TedaldiStudy) -> Section:
     rows: list[tuple[str, ...]] = []
     for state, methods in (("uncalibrated", (None,)), ("calibrated", METHODS)):
         size, angle = DIVERGENCE[state]
-        rows.append((f"{state}: document A, set 1", *_cells(np.array(size)), *_cells(np.array(angle))))
+        rows.append((f"{state}: Tedaldi, set 1", *_cells(np.array(size)), *_cells(np.array(angle))))
         for method in methods:
             worst = _worst(study.signals(method, "divergence")[..., 0])
             rows.append((
@@ -202,7 +202,7 @@ def _gravity(study: TedaldiStudy) -> Section:
                       "largest"),
                 rows,
                 "Means over the recordings, and the recording with the largest mean in the worst case. "
-                "Document A's angles are larger than g sin θ makes of its divergences (0.0665 m/s² are 0.0068 rad).",
+                "Tedaldi's angles are larger than g sin θ makes of its divergences (0.0665 m/s² are 0.0068 rad).",
                 dense=True,
             ),
         ),
@@ -231,7 +231,7 @@ def _rotations(study: TedaldiStudy) -> Section:
             size, angle = ROTATION[state]
             if compared:
                 theirs = (*_cells(np.array(size)), *_cells(np.array(angle[:1])), "", *_cells(np.array(angle[1:])), "")
-                rows.append((f"{state}: document A, set 1", *theirs))
+                rows.append((f"{state}: Tedaldi, set 1", *theirs))
             for method in methods:
                 worst = _worst(study.signals(method, "divergence")[..., 0])
                 rows.append((
@@ -251,7 +251,7 @@ def _rotations(study: TedaldiStudy) -> Section:
     return Section(
         "rotations",
         "Gravity carried by the gyroscope (Table 4.5)",
-        "Acceleration sensed at rest against the one that the gyroscope carries there. Document A does not say "
+        "Acceleration sensed at rest against the one that the gyroscope carries there. Tedaldi does not say "
         "over how long it integrates, and prints one number for mean and largest angle; both readings are here. The "
         "worst case is the recording with the largest divergence of the accelerometer, as there. The gyroscope's mean "
         "over the first rest is removed in every row.",

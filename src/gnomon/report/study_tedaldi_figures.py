@@ -1,4 +1,4 @@
-"""The figures of the study of document A: Figs. 4.1 to 4.15 drawn anew, and the errors of all sets."""
+"""The figures of the study of Tedaldi: Figs. 4.1 to 4.15 drawn anew, and the errors of all sets."""
 
 from collections.abc import Mapping
 
@@ -36,19 +36,19 @@ def set_errors(study: TedaldiStudy, called: Mapping[str, str]) -> Figure:
             dots(panel, number, values, color, size=6)
         panel.x.span(0.2, len(number) + 0.8)
         panel.x.whole, panel.x.labelled = True, last
-    alt = "Mean absolute errors of the parameters of each set by three methods, and the mean of document A."
+    alt = "Mean absolute errors of the parameters of each set by three methods, and the mean of Tedaldi."
     return Figure(
         "Errors of every set",
         sheet.draw("set-errors", 36 + 170 * len(GROUPS) + 24, alt),
         (
             *(Legend("dot", c, called[m]) for m, c in zip(METHODS, _COLORS, strict=True)),
-            Legend("dash", "muted", "document A, mean of its 40 sets"),
+            Legend("dash", "muted", "Tedaldi, mean of its 40 sets"),
         ),
     )
 
 
 def examples(study: TedaldiStudy) -> tuple[Figure, ...]:
-    """Return the signals of the examples, accelerometers first as in document A."""
+    """Return the signals of the examples, accelerometers first as in Tedaldi."""
     return tuple(
         Figure(
             f"Fig. 4.{4 * which + k + 1}: {sensor}, example {k + 1}",

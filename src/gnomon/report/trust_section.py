@@ -156,7 +156,7 @@ def _models(models: tuple[ModelStep, ...]) -> Table:
     )
     return Table(
         "What the model holds, by evidence",
-        ("block", "parameters", "gain on unseen data", "needed", "in the model", "what it moves most"),
+        ("block", "parameters", "gain on hold-out data", "needed", "in the model", "what it moves most"),
         rows,
         faint=frozenset(i for i, step in enumerate(models) if not step.used),
         caption="Each block is judged by the log-likelihood of clusters of time that were left out of the estimate, "
