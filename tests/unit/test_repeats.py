@@ -8,10 +8,10 @@ import pytest
 
 import gnomon
 from gnomon.assess.signals import check_signal
-from gnomon.detect.samples.repeats import repeated_stretches
+from gnomon.detect.samples.repeats import RepeatWatch, repeated_stretches
 from gnomon.errors import OptionError, RecordingError
 from gnomon.fingerprint import alike, fingerprint
-from gnomon.recording import Recording, Source, TriadSamples
+from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 
 OPTIONS = gnomon.ImuOptions(gravity=9.80665)
 
@@ -142,3 +142,37 @@ def test_other_recordings_have_other_fingerprints():
     assert not any(alike(a, b) for a, b in combinations(prints, 2))
     assert fingerprint(np.zeros((500, 3))) == ""
     assert not alike("xyz", "xyz")
+
+
+@pytest.mark.parametrize("block", [700, 5000, 40_000])
+def test_noise_looks_for_copies_while_it_streams(block):
+    values = noise(20_000, seed=3)
+    values[12_000:15_000] = values[2_000:5_000]
+    watch, t_s = RepeatWatch(), np.arange(20_000) / 100
+    for k in range(0, 20_000, block):
+        watch.add(values[k : k + block], t_s[k : k + block])
+    copies, share = watch.copies()
+    assert share == pytest.approx(0.15, abs=0.01)
+    assert copies[:, 0].min() == pytest.approx(120, abs=0.7)
+    assert copies[:, 0].max() == pytest.approx(150, abs=1.4)
+    assert np.allclose(copies[:, 0] - copies[:, 1], 100)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.5, 3.0])
+def test_noise_alone_holds_no_copies(step):
+    watch = RepeatWatch()
+    for k in range(4):
+        watch.add(noise(20_000, seed=k, step=step), k * 200 + np.arange(20_000) / 100)
+    assert not len(watch.copies()[0])
+    watch = RepeatWatch()
+    watch.add(np.zeros((3, 3)), np.arange(3.0))
+    assert watch.copies()[1] == 0
+
+
+def test_the_noise_of_a_recording_appended_to_itself_is_none():
+    values = 1e-3 * np.concatenate([noise(12_000, seed=5)] * 2)
+    one = TriadSamples(t_ns=np.arange(len(values)) * 10_000_000, values=values, unit="rad/s")
+    nothing = TriadSamples(t_ns=np.empty(0, np.int64), values=np.empty((0, 3)), unit="m/s^2")
+    found = gnomon.identify_noise(Recording(imus={"imu0": ImuSamples(accelerometer=nothing, gyroscope=one)})).noise
+    assert {f.code: f.severity for f in found.findings}["data-repeated"] == "problem"
+    assert found.verdict == "fail"

@@ -289,6 +289,24 @@ def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
     ]
 
 
+def copied_stretches(copies: Floats, share: float, label: str) -> list[Finding]:
+    """Return a finding where stretches (k, 2) that begin at a time did so before [s], of samples that were streamed."""
+    if not len(copies):
+        return []
+    return [
+        make_finding(
+            "data-repeated",
+            severity="problem" if share > _MUCH_REPEATED else "warning",
+            label=label,
+            begin=copies[:, 0].min(),
+            end=copies[:, 0].max(),
+            at_s=copies[:, 1].min(),
+            share=share,
+            places="",
+        )
+    ]
+
+
 def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
     marked = saturated(samples)
     count = int(np.count_nonzero(marked))

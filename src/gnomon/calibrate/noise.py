@@ -16,9 +16,11 @@ from ..assess.imu_tables import envelope
 from ..assess.noise_checks import check_length, check_samples, check_still
 from ..assess.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.noise_verdict import assess_noise
+from ..assess.signals import copied_stretches
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..calibration import Provenance
 from ..detect.samples.noise import averaging_time
+from ..detect.samples.repeats import RepeatWatch
 from ..detect.samples.rest import RestTable, RestWatch
 from ..detect.samples.rounding import smallest_steps
 from ..errors import RecordingError
@@ -35,7 +37,7 @@ from ..readers.samples.folder import recording_files
 from ..readers.samples.recognise import gyroscope_unit
 from ..readers.samples.sample_stream import SampleStream
 from ..readers.samples.stream import open_stream, stream_of
-from ..recording import Recording, Source, TriadSamples
+from ..recording import Floats, Recording, Source, TriadSamples
 from ..sensor_noise import SENSOR_UNITS, AllanTable, AxisNoise, Coefficient, NoiseResult, SensorNoise, TriadNoise
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 
@@ -87,6 +89,7 @@ def identify_noise(
         check_length(tables[name], name)
         findings += check_still(tables[name], name, dead_windows(tables[name], triad.step))
         findings += check_samples(tables[name], triad.step, name)
+        findings += copied_stretches(*triad.repeats.copies(), name)
     tell("fitting the Allan variance")
     steady: dict[str, Stationarity] = {}
     with threadpool_limits(1, user_api="blas"):
@@ -144,7 +147,7 @@ class _Triad:
 
     def __init__(self, name: str, options: NoiseOptions) -> None:
         self.name = name
-        self.sums, self.watch = AllanSums(), RestWatch()
+        self.sums, self.watch, self.repeats = AllanSums(), RestWatch(), RepeatWatch()
         self.notes: list[Finding] = []
         self.step = np.full(3, np.nan)
         self._options = options
@@ -159,7 +162,7 @@ class _Triad:
             self._origin = int(block.t_ns[0])
             self._factor = self._unit(block)
             self.step = smallest_steps(block.values) * self._factor
-        t_s = (block.t_ns - self._origin) * 1e-9
+        t_s: Floats = np.multiply(block.t_ns - self._origin, 1e-9, dtype=np.float64)
         stop_s = np.inf if self._options.stop_s is None else self._options.stop_s
         kept = slice(*np.searchsorted(t_s, [self._options.start_s, stop_s]).tolist())
         values = block.values[kept] * self._factor
@@ -170,6 +173,7 @@ class _Triad:
                 "samples is not known. Sort them by their stamps, or cut the recording where the clock was set anew."
             )
         self.sums.add(values)
+        self.repeats.add(values, t_s[kept])
         return bool(t_s[-1] < stop_s)
 
     def _unit(self, block: TriadSamples) -> float:

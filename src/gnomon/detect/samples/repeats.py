@@ -15,6 +15,7 @@ from ...recording import Floats, Integers
 _LENGTH = 64  # successive different readings
 _DISTINCT = 32  # of them
 _MOST_OFFSETS = 16
+_MOST_KEPT = 1 << 19  # stretches that are remembered of a long recording
 _BASE = 0x9E3779B97F4A7C15  # odd: it has an inverse modulo 2^64
 _COLUMNS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB, 0xD6E8FEB86659FD93)
 
@@ -63,6 +64,55 @@ def repeated_stretches(values: Floats, other: Floats | None = None) -> list[Repe
         for start, count, offset in found
     ]
     return sorted(repeats, key=lambda repeat: repeat.second)
+
+
+class RepeatWatch:
+    """Looks for stretches that occur twice in samples that come block by block, in memory that does not grow."""
+
+    def __init__(self) -> None:
+        self._readings, self._t_s = np.empty((0, 3)), np.empty(0)  # not yet looked for
+        self._hashes, self._at_s = np.empty(0, np.uint64), np.empty(0)  # of stretches seen, in the order of the hashes
+        self._every, self._stretches = _LENGTH, 0
+        self._found: list[Floats] = []  # when a stretch begins, and when it did before [s]
+
+    def add(self, values: Floats, t_s: Floats) -> None:
+        """Take the next samples (n, 3) and when they were measured (n,) [s]."""
+        before = self._readings[-1:]
+        at, readings = _changes(np.concatenate([before, values]))
+        at, readings = at[len(before) :], readings[len(before) :]
+        self._readings = np.concatenate([self._readings, readings])
+        self._t_s = np.concatenate([self._t_s, t_s[at - len(before)]])
+        if len(self._readings) < 2 * _LENGTH:
+            return
+        hashes = _stretch_hashes(_row_hashes(self._readings))
+        kept = np.arange(-self._stretches % self._every, len(hashes), self._every)
+        self._stretches += len(hashes)
+        self._keep(np.append(self._hashes, hashes[kept]), np.append(self._at_s, self._t_s[kept]))
+        place = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
+        hits = np.flatnonzero((self._hashes[place] == hashes) & (self._at_s[place] < self._t_s[: len(hashes)]))
+        varied = [k for k in hits if len(np.unique(self._readings[k : k + _LENGTH], axis=0)) >= _DISTINCT]
+        self._found.append(np.column_stack([self._t_s[varied], self._at_s[place[varied]]]))
+        self._readings, self._t_s = self._readings[len(hashes) :], self._t_s[len(hashes) :]
+
+    def _keep(self, hashes: _Hashes, at_s: Floats) -> None:
+        if len(hashes) > _MOST_KEPT:
+            by_time = np.argsort(at_s)[::2]
+            hashes, at_s, self._every = hashes[by_time], at_s[by_time], 2 * self._every
+        order = np.argsort(hashes, kind="stable")
+        self._hashes, self._at_s = hashes[order], at_s[order]
+
+    def copies(self) -> tuple[Floats, float]:
+        """Return when stretches (k, 2) begin and when they did before [s], and which share of all readings are copies.
+
+        All have the same distance in time, that of most of them.
+        """
+        found = np.concatenate([np.empty((0, 2)), *self._found])
+        if not len(found):
+            return found, 0.0
+        back = np.round(found[:, 0] - found[:, 1], 2)
+        distances, count = np.unique(back, return_counts=True)
+        share = len(found) * self._every / max(self._stretches, 1)
+        return found[back == distances[np.argmax(count)]], min(share, 1.0)
 
 
 def _changes(values: Floats) -> tuple[Integers, Floats]:
