@@ -1,14 +1,17 @@
 """The data doctor: what is good and bad about a recording before anything is estimated from it."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from ..findings import Finding, make_finding
 from ..gaps import close_gaps
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
-from .protocol import check_protocol
+from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
+from .threshold import RestDetection
 
 _SIDE = 4  # samples on either side that tell how fast a signal changes
 _STEEP = 7.0  # that change from sample to sample, in units of the noise
@@ -165,6 +168,9 @@ def check_field_samples(samples: TriadSamples, label: str) -> list[Finding]:
 _POSES = 9
 
 
+FindRests = Callable[[ImuSamples], RestDetection | None]
+
+
 def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | None = None) -> tuple[Finding, ...]:
     """Look at a recording and say what is good or bad about it for the calibration of an IMU.
 
@@ -181,13 +187,14 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
     -------
     Findings in the order stamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
     """
+    return check_by_rests(recording, partial(find_imu_rests, window_s=window_s, multiplier=multiplier))
+
+
+def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding, ...]:
+    """Return the findings of `check`, by rests that another function finds, for a caller who uses them again."""
     if recording.pieces or recording.poses is not None:
         return tuple(_check_poses(recording))
-    return tuple(
-        finding
-        for name, imu in recording.imus.items()
-        for finding in _check_imu(name, imu, window_s=window_s, multiplier=multiplier)
-    )
+    return tuple(finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu, find_rests))
 
 
 def _check_poses(recording: Recording) -> list[Finding]:
@@ -211,7 +218,7 @@ def _check_poses(recording: Recording) -> list[Finding]:
     ]
 
 
-def _check_imu(name: str, imu: ImuSamples, *, window_s: float, multiplier: float | None) -> list[Finding]:
+def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Finding]:
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     if len(accelerometer) < 2 or len(gyroscope) == 1:
         return [
@@ -239,7 +246,7 @@ def _check_imu(name: str, imu: ImuSamples, *, window_s: float, multiplier: float
         findings += check_triad_clocks(imu, name)
     if not usable:
         return findings
-    return findings + check_protocol(imu, name, window_s=window_s, multiplier=multiplier)
+    return findings + check_protocol(imu, name, find_rests(imu))
 
 
 def _clocks(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> list[Finding]:

@@ -13,7 +13,7 @@ from ..intervals import Booleans, StaticIntervals, interval_means
 from ..recording import Floats, ImuSamples, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .signals import is_silent
-from .threshold import detect_rests
+from .threshold import RestDetection, detect_rests
 
 _LISTED = 6  # runs of rests with one reason
 _MANY = 0.1  # of the rests
@@ -91,13 +91,12 @@ _NONE = 0.1  # of gravity: less is none
 _LOOKED_AT = 24  # intervals
 
 
-def check_protocol(
-    imu: ImuSamples, label: str, *, window_s: float = 1.0, multiplier: float | None = None
-) -> list[Finding]:
-    """Return findings on how the recording was made; linear time."""
-    imu = replace(imu, accelerometer=repaired(imu.accelerometer), gyroscope=repaired(imu.gyroscope))
-    accelerometer, found = imu.accelerometer, _rests(imu, window_s, multiplier)
-    rests = found.intervals
+def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None) -> list[Finding]:
+    """Return findings on how the recording was made, by its rests; linear time."""
+    accelerometer, found = imu.accelerometer, Rests.none()
+    if detection is not None:
+        accelerometer, found = detection.motion.samples, detection.chosen.rests
+    imu, rests = replace(imu, accelerometer=accelerometer, gyroscope=repaired(imu.gyroscope)), found.intervals
     unrest = _unrest(imu, rests) if len(rests) else float("inf")
     if unrest > _MOVING:
         return [make_finding("never-static", label=label, duration_s=accelerometer.duration_s)]
@@ -119,20 +118,37 @@ def check_protocol(
     return findings
 
 
-def _rests(imu: ImuSamples, window_s: float, multiplier: float | None) -> Rests:
-    """Return the rests as every calibration finds them."""
-    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
-    origin = int(accelerometer.t_ns[0])
-    times = [np.asarray(1e-9 * (triad.t_ns - origin), np.float64) for triad in (accelerometer, gyroscope)]
-    detection = detect_rests(
+def find_imu_rests(
+    imu: ImuSamples,
+    *,
+    window_s: float = 1.0,
+    multiplier: float | None = None,
+    accelerometer_range: float | None = None,
+    gravity_m_s2: float = 9.81,
+    counted: bool = False,
+) -> RestDetection | None:
+    """Find the rests of an IMU as every calibration does; None where it is shorter than two windows.
+
+    Parameters
+    ----------
+    imu : as recorded
+    window_s, multiplier, gravity_m_s2 : see `detect_rests`
+    accelerometer_range : what the accelerometer can measure [unit], where it is known
+    counted : whether the samples are on a uniform time base whatever their stamps
+    """
+    accelerometer, gyroscope = (repaired(triad, counted=counted) for triad in (imu.accelerometer, imu.gyroscope))
+    times = [
+        np.asarray(1e-9 * (triad.t_ns - accelerometer.t_ns[0]), np.float64) for triad in (accelerometer, gyroscope)
+    ]
+    return detect_rests(
         accelerometer,
         gyroscope,
-        saturated(accelerometer),
+        saturated(accelerometer, accelerometer_range),
         t_s=(times[0], times[1]),
         window_s=window_s,
         multiplier=multiplier,
+        gravity_m_s2=gravity_m_s2,
     )
-    return Rests.none() if detection is None else detection.chosen.rests
 
 
 def _unrest(imu: ImuSamples, rests: StaticIntervals) -> float:

@@ -18,7 +18,6 @@ from ..assess.threshold import (
     FEWEST_INTERVALS,
     RestDetection,
     accelerometer_course,
-    detect_rests,
     disturbed,
 )
 from ..assess.weak_findings import imu_weak
@@ -114,7 +113,7 @@ def calibrate_imu(
         return calibrate_as_published(recording, prepared, options, tell)
     gravity = local_gravity(options)
     tell("finding static intervals")
-    detection = _static_intervals(prepared, options, gravity.value)
+    detection = _static_intervals(prepared, options)
     chosen = detection.chosen
     at_rest = stream(
         prepared.accelerometer,
@@ -190,18 +189,9 @@ def calibrate_imu(
     return Result(calibration=calibration, diagnostics=diagnostics)
 
 
-def _static_intervals(prepared: PreparedImu, options: ImuOptions, gravity_m_s2: float) -> RestDetection:
-    """Detect static intervals (Eq. 3.9) at the threshold that serves the calibration best."""
-    samples = prepared.accelerometer
-    detection = detect_rests(
-        samples,
-        prepared.gyroscope,
-        prepared.accelerometer_saturated,
-        t_s=(prepared.accelerometer_time.t_s, prepared.gyroscope_time.t_s),
-        window_s=options.window_s,
-        multiplier=options.multiplier,
-        gravity_m_s2=gravity_m_s2,
-    )
+def _static_intervals(prepared: PreparedImu, options: ImuOptions) -> RestDetection:
+    """Return the static intervals (Eq. 3.9) that were found, where they are enough for a calibration."""
+    samples, detection = prepared.accelerometer, prepared.rests
     if detection is None:
         raise DetectionError(
             f"the recording of {samples.duration_s:.1f} s is too short for windows of {options.window_s:g} s. "

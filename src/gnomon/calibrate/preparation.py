@@ -6,7 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from ..assess.doctor import check
+from ..assess.doctor import check_by_rests
+from ..assess.protocol import find_imu_rests
+from ..assess.threshold import RestDetection
 from ..calibration import UNSTATED_GRAVITY, AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
 from ..camera_options import CameraOptions
 from ..detect.samples.noise import resting_noise
@@ -41,6 +43,7 @@ class PreparedImu:
     accelerometer_time, gyroscope_time : instants of sampling, one origin
     accelerometer_saturated, gyroscope_saturated : (n,) clipped samples
     findings : what the data doctor noticed
+    rests : where it rested, as the data doctor found it; None where it is shorter than two windows
     """
 
     accelerometer: TriadSamples
@@ -50,6 +53,30 @@ class PreparedImu:
     accelerometer_saturated: Booleans
     gyroscope_saturated: Booleans
     findings: tuple[Finding, ...]
+    rests: RestDetection | None
+
+
+def check_and_detect(
+    recording: Recording, name: str, options: ImuOptions
+) -> tuple[tuple[Finding, ...], RestDetection | None]:
+    """Return what the data doctor says of one IMU of a recording, and the rests that he found on the way."""
+    found: list[RestDetection | None] = []
+
+    def find_rests(imu: ImuSamples) -> RestDetection | None:
+        found.append(
+            find_imu_rests(
+                imu,
+                window_s=options.window_s,
+                multiplier=options.multiplier,
+                accelerometer_range=options.accelerometer_range,
+                gravity_m_s2=local_gravity(options).value,
+                counted=options.time_base == "uniform",
+            )
+        )
+        return found[-1]
+
+    findings = check_by_rests(replace(recording, imus={name: recording.imus[name]}), find_rests)
+    return findings, next(iter(found), None)
 
 
 def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[str] = frozenset()) -> PreparedImu:
@@ -73,17 +100,15 @@ def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[s
     assumptions = recording.assumptions
     if len(recording.imus) > 1:
         assumptions += (f"the recording holds {len(recording.imus)} IMUs; {name} is the one that is calibrated.",)
-    findings = (
-        *check(replace(recording, imus={name: samples}), window_s=options.window_s, multiplier=options.multiplier),
-        *map(assumed, assumptions),
-    )
+    findings, rests = check_and_detect(recording, name, options)
+    findings += tuple(map(assumed, assumptions))
     refuse(findings, tolerated=tolerated)
     if not len(samples.gyroscope):
         raise RecordingError(
             "the recording holds no gyroscope samples. "
             "Give a file with both triads, or the gyroscope's file as a second path."
         )
-    return _on_time_base(samples, findings, options)
+    return _on_time_base(samples, findings, rests, options)
 
 
 def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset()) -> None:
@@ -148,7 +173,9 @@ def _telling_triad(recording: Recording) -> TriadSamples | None:
     return None
 
 
-def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: ImuOptions) -> PreparedImu:
+def _on_time_base(
+    samples: ImuSamples, findings: tuple[Finding, ...], rests: RestDetection | None, options: ImuOptions
+) -> PreparedImu:
     counted = options.time_base == "uniform"
     accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
     origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
@@ -164,6 +191,7 @@ def _on_time_base(samples: ImuSamples, findings: tuple[Finding, ...], options: I
         accelerometer_saturated=saturated(accelerometer, options.accelerometer_range),
         gyroscope_saturated=saturated(gyroscope, options.gyroscope_range),
         findings=findings,
+        rests=rests,
     )
 
 

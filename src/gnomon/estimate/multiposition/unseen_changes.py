@@ -64,20 +64,19 @@ def alternatives(fit: MultiPositionFit, triad: str) -> tuple[Floats, Floats]:
     estimated, theta = fitted[fit.free], np.zeros(len(fit.free) + new.size)
     theta[fitted] = fit.state.theta
     taken = fitted[own[present.of_kind("step", "warm-up")]]
-    none = max(_solved(level, estimated, np.zeros(len(theta)))[1] for level in levels)
-    moves, odds = list[Floats](), list[float]()
-    for k, columns in enumerate(new):
-        for out in (None, *taken):
-            start, kept = np.zeros(len(theta)), estimated
-            if out is not None:
-                start[out] = -theta[out]
-                kept = np.setdiff1d(estimated, out)
-            x, likelihood = max(
-                (_solved(level, np.append(kept, columns), start) for level in levels), key=lambda found: found[1]
-            )
-            moves.append(x[:PARAMETERS])
-            odds.append(likelihood - none - (price[k] if out is None else 0.0))
-    return np.array(moves), np.array(odds)
+    found = [_solved(level, estimated, new, np.zeros(len(theta))) for level in levels]
+    none = max(without for _, _, without in found)
+    moves, odds = list[Floats](), list[Floats]()
+    for out in (None, *taken):
+        start, cost = np.zeros(len(theta)), price
+        if out is not None:
+            start[out], cost = -theta[out], np.zeros(len(price))
+            found = [_solved(level, np.setdiff1d(estimated, out), new, start) for level in levels]
+        likelihood = np.array([of_level for _, of_level, _ in found])
+        best = np.argmax(likelihood, axis=0), np.arange(len(new))
+        moves.append(np.array([x for x, _, _ in found])[best])
+        odds.append(likelihood[best] - none - cost)
+    return np.concatenate(moves), np.concatenate(odds)
 
 
 def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Floats]:
@@ -134,11 +133,30 @@ def _levels(
     return found
 
 
-def _solved(level: _Level, free: Integers, start: Floats) -> tuple[Floats, float]:
-    """Return the step (p,) that is best where the parameters that are not free step as stated, and its likelihood."""
-    x = start.copy()
-    x[free] = np.linalg.solve(level.matrix[np.ix_(free, free)], (level.right - level.matrix @ start)[free])
-    return x, level.likelihood + float(x @ level.right - 0.5 * x @ level.matrix @ x)
+def _solved(level: _Level, kept: Integers, new: Integers, start: Floats) -> tuple[Floats, Floats, float]:
+    """Solve with one candidate after the other.
+
+    Parameters
+    ----------
+    kept : parameters that are free
+    new : (m, 3) coefficients of each candidate
+    start : (p,) steps of those that are not
+
+    Returns
+    -------
+    (m, 30) steps of theta, (m,) log-likelihoods, and the one without a candidate
+    """
+    matrix, right = level.matrix, level.right - level.matrix @ start
+    columns = np.ascontiguousarray(matrix[np.ix_(kept, new.ravel())])
+    solved = np.linalg.solve(matrix[np.ix_(kept, kept)], np.column_stack([right[kept], columns]))
+    alone, by_new = solved[:, 0], solved[:, 1:].reshape(len(kept), -1, 3)
+    own = matrix[new[:, :, None], new[:, None, :]] - np.einsum("kmi,kmj->mij", columns.reshape(by_new.shape), by_new)
+    score = right[new] - (columns.T @ alone).reshape(-1, 3)
+    size = np.linalg.solve(own, score[:, :, None])[:, :, 0]
+    step = np.tile(start, (len(new), 1))
+    step[:, kept] = alone - np.einsum("kmi,mi->mk", by_new, size)
+    without = level.likelihood + 0.5 * float((level.right + right) @ start + right[kept] @ alone)
+    return step[:, :PARAMETERS], without + 0.5 * np.sum(score * size, axis=1), without
 
 
 def _published(fit: MultiPositionFit, triad: str) -> Floats:
