@@ -16,8 +16,9 @@ from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.parameters import covariance_names, parameters
 from gnomon.readers.projects.foreign_files import load_foreign
+from gnomon.writers import orb_slam3
 from gnomon.writers.calibration_file import calibration_text
-from gnomon.writers.context import StatedImu
+from gnomon.writers.context import Context, StatedImu
 from gnomon.writers.conversion import FORMATS, WITH_NOISE, exported
 
 NOISE = ImuNoise(
@@ -125,9 +126,17 @@ def test_estimators_refuse_a_calibration_without_cameras(rig, form):
         exported(calibration_of(rig(0, RADTAN).imus), form)
 
 
-def test_orb_slam3_takes_two_lenses_of_a_kind(rig):
+def test_orb_slam3_takes_two_lenses_of_a_kind(rig, tmp_path):
+    """A lens of the other kind is fitted anew, and what that costs is said."""
+    losses = gnomon.convert(rig(0, RADTAN, WIDE, units=SI), "orb-slam3", tmp_path, imu=STATED)
+    (lens,) = [loss for loss in losses if loss.what.startswith("lens of")]
+    assert "beside a lens of another kind" in lens.why
+    assert "px off on average" in lens.size
+    text = (tmp_path / "orb_slam3.yaml").read_text()
+    assert 'Camera.type: "PinHole"' in text
+    assert text.count("Camera2.k3:") == 1  # the fullest lens of that kind
     with pytest.raises(OptionError, match="cam0 and cam1 have lenses of two kinds"):
-        exported(rig(0, RADTAN, WIDE, units=SI), "orb-slam3")
+        orb_slam3.export(rig(0, RADTAN, WIDE, units=SI), Context(stated={}))
     assert "cam2: ORB-SLAM3 takes 2 cameras at most" in said(exported(rig(0, WIDE, WIDE, WIDE), "orb-slam3").losses)
 
 

@@ -13,6 +13,7 @@ from .._version import __version__
 from ..assess.added_findings import added_findings, delays_found, out_of_order, steps_left_out
 from ..assess.camera_imu_tables import CameraImuEvidence, describe
 from ..assess.camera_imu_verdict import assess
+from ..assess.camera_views import without_copies
 from ..assess.changes import with_changes
 from ..assess.early_findings import judged_again, unmodelled_effects
 from ..assess.prior_findings import prior_used
@@ -89,6 +90,7 @@ def _calibrated(
     tell("checking the recording")
     refuse_own_data(prior, recording.sources)
     recording = with_stated_shutters(recording, options)
+    recording, copied = without_copies(recording)
     prepared = prepare_camera_imu(recording, target, options)
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
@@ -97,7 +99,7 @@ def _calibrated(
     cameras, ends = numbered_alike(recording.cameras, target, prepared.origin_ns, streams[0])
     recording = replace(recording, cameras=cameras)
     used = [finding for one in known for finding in prior_used(one)]
-    prepared = replace(prepared, findings=(*prepared.findings, *used, *ends))
+    prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *ends))
     try:
         found = looks(recording.cameras, target, prepared.origin_ns, streams[0])
     except InitialisationError as error:

@@ -28,6 +28,16 @@ _WHOLE = 0.995
 _SEEN = 0.9  # share of the pixels whose rays the other model must see; of a fisheye a pinhole misses the widest
 
 
+_ONE_KIND = ("orb-slam3",)
+"""Programs whose two cameras must have lenses of one kind."""
+
+_KINDS = {
+    "pinhole-radtan5": ("pinhole-none", "pinhole-radtan", "pinhole-radtan5"),
+    "pinhole-equidistant": ("pinhole-equidistant",),
+}
+"""The fullest model of a kind, and all models of it."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Refit:
     """A lens of another model, and how far its pixels are from those of the first over where that one is known.
@@ -68,7 +78,27 @@ def with_known_lenses(calibration: Calibration, to: str) -> tuple[Calibration, t
             refit = _nearest(calibration, name, to)
             losses.append(_loss(name, calibrated.camera, refit, to))
             calibration = _with_lens(calibration, name, refit)
+    if to in _ONE_KIND:
+        for name, refit in _of_one_kind(calibration).items():
+            losses.append(_loss(name, calibration.cameras[name].camera, refit, to))
+            calibration = _with_lens(calibration, name, refit)
     return calibration, tuple(losses)
+
+
+def _of_one_kind(calibration: Calibration) -> dict[str, Refit]:
+    """Return the lenses by which the first two cameras are of one kind, whichever fits best; none where none does."""
+    cameras = {name: one.camera for name, one in list(calibration.cameras.items())[:2]}
+    found: list[dict[str, Refit]] = []
+    for kind, fits in _KINDS.items():
+        refits = {
+            name: _refit(lens, kind, *_known_area(calibration, name))
+            for name, lens in cameras.items()
+            if lens.model not in fits
+        }
+        known = {name: one for name, one in refits.items() if one is not None and one.rms_px < _WORST_RMS_PX}
+        if len(known) == len(refits):
+            found.append(known)
+    return min(found, key=lambda one: max((refit.rms_px for refit in one.values()), default=0.0), default={})
 
 
 def _nearest(calibration: Calibration, name: str, to: str) -> Refit:
@@ -175,9 +205,12 @@ def _loss(name: str, lens: Camera, refit: Refit, to: str) -> Loss:
     share = f"{100 * refit.area:.0f} % of the image where it is known"
     where = "image" if refit.area > _WHOLE else share
     missed = f" It has no pixel for {100 * refit.unseen:.1g} % of that area, the widest rays." if refit.unseen else ""
+    refused = f"{to} does not know {lens.model}"
+    if knows(to, lens):
+        refused = f"{to} takes no {lens.model} beside a lens of another kind"
     return Loss(
         what=f"lens of {name}",
-        why=f"{to} does not know {lens.model}; the file has the {refit.camera.model} that is nearest over the {where}."
+        why=f"{refused}; the file has the {refit.camera.model} that is nearest over the {where}."
         f"{missed} Where that is too much, calibrate with gnomon camera --for {to}.",
         size=f"{refit.mean_px:.2g} px off on average, {refit.worst_px:.2g} px at worst, at ({u:.0f}, {v:.0f})",
     )
