@@ -202,6 +202,14 @@ def main() -> None:
                 print(f"{options.first_seed + k:5} {case.what:45} {outcome:10} {detail}", flush=True)
     for kind, counts in outcomes.items():
         print(f"{kind:25} " + ", ".join(f"{name} {number}" for name, number in counts.most_common()))
+    faulty = sum((counts for kind, counts in outcomes.items() if kind != "healthy"), Counter[str]())
+    passed = faulty["right"] + faulty["wrong"] + faulty["rests lost"]
+    print(
+        f"faulty: {passed} of {faulty.total()} pass, {faulty['right']} of these within 4 sigma "
+        f"({100 * faulty['right'] / max(passed, 1):.1f} %), {faulty['rests lost']} with an unsaid loss of rests"
+    )
+    healthy = outcomes.get("healthy", Counter())
+    print(f"healthy: {healthy.total() - healthy['right']} of {healthy.total()} warned, lost or wrong")
 
 
 if __name__ == "__main__":

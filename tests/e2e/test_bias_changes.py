@@ -59,9 +59,10 @@ def test_few_rests_of_another_sensor_do_not_pass(seed, where):
 
 @pytest.mark.slow
 def test_number_a():
-    outcomes = [study.judge(study.make_case(study.KINDS[k % 6], k))[0] for k in range(300)]
+    """A tenth of the study of docs/validation.md: 60 faulty recordings, of which one may be wrong, and 40 healthy."""
+    outcomes = [study.judge(study.make_case(study.KINDS[k % 6], 30_000 + k))[0] for k in range(60)]
     assert "rests lost" not in outcomes
-    passed = [one for one in outcomes if one in ("right", "wrong")]
-    assert passed.count("wrong") <= 0.01 * len(passed)
-    healthy = [study.judge(study.make_case("healthy", 1000 + k))[0] for k in range(200)]
-    assert len(healthy) - healthy.count("right") <= 2
+    assert outcomes.count("right") >= 40
+    assert outcomes.count("wrong") <= 1
+    healthy = [study.judge(study.make_case("healthy", 30_000 + k))[0] for k in range(40)]
+    assert healthy.count("right") >= 39
