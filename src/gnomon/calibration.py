@@ -174,7 +174,7 @@ class Assessment:
     findings : reasons and advice, worst first
     model : the model that was estimated; of the gyroscope for an IMU alone, "basic" or "g-sensitivity", "none" without
         one; of the IMU with cameras, "basic", "scale-misalignment" or "full"; of cameras alone, their lenses
-    holdout : errors on unseen data, nan where nothing was held out
+    holdout : errors on hold-out data, nan where nothing was held out
     intervals_found, intervals_used, rotations_found, rotations_used : counts, of a multi-position recording
     held_by_prior : names of parameters that the recording does not determine
     camera_imu : what a camera-IMU calibration rests on; else None

@@ -21,14 +21,14 @@ class CameraOptions:
 
     among: tuple[str, ...] = ()
     """Lens models to choose from, such as pinhole-radtan pinhole-equidistant; the usual ones where not given, of which
-    one that every program reads is taken where it predicts unseen views within 3 % of the best."""
+    one that every program reads is taken where it predicts hold-out views within 3 % of the best."""
 
     board: BoardModel = "auto"
     """What of the board is estimated: nothing (stated), its scale along y over that along x (aspect), how it bends too
     (bow), the place of every corner (corners), or what the views prove to be there (auto)."""
 
     views: int | None = None
-    """Most views to use, those that tell most; chosen by what further ones would add where it is not given."""
+    """Most views to use, the most informative ones; chosen by what further ones would add where it is not given."""
 
     baseline: float | None = None
     """Measured distance of cam1 from cam0 in metres, which tells the true size of the board."""

@@ -267,11 +267,11 @@ class CornerFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrajectoryTrack:
-    """The estimated trajectory at the stamps of imu0, where it is known.
+    """The estimated trajectory at the timestamps of imu0, where it is known.
 
     Attributes
     ----------
-    t_ns : (n,) int64 stamps of the IMU [ns]
+    t_ns : (n,) int64 timestamps of the IMU [ns]
     p_target_imu : (n, 3) origin of the IMU in the target's frame [m]
     q_target_imu_wxyz : (n, 4) attitude, Hamilton: v_target = q v_imu q*
     omega_imu : (n, 3) angular rate [rad/s]
@@ -411,7 +411,7 @@ class ViewPose:
 
     Attributes
     ----------
-    t_ns : stamp of the view [ns]
+    t_ns : timestamp of the view [ns]
     cameras : those whose corners were used
     R_target_cam0, p_target_cam0 : (3, 3) and (3,) pose of cam0 in the board's frame [m]
     information : what the view adds to what the others know of the lenses, in nats; nan where it was not asked

@@ -1,4 +1,4 @@
-"""Stamps with long gaps, as a clock that jumps leaves them: work on them is bounded by their number, not their span."""
+"""Timestamps with long gaps, as a clock that jumps leaves them: work is bounded by their number, not their span."""
 
 from collections.abc import Sequence
 
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 
 def close_gaps(stamps: Sequence[NDArray[np.int64]], longest_ns: int) -> list[NDArray[np.int64]]:
-    """Return stamps of one clock, which stands still wherever none of them came for longer than `longest_ns`.
+    """Return timestamps of one clock, which stands still wherever none of them came for longer than `longest_ns`.
 
-    An even grid over what is returned has at most `longest_ns` over its step points for each stamp. Where there is no
-    such gap the stamps are returned as they are.
+    An even grid over what is returned has at most `longest_ns` over its step points for each timestamp. Where there is
+    no such gap the timestamps are returned as they are.
 
     Parameters
     ----------

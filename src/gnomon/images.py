@@ -20,8 +20,8 @@ class Frame:
 
     Attributes
     ----------
-    t_ns : stamp of the frame, in the camera's clock [ns]
-    where : the file, or file, topic and stamp, for messages
+    t_ns : timestamp of the frame, in the camera's clock [ns]
+    where : the file, or file, topic and timestamp, for messages
     decode : returns the image in 8 bits of grey; it may be called in another thread, and raises RecordingError where
         the image is damaged
     """
@@ -37,7 +37,7 @@ class Arrivals:
 
     Attributes
     ----------
-    t_ns : (n,) stamps of the sensor's clock [ns]
+    t_ns : (n,) timestamps of the sensor's clock [ns]
     received_ns : (n,) of the recorder's clock [ns]
     """
 

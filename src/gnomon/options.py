@@ -16,7 +16,7 @@ class ImuOptions:
     preset: Preset = "gnomon"
     """gnomon: the better estimator (default). tedaldi2014: the authors' published script behind Table 4.8.
     tedaldi2014-text: Algorithm 1 as printed. imu_tk: the published C++ program. angrisano: the accelerometer by
-    document C, Eqs. 8 to 12."""
+    Angrisano, Eqs. 8 to 12."""
 
     gravity: float | None = None
     """Local gravity in m/s^2, where you know it."""
@@ -32,14 +32,14 @@ class ImuOptions:
 
     model: Literal["auto", "basic", "g-sensitivity", "static"] = "auto"
     """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto); or
-    linear and from the rests alone, whatever the rotations show (static: document B, section 5.2)."""
+    linear and from the rests alone, whatever the rotations show (static: Krebs, section 5.2)."""
 
     covariance: Literal["robust", "ordinary"] = "robust"
     """Sigmas from the scatter between stretches of time, which hold where errors are correlated (robust), or those for
     independent errors (ordinary). Both are in the report."""
 
     time_base: Literal["auto", "stamps", "uniform"] = "auto"
-    """Use the stamps as they are, a straight line through them, or what the recording supports (auto)."""
+    """Use the timestamps as they are, a straight line through them, or what the recording supports (auto)."""
 
     window_s: float = 1.0
     """Length of the sliding window of the static detector in seconds (t_w of Eq. 3.9)."""
@@ -83,11 +83,11 @@ class ImuOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraImuOptions:
-    """How to calibrate cameras and an IMU that were waved together in front of a board (document B)."""
+    """How to calibrate cameras and an IMU that were waved together in front of a board (Krebs)."""
 
     model: Literal["auto", "basic", "scale-misalignment", "full"] = "auto"
     """Model: that of the IMU is ideal but for its biases (basic); with scale, misalignment and gyroscope rotation
-    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of document B (full); or full with lever
+    (scale-misalignment); with the gyroscope's g-sensitivity too, Table 4.1 of Krebs (full); or full with lever
     arms of the accelerometers, and what else the recording proves to be there, a delay of the accelerometer, errors of
     the board and of the lens (auto).
     """
@@ -148,7 +148,7 @@ class CameraImuOptions:
     """Full scale of the gyroscope, in rad/s; samples at or beyond it are masked."""
 
     compare: bool = False
-    """Estimate the basic model too, to compare what both predict (Figs. 5.6 and 5.7 of document B). The command line
+    """Estimate the basic model too, to compare what both predict (Figs. 5.6 and 5.7 of Krebs). The command line
     always does for a report, which shows it."""
 
     marginals: bool = False

@@ -1,4 +1,4 @@
-"""What was measured: samples, as recorded, with their stamps and their unit."""
+"""What was measured: samples, as recorded, with their timestamps and their unit."""
 
 import hashlib
 from collections.abc import Collection, Mapping
@@ -37,7 +37,7 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
 
 
 def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
-    """Return the usual one of steps between stamps (n,): the median, or the mean where samples came in packets.
+    """Return the usual one of steps between timestamps (n,): the median, or the mean where samples came in packets.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class TriadSamples:
     Attributes
     ----------
     t_ns : (n,) int64 [ns]
-        Stamps in any clock; not necessarily uniform.
+        Timestamps in any clock; not necessarily uniform.
     values : (n, 3) float64 [unit]
         x, y, z as recorded.
     unit : str
@@ -85,7 +85,8 @@ class TriadSamples:
         object.__setattr__(self, "values", frozen_array(self.values))
         if self.values.ndim != 2 or self.values.shape[1] != 3 or self.t_ns.shape != self.values.shape[:1]:
             raise RecordingError(
-                f"samples must be (n, 3) with n stamps; found values {self.values.shape} and stamps {self.t_ns.shape}."
+                f"samples must be (n, 3) with n timestamps; found values {self.values.shape} and timestamps "
+                f"{self.t_ns.shape}."
             )
 
     def __len__(self) -> int:
@@ -93,7 +94,7 @@ class TriadSamples:
 
     @property
     def t_s(self) -> Floats:
-        """Seconds since the first stamp, (n,)."""
+        """Seconds since the first timestamp, (n,)."""
         return (self.t_ns - self.t_ns[0]) * 1e-9 if len(self) else np.empty(0)
 
     @property
@@ -106,13 +107,13 @@ class TriadSamples:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last stamp [s]."""
+        """Time from the first to the last timestamp [s]."""
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self) else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuSamples:
-    """The triads of one IMU; they may differ in rate and stamps, but share one clock.
+    """The triads of one IMU; they may differ in rate and timestamps, but share one clock.
 
     Attributes
     ----------
@@ -121,7 +122,7 @@ class ImuSamples:
     noise : what its data sheet or its Allan deviation says, where that was stated
     topic : ROS topic that Kalibr's files name, or ""
     T_imu_body : (4, 4) how it lies to the first IMU, p_imu = T_imu_body @ p_body, where stated; it is not needed
-    time_shift_s : t_body = t_imu + time_shift_s, between stamps [s], where stated; it is not needed
+    time_shift_s : t_body = t_imu + time_shift_s, between timestamps [s], where stated; it is not needed
     """
 
     accelerometer: TriadSamples
@@ -166,7 +167,7 @@ class CameraFrames:
     Attributes
     ----------
     t_ns : (n,) int64 [ns]
-        Stamps of all frames, in the order of time, also of frames in which nothing was detected; any clock.
+        Timestamps of all frames, in the order of time, also of frames in which nothing was detected; any clock.
     frame : (m,) int64
         For each corner, its frame's index into `t_ns`; ascending.
     point : (m,) int64
@@ -286,7 +287,7 @@ class Poses:
     accelerometer_sigma, gyroscope_sigma : (n, 3) standard deviation of each mean [unit], or None where it is not known
     samples : (n,) samples in each mean; 0 where that is not known
     t_s : (n,) when [s], or None where it is not known
-    specific_force : (n, 3) known specific force in the frame of the jig [m/s^2], or None (document C, Eqs. 4 to 7)
+    specific_force : (n, 3) known specific force in the frame of the jig [m/s^2], or None (Angrisano, Eqs. 4 to 7)
 
     Raises
     ------
@@ -331,7 +332,7 @@ class Piece:
     Attributes
     ----------
     name : what a person knows it by: its file
-    start, stop : first sample and one past the last, of each of the triads, which have the same stamps
+    start, stop : first sample and one past the last, of each of the triads, which have the same timestamps
     """
 
     name: str
@@ -418,7 +419,7 @@ class Recording:
 
         Parameters
         ----------
-        t_s : (n,) [s], or a pair of them (gyroscope, accelerometer) where the two triads have their own stamps
+        t_s : (n,) [s], or a pair of them (gyroscope, accelerometer) where the two triads have their own timestamps
         gyro : (n, 3) [rad/s, or as `units` says]
         accel : (n, 3) [m/s^2, or as `units` says], specific force
         units : "si", "raw", a list such as "g deg/s", or Units
@@ -475,5 +476,5 @@ def _refuse_swapped(gyro: ArrayLike, accel: ArrayLike, units: Units) -> None:
 def _ns_from_s(t_s: ArrayLike) -> Integers:
     t = np.asarray(t_s, dtype=np.float64)
     if not np.isfinite(t).all():
-        raise RecordingError(f"stamp {int(np.argmin(np.isfinite(t)))} is not a finite number of seconds.")
+        raise RecordingError(f"timestamp {int(np.argmin(np.isfinite(t)))} is not a finite number of seconds.")
     return np.rint(t * 1e9).astype(np.int64)

@@ -1,6 +1,6 @@
 """The noise of an inertial sensor, as a long recording at rest shows it: coefficients with their uncertainty, curves.
 
-The Allan variance of the noise of one axis, over the averaging time tau (IEEE 952, document A, section 3.4.3):
+The Allan variance of the noise of one axis, over the averaging time tau (IEEE 952, Tedaldi, section 3.4.3):
 
     sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3 + R^2 tau^2 / 2
 

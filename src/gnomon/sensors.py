@@ -7,7 +7,7 @@ field m [uT, or the local field's strength] in the body frame, and measurements 
     gyroscope     = sensitivity @ omega + bias + g_sensitivity @ f
     magnetometer  = sensitivity @ m + bias
 
-The models of documents A, B and C and of other projects are exact views of it.
+The models of Tedaldi, Krebs and Angrisano and of other projects are exact views of it.
 """
 
 from dataclasses import dataclass, replace
@@ -37,7 +37,8 @@ class AccelerometerCalibration:
     unit : unit of the measurements
     lever_arms_m : (3, 3) where the x, y and z accelerometers sit, one row each, from the body's origin, body frame; or
         None where they are taken to be at one point, the body's origin
-    time_shift_s : t_gyroscope = t_accelerometer + time_shift_s, of the stamps of one instant [s]; None where both have
+    time_shift_s : t_gyroscope = t_accelerometer + time_shift_s, of the timestamps of one instant [s]; None where both
+    have
         the same clock and delay
     """
 
@@ -54,7 +55,7 @@ class AccelerometerCalibration:
             object.__setattr__(self, "lever_arms_m", frozen_array(self.lever_arms_m))
 
     def with_gyroscope(self, t_ns: Integers) -> Integers:
-        """Return the stamps (n,) that the gyroscope's readings of the same instants have [ns]."""
+        """Return the timestamps (n,) that the gyroscope's readings of the same instants have [ns]."""
         return t_ns + round(1e9 * self.time_shift_s) if self.time_shift_s else t_ns
 
     def specific_force(self, values: Floats) -> Floats:
@@ -151,7 +152,7 @@ class ImuCalibration:
     accelerometer, gyroscope, magnetometer : None where not calibrated
     T_imu_body : (4, 4) body coordinates to those of this IMU, p_imu = T_imu_body @ p_body [m]; None of the IMU that is
         the body
-    time_shift_s : t_body = t_imu + time_shift_s, of the stamps of both gyroscopes [s]
+    time_shift_s : t_body = t_imu + time_shift_s, of the timestamps of both gyroscopes [s]
     origin : which point of the IMU its origin is, to which T_cam_imu, T_imu_body and the lever arms of its
         accelerometers refer; of accelerometers that are taken to be at one point, which one of their true places that
         stands for; None where nobody knows
@@ -194,11 +195,12 @@ class ImuCalibration:
     def apply(self, samples: ImuSamples) -> ImuSamples:
         """Turn measurements into specific force [m/s^2], angular rate [rad/s] and magnetic field in the IMU's frame.
 
-        Of the first IMU, and of the only one, that is the body frame. Stamps stay those of its own clock, but for an
-        accelerometer with a time shift: its stamps become those of the gyroscope's readings of the same instants. A
-        triad that was not calibrated keeps its measurements. Each component of the specific force stays that at its
-        own accelerometer: lever arms are not applied. The g-sensitivity of the gyroscope needs the specific force at
-        the stamps of the gyroscope; where the two triads have stamps of their own it is interpolated linearly.
+        Of the first IMU, and of the only one, that is the body frame. Timestamps stay those of its own clock, but for
+        an accelerometer with a time shift: its timestamps become those of the gyroscope's readings of the same
+        instants. A triad that was not calibrated keeps its measurements. Each component of the specific force stays
+        that at its own accelerometer: lever arms are not applied. The g-sensitivity of the gyroscope needs the specific
+        force at the timestamps of the gyroscope; where the two triads have timestamps of their own it is interpolated
+        linearly.
 
         Raises
         ------
@@ -245,7 +247,7 @@ class ImuCalibration:
 
 
 def interpolate_triad(source: TriadSamples, target: TriadSamples) -> Floats:
-    """Return `source` at the stamps of `target`, (len(target), 3), linearly interpolated and held at the ends."""
+    """Return `source` at the timestamps of `target`, (len(target), 3), linearly interpolated and held at the ends."""
     if np.array_equal(source.t_ns, target.t_ns):
         return source.values
     if not len(source) or not len(target):

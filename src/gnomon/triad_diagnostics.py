@@ -1,4 +1,4 @@
-"""How a calibration from known magnitudes came about (document C): accelerometer poses, turntable, magnetometer.
+"""How a calibration from known magnitudes came about (Angrisano): accelerometer poses, turntable, magnetometer.
 
 Values only. A triad is a triad: the three kinds differ in what was known and in what else was recorded.
 """
@@ -84,7 +84,7 @@ class TriadRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GyroscopeAtRest:
-    """Gyroscope at rest in several attitudes (the static experiment of document B, section 5.2).
+    """Gyroscope at rest in several attitudes (the static experiment of Krebs, section 5.2).
 
     Attributes
     ----------

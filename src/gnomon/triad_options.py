@@ -49,7 +49,7 @@ class StatedRate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurntableOptions:
-    """How to calibrate a gyroscope on a turntable (document C)."""
+    """How to calibrate a gyroscope on a turntable (Angrisano)."""
 
     model: Literal["auto", "basic", "g-sensitivity"] = "auto"
     """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""

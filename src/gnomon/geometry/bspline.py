@@ -1,4 +1,4 @@
-"""Uniform B-splines: basis functions and their derivatives (document B, section 4.1.1).
+"""Uniform B-splines: basis functions and their derivatives (Krebs, section 4.1.1).
 
 A spline of order k (degree k - 1) has, between knot j and knot j + 1, the value sum_i b_i(u) c_{j+i}, i = 0 .. k - 1,
 with u in [0, 1) the place between the two knots. The basis functions are the same between all knots.

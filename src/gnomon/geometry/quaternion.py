@@ -1,4 +1,4 @@
-"""Hamilton quaternions (w, x, y, z), and the kinematics of document A, section 3.4.2.
+"""Hamilton quaternions (w, x, y, z), and the kinematics of Tedaldi, section 3.4.2.
 
 Quaternions describe R_world_body: v_world = q v_body q*, and grow on the right with the body's angular rate,
 q' = 1/2 q (0, omega), which is Eq. (3.10).
@@ -119,7 +119,7 @@ def rk4n_steps(omega0: Floats, omega1: Floats, dt_s: Floats) -> Floats:
 def first_order_steps(omega0: Floats, dt_s: Floats) -> Floats:
     """Return the step quaternions of Eq. (2.12) for a rate that is constant over each step, (..., 4).
 
-    The first-order product of Eq. (2.15), kept as the baseline to which document A compares RK4n.
+    The first-order product of Eq. (2.15), kept as the baseline to which Tedaldi compares RK4n.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""The geometry of document C (Eqs. 13-15): three angles between a triad's axes and an orthogonal frame.
+"""The geometry of Angrisano (Eqs. 13-15): three angles between a triad's axes and an orthogonal frame.
 
 The x axis of the orthogonal frame is that of the triad, and the triad's y axis lies in its x-y plane. The alignment
-matrix T turns components along the triad's axes into orthogonal ones, s = T K (s_out - b), Eq. (1). Document C states T
+matrix T turns components along the triad's axes into orthogonal ones, s = T K (s_out - b), Eq. (1). Angrisano states T
 twice: by direction cosines (14) and for small angles (15); the angles are [x, y, z] in both.
 
 The third column of (14) is not exactly a unit vector, 1 - sin^2(x) sin^2(y) is its squared norm; the scale factor of z
@@ -17,7 +17,7 @@ from .forms import AccelerometerForm, in_frame, inverse, unit_diagonal
 from .frames import Floats
 
 Geometry = Literal["small-angle", "exact"]
-"""Eq. (15) or Eq. (14) of document C."""
+"""Eq. (15) or Eq. (14) of Angrisano."""
 
 
 def alignment(angles: Floats, geometry: Geometry) -> Floats:
@@ -65,7 +65,7 @@ def angles_and_scales(correction: Floats, geometry: Geometry) -> tuple[Floats, F
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AngrisanoTriad(AccelerometerForm):
-    """Document C, Eqs. (1) and (3), in its own nine parameters: s = T(angles) K (s_out - b).
+    """Angrisano, Eqs. (1) and (3), in its own nine parameters: s = T(angles) K (s_out - b).
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The sensor models of documents A, B and C as exact views of gnomon's own.
+"""The sensor models of Tedaldi, Krebs and Angrisano as exact views of gnomon's own.
 
 gnomon's model, with specific force f [m/s^2] and angular rate w [rad/s] in the body frame, and measurements s in the
 unit of the sensor, is
@@ -8,7 +8,7 @@ unit of the sensor, is
 A form holds the same sensor in the letters of a document. `from_sensor` and `to_sensor` convert, `predict` evaluates
 the document's own equation, so that a test can show that the samples are the same. Each form belongs to a body frame
 (`frame`): a document that makes the accelerometer's matrix triangular fixes the frame by doing so. Bring the sensor
-into that frame first (`models.frames`). Sign conventions differ: document A adds the bias, document C subtracts it.
+into that frame first (`models.frames`). Sign conventions differ: Tedaldi adds the bias, Angrisano subtracts it.
 
 How a document writes one triad, its matrix and its bias, is the same for accelerometer and gyroscope and stands once:
 `CorrectedTriad`, `KrebsTriad`. A gyroscope's form adds where its axes lie, and the g-sensitivity.
@@ -24,7 +24,7 @@ from ..errors import OptionError
 from .frames import Floats, fixed_entries, frame_rotation
 
 KrebsReading = Literal["chapter 3", "chapter 4"]
-"""Document B states the g-sensitivity twice: in the gyroscope's frame (chapter 3) and in the body frame (chapter 4)."""
+"""Krebs states the g-sensitivity twice: in the gyroscope's frame (chapter 3) and in the body frame (chapter 4)."""
 
 
 class TriadForm(ABC):
@@ -104,7 +104,7 @@ class GyroscopeForm(TriadForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CorrectedTriad(TriadForm):
-    """Documents A and C write the correction of a measurement: x = T K (s - b), or x = T K (s + b) in document A.
+    """Tedaldi and Angrisano write the correction of a measurement: x = T K (s - b), or x = T K (s + b) in Tedaldi.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class CorrectedTriad(TriadForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TedaldiAccelerometer(CorrectedTriad, AccelerometerForm):
-    """Document A, Eqs. (2.6), (3.3): a_O = T K (a_S + b), with T = [1 -yz zy; 0 1 -zx; 0 0 1].
+    """Tedaldi, Eqs. (2.6), (3.3): a_O = T K (a_S + b), with T = [1 -yz zy; 0 1 -zx; 0 0 1].
 
     Attributes
     ----------
@@ -151,9 +151,9 @@ class TedaldiAccelerometer(CorrectedTriad, AccelerometerForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TedaldiGyroscope(CorrectedTriad, GyroscopeForm):
-    """Document A, Eqs. (2.7), (3.5): w_O = T K (w_S + b), with T = [1 -yz zy; xz 1 -zx; -xy yx 1].
+    """Tedaldi, Eqs. (2.7), (3.5): w_O = T K (w_S + b), with T = [1 -yz zy; xz 1 -zx; -xy yx 1].
 
-    Joined with document B's g-sensitivity: w_O = T K (w_S + b - B f_O); document A has B = 0.
+    Joined with Krebs's g-sensitivity: w_O = T K (w_S + b - B f_O); Tedaldi has B = 0.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ class TedaldiGyroscope(CorrectedTriad, GyroscopeForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AngrisanoAccelerometer(CorrectedTriad, AccelerometerForm):
-    """Document C, Eqs. (1), (2): s = T K (s_out - b), with T = [1 az ay; 0 1 ax; 0 0 1].
+    """Angrisano, Eqs. (1), (2): s = T K (s_out - b), with T = [1 az ay; 0 1 ax; 0 0 1].
 
     Attributes
     ----------
@@ -197,10 +197,10 @@ class AngrisanoAccelerometer(CorrectedTriad, AccelerometerForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AngrisanoGyroscope(CorrectedTriad, GyroscopeForm):
-    """Document C, Eqs. (1), (2), for the gyroscope, in an orthogonal frame G of its own: w_G = T K (y - b).
+    """Angrisano, Eqs. (1), (2), for the gyroscope, in an orthogonal frame G of its own: w_G = T K (y - b).
 
-    Norms of rates cannot tell how G lies to the body; C_gb, which document C leaves open, completes the model, as does
-    document B's g-sensitivity: T K (y - b - B f) = C_gb w.
+    Norms of rates cannot tell how G lies to the body; C_gb, which Angrisano leaves open, completes the model, as does
+    Krebs's g-sensitivity: T K (y - b - B f) = C_gb w.
 
     Attributes
     ----------
@@ -232,7 +232,7 @@ class AngrisanoGyroscope(CorrectedTriad, GyroscopeForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KrebsTriad(TriadForm):
-    """Document B writes the measurement: s = S M x + b, with M unit lower triangular.
+    """Krebs writes the measurement: s = S M x + b, with M unit lower triangular.
 
     Attributes
     ----------
@@ -260,9 +260,9 @@ class KrebsTriad(TriadForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KrebsAccelerometer(KrebsTriad, AccelerometerForm):
-    """Document B, chapter 3: a~ = S M f + b, with M unit lower triangular, [1 0 0; yz 1 0; zy zx 1].
+    """Krebs, chapter 3: a~ = S M f + b, with M unit lower triangular, [1 0 0; yz 1 0; zy zx 1].
 
-    Against the angles of document A: M_yz = -alpha_yz, M_zy = +alpha_zy, M_zx = -alpha_zx.
+    Against the angles of Tedaldi: M_yz = -alpha_yz, M_zy = +alpha_zy, M_zx = -alpha_zx.
 
     Attributes
     ----------
@@ -274,7 +274,7 @@ class KrebsAccelerometer(KrebsTriad, AccelerometerForm):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KrebsGyroscope(KrebsTriad, GyroscopeForm):
-    """Document B: w~ = S M C_bg' w + B C_bg' f + b (chapter 3), or with B f in place of B C_bg' f (chapter 4).
+    """Krebs: w~ = S M C_bg' w + B C_bg' f + b (chapter 3), or with B f in place of B C_bg' f (chapter 4).
 
     Attributes
     ----------

@@ -2,8 +2,8 @@
 
 A rotation Q moves the body frame, f_new = Q f_old, and every matrix that acts on body vectors with it:
 S_new = S_old Q'. The frame "accel-x" makes the accelerometer's sensitivity lower triangular (the x axis of the body is
-the sensitivity axis of the x accelerometer; Kalibr, document B), "accel-z" makes it upper triangular (z axis of the
-z accelerometer; document A). See formats and conventions in docs/theory.
+the sensitivity axis of the x accelerometer; Kalibr, Krebs), "accel-z" makes it upper triangular (z axis of the
+z accelerometer; Tedaldi). See formats and conventions in docs/theory.
 """
 
 import numpy as np
@@ -34,7 +34,7 @@ def frame_rotation(sensitivity: Floats, frame: str) -> Floats:
     """Return Q (3, 3), det +1, with f_new = Q f_old such that sensitivity @ Q.T has the form of `frame`.
 
     The diagonal of the new sensitivity is positive if sensitivity has a positive determinant; otherwise the axis whose
-    sign cannot be mended keeps its minus, since a left-handed frame is never made silently.
+    sign cannot be fixed keeps its minus, since a left-handed frame is never made silently.
 
     Raises
     ------

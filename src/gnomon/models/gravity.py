@@ -17,7 +17,7 @@ WORLD_GRAVITY_SIGMA_M_S2 = 0.02
 """Spread of gravity over inhabited places about standard gravity [m/s^2]."""
 
 EARTH_RATE_RAD_S = 7.292115e-5
-"""Rotation rate of the Earth (document B, chapter 3: 15.041 deg/h) [rad/s]."""
+"""Rotation rate of the Earth (Krebs, chapter 3: 15.041 deg/h) [rad/s]."""
 
 
 def normal_gravity_m_s2(latitude_deg: float, altitude_m: float = 0.0) -> float:

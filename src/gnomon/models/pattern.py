@@ -1,4 +1,4 @@
-"""Matrices of which some entries are unknowns: document B, section 4.3 and Fig. 4.1.
+"""Matrices of which some entries are unknowns: Krebs, section 4.3 and Fig. 4.1.
 
 A pattern names the unknown entries of a 3 x 3 matrix X. The product X v then depends on each of them through one
 component of v: for the unknown X_ij the derivative of X v is e_i v_j. (The Jacobians that the document prints, page 16

@@ -23,7 +23,8 @@ from ...recording import Floats, Integers, frozen_array
 from .board import BoardView
 
 Turned = Callable[[int, int], Floats | None]
-"""From stamps t0 < t1 [ns] to R (3, 3) of the camera, R_cam_target(t1) = R @ R_cam_target(t0); None where unknown."""
+"""From timestamps t0 < t1 [ns] to R (3, 3) of the camera, R_cam_target(t1) = R @ R_cam_target(t0); None where unknown.
+"""
 
 _CERTAIN = 0.999
 _LOOKED_BACK = 3
@@ -76,10 +77,10 @@ def consistent_order(
     Parameters
     ----------
     views : of one camera, in the order of time; also those without a board
-    t_ns : (n,) their stamps, rising [ns]
+    t_ns : (n,) their timestamps, rising [ns]
     target : the board; on others than checkerboards nothing is ambiguous
     camera : lens and intrinsics, where they are known
-    turned : rotation of the camera between two stamps, as the gyroscope tells it; the board must be at rest
+    turned : rotation of the camera between two timestamps, as the gyroscope tells it; the board must be at rest
 
     Raises
     ------
@@ -109,7 +110,7 @@ def consistent_order(
 def _followed(
     rotations: Floats, t_ns: Integers, ways: tuple[int, ...], turned: Turned | None
 ) -> tuple[Integers, Integers, list[float]]:
-    """Return turns (n,), pieces (n,) and their probabilities for R_cam_target (n, 3, 3) at stamps (n,)."""
+    """Return turns (n,), pieces (n,) and their probabilities for R_cam_target (n, 3, 3) at timestamps (n,)."""
     rate = _rate(rotations, (t_ns - t_ns[0]) * 1e-9, ways)
     R = rotations.copy()
     turns, piece = np.zeros(len(R), np.int64), np.zeros(len(R), np.int64)

@@ -1,1 +1,1 @@
-"""Video of a turning platter -> its rate (document C)."""
+"""Video of a turning platter -> its rate (Angrisano)."""

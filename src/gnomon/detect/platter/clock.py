@@ -1,13 +1,13 @@
-"""What the stamps of a video are worth: a clock, or a number of frames."""
+"""What the timestamps of a video are worth: a clock, or a number of frames."""
 
 import numpy as np
 
 from ...recording import Floats, Integers
 
 MEASURED_CLOCK, NOMINAL_CLOCK, UNCHECKED_CLOCK = 5e-5, 1e-3, 5e-3
-"""Relative standard deviation of the time that stamps tell: by a quartz that stamped the frames; by a frame rate that
-the video merely states (29.97 against 30 frames per second, and what cameras make of it); the same where frames may be
-missing, unnoticed."""
+"""Relative standard deviation of the time that timestamps tell: by a quartz that stamped the frames; by a frame rate
+that the video merely states (29.97 against 30 frames per second, and what cameras make of it); the same where frames
+may be missing, unnoticed."""
 
 _ROUNDING_S = 6e-4  # Matroska rounds to 1 ms
 _FEWEST = 8
@@ -29,14 +29,14 @@ def stamps_are_nominal(t_s: Floats) -> bool:
 
 
 def rate_by_jitter(t_s: Floats, off: Floats) -> tuple[float, float]:
-    """Return by how much the phase changes more with irregular stamps than a line has it, and its sigma [rad/s].
+    """Return by how much the phase changes more with irregular timestamps than a line has it, and its sigma [rad/s].
 
     Between two frames a platter may have made whole turns more than it seems. Where frames come irregularly, its
     phase then runs ahead and behind with them.
 
     Parameters
     ----------
-    t_s : (n,) stamps [s]
+    t_s : (n,) timestamps [s]
     off : (n,) phase less that of a line [rad]
     """
     uneven = np.diff(t_s, 2)
@@ -53,7 +53,7 @@ def rate_by_jitter(t_s: Floats, off: Floats) -> tuple[float, float]:
 
 
 def missing_frames(step_s: float, index: Integers, t_s: Floats, phase: Floats) -> tuple[Integers, float]:
-    """Return how many frames are missing before each one, in a video whose stamps merely count frames.
+    """Return how many frames are missing before each one, in a video whose timestamps merely count frames.
 
     Where one is missing the phase makes two steps at once, where one is repeated none.
 
@@ -61,7 +61,7 @@ def missing_frames(step_s: float, index: Integers, t_s: Floats, phase: Floats) -
     ----------
     step_s : from frame to frame, as the video states it [s]
     index : (n,) numbers of the frames in the video
-    t_s : (n,) their stamps [s]
+    t_s : (n,) their timestamps [s]
     phase : (n,) [rad], unwrapped
 
     Returns

@@ -23,7 +23,7 @@ def rate_findings(found: "PlatterRate", missing: int, notes: tuple[str, ...]) ->
     Parameters
     ----------
     found : the result
-    missing : frames that are missing in a video whose stamps merely count them
+    missing : frames that are missing in a video whose timestamps merely count them
     notes : on what could not be read
     """
     return (

@@ -28,7 +28,7 @@ class PictureSeries:
 
     Attributes
     ----------
-    t_s : (n,) stamps, counted from the first [s]
+    t_s : (n,) timestamps, counted from the first [s]
     cells : (n, rows * cols) grey levels, exposure evened out
     shape : rows, cols
     notes : sentences on what could not be read

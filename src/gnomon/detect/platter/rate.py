@@ -1,4 +1,4 @@
-"""The rate of a turning platter from a video of it, by the periodicity of the picture (document C's gyroscope test)."""
+"""The rate of a turning platter from a video of it, by the periodicity of the picture (Angrisano's gyroscope test)."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -50,7 +50,7 @@ class PlatterRate:
     ----------
     rate_rad_s : its magnitude over the steady part [rad/s]
     sigma_rad_s : standard deviation of one rate, with that of the clock [rad/s]
-    clock : relative standard deviation of the time that the stamps tell, which is part of it
+    clock : relative standard deviation of the time that the timestamps tell, which is part of it
     turns : of the platter in the steady part
     steady_s : from when to when it turned evenly, from the first frame [s]
     duration_s : of the video [s]
@@ -133,7 +133,7 @@ def platter_rate(
 
 
 def _with_missing_frames(series: PictureSeries, followed: Followed) -> tuple[PictureSeries, Followed, float, int]:
-    """Return video and phases with better times where stamps merely count frames; also what the clock is worth.
+    """Return video and phases with better times where timestamps merely count frames; also what the clock is worth.
 
     Returns
     -------
@@ -277,11 +277,11 @@ def _with_missed_periods(series: PictureSeries, followed: Followed, missed: int)
 
 
 def _missed_by_jitter(series: PictureSeries, followed: Followed, frames: float) -> int | None:
-    """Return how many periods pass unseen from frame to frame, as irregular stamps tell, or None where they do not."""
+    """Return how many periods pass unseen from frame to frame, as irregular timestamps tell; None where they do not."""
     more, sigma = rate_by_jitter(series.t_s[followed.used], followed.off)
     missed = round(more / frames)
     seen = followed.even.line.rate
-    honest = abs(more + seen) > _JITTER_DIFFERS * sigma  # stamps that err instead of the frames have no influence
+    honest = abs(more + seen) > _JITTER_DIFFERS * sigma  # timestamps that err instead of the frames have no influence
     agrees = abs(more - missed * frames) < _JITTER_AGREES * sigma
     return missed if honest and agrees and frames > 2 * _JITTER_DIFFERS * sigma else None
 

@@ -1,4 +1,4 @@
-"""The noise of a resting sensor, as it acts on means of its samples, and its Allan deviation (document A, 3.4.3)."""
+"""The noise of a resting sensor, as it acts on means of its samples, and its Allan deviation (Tedaldi 2014, 3.4.3)."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Harmless faults of stamps, mended; harmful ones are left for the data doctor to name."""
+"""Harmless faults of timestamps, fixed; harmful ones are left for the data doctor to name."""
 
 import numpy as np
 
@@ -9,17 +9,18 @@ _RARE = 0.01
 
 
 def repaired(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
-    """Return the samples without those whose stamp equals the one before; the first of them is kept.
+    """Return the samples without those whose timestamp equals the one before; the first of them is kept.
 
-    A sample that repeats stamp and values of the one before was written twice, and is always dropped, unless a coarse
-    converter repeats values as often where the stamps differ. One that repeats the stamp alone is dropped only while
-    such samples are rare (1 %): where they are many, the clock is coarser than the sample rate, and dropping them would
-    lose good samples. Stamps that go backwards are never touched.
+    A sample that repeats timestamp and values of the one before was written twice, and is always dropped, unless a
+    coarse converter repeats values as often where the timestamps differ. One that repeats the timestamp alone is
+    dropped only while such samples are rare (1 %): where they are many, the clock is coarser than the sample rate, and
+    dropping them would lose good samples. Timestamps that go backwards are never touched.
 
     Parameters
     ----------
-    samples : stamps in any order
-    counted : samples are counted, not timed (a uniform time base is stated): a stamp that is wrong costs none of them
+    samples : timestamps in any order
+    counted : samples are counted, not timed (a uniform time base is stated): a timestamp that is wrong costs none of
+    them
     """
     if len(samples) < 2:
         return samples
@@ -41,7 +42,7 @@ def repaired(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
 
 
 def _by_chance(same_values: Booleans, same_stamp: Booleans) -> bool:
-    """Return whether values repeat no more often (three sigma) where the stamp is repeated than where it is not."""
+    """Return whether values repeat no more often (three sigma) where the timestamp is repeated than where it is not."""
     here, elsewhere = same_values[same_stamp], same_values[~same_stamp]
     if not elsewhere.any():
         return False

@@ -50,12 +50,12 @@ class RestTable:
 
 @dataclass(slots=True, kw_only=True)
 class RestWatch:
-    """Looks at samples block by block; stamps must not fall.
+    """Looks at samples block by block; timestamps must not fall.
 
     Attributes
     ----------
     samples : number of samples so far
-    backward : index of the first sample whose stamp lies before the one before it; None where there is none
+    backward : index of the first sample whose timestamp lies before the one before it; None where there is none
     """
 
     samples: int = 0

@@ -1,4 +1,4 @@
-"""Static intervals by the variance magnitude of the accelerometer (document A, section 3.4.1).
+"""Static intervals by the variance magnitude of the accelerometer (Tedaldi 2014, section 3.4.1).
 
 Eq. (3.9): the square of the variance magnitude, s^2(t) = sum over the axes of var(a)^2 in a window of t_w seconds
 centred in t, is compared with a multiple of its level at rest. Each axis is measured by its own level at rest first, so

@@ -1,4 +1,4 @@
-"""From stamps to the instants of sampling."""
+"""From timestamps to the instants of sampling."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -19,9 +19,9 @@ class TimeBase:
     Attributes
     ----------
     t_s : (n,) [s since `origin_ns`]
-    uniform : whether they lie on a straight line through the stamps
-    jitter_s : rms distance of the stamps from that line [s]; nan where there is none
-    missing : samples that the stamps leave room for, and a line that was asked for does not
+    uniform : whether they lie on a straight line through the timestamps
+    jitter_s : rms distance of the timestamps from that line [s]; nan where there is none
+    missing : samples that the timestamps leave room for, and a line that was asked for does not
     """
 
     t_s: Floats
@@ -34,7 +34,7 @@ class TimeBase:
 
 
 def _near_a_line(stamps: Floats) -> bool:
-    """Return whether stamps of packets lie near a straight line over the sample's number: nothing is missing."""
+    """Return whether timestamps of packets lie near a straight line over the sample's number: nothing is missing."""
     number = np.arange(len(stamps), dtype=np.float64)
     slope, start = np.polyfit(number, stamps, 1)
     return bool(np.abs(stamps - start - slope * number).max() < _PACKET_S)
@@ -43,16 +43,17 @@ def _near_a_line(stamps: Floats) -> bool:
 def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "stamps", "uniform"] = "auto") -> TimeBase:
     """Return the instants of sampling.
 
-    A sensor samples by its own clock; stamps are often rounded or delayed on their way. The hypothesis of a uniform
-    clock is tested: every stamp must lie within half a period of a straight line over the sample's number, counted with
-    missing samples. If it holds the line is the better clock, otherwise the stamps are all there is. Where samples were
-    stamped in packets, as they came over a wire, the line over all of them is the clock while no packet is far from it.
+    A sensor samples by its own clock; timestamps are often rounded or delayed on their way. The hypothesis of a uniform
+    clock is tested: every timestamp must lie within half a period of a straight line over the sample's number, counted
+    with missing samples. If it holds the line is the better clock, otherwise the timestamps are all there is. Where
+    samples were stamped in packets, as they came over a wire, the line over all of them is the clock while no packet is
+    far from it.
 
     Parameters
     ----------
-    samples : stamps, not falling
+    samples : timestamps, not falling
     origin_ns : where the seconds start [ns]
-    choice : force the stamps or the line
+    choice : force the timestamps or the line
     """
     stamps = np.asarray((samples.t_ns - origin_ns) * 1e-9, dtype=np.float64)
     if choice == "stamps" or len(stamps) < 3:
@@ -80,7 +81,7 @@ def time_base(samples: TriadSamples, origin_ns: int, choice: Literal["auto", "st
 
 
 def _line(number: Floats, stamps: Floats) -> tuple[float, Floats]:
-    """Return slope [s] and values (n,) [s] of the straight line through stamps (n,) [s] over numbers (n,)."""
+    """Return slope [s] and values (n,) [s] of the straight line through timestamps (n,) [s] over numbers (n,)."""
     mean_number, mean_stamp = number.mean(), stamps.mean()
     spread = float((number - mean_number) @ (number - mean_number))
     slope = float((number - mean_number) @ (stamps - mean_stamp)) / spread if spread > 0 else 0.0
@@ -88,7 +89,7 @@ def _line(number: Floats, stamps: Floats) -> tuple[float, Floats]:
 
 
 def _missing(number: Floats, stamps: Floats, jitter_s: float) -> int:
-    """Return how many samples are missing, where the numbers with missing ones explain the stamps better."""
+    """Return how many samples are missing, where the numbers with missing ones explain the timestamps better."""
     missing = int(number[-1]) - (len(number) - 1)
     _, line = _line(number, stamps)
     better = float(np.sqrt(np.mean((stamps - line) ** 2))) < _FAR_BETTER * jitter_s

@@ -1,1 +1,1 @@
-"""Allan deviation -> noise of a sensor (document A, section 3.4)."""
+"""Allan deviation -> noise of a sensor (Tedaldi 2014, section 3.4)."""

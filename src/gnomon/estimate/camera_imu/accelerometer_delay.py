@@ -23,12 +23,12 @@ _EXPLAINED = 0.5
 
 
 def accelerometer_delay(alignment: Alignment, poses: BoardPoses, stream: ImuStream) -> float:
-    """Return t_gyroscope - t_accelerometer of the stamps of one instant [s]; zero where nothing tells it.
+    """Return t_gyroscope - t_accelerometer of the timestamps of one instant [s]; zero where nothing tells it.
 
     Parameters
     ----------
     alignment, poses : of a camera, and to this IMU
-    stream : its readings by their stamps
+    stream : its readings by their timestamps
     """
     centre, acceleration, at_s = camera_accelerations(poses, alignment.time_shift_s)
     if len(centre) < _FEWEST:

@@ -92,8 +92,8 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
 
     Parameters
     ----------
-    poses : of the target in the camera's frame, at the camera's stamps
-    integral : of the gyroscope, at the IMU's stamps
+    poses : of the target in the camera's frame, at the camera's timestamps
+    integral : of the gyroscope, at the IMU's timestamps
     name : of the camera, for messages
 
     Raises
@@ -136,7 +136,7 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
 
 
 def _refuse_jump(t_s: Floats, name: str) -> None:
-    """Refuse stamps that are mostly gaps, as a clock that jumps leaves them: grids over them would know no bound.
+    """Refuse timestamps that are mostly gaps, as a clock that jumps leaves them: grids over them would know no bound.
 
     Raises
     ------

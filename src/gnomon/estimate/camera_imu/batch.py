@@ -1,4 +1,4 @@
-"""The batch estimation of document B, section 4.1.2: the normal equations of all error terms together.
+"""The batch estimation of Krebs, section 4.1.2: the normal equations of all error terms together.
 
     J = 1/2 sum e' Q^-1 e    over gyroscope, accelerometer, corners, random walks of the biases, and priors.
 
@@ -211,7 +211,7 @@ def error_terms(
 
 
 def _by_clock(inertial: tuple[InertialData, ...], parameters: Parameters) -> Iterator[InertialData]:
-    """Yield the readings, those of triads that share their stamps but not their delay one by one."""
+    """Yield the readings, those of triads that share their timestamps but not their delay one by one."""
     for data in inertial:
         yield from apart(data) if parameters.imus[data.imu].accelerometer_shift_s else (data,)
 

@@ -34,7 +34,7 @@ class BoardPoses:
     Attributes
     ----------
     exposures : one a frame, in the order of time
-    t_s : (n,) stamps of the frames [s]
+    t_s : (n,) timestamps of the frames [s]
     R_cam_target : (n, 3, 3)
     p_cam_target : (n, 3) origin of the target in the camera's frame [m]
     rotation_covariance : (n, 3, 3) of R_cam_target, turned on the left, about the camera's axes [rad^2]
@@ -118,7 +118,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
     ----------
     frames : of one camera
     target : the board, planar
-    t_s : (n,) stamps of all frames [s]
+    t_s : (n,) timestamps of all frames [s]
     """
     exposures = thinned(every := gathered(frames, target))
     if not len(exposures):

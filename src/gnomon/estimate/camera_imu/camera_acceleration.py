@@ -60,7 +60,7 @@ def _nearest(t_s: Floats, at_s: Floats) -> Integers:
 
 
 def averaged(at_s: Floats, t_s: Floats, values: Floats, weights: Floats = TRIANGLE) -> Floats:
-    """Return readings (n, 3) with stamps (n,) [s] at instants (m, k) [s], summed with weights (k,), (m, 3)."""
+    """Return readings (n, 3) with timestamps (n,) [s] at instants (m, k) [s], summed with weights (k,), (m, 3)."""
     return np.stack([np.interp(at_s, t_s, values[:, i]) @ weights for i in range(3)], axis=1)
 
 

@@ -1,4 +1,4 @@
-"""What is estimated: by the model (B3, B9 of document B), and by name."""
+"""What is estimated: by the model (B3, B9 of Krebs), and by name."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ _BESIDES = (
     "T_imu_body.translation",
     "time_shift",
 )
-"""Always estimated unless fixed by name; beside them the shift of an accelerometer that has stamps of its own."""
+"""Always estimated unless fixed by name; beside them the shift of an accelerometer that has timestamps of its own."""
 
 
 K3 = "distortion_coeffs[4]"
@@ -75,7 +75,7 @@ def choices(
             status[f"imu{i}.accelerometer_shift"] = "estimated"
     stated: dict[str, str] = {}
     sigma: dict[str, float] = {}
-    for names, size, _ in known_beforehand(start):  # estimated along, of an IMU what the model has
+    for names, size, _ in known_beforehand(start):  # estimated jointly, of an IMU what the model has
         known = zip(names, size.tolist(), strict=True)
         sigma |= {name: value for name, value in known if status[name] == "estimated" or not name.startswith("imu")}
     if not {"intrinsics", "distortion_coeffs"}.isdisjoint(added):

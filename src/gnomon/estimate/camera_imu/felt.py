@@ -62,9 +62,9 @@ def predicted(
 
 
 def predicted_readings(trajectory: Trajectory, parameters: Parameters, data: InertialData) -> tuple[Floats, Floats]:
-    """Return what gyroscope and accelerometer should read at the stamps of some readings, (n, 3) each.
+    """Return what gyroscope and accelerometer should read at the timestamps of some readings, (n, 3) each.
 
-    Of a triad that does not have these stamps they mean nothing; outside of the trajectory they are nan.
+    Of a triad that does not have these timestamps they mean nothing; outside of the trajectory they are nan.
     """
     imu = parameters.imus[data.imu]
     whole = np.full((2, len(data.t_s), 3), np.nan)

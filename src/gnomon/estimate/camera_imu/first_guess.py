@@ -60,9 +60,9 @@ class ImuStream:
 
     Attributes
     ----------
-    t_s : (n,) stamps of the gyroscope [s]
+    t_s : (n,) timestamps of the gyroscope [s]
     rate : (n, 3) [rad/s]
-    force : (n, 3) [m/s^2], interpolated where the accelerometer has other stamps
+    force : (n, 3) [m/s^2], interpolated where the accelerometer has other timestamps
     """
 
     t_s: Floats
@@ -71,7 +71,7 @@ class ImuStream:
 
 
 def imu_stream(inertial: tuple[InertialData, ...], imu: int = 0) -> ImuStream:
-    """Return the readings of an IMU at the stamps of its gyroscope."""
+    """Return the readings of an IMU at the timestamps of its gyroscope."""
     gyroscope = next(data for data in inertial if data.imu == imu and data.gyroscope is not None)
     accelerometer = next(data for data in inertial if data.imu == imu and data.accelerometer is not None)
     assert gyroscope.gyroscope is not None
@@ -89,7 +89,7 @@ def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, s
     ----------
     cameras : by name
     target : the board
-    origin_ns : where the seconds of the cameras' stamps start, of each camera's own clock too [ns]
+    origin_ns : where the seconds of the cameras' timestamps start, of each camera's own clock too [ns]
     stream : of the IMU
 
     Raises

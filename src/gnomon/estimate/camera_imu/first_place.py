@@ -31,7 +31,7 @@ def first_place(alignment: Alignment, poses: BoardPoses, stream: ImuStream, dela
     ----------
     alignment, poses : of the camera
     stream : of the IMU
-    delay_s : t_gyroscope - t_accelerometer of the stamps of one instant
+    delay_s : t_gyroscope - t_accelerometer of the timestamps of one instant
     """
     centre, acceleration, at_s = camera_accelerations(poses, alignment.time_shift_s)
     good = alignment.consistent[centre] & (at_s[:, 0] >= stream.t_s[0]) & (at_s[:, -1] <= stream.t_s[-1])

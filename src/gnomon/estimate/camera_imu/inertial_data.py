@@ -29,13 +29,13 @@ class TriadData:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InertialData:
-    """Readings of one IMU that share their stamps.
+    """Readings of one IMU that share their timestamps.
 
     Attributes
     ----------
     imu : index of the IMU
     t_s : (n,) [s], ascending
-    gyroscope, accelerometer : readings; None where the triad has other stamps
+    gyroscope, accelerometer : readings; None where the triad has other timestamps
     """
 
     imu: int
@@ -45,7 +45,7 @@ class InertialData:
 
 
 def triads(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats, Floats]]:
-    """Yield stamps (n,) [s] and readings (n, 3) of every triad."""
+    """Yield timestamps (n,) [s] and readings (n, 3) of every triad."""
     for data in inertial:
         for triad in (data.gyroscope, data.accelerometer):
             if triad is not None:
@@ -67,7 +67,7 @@ class ImuBeforehand:
     Attributes
     ----------
     name : such as "imu0"
-    origin_ns : stamp at which its seconds start, of its own clock [ns]
+    origin_ns : timestamp at which its seconds start, of its own clock [ns]
     rates_hz : sample rates of gyroscope and accelerometer
     nominal : noise as it was stated, or as consumer sensors have it
     stated : whether it was stated

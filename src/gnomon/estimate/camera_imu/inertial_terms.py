@@ -1,4 +1,4 @@
-"""The error terms of gyroscope and accelerometer (document B, section 4.1.2).
+"""The error terms of gyroscope and accelerometer (Krebs, section 4.1.2).
 
     e_g = S_g M_g C_bg' omega + B_g f + b_g - gyroscope,     e_a = S_a M_a f + b_a - accelerometer,
 
@@ -73,7 +73,7 @@ class InertialTerms:
         return self._places.first
 
     def rows(self, part: slice) -> Floats:
-        """Return the rows of both triads, or of the one that has these stamps, (n, 6 or 3, w), of some readings."""
+        """Return the rows of both triads, or of the one that has these timestamps, (n, 6 or 3, w), of some readings."""
         trajectory, index, imu = self._trajectory, self.data.imu, self._imu
         places, data = self._places.some(part), some_readings(self.data, part)
         bases = Bases.at(places, trajectory.grid)
@@ -222,7 +222,7 @@ class InertialTerms:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Readings:
-    """What is the same for both triads at some stamps, in the IMU's axes.
+    """What is the same for both triads at some timestamps, in the IMU's axes.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ _SHORTEST_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuPath:
-    """Attitude and position of the IMU at its stamps, roughly.
+    """Attitude and position of the IMU at its timestamps, roughly.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ def imu_path(t_s: Floats, omega: Floats, frame_t_s: Floats, frame_R: Floats, fra
 
     Parameters
     ----------
-    t_s : (n,) stamps of the IMU [s]
+    t_s : (n,) timestamps of the IMU [s]
     omega : (n, 3) gyroscope less its bias [rad/s]
-    frame_t_s : (m,) stamps of frames on the IMU's clock [s]
+    frame_t_s : (m,) timestamps of frames on the IMU's clock [s]
     frame_R : (m, 3, 3) R_target_imu at frames
     frame_p : (m, 3) position of the IMU at frames [m]
     """
@@ -75,7 +75,7 @@ def initial_trajectory(
 
     Parameters
     ----------
-    path : attitude and position at the IMU's stamps
+    path : attitude and position at the IMU's timestamps
     frame_t_s : (m,) when the board was seen, on the IMU's clock [s], ascending
     knots_per_s, order : of the splines
     gyroscope_biases : of each IMU, (3,) [rad/s]

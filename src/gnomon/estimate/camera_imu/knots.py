@@ -26,7 +26,7 @@ def knots_per_s(*signals: tuple[Floats, Floats], rate_hz: float | None = None) -
 
     Parameters
     ----------
-    signals : stamps (n,) [s] and readings (n, 3) of each triad
+    signals : timestamps (n,) [s] and readings (n, 3) of each triad
     rate_hz : sample rate that supports the knots; that of the slowest signal where it is not given
     """
     rates = [1 / float(np.median(np.diff(t_s))) for t_s, _ in signals]

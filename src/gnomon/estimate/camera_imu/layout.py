@@ -195,7 +195,7 @@ def _imu_coordinates(rest: str, imu: ImuParameters, start: ImuParameters) -> Flo
     value = getattr(imu, field)
     if rest in _IMU_ROTATIONS:
         return _turned(getattr(start, field), value)
-    if rest == "time_shift":  # between stamps
+    if rest == "time_shift":  # between timestamps
         return value + imu.epoch_s
     return value if isinstance(value, float) else value.ravel()
 

@@ -25,7 +25,7 @@ LADDER = {
     "k3": (),
 }
 """Step -> blocks, of every sensor that has them; k3 is the last coefficient of radtan5. An accelerometer that has
-stamps of its own has a delay in every model."""
+timestamps of its own has a delay in every model."""
 
 EXTRAS = (DELAY, "intrinsics", "k3")
 """Steps beyond the model of the IMU."""
@@ -83,7 +83,7 @@ def step_columns(layout: Layout, name: str) -> Integers:
 
 
 def _has_own_stamps(layout: Layout, block: str, name: str) -> bool:
-    """Tell whether a block is the delay of an accelerometer with stamps of its own."""
+    """Tell whether a block is the delay of an accelerometer with timestamps of its own."""
     return name == DELAY and layout.start.imus[int(block.partition(".")[0].removeprefix("imu"))].apart
 
 

@@ -4,8 +4,8 @@ The rotation that a camera saw is compared with each gyroscope in turn (`alignme
 
     t_body = t_imu + d_body - d_imu,     R_imu_body = R_cam_imu' R_cam_body.
 
-Clocks may have nothing in common: each IMU counts its seconds from its own first stamp. Where it sits on the body is
-left to the estimation, which starts from the body's origin.
+Clocks may have nothing in common: each IMU counts its seconds from its own first timestamp. Where it sits on the body
+is left to the estimation, which starts from the body's origin.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The values of the constant design variables of Table 4.1 of document B; `blocks` names their scalars."""
+"""The values of the constant design variables of Table 4.1 of Krebs; `blocks` names their scalars."""
 
 from dataclasses import dataclass, field, replace
 
@@ -14,7 +14,7 @@ from .board import Board
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuParameters:
-    """Deterministic errors of one IMU (document B, chapter 3; implemented variant of chapter 4), its place and clock.
+    """Deterministic errors of one IMU (Krebs, chapter 3; implemented variant of chapter 4), its place and clock.
 
     accelerometer = S_a M_a f + b_a,   gyroscope = S_g M_g C_bg' omega + B_g f + b_g
 
@@ -35,8 +35,9 @@ class ImuParameters:
     R_imu_body : (3, 3), p_imu_body : (3,) [m] of T_imu_body; identity and zero of the first IMU
     time_shift_s : t_body = t_imu + time_shift_s, in seconds from the starts of both clocks; zero of the first IMU
     accelerometer_shift_s : t_gyroscope = t_accelerometer + accelerometer_shift_s
-    apart : whether the accelerometer has stamps of its own
-    epoch_s : start of the body's seconds less the start of this IMU's, each a stamp of its own clock: stamps differ by
+    apart : whether the accelerometer has timestamps of its own
+    epoch_s : start of the body's seconds less the start of this IMU's, each a timestamp of its own clock: timestamps
+    differ by
         time_shift_s + epoch_s
     """
 
@@ -97,7 +98,7 @@ class ImuParameters:
         return T
 
     def shift_s(self, *, accelerometer: bool) -> float:
-        """Return what the stamps of the accelerometer, or of the gyroscope, are behind the body's clock [s]."""
+        """Return what the timestamps of the accelerometer, or of the gyroscope, are behind the body's clock [s]."""
         return self.time_shift_s + (self.accelerometer_shift_s if accelerometer else 0.0)
 
     @property

@@ -1,4 +1,4 @@
-"""The trajectory and the biases as functions of continuous time (document B, sections 4.1.1 and 4.2).
+"""The trajectory and the biases as functions of continuous time (Krebs, sections 4.1.1 and 4.2).
 
 The attitude is R_target_imu(t) = R_reference Exp(phi(t)), position, phi and biases are splines over one grid of knots:
 cubic and higher for pose, linear for the biases, which is a random walk sampled at the knots. Where a stream has a gap,

@@ -1,4 +1,4 @@
-"""The error terms of the cameras (document B, section 4.1.2): e_c = h(T_cam_imu T_target_imu(t + d)^-1 p) - y.
+"""The error terms of the cameras (Krebs, section 4.1.2): e_c = h(T_cam_imu T_target_imu(t + d)^-1 p) - y.
 
 All corners of an exposure share one twist of the camera's frame, so their sum comes from `corner_sums`; here it is
 mapped to the unknowns. With x = p_cam_imu the origin of the IMU in the camera's frame, a turn about it by tau_r is the
@@ -35,7 +35,7 @@ class VisualData:
     ----------
     camera : index of the camera
     exposures : corners, gathered by the instant of their exposure
-    t_s : (e,) stamps of the frames on the camera's clock [s]
+    t_s : (e,) timestamps of the frames on the camera's clock [s]
     """
 
     camera: int

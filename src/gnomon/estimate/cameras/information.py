@@ -38,7 +38,7 @@ class ChosenViews:
 
 
 def chosen_views(views: Views, at: RigSolution | Rig, most: int | None = None) -> ChosenViews:
-    """Return the views that tell most of the lenses and the places of the cameras.
+    """Return the most informative views for the lenses and the places of the cameras.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ class Views:
     ----------
     target : the board
     cameras : "cam0", ... -> its frames, all of them; the lens in them stands for resolution and topic alone
-    t_ns : (v,) stamp of each view [ns], ascending
+    t_ns : (v,) timestamp of each view [ns], ascending
     frame : (v, c) which frame of each camera it is; negative where the camera has none that can be used
     """
 

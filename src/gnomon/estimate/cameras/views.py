@@ -11,7 +11,7 @@ from ..camera_imu.board_poses import gathered
 from ..camera_imu.corner_sums import Exposures
 from .rig import Views
 
-_APART_NS = 5_000_000  # stamps of one instant are not further apart, however slow the cameras
+_APART_NS = 5_000_000  # timestamps of one instant are not further apart, however slow the cameras
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,8 +51,8 @@ class CameraCorners:
 def gathered_views(cameras: Mapping[str, CameraFrames], target: Target) -> Views:
     """Return the frames with enough corners, those of one instant gathered in a view.
 
-    Stamps of one instant are equal, or the nearest to each other, not further apart than half the time between frames
-    and a few milliseconds.
+    Timestamps of one instant are equal, or the nearest to each other, not further apart than half the time between
+    frames and a few milliseconds.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _with_camera(
 
 
 def _nearest(sorted_ns: Integers, wanted: Integers) -> Integers:
-    """Return the index of the nearest of sorted stamps."""
+    """Return the index of the nearest of sorted timestamps."""
     after = np.clip(np.searchsorted(sorted_ns, wanted), 1, max(len(sorted_ns) - 1, 1))
     after = np.minimum(after, len(sorted_ns) - 1)
     before = np.maximum(after - 1, 0)

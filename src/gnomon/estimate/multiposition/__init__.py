@@ -1,1 +1,1 @@
-"""Static intervals and the rotations between them -> the IMU's errors (document A)."""
+"""Static intervals and the rotations between them -> the IMU's errors (Tedaldi 2014)."""

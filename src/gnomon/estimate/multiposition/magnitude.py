@@ -1,4 +1,4 @@
-"""A triad from the known magnitude of what it measures (document A, section 3.2; document C, Eqs. 8-11).
+"""A triad from the known magnitude of what it measures (Tedaldi 2014, section 3.2; Angrisano, Eqs. 8-11).
 
 The sensor measures m = S f + b, and |f| is known. In a body frame that the triad's own axes define, S is triangular and
 the correction f = C (m - b), C = inv(S), has nine unknowns.

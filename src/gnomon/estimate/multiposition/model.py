@@ -1,8 +1,8 @@
 """The multi-position problem: what static intervals and the rotations between them say, linearised.
 
-Beyond document A there is one latent direction of gravity u_k per static interval (a unit vector in the body frame), so
+Beyond Tedaldi there is one latent direction of gravity u_k per static interval (a unit vector in the body frame), so
 that the noise of an interval is counted once although both neighbouring rotations use it, and a gyroscope bias that
-depends on the specific force as in document B, chapter 3. In units of gravity for the specific force:
+depends on the specific force as in Krebs, chapter 3. In units of gravity for the specific force:
 
     accelerometer at rest    x_k = S u_k + b                          S lower triangular (frame accel-x)
     gyroscope at rest        y_k = b_g + G u_k

@@ -171,7 +171,7 @@ def _quiet_s(segments: MotionSegments) -> Floats:
 
 
 def _segments(accelerometer: TriadStream, gyroscope: TriadStream, first: Integers, lengths: Integers) -> MotionSegments:
-    """Cut out the rotations; the specific force is interpolated where it has stamps of its own."""
+    """Cut out the rotations; the specific force is interpolated where it has timestamps of its own."""
     if np.array_equal(accelerometer.t_s, gyroscope.t_s):
         return cut_segments(gyroscope.t_s, gyroscope.values, accelerometer.values, first, lengths)
     cut = cut_segments(gyroscope.t_s, gyroscope.values, gyroscope.values, first, lengths)

@@ -1,4 +1,4 @@
-"""The rotations between static intervals, integrated from the gyroscope (document A, sections 3.3 and 3.4.2).
+"""The rotations between static intervals, integrated from the gyroscope (Tedaldi 2014, sections 3.3 and 3.4.2).
 
 Within a rotation the rate is omega(t) = C z(t): C (3, 7) is linear in what is sought, and z = (y, 1, f) holds the
 measured rate y, a one for the bias and the specific force f for the g-sensitivity.
@@ -73,7 +73,7 @@ def segments_between(t_s: Floats, start_s: Floats, stop_s: Floats) -> tuple[Inte
 
     Parameters
     ----------
-    t_s : (n,) stamps, rising [s]
+    t_s : (n,) timestamps, rising [s]
     start_s : (m,) last instant of the static interval before the rotation [s]
     stop_s : (m,) first instant of the static interval after it [s]
     """

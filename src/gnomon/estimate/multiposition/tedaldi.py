@@ -1,4 +1,4 @@
-"""The two least-squares problems of document A as their authors solve them: first accelerometer, then gyroscope.
+"""The two least-squares problems of Tedaldi as their authors solve them: first accelerometer, then gyroscope.
 
 Three published forms differ in details that matter (see docs/theory): the thesis as printed (Algorithm 1), the authors'
 MATLAB script behind Table 4.8, and the C++ program imu_tk.
@@ -32,7 +32,7 @@ class TedaldiRules:
         the last), "first" (the first hundred), "mean" (the mean of the middle second)
     residual : g^2 - |f|^2, Eq. (3.4), or g - |f|
     gyroscope_bias : mean over T_init, or over the first static interval
-    uniform_dt : integrate with the nominal period instead of the stamps
+    uniform_dt : integrate with the nominal period instead of the timestamps
     normalise_by_second : divide both directions of a rotation by the norm of the second
     leading_sample_static : the script leaves the statistic before the first full window at zero
     stop_early : the program stops one sample before the next static interval

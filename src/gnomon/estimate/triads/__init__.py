@@ -1,1 +1,1 @@
-"""Known magnitudes -> the errors of one triad (document C)."""
+"""Known magnitudes -> the errors of one triad (Angrisano)."""

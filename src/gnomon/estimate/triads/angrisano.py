@@ -1,4 +1,4 @@
-"""The method of document C as its authors carry it out: least squares, linearised again and again from a stated start.
+"""The method of Angrisano as its authors carry it out: least squares, linearised again and again from a stated start.
 
 The model is s = T K (s_out - b), Eqs. (1) and (2), with the bias subtracted; the unknowns are those of Eq. (3),
 
@@ -8,7 +8,7 @@ The product at the start of an iteration is N, Eq. (5), and A = -dN/dX, Eq. (6),
 those of b_y and b_z (the document prints a minus). Known attitudes give three equations each, A dX = -s + N (4); known
 magnitudes give one, N'A dX = (N'N - s^2) / 2 (10). Both X = X_s + dX (7).
 
-The iteration has no safeguard: from a poor start it ends in a wrong minimum, or nowhere (document C, Table 2 and
+The iteration has no safeguard: from a poor start it ends in a wrong minimum, or nowhere (Angrisano, Table 2 and
 Fig. 6). That is a status of the result here, not an error. `estimate.triads.triad` needs no start.
 """
 
@@ -23,7 +23,7 @@ from ...models.angrisano import AngrisanoTriad, Geometry, alignment, alignment_d
 from ...recording import Floats
 
 TOLERANCE = 0.0005
-"""Stop rule of document C: (q of the iteration before - q) / q."""
+"""Stop rule of Angrisano: (q of the iteration before - q) / q."""
 
 Status = Literal["converged", "mirrored", "wrong", "diverged", "not finished"]
 """How an iteration ended: at a minimum that explains the measurements, with positive scale factors; at its mirror
@@ -39,7 +39,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AngrisanoFit:
-    """What document C's iteration came to.
+    """What Angrisano's iteration came to.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class AngrisanoFit:
 
     @property
     def form(self) -> AngrisanoTriad:
-        """The sensor in the letters of document C."""
+        """The sensor in the letters of Angrisano."""
         return AngrisanoTriad.from_parameters(self.parameters, self.geometry)
 
     @property
@@ -251,7 +251,7 @@ def _iterate(
     unit: float,
     reference: float,
 ) -> AngrisanoFit:
-    """Solve H dX = l, add dX, and go on until q settles (Fig. 1 of document C).
+    """Solve H dX = l, add dX, and go on until q settles (Fig. 1 of Angrisano).
 
     q is what the linear equations leave, v = H dX - l, not what the model leaves at the new X.
 
@@ -316,6 +316,6 @@ def _minimum(X: Floats, geometry: Geometry) -> Status:
 def _require(poses: int, fewest: int, what: str) -> None:
     if poses < fewest:
         raise InitialisationError(
-            f"{poses} poses do not determine the nine parameters of document C from {what}: at least {fewest} are "
+            f"{poses} poses do not determine the nine parameters of Angrisano from {what}: at least {fewest} are "
             "needed. Record more attitudes, 18 or more, well spread."
         )

@@ -1,4 +1,4 @@
-"""Attitudes that somebody stated, held against what the accelerometer shows (document C, Eqs. 4 to 7).
+"""Attitudes that somebody stated, held against what the accelerometer shows (Angrisano, Eqs. 4 to 7).
 
 The sensor lies in its jig in some way that nobody knows; but the angles between poses are those between the stated
 directions. An attitude that was stated wrongly, a sign lost or two axes swapped, stands out by tens of degrees.

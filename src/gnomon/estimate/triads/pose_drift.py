@@ -1,6 +1,6 @@
 """An accelerometer whose bias drifts while poses are recorded, as of a sensor that warms up.
 
-A straight line in time with a mean of zero over the poses is estimated along: measured = S g u + b + d tau. Where the
+A straight line in time with a mean of zero over the poses is estimated jointly: measured = S g u + b + d tau. Where the
 order of the attitudes resembles time, gravity's magnitude hardly tells it from scales and angles; there it is held to
 what such sensors do, and counts in the sigmas of all other parameters. A bias that drifted need not have done so
 evenly: beside the line it is taken to have walked at random, about as far (a Brownian bridge), and sigmas count that.

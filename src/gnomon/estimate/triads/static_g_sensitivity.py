@@ -1,4 +1,4 @@
-"""G-sensitivity of a gyroscope from rests in several attitudes (document B, section 5.2, the static experiment).
+"""G-sensitivity of a gyroscope from rests in several attitudes (Krebs, section 5.2, the static experiment).
 
 At rest a gyroscope shows, in pose k at time t_k,
 

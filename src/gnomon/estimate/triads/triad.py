@@ -1,6 +1,6 @@
 """One triad from the magnitudes of what it measured: accelerometer, gyroscope on a turntable, magnetometer.
 
-Document C, Eqs. (1)-(11), document A, section 3.2, as one maximum likelihood problem with covariance. The sensor
+Angrisano, Eqs. (1)-(11), Tedaldi, section 3.2, as one maximum likelihood problem with covariance. The sensor
 measures m_k = S (w_k u_k) + b + G f_k in pose k, with known magnitude w_k and an unknown unit vector u_k, which is
 eliminated (triad_rows.py). Poses whose direction is known give three equations instead of one, Eqs. (4)-(7).
 """
@@ -135,7 +135,7 @@ def fit_triad(
     unknown_scale : whether all magnitudes share one unknown factor; the sensitivity is then known up to that factor
     prior : what is known from elsewhere
     robust : leave out poses that lie far outside what the others show
-    start : (9,) angles [rad], bias [unit] and scale [SI/unit] of document C, Eq. (3), from which to start instead of
+    start : (9,) angles [rad], bias [unit] and scale [SI/unit] of Angrisano, Eq. (3), from which to start instead of
         the closed form (a study of convergence wants it; there is no other reason)
 
     Raises

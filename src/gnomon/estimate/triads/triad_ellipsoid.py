@@ -20,7 +20,7 @@ class Ellipsoid:
 
 
 def general_ellipsoid(m: Floats, w: Floats) -> Ellipsoid | None:
-    """Return the quadric of least squares (document C, Eq. 10, without a start); None if it is no ellipsoid.
+    """Return the quadric of least squares (Angrisano, Eq. 10, without a start); None if it is no ellipsoid.
 
     |C (m - b)|^2 = w^2 is linear in C'C and C'C b but for the level b'C'C b, which a few repetitions find.
     """

@@ -136,7 +136,7 @@ def _noise_size(problem: TriadProblem, theta: Floats) -> float:
 
 
 def _stated(start: Floats, scaling: TriadScaling, size: int) -> Floats:
-    """Return the scaled parameters of document C's nine (Eq. 3), with positive scales, in the triad's own frame."""
+    """Return the scaled parameters of Angrisano's nine (Eq. 3), with positive scales, in the triad's own frame."""
     x, y, z = start[:3]
     correction = np.array([[1, z, y], [0, 1, x], [0, 0, 1]]) * start[6:]
     theta = np.zeros(size)
@@ -208,7 +208,7 @@ def _oriented(problem: TriadProblem, found: Ellipsoid, prior: Floats | None) -> 
 
 
 def _by_directions(problem: TriadProblem) -> Floats | None:
-    """Return the linear least-squares solution by poses of known direction (document C, Eqs. 4-7); None if too few."""
+    """Return the linear least-squares solution by poses of known direction (Angrisano, Eqs. 4-7); None if too few."""
     usable = (problem.magnitude == 0) | np.isfinite(problem.direction_sigma)
     x = problem.magnitude[usable, None] * problem.direction[usable]
     design = np.column_stack([x, np.ones(len(x)), problem.force[usable]])

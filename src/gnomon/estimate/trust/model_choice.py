@@ -1,6 +1,6 @@
 """Which blocks of parameters a recording asks for: the fit to clusters of time that an estimate has not seen.
 
-"Set to 0 what the recording does not determine" (document B, section 5.2) made rigorous. Every smaller model is
+"Set to 0 what the recording does not determine" (Krebs, section 5.2) made rigorous. Every smaller model is
 estimated from the same cluster sums; for each cluster of time the model is estimated from the others, and its cost on
 the one left out is compared with that of the model without the block. A block that is not there makes gains and losses
 alike: were all their signs random, their sum would exceed what is needed by chance alone, and the more blocks are

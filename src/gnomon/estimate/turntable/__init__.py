@@ -1,1 +1,1 @@
-"""A known rate about an unknown axis -> the errors of a gyroscope (document C)."""
+"""A known rate about an unknown axis -> the errors of a gyroscope (Angrisano)."""

@@ -50,7 +50,7 @@ class Between:
     Attributes
     ----------
     means : (k, 3) of the gyroscope over blocks [unit]
-    gap_s : longest hole in the stamps [s]
+    gap_s : longest hole in the timestamps [s]
     """
 
     means: Floats

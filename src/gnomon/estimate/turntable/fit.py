@@ -1,4 +1,4 @@
-"""A gyroscope on a turntable, alone or together with the accelerometer (document C; see estimate/triads/triad.py).
+"""A gyroscope on a turntable, alone or together with the accelerometer (Angrisano; see estimate/triads/triad.py).
 
 Alone, magnitudes are all that is known. With the accelerometer the axis of the platter is known in every attitude: it
 stands upright, or upside down where the platter turns clockwise, and every entry of the sensitivity shows.
