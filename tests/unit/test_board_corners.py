@@ -260,7 +260,7 @@ def test_another_number_of_columns_is_named(views):
 
 def test_the_gap_is_measured_whatever_the_perspective():
     from gnomon.detect.boards.aprilgrid import detect_aprilgrid
-    from gnomon.detect.boards.tag_spacing import tag_spacing
+    from gnomon.detect.boards.board import tag_spacing
     from rendered import rendered_views
 
     board = Target.aprilgrid(tag_cols=6, tag_rows=5, tag_size_m=0.08, tag_spacing=0.37)

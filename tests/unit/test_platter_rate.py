@@ -8,7 +8,7 @@ import pytest
 import platter_videos
 from gnomon.calibrate.platter_rate import rate_from_video
 from gnomon.detect.platter.clock import missing_frames, rate_by_jitter, stamps_are_nominal
-from gnomon.detect.platter.pictures import read_pictures
+from gnomon.detect.platter.period import read_pictures
 from gnomon.detect.platter.rate import platter_rate
 from gnomon.detect.platter.steady import Blocks, PhaseLine, even_rate, longest_run, steady_blocks
 from gnomon.errors import DetectionError, OptionError, RecordingError

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from ..detect.boards.board import BoardView
-from ..detect.boards.tag_spacing import tag_spacing
+from ..detect.boards.board import BoardView, tag_spacing
 from ..findings import Finding, make_finding
 from ..models.target import Target
 from ..recording import CameraFrames, ImuSamples, Integers, Recording

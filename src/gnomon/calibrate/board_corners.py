@@ -18,8 +18,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..detect.boards.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
-from ..detect.boards.tag_spacing import tag_spacing
+from ..detect.boards.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen, tag_spacing
 from ..detect.boards.worker import BoardProcess, ProcessLostError, detector
 from ..errors import DetectionError, RecordingError
 from ..images import Frame, Grey, ImageStream

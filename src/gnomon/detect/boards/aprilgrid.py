@@ -15,13 +15,13 @@ import cv2
 import numpy as np
 
 from ...images import Grey
+from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ..corners.corner_fit import CornerKind, fit_corners
 from ..corners.fitted_corners import CornerFits, joined
-from ..corners.straight import LensGuess
-from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
-from .marked import (
+from .board import NOT_WITH_NEIGHBOURS, BoardView, middle_of, nothing_seen
+from .marker_boards import (
     BORDER_PX,
     CONTRAST,
     COVERED,
@@ -31,15 +31,14 @@ from .marked import (
     WINDOW,
     as_good_as,
     inside,
-    middle_of,
     once,
     quads_searched,
     view_of,
 )
+from .plane_map import LensGuess
 from .quads import Search, search_scale
 from .tag_places import (
     TAG,
-    Booleans,
     added,
     charted,
     consistent,
@@ -130,8 +129,8 @@ def _is_coarse_enough(tags: Tags, scale: float) -> bool:
 def _read(image: Grey, quads: Floats, target: Target) -> Tags:
     """Return the tags of the target in some quadrilaterals; a tag that was found twice once."""
     tags = read_tags(image, quads, border_bits=target.border_bits, first=target.first_tag, count=target.tags)
-    kept = once(tags.number, tags.corners)
-    return Tags(number=tags.number[kept] - target.first_tag, corners=tags.corners[kept], likeness=tags.likeness[kept])
+    tags = tags.only(once(tags.number, tags.corners))
+    return replace(tags, number=tags.number - target.first_tag)
 
 
 def _largest(image: Grey, target: Target, tags: Tags) -> "TagGrid | None":

@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 
 from ...images import Grey
+from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
 from ..corners.corner_fit import CornerKind
-from ..corners.straight import LensGuess
 from .aprilgrid import TagGrid, TagSearch, search_tags
-from .board import BoardView
+from .board import BoardView, middle_of
 from .checkerboard import reduced, search_scale
-from .marked import middle_of
 from .optical_flow import carry_corners
-from .tag_places import Booleans, homography, through
+from .plane_map import LensGuess
+from .tag_places import homography, through
 
 _SHIFT_SCALE = 2  # of the reduced image
 _FEWEST_TAGS = 6  # that are followed; fewer tell little of where the others are

@@ -16,13 +16,14 @@ import numpy as np
 
 from ...images import Grey
 from ...models.board_pattern import black_square, marker_cells
+from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ..corners.corner_fit import fit_corners
 from ..corners.fitted_corners import CornerFits, joined
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .charuco_lattice import corners_by_lattice
-from .marked import (
+from .marker_boards import (
     BORDER_PX,
     CONTRAST,
     COVERED,
@@ -36,11 +37,10 @@ from .marked import (
     quads_searched,
     view_of,
 )
-from .markers import Markers, read_markers
 from .plane_map import plane_map
 from .quads import Search
-from .tag_places import Booleans, charted, connected, consistent, once_each, shortest_side, through
-from .tags import square_to_quads
+from .tag_places import charted, connected, consistent, once_each, shortest_side, through
+from .tags import Tags, read_markers, square_to_quads
 
 _FEW_CORNERS = 12  # with fewer of them, they are also sought as a lattice
 _FEWEST_MARKERS, _FEWEST_CORNERS = 2, 4  # a marker that is alone might be any
@@ -91,14 +91,14 @@ def detect_charuco(image: Grey, target: Target) -> BoardView:
     return _view(image, target, best)
 
 
-def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Markers]]:
+def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
     """Yield the markers that were read, as more and more ways to find them are tried."""
     count = len(_layout(target).marker_corners)
     for search, quads in quads_searched(image):
         found = read_markers(image, quads, target.dictionary, first=target.first_tag, count=count)
         kept = once(found.number, found.corners)
         if kept.any():
-            yield search, Markers(number=found.number[kept], corners=found.corners[kept], likeness=found.likeness[kept])
+            yield search, found.only(kept)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -147,7 +147,7 @@ class _Board:
     strange: int
 
 
-def _board(image: Grey, target: Target, markers: Markers) -> _Board | None:
+def _board(image: Grey, target: Target, markers: Tags) -> _Board | None:
     """Return the board that most markers make up; None where there are only single ones."""
     layout = _layout(target)
     number = markers.number - target.first_tag

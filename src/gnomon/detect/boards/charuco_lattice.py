@@ -11,9 +11,8 @@ from ...models.board_pattern import black_square
 from ...models.target import Target
 from ...recording import Floats, Integers
 from .lattice import Lattice, find_lattices
-from .markers import cells_in, codes, of_unit_length
 from .saddles import find_saddles
-from .tags import square_to_quads
+from .tags import cells_in, marker_pictures, of_unit_length, square_to_quads
 
 _BLUR = 0.6  # of the codes, in cells
 _FEWEST_MARKERS = 3
@@ -85,9 +84,9 @@ def _likeness(image: Grey, target: Target, outlines: Floats) -> Floats:
     inner = 0.5 + side / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     H = square_to_quads(outlines)
     u, v, w = np.moveaxis(H @ np.column_stack([inner, np.ones(4)]).T, 1, 0)
-    pictures = codes(target.dictionary, _BLUR)[target.first_tag : target.first_tag + _count(target), 0]
+    pictures = marker_pictures(target.dictionary, _BLUR)[target.first_tag : target.first_tag + _count(target), 0]
     bits = pictures.shape[1]
-    read = cells_in(image, np.stack([u / w, v / w], axis=2), bits + 2)[:, 1:-1, 1:-1]
+    read = cells_in(image, np.stack([u / w, v / w], axis=2), bits + 2)[0][:, 1:-1, 1:-1]
     return of_unit_length(read.reshape(-1, bits * bits)) @ of_unit_length(pictures.reshape(-1, bits * bits)).T
 
 

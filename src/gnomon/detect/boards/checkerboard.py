@@ -20,16 +20,16 @@ from ...images import Grey
 from ...models.target import Target
 from ...recording import Floats
 from ..corners.corner_fit import fit_corners
-from ..corners.straight import LensGuess, corrected
-from .board import BoardView, nothing_seen
-from .checkerboard_grid import Board, board_at, boards_in, completed, middle, steps
+from .board import BoardView, middle_of, nothing_seen
+from .checkerboard_grid import Board, board_at, boards_in, completed, steps
 from .lattice import Lattice, find_lattices
+from .marker_boards import BORDER_PX, COVERED, NEAR_BORDER, view_of
 from .optical_flow import carry_corners
+from .plane_map import LensGuess
 from .saddles import find_saddles
 
 _SEARCH_WIDTH = 480  # an image is reduced by halves until it is narrower
 _EVIDENCE, _FINER_PX = 6, 12.0  # crossings in a lattice, and squares below which a finer image may help
-BORDER_PX = 5.0
 _WINDOW, _SMALLEST, _LARGEST = 0.3, 2, 5  # half width of the window of the first refinement, in squares and pixels
 _RADIUS = 0.65  # of the fit's window over the height of a square
 _FARTHEST = 0.35  # that a corner may move in its refinement, in squares
@@ -112,7 +112,7 @@ def board_near(image: Grey, grid: Floats | None) -> Board | None:
 def _refined(image: Grey, grid: Floats) -> Floats | None:
     """Return the corners to about a tenth of a pixel; None where they do not stay where they belong."""
     height = _square_heights(grid)
-    half = int(np.clip(_WINDOW * middle(height), _SMALLEST, _LARGEST))
+    half = int(np.clip(_WINDOW * middle_of(height), _SMALLEST, _LARGEST))
     points = grid.reshape(-1, 2).astype(np.float32)
     limits = [image.shape[1] - 2 * half - 3, image.shape[0] - 2 * half - 3]
     inside = ((points >= half + 1) & (points <= np.add(limits, half + 1))).all(axis=1)
@@ -153,7 +153,7 @@ def measured(image: Grey, board: Board, lens: LensGuess | None = None) -> BoardV
     limits = np.array([image.shape[1] - 1, image.shape[0] - 1]) - BORDER_PX
     inside = ((guess >= BORDER_PX) & (guess <= limits)).all(axis=1)
     crossing = (board.clear | ~board.known).ravel()
-    dropped["near the border"] = int((~inside).sum())
+    dropped[NEAR_BORDER] = int((~inside).sum())
     dropped["not black and white in turn"] = int((inside & ~crossing).sum())
     numbers = numbers[inside & crossing]
     rows, cols = np.divmod(numbers, grid.shape[1])
@@ -164,19 +164,11 @@ def measured(image: Grey, board: Board, lens: LensGuess | None = None) -> BoardV
     fits = fit_corners(image, guess[numbers], edges, _RADIUS * height[numbers])
     near = np.linalg.norm(fits.pixels - guess[numbers], axis=1) < _FARTHEST * height[numbers]
     good = fits.good & near
-    dropped["blurred or covered"] = int((~good).sum())
+    dropped[COVERED] = int((~good).sum())
     chosen = fits.only(good)
     if len(chosen) < _FEWEST:
         return nothing_seen(+dropped)
-    return BoardView(
-        point=numbers[good],
-        pixels=corrected(np.stack([cols, rows], axis=1)[good], chosen, image.shape[::-1], lens),
-        sigma_px=chosen.sigma_px,
-        blur_px=middle(chosen.blur_px),
-        black=middle(chosen.black),
-        white=middle(chosen.white),
-        dropped=+dropped,
-    )
+    return view_of(image, numbers[good], np.stack([cols, rows], axis=1)[good], chosen, dropped, lens=lens)
 
 
 class CheckerboardTracker:

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...images import Grey
+from ...models.camera import Booleans
 from ...recording import Floats
+from .board import middle_of
 from .lattice import Lattice
-
-Booleans = NDArray[np.bool_]
 
 _SLACK = 2  # lines of corners that may have been missed on one side
 _FOUND = 0.7  # share of the corners that a lattice must have
@@ -92,7 +91,7 @@ def completed(grid: Floats) -> Floats | None:
     squares = squares[np.isfinite(squares)]
     if not len(squares):
         return None
-    astray = _medians(np.square(guess - grid).sum(axis=3)) > _ASTRAY**2 * middle(squares)
+    astray = _medians(np.square(guess - grid).sum(axis=3)) > _ASTRAY**2 * middle_of(squares)
     grid = np.where(astray[..., None], np.nan, grid)
     for _ in range(sum(grid.shape)):
         gaps = np.isnan(grid[:, :, 0])
@@ -126,12 +125,6 @@ def _medians(values: Floats) -> Floats:
     ordered = np.sort(values, axis=0)  # nan comes last
     place = np.maximum(np.isfinite(ordered).sum(axis=0, keepdims=True) - 1, 0) // 2
     return np.take_along_axis(ordered, place, axis=0)[0]
-
-
-def middle(values: Floats) -> float:
-    """Return the median of some numbers, of two in the middle the upper one."""
-    place = values.size // 2
-    return float(np.partition(values, place, axis=None)[place])
 
 
 def steps(grid: Floats) -> tuple[Floats, Floats]:
@@ -173,7 +166,7 @@ def board_at(image: Grey, grid: Floats) -> Board | None:
     if known[inside].sum() < _FEWEST:
         return None
     swing = (second.sum(axis=0) - first.sum(axis=0))[inside][known[inside]]
-    difference = 0.5 * middle(swing)
+    difference = 0.5 * middle_of(swing)
     black, white = (first, second) if difference > 0 else (second, first)
     contrast = abs(difference)
     clear = known & (white.min(axis=0) - black.max(axis=0) > max(_CLEAR * contrast, 1.0))

@@ -9,6 +9,7 @@ map from the board to the image around each disc, and so by how much (see `_bias
 """
 
 from collections import Counter
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -21,12 +22,12 @@ from .checkerboard import reduced
 from .disc_fit import DiscFits, fit_discs
 from .disc_lattice import disc_lattices, grids_in
 from .discs import Discs, find_discs
+from .marker_boards import COVERED, as_good_as
 from .plane_map import PlaneMap, plane_map
 
 _LARGE_IMAGE_PX = 1.3e6  # images with more pixels are searched at half of their resolution, or less
 _LARGEST_PX = 11.0  # half axis of a disc that is measured; the image is reduced until they are smaller
 _REACH, _GAP = (1.25, 2.2), 0.5  # of the windows, over the radius; share of the gap to the next disc
-_MISFIT, _MISFITS, _SIGMAS = 0.035, 3.0, 5.0  # as for other corners
 _ASTRAY_PX, _ASTRAY = 0.2, 6.0  # how far from where the others say a disc may be: px, over the median
 _UNTOLD = 0.4  # error of the bias over that of the map, as was measured
 _FOUND = 0.8  # share of the circles that are needed
@@ -93,11 +94,11 @@ def _found(image: Grey, target: Target, light: bool) -> BoardView:
 def _measured(image: Grey, target: Target, number: Integers, discs: Discs, light: bool) -> BoardView:
     fits = _fitted(image, discs)
     dropped = Counter[str]()
-    dropped["blurred or covered"] = len(target) - int(fits.good.sum())
+    dropped[COVERED] = len(target) - int(fits.good.sum())
     if fits.good.sum() < _FOUND * len(target):
         return nothing_seen(+dropped)
     misfit, sigma = float(np.median(fits.misfit[fits.good])), float(np.median(fits.sigma_px[fits.good]))
-    good = fits.good & (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma)
+    good = fits.good & as_good_as(fits, misfit, sigma)
     number, fits = number[good], fits.only(good)
     points = target.points[number, :2] / target.spacing_m
     seen = plane_map(points, fits.pixels, image.shape[::-1])
@@ -127,15 +128,12 @@ def _fitted(image: Grey, discs: Discs) -> DiscFits:
     scale = max(int(np.ceil(np.median(half) / _LARGEST_PX)), 1)
     pixels, shape = (discs.pixels + 0.5) / scale - 0.5, discs.shape / scale**2
     fits = fit_discs(reduced(image, scale), pixels, shape, _reach(discs))
-    return DiscFits(
+    return replace(
+        fits,
         pixels=(fits.pixels + 0.5) * scale - 0.5,
         sigma_px=fits.sigma_px * scale,
         shape=fits.shape * float(scale**2),
         blur_px=fits.blur_px * scale,
-        inside=fits.inside,
-        outside=fits.outside,
-        misfit=fits.misfit,
-        good=fits.good,
     )
 
 

@@ -10,15 +10,14 @@ near the outline by Gauss-Newton, all discs of an image at once. The picture of 
 of the blur's shape moves its middle.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...images import Grey
 from ...recording import Floats, Integers
-from ..corners.blurred_edge import normal_distribution
-from ..corners.corner_windows import Booleans, Singles
+from ..corners.corner_windows import Singles, normal_distribution, packed
+from ..corners.fitted_corners import PointFits, damp
 
 _PARAMETERS = 10
 _ITERATIONS, _CONVERGED_PX, _MOST = 6, 0.01, 0.9  # the next step would be its square
@@ -30,41 +29,23 @@ _FARTHEST = 0.4  # from the guess, over the smaller half axis, beyond a pixel
 _LEAST_CONTRAST = 8.0  # grey levels
 _MISFIT = 0.12  # rms of the residuals over the contrast
 _LARGEST_SIGMA_PX = 0.25
-_DAMPING = 1e-4
 _MODEL_SIGMA_PX = 0.005  # what the model leaves out
 _WEAK = 1e-3  # relative precision with which the light's slope is known to be none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DiscFits:
-    """Discs as they were fitted, m of them.
+class DiscFits(PointFits):
+    """Discs as they were fitted, by the middles of their ellipses.
 
     Attributes
     ----------
-    pixels : (m, 2) middles of the ellipses [px]
-    sigma_px : (m,) standard deviation per axis, from the residuals [px]
     shape : (m, 2, 2) symmetric: the outline is where (x - middle)' inv(shape) (x - middle) = 1 [px^2]
-    blur_px : (m,) standard deviation of the blur [px]
     inside, outside : (m,) grey levels
-    misfit : (m,) rms of the residuals over the contrast
-    good : (m,) whether the picture is that of a disc, near the guess
     """
 
-    pixels: Floats
-    sigma_px: Floats
     shape: Floats
-    blur_px: Floats
     inside: Floats
     outside: Floats
-    misfit: Floats
-    good: Booleans
-
-    def __len__(self) -> int:
-        return len(self.pixels)
-
-    def only(self, chosen: NDArray[np.integer] | Booleans) -> "DiscFits":
-        """Return some of the discs."""
-        return DiscFits(**{item.name: getattr(self, item.name)[chosen] for item in fields(self)})
 
 
 def fit_discs(image: Grey, guess: Floats, shape: Floats, reach: float) -> DiscFits:
@@ -115,12 +96,7 @@ def _gathered(image: Grey, middle: Integers, centre: Floats, B: Floats, reach: f
     d = (1 - q) / slope
     u, v = middle[:, :1] + x, middle[:, 1:] + y
     chosen = (np.abs(d) < _BAND_PX) & (q < reach) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    row, pixel = np.nonzero(chosen)
-    each = chosen.sum(axis=1)
-    slot = np.arange(len(row)) - np.repeat(np.cumsum(each) - each, each)
-    index = np.zeros((len(middle), max(int(each.max()), 1)), np.int64)
-    weight = np.zeros(index.shape, np.float32)
-    index[row, slot], weight[row, slot] = pixel, 1
+    index, weight = packed(chosen)
     u, v = np.take_along_axis(u, index, 1).clip(0, width - 1), np.take_along_axis(v, index, 1).clip(0, height - 1)
     return _Windows(
         values=image[v, u].astype(np.float32),
@@ -195,9 +171,7 @@ def _step(normal: Floats) -> Floats:
 
 def _damped(normal: Floats) -> Floats:
     matrix = normal[:, :-1, :-1].copy()
-    diagonal = np.einsum("mii->mi", matrix)
-    diagonal *= 1 + _DAMPING
-    diagonal += 1e-6
+    damp(matrix)
     return matrix
 
 

@@ -11,10 +11,9 @@ import numpy as np
 
 from ...images import Grey
 from ...recording import Floats
+from .quads import black_limits
 
-_TILE_PX, _NEIGHBOURS = 4, 3  # side of a tile, and how many of them side by side are a neighbourhood
-_STRONG, _CONTRAST = 0.95, 0.3  # a neighbourhood with less contrast than this share of the strongest has no disc
-_LEAST_CONTRAST = 8  # grey levels
+_CONTRAST = 0.3  # a neighbourhood with less contrast than this share of the strongest has no disc
 _LEAST_AREA_PX, _LARGEST = 8.0, 0.03  # of a disc; the latter over the image
 _LIKE_ELLIPSE = 0.1  # how far the area may be from that of the ellipse with the same second moments
 _SMALL_PX = 60.0  # area from which on that is asked; smaller ones are rough
@@ -78,17 +77,6 @@ def _no_discs() -> Discs:
 
 def _dark(image: Grey) -> Grey:
     """Return 255 for dark, 0 for light."""
-    height, width = image.shape
-    tile, tiles = np.ones((_TILE_PX, _TILE_PX), np.uint8), np.ones((_NEIGHBOURS, _NEIGHBOURS), np.uint8)
-    every = slice(_TILE_PX // 2, None, _TILE_PX)
-    darkest = cv2.erode(cv2.erode(image, tile)[every, every], tiles)
-    lightest = cv2.dilate(cv2.dilate(image, tile)[every, every], tiles)
-    contrast = np.asarray(cv2.subtract(lightest, darkest))
-    counts = np.bincount(contrast.ravel(), minlength=256)
-    strongest = float(np.searchsorted(np.cumsum(counts), _STRONG * contrast.size))
-    limit = np.asarray(cv2.addWeighted(lightest, 0.5, darkest, 0.5, 0))
-    limit = np.where(contrast < max(_CONTRAST * strongest, _LEAST_CONTRAST), np.uint8(0), limit)
-    limits = cv2.resize(limit, (width, height), interpolation=cv2.INTER_LINEAR)
-    dark = np.asarray(cv2.compare(image, limits, cv2.CMP_LT), np.uint8)
+    dark = np.asarray(cv2.compare(image, black_limits(image, 0.5, _CONTRAST), cv2.CMP_LT), np.uint8)
     dark[:1], dark[-1:], dark[:, :1], dark[:, -1:] = 0, 0, 0, 0
     return dark

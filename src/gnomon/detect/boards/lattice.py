@@ -9,14 +9,12 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from ...images import Grey
+from ...models.camera import Booleans
 from ...recording import Floats, Integers
 from .saddles import Saddles
-
-Booleans = NDArray[np.bool_]
 
 _NEAR = 16  # crossings that are looked at for the next one; squares may be three times as long as wide
 _ACROSS = 0.22  # how far beside an edge's direction the next corner may lie, over its distance

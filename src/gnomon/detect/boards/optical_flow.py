@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from ...images import Grey
+from ...models.camera import Booleans
 from ...recording import Floats
-from .tag_places import Booleans
 
 _WINDOW, _LEVELS, _STEPS, _STEP_PX = 13, 2, 15, 0.05
 

@@ -87,30 +87,35 @@ def black_quads(image: Grey, search: Search = "usual") -> Floats:
     return (quads + 0.5) / scale - 0.5
 
 
-def _white(image: Grey, how: _Search) -> Grey:
-    """Return 255 for white, 0 for black."""
+def black_limits(image: Grey, black: float, contrast: float) -> Any:
+    """Return the grey level below which each pixel counts as black, (h, w); 0 where nothing does.
+
+    Parameters
+    ----------
+    black : how far from the darkest to the lightest one of the neighbourhood the limit is
+    contrast : of a neighbourhood, over that of the strongest ones; less has no black in it
+    """
     height, width = image.shape
     tile, tiles = np.ones((_TILE_PX, _TILE_PX), np.uint8), np.ones((_NEIGHBOURS, _NEIGHBOURS), np.uint8)
     every = slice(_TILE_PX // 2, None, _TILE_PX)
     darkest = cv2.erode(cv2.erode(image, tile)[every, every], tiles)
     lightest = cv2.dilate(cv2.dilate(image, tile)[every, every], tiles)
-    contrast = cv2.subtract(lightest, darkest)
-    flat = max(how.contrast * _quantile(contrast, _STRONG), _LEAST_CONTRAST)
-    limit = cv2.addWeighted(lightest, how.black, darkest, 1 - how.black, 0)
-    limit = np.where(np.asarray(contrast) < flat, np.uint8(0), limit)
+    apart = np.asarray(cv2.subtract(lightest, darkest))
+    strongest = float(np.searchsorted(np.cumsum(np.bincount(apart.ravel(), minlength=256)), _STRONG * apart.size))
+    limit = cv2.addWeighted(lightest, black, darkest, 1 - black, 0)
+    limit = np.where(apart < max(contrast * strongest, _LEAST_CONTRAST), np.uint8(0), limit)
     # the middle of tile k is at pixel 4 k + 1.5, as resize takes it
-    limits = cv2.resize(limit, (width, height), interpolation=cv2.INTER_LINEAR)
-    white = cv2.compare(image, limits, cv2.CMP_GT)
+    return cv2.resize(limit, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _white(image: Grey, how: _Search) -> Grey:
+    """Return 255 for white, 0 for black."""
+    white = cv2.compare(image, black_limits(image, how.black, how.contrast), cv2.CMP_GT)
     if how.thinned:
         white = cv2.dilate(white, _CROSS)
     white = np.asarray(white, dtype=np.uint8)
     white[:1], white[-1:], white[:, :1], white[:, -1:] = 255, 255, 255, 255
     return white
-
-
-def _quantile(levels: Any, share: float) -> float:
-    counts = np.bincount(np.asarray(levels).ravel(), minlength=256)
-    return float(np.searchsorted(np.cumsum(counts), share * levels.size))
 
 
 def _outlined(white: Grey) -> list[Any]:

@@ -3,13 +3,11 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
 from .tags import square_to_quads
-
-Booleans = NDArray[np.bool_]
 
 TAG = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 """The corners of a tag, counter-clockwise from the lower left, in sides of it."""

@@ -1,16 +1,21 @@
-"""AprilTags of the family 36h11: which tag is in a quadrilateral, and which way up.
+"""Which AprilTag of the family 36h11, or which ArUco marker, is in a quadrilateral, and which way up.
 
-The numbers of the tags are Kalibr's; their codes, 36 bits that differ in at least 11 places however they are turned,
-are those of OpenCV's dictionary, whose pictures are upside down.
+The grey levels in the middle of the cells are compared with the codes as pictures, sharp and blurred. The numbers of
+the AprilTags are Kalibr's; their codes, 36 bits that differ in at least 11 places however they are turned, are those of
+OpenCV's dictionary, whose pictures are upside down. Small dictionaries of ArUco have codes that are much alike; there
+a marker counts only where no other one of its dictionary is nearly as likely, and the board asks for several markers
+that agree on where they are.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from ...images import Grey
+from ...models.board_pattern import marker_cells
 from ...recording import Floats, Integers
 
 BITS = 6
@@ -24,18 +29,20 @@ _LIGHT_BORDER = 0.4  # how far from black to white the border may be
 _BLURS = (0.3, 0.6)  # of a code, in its cells
 _LEAST_LIKENESS = (0.72, 0.88)  # correlation with the code; others stay below 0.54 and 0.83
 _MARGIN = 0.06  # by which others of the family are less alike where the codes are blurred
+_MARKER_MARGIN = 0.08  # by which all other markers are less alike
 _FINE = 16  # pixels along a cell in which codes are blurred
 _MANY_CELLS = 12  # that tell one code from others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tags:
-    """Tags that were read.
+    """Tags or markers that were read.
 
     Attributes
     ----------
     number : (k,) of the tag
-    corners : (k, 4, 2) counter-clockwise from the lower left, as the tag stands [px]
+    corners : (k, 4, 2) as the tag stands [px]: of AprilTags counter-clockwise from the lower left, of ArUco markers
+        clockwise from the upper left
     likeness : (k,) correlation with the code, 0 to 1
     """
 
@@ -45,6 +52,10 @@ class Tags:
 
     def __len__(self) -> int:
         return len(self.number)
+
+    def only(self, kept: NDArray[np.bool_]) -> "Tags":
+        """Return some of the tags."""
+        return Tags(number=self.number[kept], corners=self.corners[kept], likeness=self.likeness[kept])
 
 
 @cache
@@ -58,20 +69,24 @@ def codes() -> Floats:
     return pictures
 
 
-@cache
-def _blurred_codes(blur: float, border_bits: int) -> Floats:
-    """Return all codes as pictures of tags that are blurred, in cells, (587, 6, 6); the light around takes part."""
+def _blurred(pictures: Floats, blur: float, border_bits: int) -> Floats:
+    """Return codes (n, bits, bits) of pictures with their borders that are blurred, in cells.
+
+    The light around takes part.
+    """
     edge = border_bits + 1
-    pictures = np.pad(
-        np.pad(codes(), ((0, 0), (border_bits,) * 2, (border_bits,) * 2)), ((0, 0), (1, 1), (1, 1)), constant_values=1
-    )
+    pictures = np.pad(pictures, ((0, 0), (1, 1), (1, 1)), constant_values=1)
     side = pictures.shape[1]
     fine = (np.arange(side * _FINE) + 0.5) / _FINE - 0.5
     kernel = np.exp(-0.5 * np.square((fine[:, None] - np.arange(side)) / blur))
     kernel = kernel.reshape(side, _FINE, side).sum(axis=1)  # cell by cell that is looked at
     kernel /= kernel.sum(axis=0)
-    blurred = np.einsum("ij,nik,kl->njl", kernel, pictures, kernel)
-    return blurred[:, edge : edge + BITS, edge : edge + BITS]
+    return np.einsum("ij,nik,kl->njl", kernel, pictures, kernel)[:, edge:-edge, edge:-edge]
+
+
+@cache
+def _blurred_codes(blur: float, border_bits: int) -> Floats:
+    return _blurred(np.pad(codes(), ((0, 0), (border_bits,) * 2, (border_bits,) * 2)), blur, border_bits)
 
 
 @cache
@@ -79,10 +94,11 @@ def _turned_codes(first: int, last: int, blur: float, border_bits: int) -> Float
     """Return the codes first ... last - 1 in all four attitudes, zero mean and unit length, (36, 4 (last - first))."""
     pictures = _blurred_codes(blur, border_bits)[first:last]
     turned = np.stack([np.rot90(pictures, k, axes=(1, 2)) for k in range(4)], axis=1)
-    return np.ascontiguousarray(_of_unit_length(turned.reshape(-1, BITS * BITS)).T)
+    return np.ascontiguousarray(of_unit_length(turned.reshape(-1, BITS * BITS)).T)
 
 
-def _of_unit_length(cells: Floats) -> Floats:
+def of_unit_length(cells: Floats) -> Floats:
+    """Return cells (k, n) less their mean, and of unit length: their products are correlations."""
     centred = cells - cells.mean(axis=-1, keepdims=True)
     return centred / np.maximum(np.linalg.norm(centred, axis=-1, keepdims=True), 1e-9)
 
@@ -100,9 +116,9 @@ def read_tags(image: Grey, quads: Floats, *, border_bits: int = 2, first: int = 
     last = min(first + count, FAMILY)
     if not len(quads) or last <= first:
         return Tags(number=np.empty(0, np.int64), corners=np.empty((0, 4, 2)), likeness=np.empty(0))
-    cells = _cells(image, quads, border_bits)
+    cells, _ = cells_in(image, quads, BITS + 2 * border_bits)
     framed = np.flatnonzero(_framed(cells, border_bits))
-    code = _of_unit_length(_code(cells[framed], border_bits))
+    code = of_unit_length(_code(cells[framed], border_bits))
     best, likeness = np.zeros(len(code), np.int64), np.zeros(len(code))
     for blur, least in zip(_BLURS, _LEAST_LIKENESS, strict=True):
         open_ = np.flatnonzero(likeness == 0)
@@ -116,10 +132,15 @@ def read_tags(image: Grey, quads: Floats, *, border_bits: int = 2, first: int = 
         best[open_[sure]], likeness[open_[sure]] = leading[sure], score[sure]
     read = np.flatnonzero(likeness)
     number, turn = np.divmod(best[read], 4)
-    # A code that is turned by k quarters against the clock has its upper left corner at corner -k of the quadrilateral.
-    order = (np.array([3, 2, 1, 0]) - turn[:, None]) % 4
-    corners = np.take_along_axis(quads[framed[read]], order[:, :, None], 1)
+    corners = np.ascontiguousarray(_turned_back(quads[framed[read]], turn)[:, ::-1])
     return Tags(number=number + first, corners=corners, likeness=likeness[read])
+
+
+def _turned_back(quads: Floats, turn: Integers) -> Floats:
+    """Return the corners (k, 4, 2), clockwise from the upper left, of codes that are turned by quarters (k,)."""
+    # A code that is turned by k quarters against the clock has its upper left corner at corner -k of the quadrilateral.
+    order = (np.arange(4) - turn[:, None]) % 4
+    return np.take_along_axis(quads, order[:, :, None], 1)
 
 
 def _surest(code: Floats, number: Integers, score: Floats, margin: float, blurred: tuple[float, int]) -> np.ndarray:
@@ -141,7 +162,7 @@ def likeness_of(image: Grey, corners: Floats, number: Integers, border_bits: int
     """
     if not len(number):
         return np.empty(0)
-    cells, seen = _cells_and_seen(image, corners[:, ::-1], border_bits)
+    cells, seen = cells_in(image, corners[:, ::-1], BITS + 2 * border_bits)
     code, within = _code(cells, border_bits), _code(seen, border_bits)
     count = within.sum(axis=1)
     best = np.full(len(number), -1.0)
@@ -158,45 +179,78 @@ def _correlation(a: Floats, b: Floats, weight: Floats, count: Floats) -> Floats:
     return product / np.sqrt(np.maximum(square, 1e-9))
 
 
-def _cells(image: Grey, quads: Floats, border_bits: int) -> Floats:
-    """Return the grey levels in the middle of the cells of tags, (q, side, side)."""
-    return _cells_and_seen(image, quads, border_bits)[0]
+def read_markers(image: Grey, quads: Floats, dictionary: str, *, first: int, count: int) -> Tags:
+    """Return the markers in some quadrilaterals.
+
+    Parameters
+    ----------
+    image : (h, w)
+    quads : (q, 4, 2) outlines of the markers' black borders, clockwise as one sees them [px]
+    dictionary : OpenCV's name without "DICT_"
+    first, count : the markers that are looked for; others of the dictionary are left out
+    """
+    sharp = marker_pictures(dictionary, _BLURS[0])
+    bits = sharp.shape[2]
+    cells = cells_in(image, quads, bits + 2)[0] if len(quads) else np.empty((0, bits + 2, bits + 2))
+    framed = np.flatnonzero(_framed(cells, 1))
+    code = of_unit_length(_code(cells[framed], 1))
+    best, likeness = np.zeros(len(code), np.int64), np.zeros(len(code))
+    for blur in _BLURS:
+        scores = (code @ of_unit_length(marker_pictures(dictionary, blur).reshape(-1, bits * bits)).T).reshape(
+            len(code), len(sharp), 4
+        )
+        by_marker = scores.max(axis=2)
+        leading = by_marker.argmax(axis=1)
+        score = by_marker[np.arange(len(code)), leading]
+        by_marker[np.arange(len(code)), leading] = -1
+        surest = (score > _LEAST_LIKENESS[0]) & (score > by_marker.max(axis=1, initial=-1) + _MARKER_MARGIN)
+        better = surest & (score > likeness)
+        turn = scores[np.arange(len(code)), leading].argmax(axis=1)
+        best[better], likeness[better] = (4 * leading + turn)[better], score[better]
+    number, turn = np.divmod(best, 4)
+    read = np.flatnonzero((likeness > 0) & (number >= first) & (number < first + count))
+    corners = _turned_back(quads[framed[read]], turn[read])
+    return Tags(number=number[read], corners=corners, likeness=likeness[read])
 
 
-def _cells_and_seen(image: Grey, quads: Floats, border_bits: int) -> tuple[Floats, Floats]:
+@lru_cache(maxsize=8)
+def marker_pictures(dictionary: str, blur: float) -> Floats:
+    """Return all codes of a dictionary in four attitudes as blurred pictures, (markers, 4, bits, bits)."""
+    marker_cells(dictionary, 0)  # says what is wrong where there is no such dictionary
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
+    drawn = [cv2.aruco.generateImageMarker(family, k, family.markerSize + 2) for k in range(len(family.bytesList))]
+    blurred = _blurred(np.asarray(drawn, dtype=np.float64) / 255, blur, 1)
+    turned = np.stack([np.rot90(blurred, k, axes=(1, 2)) for k in range(4)], axis=1)
+    turned.flags.writeable = False
+    return turned
+
+
+def cells_in(image: Grey, quads: Floats, side: int) -> tuple[Floats, Floats]:
     """Return the grey levels in the middle of the cells of tags, (q, side, side), 1 where these are in the image."""
-    side = BITS + 2 * border_bits
     at = (np.arange(side) + 0.5) / side
-    place = _on_quads(quads, np.tile(at, side), np.repeat(at, side)).astype(np.float32)
-    mapped = cv2.remap(image, place[:, 0], place[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    places = np.stack([np.tile(at, side), np.repeat(at, side), np.ones(side * side)])
+    x, y, w = np.moveaxis(square_to_quads(quads) @ places, 1, 0)
+    x, y = (x / w).astype(np.float32), (y / w).astype(np.float32)
+    grey = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     height, width = image.shape
-    x, y = place[:, 0], place[:, 1]
     seen = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     shape = (-1, side, side)
-    return np.asarray(mapped, dtype=np.float64).reshape(shape), seen.astype(np.float64).reshape(shape)
+    return np.asarray(grey, dtype=np.float64).reshape(shape), seen.astype(np.float64).reshape(shape)
 
 
 def _code(cells: Floats, border_bits: int) -> Floats:
-    inner = slice(border_bits, border_bits + BITS)
-    return cells[:, inner, inner].reshape(len(cells), BITS * BITS)
+    code = cells[:, border_bits:-border_bits, border_bits:-border_bits]
+    return code.reshape(len(cells), code.shape[1] * code.shape[2])
 
 
-def _framed(cells: Floats, border_bits: int) -> np.ndarray:
+def _framed(cells: Floats, border_bits: int) -> NDArray[np.bool_]:
     """Return whether there is something in cells with a black border around."""
     border = np.ones(cells.shape[1:], dtype=bool)
-    border[border_bits : border_bits + BITS, border_bits : border_bits + BITS] = False
+    border[border_bits:-border_bits, border_bits:-border_bits] = False
     code, ring = np.sort(_code(cells, border_bits), axis=1), np.sort(cells[:, border], axis=1)
-    low, high, light = code[:, 3], code[:, -4], ring[:, (3 * ring.shape[1]) // 4]
-    contrast = high - low
-    return (contrast > _LEAST_CONTRAST) & (light < low + _LIGHT_BORDER * contrast + 2)
-
-
-def _on_quads(quads: Floats, s: Floats, t: Floats) -> Floats:
-    """Return where points of the unit square are on quadrilaterals, (q, 2, n) [px]: s to the right, t downwards."""
-    H = square_to_quads(quads)
-    ones = np.ones_like(s)
-    x, y, w = np.moveaxis(H @ np.stack([s, t, ones]), 1, 0)
-    return np.stack([x / w, y / w], axis=1)
+    few = max(code.shape[1] // 12, 1)
+    low, high, light = code[:, few], code[:, -1 - few], ring[:, (3 * ring.shape[1]) // 4]
+    return (high - low > _LEAST_CONTRAST) & (light < low + _LIGHT_BORDER * (high - low) + 2)
 
 
 def square_to_quads(quads: Floats) -> Floats:

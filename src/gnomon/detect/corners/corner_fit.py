@@ -23,9 +23,19 @@ import numpy as np
 
 from ...images import Grey
 from ...recording import Floats, Integers
-from .blurred_edge import normal_distribution
-from .corner_windows import SATURATED, Booleans, Grid, Singles, Windows, arms_of, disc, gathered, grid_around
-from .fitted_corners import CornerFits
+from .corner_windows import (
+    SATURATED,
+    Booleans,
+    Grid,
+    Singles,
+    Windows,
+    arms_of,
+    disc,
+    gathered,
+    grid_around,
+    normal_distribution,
+)
+from .fitted_corners import CornerFits, damp
 
 CornerKind = Literal["crossing", "tip"]
 
@@ -51,7 +61,6 @@ _CROWDED, _CROWDING = (2.2, 3.5), 0.1  # radius of the window of a tip over its 
 _HOPELESS = 0.3  # the same, after a few iterations
 _LARGEST_SIGMA_PX = 0.25
 _LEAST_SINE = 0.3  # between the edges
-_DAMPING = 1e-4
 _BLURS_ALIKE_PX, _CORRELATION_KNOWN = 0.5, 0.5  # before the picture is looked at
 _NOISE = 0.02  # of the contrast, for the weight of what is known before
 _MODEL_SIGMA_PX = 0.005  # what a straight edge and a Gaussian blur leave out
@@ -205,9 +214,7 @@ def _left_out(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Floats
     lit *= (columns[:, _MID] * windows.values)[:, None]
     products = np.matmul(known, both.transpose(0, 2, 1)).astype(np.float64)
     matrix, sides = products[:, :, :_PARAMETERS], products[:, :, _PARAMETERS:]
-    diagonal = np.einsum("mii->mi", matrix)
-    diagonal *= 1 + _DAMPING
-    diagonal += 1e-6
+    damp(matrix)
     moves = _by_normals(state, np.asarray(np.linalg.solve(matrix, sides), np.float64)[:, :2])
     return moves[:, :, :2], moves[:, :, 2:]
 
@@ -300,9 +307,7 @@ def _step(normal: Floats, state: Floats) -> tuple[Floats, Floats]:
         sides[:, i, 0] += alike * (state[:, j] - state[:, i])
     matrix[:, _RHO, _RHO] += known
     sides[:, _RHO, 0] += known * (np.cos(state[:, 2] - state[:, 3]) - state[:, _RHO])
-    diagonal = np.einsum("mii->mi", matrix)
-    diagonal *= 1 + _DAMPING
-    diagonal += 1e-6
+    damp(matrix)
     solved = np.asarray(np.linalg.solve(matrix, sides), dtype=np.float64)
     step = solved[:, :, 0]
     longest = np.abs(step[:, : _RHO + 1] / _LONGEST_STEP).max(axis=1)

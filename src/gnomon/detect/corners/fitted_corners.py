@@ -1,49 +1,62 @@
-"""Corners that were fitted, and how well."""
+"""Points of a board that were fitted, and how well."""
 
 from dataclasses import dataclass, fields
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...models.camera import Booleans
 from ...recording import Floats
-from .corner_windows import Booleans
+
+_DAMPING = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CornerFits:
-    """Corners as they were fitted, m of them.
+class PointFits:
+    """Points as they were fitted, m of them.
 
     Attributes
     ----------
     pixels : (m, 2) [px]
     sigma_px : (m,) standard deviation per axis, from the residuals [px]
-    blur_px : (m,) standard deviation of the blur, root mean square across both edges [px]
-    black, white : (m,) grey levels
+    blur_px : (m,) standard deviation of the blur, of corners the root mean square across both edges [px]
     misfit : (m,) rms of the residuals over the contrast
-    normals : (m, 2, 2) unit normals of both edges
-    bow, slope : (m, 2, 2) by how much the corner is found beside its place, as columns: for an edge that bends towards
-        its normal with a curvature of one, the first or the second [px^2]; for light that grows by the whole of it in a
-        pixel, to the right or downwards [px^2]
-    good : (m,) whether the picture is that of such a corner, near the guess
+    good : (m,) whether the picture is that of such a point, near the guess
     """
 
     pixels: Floats
     sigma_px: Floats
     blur_px: Floats
-    black: Floats
-    white: Floats
     misfit: Floats
-    normals: Floats
-    bow: Floats
-    slope: Floats
     good: Booleans
 
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def only(self, chosen: NDArray[np.integer] | Booleans) -> "CornerFits":
-        """Return some of the corners."""
-        return CornerFits(**{item.name: getattr(self, item.name)[chosen] for item in fields(self)})
+    def only(self, chosen: NDArray[np.integer] | Booleans) -> Self:
+        """Return some of the points."""
+        return type(self)(**{item.name: getattr(self, item.name)[chosen] for item in fields(self)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CornerFits(PointFits):
+    """Corners as they were fitted.
+
+    Attributes
+    ----------
+    black, white : (m,) grey levels
+    normals : (m, 2, 2) unit normals of both edges
+    bow, slope : (m, 2, 2) by how much the corner is found beside its place, as columns: for an edge that bends towards
+        its normal with a curvature of one, the first or the second [px^2]; for light that grows by the whole of it in a
+        pixel, to the right or downwards [px^2]
+    """
+
+    black: Floats
+    white: Floats
+    normals: Floats
+    bow: Floats
+    slope: Floats
 
 
 def joined(first: CornerFits, second: CornerFits) -> CornerFits:
@@ -54,3 +67,10 @@ def joined(first: CornerFits, second: CornerFits) -> CornerFits:
             for item in fields(CornerFits)
         }
     )
+
+
+def damp(matrix: Floats) -> None:
+    """Make the diagonals of normal matrices (m, n, n) a little larger, in place."""
+    diagonal = np.einsum("mii->mi", matrix)
+    diagonal *= 1 + _DAMPING
+    diagonal += 1e-6

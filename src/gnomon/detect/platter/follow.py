@@ -6,9 +6,8 @@ import numpy as np
 
 from ...intervals import Booleans
 from ...recording import Floats
-from .period import RoughPeriod
+from .period import PictureSeries, RoughPeriod
 from .phase import COARSE_HARMONICS, MOST_HARMONICS, PhaseTemplate, learn_template, place_phases, refine_phases
-from .pictures import PictureSeries
 from .steady import (
     Blocks,
     EvenRate,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...recording import Floats
-from .pictures import Pictures
+from .period import Pictures
 
 MOST_HARMONICS, COARSE_HARMONICS = 32, 4
 """Of the picture over the phase; few where the phases that it is learned from are not yet right: its sharp features,

@@ -20,9 +20,8 @@ from .clock import (
 )
 from .findings import rate_findings
 from .follow import Followed, agreement, follow
-from .period import RoughPeriod, rough_periods
+from .period import PictureSeries, RoughPeriod, read_pictures, rough_periods
 from .phase import COARSE_HARMONICS, learn_template, refine_phases
-from .pictures import PictureSeries, read_pictures
 from .steady import PhaseLine, blocks_of, even_rate
 from .turn import PatternTurn, pattern_turn
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...images import Grey
+from ...models.camera import Booleans
 from ...recording import Floats, Integers
-from ..corners.fitted_corners import CornerFits
-from ..corners.straight import LensGuess, corrected
-from .board import BoardView, nothing_seen
+from ..corners.fitted_corners import CornerFits, PointFits
+from .board import BoardView, middle_of, nothing_seen
+from .plane_map import LensGuess, corrected
 from .quads import LARGE_IMAGE_PX, Search, black_quads
-from .tag_places import Booleans
 
 BORDER_PX = 5.0
 """Corners nearer to the image's border are left out."""
@@ -60,8 +60,8 @@ def inside(image: Grey, pixels: Floats, margin_px: float) -> Booleans:
     return (np.minimum(x, width - 1 - x) >= margin_px) & (np.minimum(y, height - 1 - y) >= margin_px)
 
 
-def as_good_as(fits: CornerFits, misfit: float, sigma_px: float) -> Booleans:
-    """Return which corners look like a corner as much as the others do, and are told as well, by medians of those."""
+def as_good_as(fits: PointFits, misfit: float, sigma_px: float) -> Booleans:
+    """Return which points look as they should as much as the others do, and are told as well, by medians of those."""
     return (fits.misfit < _MISFIT + _MISFITS * misfit) & (fits.sigma_px < _SIGMAS * sigma_px)
 
 
@@ -98,8 +98,3 @@ def view_of(
         white=middle_of(fits.white),
         dropped=+dropped,
     )
-
-
-def middle_of(values: Floats) -> float:
-    """Return the median, of an even number of values the upper one; nan of none."""
-    return float(np.partition(values, len(values) // 2)[len(values) // 2]) if len(values) else float("nan")
