@@ -1,5 +1,7 @@
 """Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ..calibration import Assessment, CameraImuFit
@@ -10,19 +12,13 @@ from ..findings import Finding, make_finding
 from ..geometry.rotation_vector import rotvec_from_rotation
 from .camera_imu_tables import MISFIT, CameraImuEvidence
 from .clock_drift import check_drift
-from .rig_precision import precision_findings
 from .rig_residuals import cut_findings, residual_findings
-from .verdict import gravity_findings, merge_by_cause, verdict_of
+from .verdict import grade, gravity_findings, merge_by_cause, most_severe, verdict_of
 from .weak_findings import PLACES_AND_CLOCKS, weak_findings
 
-_PIXELS_WARN, _PIXELS_FAIL = 1.0, 3.0
-_LEFT_OUT_WARN, _LEFT_OUT_FAIL = 0.25, 0.6
 _HELD = 0.3
 """Share of its weak prior's sigma from which on a parameter counts as not determined by the recording."""
 
-_SCALE_WARN, _SCALE_FAIL = 0.003, 0.03
-_FOCAL_WARN, _FOCAL_FAIL = 0.003, 0.03
-_PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX = 1.0, 15.0  # 1 px is some 0.1 deg of rotation
 _SIGNIFICANT, _MODEL_SIGNIFICANT = 5.0, 8.0  # sigmas; errors of a real detector feign four in the IMU's model
 _OF_IMU = ("scale", "misalignment", "g-sensitivity", "lever arms", "accelerometer delay")
 _GUESS_RAD = np.radians(10.0)
@@ -94,11 +90,6 @@ def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Came
     )
 
 
-def _graded(value: float, warn: float, fail: float) -> str | None:
-    """Return "problem" beyond fail, "warning" beyond warn, None else."""
-    return "problem" if not value <= fail else "warning" if value > warn else None
-
-
 def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
     if evidence.solution.converged:
         return []
@@ -152,16 +143,9 @@ def _residuals(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -
     findings: list[Finding] = []
     for look in evidence.looks:
         sigma = diagnostics.corners[look.name].sigma_px
-        severity = _graded(sigma, _PIXELS_WARN, _PIXELS_FAIL)
-        if severity is not None:
-            findings.append(
-                make_finding(
-                    "reprojection/rig",
-                    severity="problem" if severity == "problem" else "warning",
-                    name=look.name,
-                    sigma=sigma,
-                )
-            )
+        severity = grade("corner residual", sigma)
+        if severity != "good":
+            findings.append(make_finding("reprojection/rig", severity=severity, name=look.name, sigma=sigma))
     return findings
 
 
@@ -170,7 +154,7 @@ def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Findin
     for name, found in fit.frames_found.items():
         left = found - fit.frames_used[name]
         share = left / max(found, 1)
-        severity = _graded(share, _LEFT_OUT_WARN, _LEFT_OUT_FAIL)
+        severity = grade("left out", share)
         if not left:
             continue
         reasons = diagnostics.corners[name].frame_reason
@@ -180,8 +164,8 @@ def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Findin
         findings.append(
             make_finding(
                 "frames-left-out",
-                severity="info" if severity is None else "problem" if severity == "problem" else "warning",
-                case="unjudged" if severity is None else "",
+                severity="info" if severity == "good" else severity,
+                case="few" if severity == "good" else "",
                 name=name,
                 left=left,
                 found=found,
@@ -205,15 +189,15 @@ def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
     if held is None:
         return []
     offset, sigma = float(held.wanted[0]), float(held.wanted_sigma[0])
-    severity = _graded(abs(offset), _SCALE_WARN, _SCALE_FAIL)
-    if severity is None or abs(offset) < _SIGNIFICANT * sigma:
+    severity = grade("board size", abs(offset))
+    if severity == "good" or abs(offset) < _SIGNIFICANT * sigma:
         return []
     scale = evidence.solution.state.parameters.target_scale + offset
     way = "smaller" if scale < 1 else "larger"
     return [
         make_finding(
             "target-scale",
-            severity="problem" if severity == "problem" else "warning",
+            severity=severity,
             scale=abs(scale - 1),
             way=way,
             sigma=sigma,
@@ -233,16 +217,14 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
         shift = np.abs(held.wanted[-2:])
         significant = np.abs(held.wanted[-4:]) > _SIGNIFICANT * held.wanted_sigma[-4:]
         relative, shift = relative * significant[:2], shift * significant[2:]
-        grades = {
-            _graded(float(relative.max()), _FOCAL_WARN, _FOCAL_FAIL),
-            _graded(float(shift.max()), _PRINCIPAL_WARN_PX, _PRINCIPAL_FAIL_PX),
-        }
-        if grades == {None}:
+        of_focal = grade("focal length", float(relative.max()))
+        severity = most_severe(of_focal, grade("stated centre", float(shift.max())))
+        if severity == "good":
             continue
         findings.append(
             make_finding(
                 "intrinsics-doubtful",
-                severity="problem" if "problem" in grades else "warning",
+                severity=severity,
                 name=look.name,
                 focal=relative.max(),
                 centre_px=shift.max(),
@@ -340,3 +322,31 @@ def _clocks(evidence: CameraImuEvidence) -> list[Finding]:
         for look, entry in zip(evidence.looks, entries, strict=True)
         for finding in check_drift(look.name, look.poses, stream, entry.time_shift_s, imu)
     ]
+
+
+_SHOWN_IN = {"rotation": (180 / np.pi, "deg"), "translation": (1e3, "mm"), "time shift": (1e3, "ms")}
+
+
+def precision_findings(
+    diagnostics: CameraImuDiagnostics, imus: tuple[str, ...], cameras: tuple[str, ...]
+) -> Iterator[Finding]:
+    """Judge the standard deviations of poses and time shifts.
+
+    Parameters
+    ----------
+    diagnostics : with the scalars of the estimation
+    imus : those beside the first
+    cameras : all of them
+    """
+    sigma = {parameter.name: parameter.sigma for parameter in diagnostics.parameters}
+    placed = [(name, "T_cam_imu", "time_shift_cam_imu", "the IMU") for name in cameras]
+    placed += [(name, "T_imu_body", "time_shift", "imu0") for name in imus]
+    for name, link, shift, body in placed:
+        turn, way = ([f"{link}.{part}[{k}]" for k in range(3)] for part in ("rotation", "translation"))
+        for word, scalars in (("rotation", turn), ("translation", way), ("time shift", [shift])):
+            largest = max(sigma[f"{name}.{scalar}"] for scalar in scalars)
+            severity = grade(word, largest)
+            if severity != "good":
+                factor, unit = _SHOWN_IN[word]
+                known = f"{factor * largest:.2g} {unit}"
+                yield make_finding("imprecise/rig", severity=severity, word=word, name=name, body=body, known=known)

@@ -7,14 +7,14 @@ import numpy as np
 
 from ..calibration import Assessment, CamerasFit
 from ..diagnostics import CamerasDiagnostics, CornerFit
-from ..findings import Finding, Severity, make_finding
+from ..findings import Finding, make_finding
 from ..models.camera import Camera
 from ..recording import Floats
 from .camera_checks import ENOUGH_VIEWS
 from .camera_views import image_coverage
 from .cameras_tables import MISFIT, CamerasEvidence, LensOpinion
 from .rig_residuals import outlying_corners
-from .verdict import graded, incomplete, merge_by_cause, parts_disagree, verdict_of
+from .verdict import grade, incomplete, merge_by_cause, most_severe, parts_disagree, verdict_of
 
 _COVERED = 0.5  # of the image
 _CORNER = 0.25  # of width and height
@@ -141,13 +141,6 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
-_PIXELS_WARN, _PIXELS_FAIL = 1.0, 3.0
-_WORSE_WARN, _WORSE_FAIL = 1.03, 3.0
-_FOCAL_WARN, _FOCAL_FAIL = 0.003, 0.03
-_CENTRE_WARN_PX, _CENTRE_FAIL_PX = 2.0, 15.0
-_ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = radians(0.1), radians(1.0)
-_BASELINE_WARN, _BASELINE_FAIL = 0.01, 0.1
-_LEFT_OUT_WARN, _LEFT_OUT_FAIL = 0.25, 0.6
 _UNSEEN_WORSE = 1.5
 _WELL_TILTED = radians(12.0)
 _SHOWN = 5
@@ -174,11 +167,11 @@ def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Findi
     """Say that another model than the stated one predicts unseen views better."""
     px = {trial.model: trial.holdout_rms_px for trial in diagnostics.trials if trial.camera == opinion.camera}
     stated, better = px[opinion.stated], px[opinion.better]
-    grade = graded(stated / better, _WORSE_WARN, _WORSE_FAIL)
+    severity = grade("lens model", stated / better)
     return make_finding(
         "lens-model",
-        severity="info" if grade == "good" else grade,
-        case="grade-good" if grade != "good" else "",
+        severity="info" if severity == "good" else severity,
+        case="worse" if severity != "good" else "",
         camera=opinion.camera,
         stated_model=opinion.stated,
         stated=stated,
@@ -190,10 +183,10 @@ def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Findi
 
 
 def _residuals(name: str, fit: CornerFit) -> list[Finding]:
-    grade = graded(fit.sigma_px, _PIXELS_WARN, _PIXELS_FAIL)
-    if grade == "good":
+    severity = grade("corner residual", fit.sigma_px)
+    if severity == "good":
         return []
-    return [make_finding("reprojection/cameras", severity=grade, name=name, rms_px=fit.sigma_px)]
+    return [make_finding("reprojection/cameras", severity=severity, name=name, rms_px=fit.sigma_px)]
 
 
 def _unseen(name: str, evidence: CamerasEvidence) -> list[Finding]:
@@ -211,16 +204,13 @@ def _uncertain(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Fin
     relative = float(np.sqrt(max(by_lens @ covariance @ by_lens, 0.0))) / focal
     kinds = np.array(camera.parameter_kinds)
     centre = float(np.sqrt(np.diag(covariance)[kinds == "principal"].max()))
-    grades: tuple[Severity, ...] = (
-        graded(relative, _FOCAL_WARN, _FOCAL_FAIL),
-        graded(centre, _CENTRE_WARN_PX, _CENTRE_FAIL_PX),
-    )
-    if grades == ("good", "good"):
+    severity = most_severe(grade("focal length", relative), grade("centre", centre))
+    if severity == "good":
         return []
     return [
         make_finding(
             "lens-uncertain",
-            severity="problem" if "problem" in grades else "warning",
+            severity=severity,
             name=name,
             relative=relative,
             centre=centre,
@@ -261,16 +251,13 @@ def _place(name: str, evidence: CamerasEvidence) -> list[Finding]:
     turn = max(evidence.sigma(f"{name}.T_cam_cam0.rotation[{k}]") for k in range(3))
     apart = max(evidence.sigma(f"{name}.T_cam_cam0.translation[{k}]") for k in range(3))
     length = float(np.linalg.norm(evidence.cameras[name].T_cam_body[:3, 3]))
-    grades = {
-        graded(turn, _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD),
-        graded(apart / max(length, 1e-12), _BASELINE_WARN, _BASELINE_FAIL),
-    }
-    if grades == {"good"}:
+    severity = most_severe(grade("rotation", turn), grade("baseline", apart / max(length, 1e-12)))
+    if severity == "good":
         return []
     return [
         make_finding(
             "baseline-uncertain",
-            severity="problem" if "problem" in grades else "warning",
+            severity=severity,
             name=name,
             length=length,
             apart=apart,
@@ -287,13 +274,13 @@ def view_findings(diagnostics: CamerasDiagnostics) -> list[Finding]:
         if not left:
             continue
         taken = len(left) + int(fit.frame_used.sum())
-        grade = graded(len(left) / taken, _LEFT_OUT_WARN, _LEFT_OUT_FAIL)
+        severity = grade("left out", len(left) / taken)
         which = ", ".join(f"{k} (at {fit.frame_t_s[k]:.2f} s, off by {fit.frame_rms[k]:.2g} px)" for k in left[:_SHOWN])
         more = f" and {len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
         findings.append(
             make_finding(
                 "views-left-out",
-                severity="info" if grade == "good" else grade,
+                severity="info" if severity == "good" else severity,
                 name=name,
                 count=len(left),
                 taken=taken,

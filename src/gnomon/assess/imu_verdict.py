@@ -17,12 +17,12 @@ from .protocol import left_out_findings as rests_left_out
 from .scatter_findings import rotation_scatter
 from .touched_intervals import touched_findings
 from .verdict import (
-    SEVERITIES,
     bias_findings,
-    graded,
+    grade,
     gravity_findings,
     merge_by_cause,
     model_incomplete,
+    most_severe,
     parts_disagree,
     trust_note,
     verdict_of,
@@ -31,10 +31,6 @@ from .weak_findings import weak_findings
 
 _AXES = "xyz"
 _TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit
-_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
-_ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
-_HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
-_ROTATION_WARN_RAD, _ROTATION_FAIL_RAD = 0.02, 0.2
 _UNIT_FACTOR = 1.5
 
 
@@ -119,8 +115,8 @@ def convergence_findings(converged: bool, iterations: int | None = None) -> list
 
 def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
     """Judge the errors on data that the fit had not seen."""
-    still = graded(holdout.accelerometer_rms, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
-    turned = graded(holdout.rotation_rms, _ROTATION_WARN_RAD, _ROTATION_FAIL_RAD)
+    still = grade("held-out gravity", holdout.accelerometer_rms, gravity_m_s2)
+    turned = grade("held-out rotation", holdout.rotation_rms)
     return [
         make_finding("holdout-accelerometer/imu", severity=still, accelerometer_rms=holdout.accelerometer_rms),
         make_finding("holdout-rotation", severity=turned, rotation_rms=holdout.rotation_rms),
@@ -147,8 +143,7 @@ def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Findi
     )
     findings: list[Finding] = []
     for triad, scale, angle, cure in rows:
-        grades = (graded(scale, _SCALE_WARN, _SCALE_FAIL), graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD))
-        severity = min(grades, key=SEVERITIES.__getitem__)
+        severity = most_severe(grade("scale", scale), grade("axes", angle))
         findings.append(
             make_finding(f"uncertainty-{triad}/imu", severity=severity, scale=scale, angle=angle, cure=cure)
         )

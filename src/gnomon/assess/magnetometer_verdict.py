@@ -12,12 +12,10 @@ from .imu_verdict import convergence_findings
 from .magnetometer_handedness import handedness_findings
 from .magnetometer_tables import FieldEvidence, Strays, strays
 from .prior_findings import prior_findings
-from .verdict import bias_findings, graded, merge_by_cause, parts_disagree, trust_note, verdict_of
+from .verdict import bias_findings, grade, merge_by_cause, parts_disagree, trust_note, verdict_of
 
 _COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
 _COVER_WARN = 0.7
-_SIGMA_WARN, _SIGMA_FAIL = 0.01, 0.05  # of the field
-_UNEXPLAINED_WARN, _UNEXPLAINED_FAIL = 0.03, 0.15
 _ALIGNED_WARN_RAD = 0.02
 _EARTH_UT = (22.0, 67.0)
 _STRAY_WARN = 0.1
@@ -78,7 +76,7 @@ def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:
     noise = float(np.sqrt(np.mean((fit.sigma**2 - fit.iron.extra**2)[fit.used]))) / field
     total = fit.holdout_rms / field
     unexplained = float(np.sqrt(max(total**2 - noise**2, 0.0)))
-    severity = graded(unexplained, _UNEXPLAINED_WARN, _UNEXPLAINED_FAIL)
+    severity = grade("held-out field", unexplained)
     return [make_finding("holdout-magnetometer", severity=severity, total=total, noise=noise)]
 
 
@@ -93,7 +91,7 @@ def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
     by_axis = own.reshape(3, 3) / rows[:, None]
     scale, angle = float(np.diag(by_axis).max()), float((by_axis - np.diag(np.diag(by_axis))).max())
     offset = float((sigma[9:] / rows).max()) / evidence.strength
-    severity = graded(max(scale, angle, offset), _SIGMA_WARN, _SIGMA_FAIL)
+    severity = grade("magnetometer", max(scale, angle, offset))
     return [
         make_finding(
             "uncertainty-magnetometer",

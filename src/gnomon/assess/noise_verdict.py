@@ -8,9 +8,9 @@ import numpy as np
 from ..estimate.allan.fit import AxisFit
 from ..findings import Finding, make_finding
 from ..sensor_noise import TriadNoise
+from .verdict import grade
 
 _DIFFERENT = 2.0
-_MISFIT_WARN, _MISFIT_FAIL = 0.15, 0.6  # of the Allan deviation
 _LONG_S = 3 * 3600.0
 _OTHER_SLOPE_INFO, _OTHER_SLOPE_WARN = 0.01, 0.1  # of the white noise
 _USUAL = {"accelerometer": (1e-6, 0.1), "gyroscope": (1e-8, 5e-3)}
@@ -99,12 +99,13 @@ def _walk(name: str, triad: TriadNoise) -> list[Finding]:
 def _misfit(name: str, triad: TriadNoise) -> list[Finding]:
     worst = int(np.argmax([axis.misfit for axis in triad.axes]))
     misfit = triad.axes[worst].misfit
-    if misfit < _MISFIT_WARN:
+    severity = grade("noise misfit", misfit)
+    if severity == "good":
         return []
     return [
         make_finding(
             "noise-misfit",
-            severity="problem" if misfit > _MISFIT_FAIL else "warning",
+            severity=severity,
             name=name,
             axis="xyz"[worst],
             misfit=misfit,

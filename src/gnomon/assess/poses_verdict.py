@@ -15,12 +15,9 @@ from .imu_tables import rms
 from .pose_tables import PoseEvidence, RestingGyroscope
 from .resting_gyroscope import gyroscope_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
-from .verdict import SEVERITIES, graded, gravity_findings, merge_by_cause, trust_note, verdict_of
+from .verdict import grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
 
 _AXES = "xyz"
-_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, gravity apart
-_ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
-_HOLDOUT_WARN_G, _HOLDOUT_FAIL_G = 2e-3, 2e-2
 _DETERMINED = 9  # attitudes
 _UNIT_FACTOR = 1.5
 _NAMED = 4
@@ -155,8 +152,8 @@ def _attitude_findings(evidence: PoseEvidence) -> list[Finding]:
 def _holdout_findings(holdout_m_s2: float, gravity_m_s2: float) -> list[Finding]:
     if not np.isfinite(holdout_m_s2):
         return []
-    grade = graded(holdout_m_s2, _HOLDOUT_WARN_G * gravity_m_s2, _HOLDOUT_FAIL_G * gravity_m_s2)
-    return [make_finding("holdout-accelerometer/poses", severity=grade, holdout_m_s2=holdout_m_s2)]
+    severity = grade("held-out gravity", holdout_m_s2, gravity_m_s2)
+    return [make_finding("holdout-accelerometer/poses", severity=severity, holdout_m_s2=holdout_m_s2)]
 
 
 def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
@@ -165,15 +162,14 @@ def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
     scale = float(np.sqrt(np.maximum(np.diag(sigma) ** 2 - (gravity.sigma / gravity.value) ** 2, 0)).max())
     angle = float(sigma[~np.eye(3, dtype=bool)].max())
     own_frame = evidence.stated is None
-    grade = graded(scale, _SCALE_WARN, _SCALE_FAIL)
+    severity = grade("scale", scale)
     if own_frame and evidence.attitudes >= _DETERMINED:  # few-attitudes says it of fewer, jig-alignment of known ones
-        of_angle = graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD)
-        grade = of_angle if SEVERITIES[of_angle] < SEVERITIES[grade] else grade
+        severity = most_severe(severity, grade("axes", angle))
     axes = "its axes" if own_frame else "its axes in the jig"
     return [
         make_finding(
             "uncertainty-accelerometer",
-            severity=grade,
+            severity=severity,
             scale=scale,
             axes=axes,
             angle=angle,

@@ -15,13 +15,10 @@ from ..units import GYROSCOPE_UNITS_RAD_S
 from .imu_verdict import axis_findings, convergence_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, triad_trust_findings
 from .turntable_tables import TurntableEvidence, holdout_rms, turntable_trusts
-from .verdict import SEVERITIES, graded, gravity_findings, merge_by_cause, trust_note, verdict_of
+from .verdict import LIMITS, grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
 
 _RATE_WORTH = 2e-4  # what a video gives
-_SCALE_WARN, _SCALE_FAIL = 2e-3, 2e-2  # relative sigma, without that of the rates
-_RATE_WARN, _RATE_FAIL = 2e-2, 0.1  # of the rates, which the scales share
-_ANGLE_WARN_RAD, _ANGLE_FAIL_RAD = 3e-3, 3e-2
-_HOLDOUT_WARN, _HOLDOUT_FAIL = 2e-3, 2e-2  # of the fastest rate
+_SCALE_FAIL = LIMITS["scale"][1]
 _FEW_AXES = 9
 _ALIKE_DEG = 15.0
 _WANDER = 1e-3  # of the rate, from part to part
@@ -93,19 +90,15 @@ def _uncertainty(evidence: TurntableEvidence) -> Iterator[Finding]:
     scale, angle = float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
     by_rate = float(np.min(fit.group_sigma[evidence.parts.data.rates > 0]))
     own = float(np.sqrt(max(scale**2 - by_rate**2, 0.0))) if fit.scale_known else scale
-    grades = (
-        graded(own, _SCALE_WARN, _SCALE_FAIL),
-        graded(angle, _ANGLE_WARN_RAD, _ANGLE_FAIL_RAD),
-        graded(by_rate if fit.scale_known else 0.0, _RATE_WARN, _RATE_FAIL),
-    )
-    severity = min(grades, key=SEVERITIES.__getitem__)
+    of_axes, of_rate = grade("axes", angle), grade("table speed", by_rate if fit.scale_known else 0.0)
+    severity = most_severe(grade("scale", own), of_axes, of_rate)
     by_speed = fit.scale_known and by_rate > 0.7 * scale
     what = "scales are known" if fit.scale_known else "scales are known against each other"
     cure = "Add orientations, and let the platter turn longer in each."
     yield make_finding(
         "uncertainty-gyroscope",
         severity=severity,
-        case="by-speed" if by_speed and grades[1] == "good" else "",
+        case="by-speed" if by_speed and of_axes == "good" else "",
         what=what,
         scale=scale,
         angle=angle,
@@ -164,7 +157,7 @@ def _in_one_attitude(evidence: TurntableEvidence) -> Iterator[Finding]:
 def _holdout(evidence: TurntableEvidence) -> Iterator[Finding]:
     fit = evidence.fit.fit
     rms, fastest = holdout_rms(fit), float(evidence.parts.data.rate.max())
-    severity = graded(rms, _HOLDOUT_WARN * fastest, _HOLDOUT_FAIL * fastest)
+    severity = grade("held-out rate", rms, fastest)
     yield make_finding("holdout-rate", severity=severity, rms=rms)
 
 

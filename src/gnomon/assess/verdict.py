@@ -7,6 +7,7 @@ cause takes over their severity.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import radians
 
 from ..calibration import Gravity, Verdict
 from ..estimate.trust.cluster_trust import Instability
@@ -245,9 +246,48 @@ def verdict_of(findings: tuple[Finding, ...]) -> Verdict:
     return "fail" if "problem" in severities else "warn" if "warning" in severities else "pass"
 
 
+LIMITS: dict[str, tuple[float, float]] = {
+    # of accelerometer and gyroscope: relative sigma without what all scales share, sigma [rad]
+    "scale": (2e-3, 2e-2),
+    "axes": (3e-3, 3e-2),
+    "table speed": (2e-2, 0.1),  # relative sigma
+    # errors on data left out: part of gravity, of the fastest rate; [rad]; part of the field
+    "held-out gravity": (2e-3, 2e-2),
+    "held-out rate": (2e-3, 2e-2),
+    "held-out rotation": (0.02, 0.2),
+    "held-out field": (0.03, 0.15),
+    "magnetometer": (0.01, 0.05),  # sigma, part of the field
+    "noise misfit": (0.15, 0.6),  # of the Allan deviation
+    # cameras: [px], parts, sigmas [rad], [m], [s]
+    "corner residual": (1.0, 3.0),
+    "left out": (0.25, 0.6),
+    "board size": (3e-3, 3e-2),
+    "focal length": (3e-3, 3e-2),
+    "centre": (2.0, 15.0),
+    "stated centre": (1.0, 15.0),  # 1 px is some 0.1 deg of rotation
+    "lens model": (1.03, 3.0),  # residuals over those of the best
+    "baseline": (0.01, 0.1),
+    "rotation": (radians(0.1), radians(1.0)),
+    "translation": (5e-3, 5e-2),
+    "time shift": (5e-4, 5e-3),
+}
+"""What is judged -> from which value on it is a warning, and a problem."""
+
+
+def grade(quantity: str, value: float, of: float = 1.0) -> Severity:
+    """Return the severity of a value by LIMITS, which are parts of `of`."""
+    warn, fail = LIMITS[quantity]
+    return graded(value, warn * of, fail * of)
+
+
 def graded(value: float, warn: float, fail: float) -> Severity:
     """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
     return "problem" if not value <= fail else "warning" if value > warn else "good"
+
+
+def most_severe(*grades: Severity) -> Severity:
+    """Return the worst of them."""
+    return min(grades, key=SEVERITIES.__getitem__)
 
 
 def gravity_findings(gravity: Gravity) -> list[Finding]:
