@@ -15,7 +15,7 @@ import gnomon
 from camera_imu_result import make_camera_imu_result
 from cameras_example import cameras_calibration
 from cameras_result import make_cameras_result
-from gnomon.calibrate.corner_cache import kept_corners
+from gnomon.calibrate.board_reading import kept_corners
 from gnomon.calibration import Calibration, Provenance
 from gnomon.cli.inputs import read_priors
 from gnomon.findings import Finding

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon.calibrate.board_corners import BoardCorners, CameraImages, detect_corners
-from gnomon.calibrate.corner_cache import cache_file, keep_corners, kept_corners
+from gnomon.calibrate.board_reading import cache_file, keep_corners, kept_corners
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.images import Frame, Grey, ImageStream
 from gnomon.models.board_pattern import board_pattern

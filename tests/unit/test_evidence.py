@@ -8,7 +8,7 @@ import pytest
 from gnomon import CameraImuOptions, ImuOptions, Recording, calibrate_camera_imu, calibrate_imu, simulate_camera_imu
 from gnomon import simulate as simulated
 from gnomon.assess.prior_findings import prior_findings
-from gnomon.calibrate.camera_imu_prior import evidence_of_imu, known_imu
+from gnomon.calibrate.camera_imu_preparation import evidence_of_imu, known_imu
 from gnomon.calibration import Calibration, Covariance
 from gnomon.errors import OptionError
 from gnomon.evidence import NAMES, TRIADS, known_beforehand

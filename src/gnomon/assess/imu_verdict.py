@@ -7,15 +7,14 @@ import numpy as np
 from ..calibration import Assessment, Gravity, Holdout
 from ..diagnostics import ImuDiagnostics
 from ..estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
+from ..estimate.multiposition.noise_levels import rotation_variance
 from ..estimate.multiposition.scaling import ImuEstimate
 from ..findings import Finding, make_finding
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .bias_steps import changes_in_model, drift_findings, step_findings
-from .imu_tables import ImuEvidence
+from .imu_tables import ImuEvidence, interval_numbers
 from .protocol import left_out_findings as rests_left_out
-from .scatter_findings import rotation_scatter
-from .touched_intervals import touched_findings
 from .verdict import (
     bias_findings,
     grade,
@@ -28,6 +27,69 @@ from .verdict import (
     verdict_of,
 )
 from .weak_findings import weak_findings
+
+_TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
+_REST_S = 2.0
+_MOST_TOUCHED = 0.3  # of the intervals: more are unsteady throughout
+
+
+def touched_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Name intervals that are a small part of their rest, as the most generous threshold sees it (interval-touched)."""
+    chosen = evidence.chosen.intervals
+    generous = max(evidence.trials, key=lambda trial: trial.multiplier).intervals
+    t_s = evidence.accelerometer.t_s
+    start, stop = t_s[chosen.start], t_s[chosen.stop - 1]
+    rest_start, rest_stop = t_s[generous.start], t_s[generous.stop - 1]
+    share = np.ones(len(chosen))
+    length = np.zeros(len(chosen))
+    for k in range(len(chosen)):
+        around = np.flatnonzero((rest_start < stop[k]) & (rest_stop > start[k]))
+        if len(around) == 1:
+            rest = int(around[0])
+            length[k] = rest_stop[rest] - rest_start[rest]
+            share[k] = (stop[k] - start[k]) / max(length[k], 1e-9)
+    touched = (share < _TOUCHED) & (length > _REST_S)
+    if not touched.any() or np.median(share) < _WHOLE or touched.mean() > _MOST_TOUCHED:
+        return []
+    worst = int(np.argmin(np.where(touched, share, np.inf)))
+    several = int(touched.sum()) > 1
+    numbers = f"{interval_numbers(evidence.marked(touched))} of {len(evidence.chosen.rests)}"
+    return [
+        make_finding(
+            "interval-touched",
+            plural="s" if several else "",
+            numbers=numbers,
+            verb="were" if several else "was",
+            length_s=length[worst],
+            t_s=t_s[generous.start][(rest_start < stop[worst]) & (rest_stop > start[worst])][0],
+            share=share[worst],
+        )
+    ]
+
+
+_BEYOND_NOISE = 3.0  # times the noise; healthy recordings of cheap sensors reach two
+_ROTATION_WARN_RAD = 3e-3  # what general use needs of a gyroscope's axes
+
+
+def rotation_scatter(evidence: ImuEvidence) -> list[Finding]:
+    """Say that rotations end further from the measured gravity than the gyroscope's noise at rest explains."""
+    fit = evidence.fit
+    if not fit.rotation_used.any():
+        return []
+    noise = float(np.sqrt(np.median(rotation_variance(fit.data, fit.state)[fit.rotation_used])))
+    extra = float(np.sqrt(fit.extra.rotation))
+    if extra <= _BEYOND_NOISE * noise:
+        return []
+    return [
+        make_finding(
+            "beyond-noise/rotations",
+            severity="warning" if extra > _ROTATION_WARN_RAD else "info",
+            extra=extra,
+            ratio=extra / noise,
+            noise=noise,
+        )
+    ]
+
 
 _AXES = "xyz"
 _TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit

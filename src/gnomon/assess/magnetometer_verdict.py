@@ -9,10 +9,54 @@ from ..findings import Finding, Severity, make_finding
 from ..recording import Floats
 from ..units import MAGNETOMETER_UNITS_UT
 from .imu_verdict import convergence_findings
-from .magnetometer_handedness import handedness_findings
 from .magnetometer_tables import FieldEvidence, Strays, strays
 from .prior_findings import prior_findings
 from .verdict import bias_findings, grade, merge_by_cause, parts_disagree, trust_note, verdict_of
+
+_MAGNETOMETER_HANDEDNESS_SIGNIFICANT = 4.0  # sigmas
+_LEAST_DIP_DEG = 3.0
+_TELLING_LATITUDE_DEG = 20.0
+"""Farther from the equator than this the field dips as on that hemisphere everywhere on Earth."""
+_OFF_DEG = 5.0
+
+
+def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
+    """Compare the dip with the stated one, or with that of the stated latitude; say where neither is known."""
+    if evidence.dip is None or evidence.imu.accelerometer is None:
+        return []
+    found, sigma = np.degrees(evidence.dip.dip_rad), np.degrees(evidence.dip_sigma_rad)
+    stated, latitude = evidence.stated_dip_deg, evidence.latitude_deg
+    telling = abs(found) > max(_LEAST_DIP_DEG, _MAGNETOMETER_HANDEDNESS_SIGNIFICANT * sigma)
+    if stated is not None and abs(stated) > _LEAST_DIP_DEG:
+        expected, by = float(np.sign(stated)), f"the stated dip, {stated:g} deg"
+    elif latitude is not None and abs(latitude) >= _TELLING_LATITUDE_DEG:
+        expected, by = float(np.sign(latitude)), f"latitude {latitude:g} deg"
+    else:
+        return [_unchecked(found, near_equator=stated is None and latitude is not None)]
+    if not telling:
+        return [_unchecked(found, near_equator=True)]
+    if np.sign(found) != expected:
+        return [make_finding("magnetometer-handedness/good", found=found, by=by)]
+    checked = make_finding("magnetometer-handedness/wrong", by=by)
+    if stated is None or abs(found - stated) <= max(_OFF_DEG, _MAGNETOMETER_HANDEDNESS_SIGNIFICANT * sigma):
+        return [checked]
+    return [
+        checked,
+        make_finding("magnetometer-dip", found=found, sigma=sigma, stated=stated),
+    ]
+
+
+def _unchecked(found_deg: float, *, near_equator: bool) -> Finding:
+    hemisphere = "north" if found_deg > 0 else "south"
+    why = "there the sign of the dip tells nothing" if near_equator else "neither --dip nor --latitude was stated"
+    return make_finding(
+        "magnetometer-handedness/unchecked",
+        case="near-equator" if near_equator else "",
+        why=why,
+        found_deg=found_deg,
+        hemisphere=hemisphere,
+    )
+
 
 _COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
 _COVER_WARN = 0.7

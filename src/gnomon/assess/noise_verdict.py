@@ -1,14 +1,215 @@
 """Verdict and advice on the noise of an IMU: which coefficients a recording shows, and what a longer one would."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import isfinite, pi
 
 import numpy as np
 
+from ..detect.samples.rest import RestTable
+from ..errors import RecordingError
 from ..estimate.allan.fit import AxisFit
 from ..findings import Finding, make_finding
+from ..intervals import Booleans
+from ..recording import Floats, Integers
 from ..sensor_noise import TriadNoise
 from .verdict import grade
+
+SHORTEST_S = 60.0
+_NEARLY = 0.999  # a rate is not known more exactly
+_FEWEST = 1000
+_LOUD = 12.0  # sigmas of the variance of a window
+_LOUDER = 3.0  # times the usual variance
+_STEP = 12.0  # usual differences of neighbouring means
+_SPANS = (1, 10, 60)  # windows in a mean
+_SHARE, _NOTABLE = 0.05, 0.005  # of the squares that disturbances may add
+_LOST_SHARE, _LOST_MOST = 1e-3, 0.1
+_REPEATED = 0.2
+_COARSE = 0.5  # steps of the converter in a standard deviation
+_STUCK = 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Stir:
+    """When something moved, (k,) windows, and the share of the squares that it added."""
+
+    windows: Booleans
+    share: float
+
+
+def check_length(table: RestTable, sensor: str) -> None:
+    """Stop where a recording is too short for any noise to be told, or its samples are no measurement.
+
+    Raises
+    ------
+    RecordingError
+        If it is too short, its stamps do not tell a rate, or an axis never changes.
+    """
+    if not np.isfinite(table.rate_hz):
+        raise RecordingError(
+            f"{sensor}: all {table.samples} stamps are the same, so that the sample rate is not known. Read the "
+            "recording without its stamps and state the rate (--rate)."
+        )
+    lasts_s = table.duration_s + 1 / table.rate_hz
+    if lasts_s < _NEARLY * SHORTEST_S or table.samples < _FEWEST:
+        raise RecordingError(
+            f"{sensor}: {table.samples} samples in {lasts_s:.4g} s are too few. At least {SHORTEST_S:.0f} s "
+            f"and {_FEWEST} samples at rest are needed for the white noise; record for 1 h or more for the bias "
+            "instability, and for 3 h or more, better 12 h, for the random walk."
+        )
+    if table.lost > _LOST_MOST * (table.samples + table.lost):
+        raise RecordingError(
+            f"{sensor}: about {table.lost} samples are missing beside {table.samples}; the longest gap lasts "
+            f"{table.longest_gap_s:.4g} s from {table.longest_gap_at_s:.4g} s on. Cut the recording there "
+            "(--start-s, --stop-s), or record with a faster link."
+        )
+    still = table.low.min(axis=0) == table.high.max(axis=0)
+    if still.any():
+        axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
+        raise RecordingError(
+            f"{sensor}: axis {axes} never changes ({table.low[0, int(np.argmax(still))]:g}), so that there is no noise "
+            "to be seen. Check that the right columns are read (--columns), and that the sensor's resolution is finer "
+            "than its noise."
+        )
+
+
+def check_still(table: RestTable, sensor: str, frozen: Booleans) -> list[Finding]:
+    """Look for shocks, touches and turns.
+
+    Parameters
+    ----------
+    frozen : (k,) windows in which the sensor shows nothing, which are not what to keep
+
+    Raises
+    ------
+    RecordingError
+        If the sensor was moved so that the noise cannot be told from the motion.
+    """
+    kept = np.flatnonzero(~frozen)
+    stir, turned = _stirred_and_turned(table, kept)
+    if not turned.any() and not stir.windows.any():
+        return [make_finding("noise-still", sensor=sensor)]
+    marked = stir.windows | turned
+    first, last = _span(table, marked)
+    start, stop = _longest_still(table, marked | frozen)
+    where = f"at {first:.0f} s" if last - first < 3 else f"between {first:.0f} s and {last:.0f} s"
+    if stir.share > _SHARE or turned.any():
+        what = "was moved" if turned.any() else "was shaken"
+        advice = (
+            f"Leave it out: it was still from {start:.0f} s to {stop:.0f} s (--start-s {start:.0f} --stop-s {stop:.0f})"
+        )
+        enough = stop - start >= SHORTEST_S
+        raise RecordingError(
+            f"the {sensor} {what} {where} after the start, in {int(marked.sum())} of {len(marked)} windows of "
+            f"{table.duration_s / max(len(marked), 1):.1f} s; its noise cannot be told from that. "
+            + (f"{advice}, or record again where nothing can move it." if enough else "Record again, with it at rest.")
+        )
+    return [
+        make_finding(
+            "noise-stirred",
+            severity="warning" if stir.share > _NOTABLE else "info",
+            case="notable" if stir.share > _NOTABLE else "",
+            sensor=sensor,
+            where=where,
+            windows=int(stir.windows.sum()),
+            share=stir.share,
+            start=start,
+            stop=stop,
+        )
+    ]
+
+
+def _stir(table: RestTable) -> _Stir:
+    usual = np.median(table.variance, axis=0)
+    samples = max(table.samples / max(len(table.t_s), 1), 2.0)
+    # The variances of filtered noise scatter more than those of white noise.
+    spread = 1.4826 * np.median(np.abs(table.variance - usual), axis=0)
+    limit = np.maximum(usual * max(_LOUDER, 1 + _LOUD * np.sqrt(2 / samples)), usual + _LOUD * spread)
+    loud = (table.variance > limit) & (usual > 0)
+    added = np.where(loud, table.variance - usual, 0.0).sum(axis=0) / np.maximum(table.variance.sum(axis=0), 1e-300)
+    return _Stir(windows=np.asarray(loud.any(axis=1), dtype=bool), share=float(added.max(initial=0.0)))
+
+
+def _turns(table: RestTable) -> Booleans:
+    """Mark the windows at which a mean changes for good, (k,)."""
+    marked = np.zeros(len(table.t_s), dtype=bool)
+    for span in _SPANS:
+        count = len(marked) // span
+        if count < 20:
+            break
+        means = table.mean[: count * span].reshape(count, span, 3).mean(axis=1)
+        steps = np.abs(np.diff(means, axis=0))
+        usual = 1.4826 * np.median(steps, axis=0) + np.sqrt(np.median(table.variance, axis=0)) * 1e-3
+        at = np.flatnonzero((steps > _STEP * usual).any(axis=1))
+        if span > 1 and len(at) > 2 and np.all(np.diff(at) == 1):
+            continue  # a drift that fades, as of a sensor that warms up
+        for k in at.tolist():
+            both = slice(k * span, (k + 2) * span)
+            if not marked[both].any():  # else it is known better when that was
+                marked[both] = True
+    return marked
+
+
+def _stirred_and_turned(table: RestTable, kept: Integers) -> tuple[_Stir, Booleans]:
+    """Return what moved it in some of the windows: that a sensor died is no motion."""
+    windows = {name: getattr(table, name)[kept] for name in ("t_s", "mean", "variance", "low", "high")}
+    part = replace(table, **windows, at_low=table.at_low[kept], at_high=table.at_high[kept])
+    stir, turned = _stir(part), _turns(part)
+    marked = np.zeros((2, len(table.t_s)), dtype=bool)
+    marked[:, kept] = stir.windows, turned
+    return _Stir(windows=marked[0], share=stir.share), marked[1]
+
+
+def _span(table: RestTable, marked: Booleans) -> tuple[float, float]:
+    at = table.t_s[marked]
+    return float(at[0]), float(at[-1])
+
+
+def _longest_still(table: RestTable, marked: Booleans) -> tuple[float, float]:
+    """Return begin and end of the longest stretch in which nothing is marked [s], a little within it."""
+    edges = np.concatenate([[-1], np.flatnonzero(marked), [len(marked)]])
+    k = int(np.argmax(np.diff(edges)))
+    first, last = int(edges[k]) + 1, int(edges[k + 1]) - 1
+    if last < first:
+        return 0.0, 0.0
+    margin = 2.0
+    start = 0.0 if first == 0 else float(np.ceil(table.t_s[first] + margin))
+    return start, float(np.floor(table.t_s[last] - (margin if last < len(marked) - 1 else 0)))
+
+
+def check_samples(table: RestTable, step: Floats, sensor: str) -> list[Finding]:
+    """Look for what makes noise look other than it is: lost and repeated samples, a coarse converter.
+
+    Parameters
+    ----------
+    step : (3,) smallest change of each axis [unit]; nan where not known
+    """
+    findings: list[Finding] = []
+    if table.lost:
+        some = table.lost > _LOST_SHARE * table.samples
+        findings.append(
+            make_finding(
+                "noise-gaps",
+                severity="warning" if some else "info",
+                case="some" if some else "",
+                sensor=sensor,
+                gaps=table.gaps,
+                plural="s" * (table.gaps > 1),
+                lost=table.lost,
+                longest_gap_s=table.longest_gap_s,
+                longest_gap_at_s=table.longest_gap_at_s,
+            )
+        )
+    if table.repeats > _REPEATED:
+        findings.append(make_finding("noise-repeated", sensor=sensor, repeats=table.repeats))
+    sigma = np.sqrt(np.median(table.variance, axis=0))
+    coarse = sigma < _COARSE * np.where(np.isfinite(step), step, 0.0)
+    if coarse.any():
+        axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(coarse))
+        worst = int(np.argmax(np.where(coarse, step / np.maximum(sigma, 1e-300), 0)))
+        findings.append(make_finding("noise-coarse", sensor=sensor, axes=axes, sigma=sigma[worst], step=step[worst]))
+    return findings
+
 
 _DIFFERENT = 2.0
 _LONG_S = 3 * 3600.0

@@ -12,8 +12,7 @@ from ..recording import Floats
 from ..triad_diagnostics import PoseTable, TriadDiagnostics
 from ..units import ACCELEROMETER_UNITS_M_S2
 from .imu_tables import rms
-from .pose_tables import PoseEvidence, RestingGyroscope
-from .resting_gyroscope import gyroscope_findings
+from .pose_tables import PoseEvidence, RestingGyroscope, gyroscope_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
 from .verdict import grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
 

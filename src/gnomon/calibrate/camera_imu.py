@@ -36,14 +36,18 @@ from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
-from .arguments import check_arguments
 from .board_order import numbered_alike
 from .camera_imu_estimation import Rig, basic_model, estimated
-from .camera_imu_model import chosen_model, considered
-from .camera_imu_preparation import prepare_camera_imu, suspected, with_looks
-from .camera_imu_prior import cameras_moved, evidence_of_imu, known_imu
-from .camera_imu_shutter import LINE_DELAY, shutters_estimated, with_line_delays, with_stated_shutters
-from .preparation import local_gravity, stated_options
+from .camera_imu_model import (
+    LINE_DELAY,
+    chosen_model,
+    considered,
+    shutters_estimated,
+    with_line_delays,
+    with_stated_shutters,
+)
+from .camera_imu_preparation import cameras_moved, evidence_of_imu, known_imu, prepare_camera_imu, suspected, with_looks
+from .preparation import check_arguments, local_gravity, stated_options
 
 Progress = Callable[[str], None]
 

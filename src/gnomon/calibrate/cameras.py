@@ -29,12 +29,11 @@ from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
 from ..recording import Recording
-from .arguments import check_arguments
 from .camera_board import BoardChoice, with_board
 from .camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
 from .camera_views import Unseen, misfits, other_size, rms_of, started, unseen, unused, views_of
 from .cameras_published import check_baseline, published
-from .preparation import assumed, stated_options
+from .preparation import assumed, check_arguments, stated_options
 
 Progress = Callable[[str], None]
 

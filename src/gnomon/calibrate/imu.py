@@ -43,18 +43,17 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..units import GYROSCOPE_UNITS_RAD_S
-from .arguments import check_arguments
-from .imu_model import choose_model
+from .imu_model import choose_model, refuse_evidence, with_fixed
 from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
 from .preparation import (
     PreparedImu,
+    check_arguments,
     imu_calibration,
     local_gravity,
     prepare,
     stated_options,
     stream,
 )
-from .prior_knowledge import refuse_evidence, with_fixed
 from .published import calibrate_as_published
 from .several_recordings import calibrate_several
 from .user_frame import in_stated_frame

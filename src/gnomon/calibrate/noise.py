@@ -13,9 +13,8 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.imu_tables import envelope
-from ..assess.noise_checks import check_length, check_samples, check_still
 from ..assess.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
-from ..assess.noise_verdict import assess_noise
+from ..assess.noise_verdict import assess_noise, check_length, check_samples, check_still
 from ..assess.signals import copied_stretches
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..calibration import Provenance

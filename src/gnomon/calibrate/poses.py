@@ -36,11 +36,11 @@ from ..options import ImuOptions
 from ..parameters import parameters
 from ..recording import Floats, Poses, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
+from .imu_model import refuse_evidence
 from .pose_gyroscope import fit_gyroscope_at_rest
 from .pose_preparation import PreparedPoses, prepare_poses, recording_gaps
 from .poses_as_published import calibrate_poses_as_published
 from .preparation import PreparedImu, local_gravity, stated_options
-from .prior_knowledge import refuse_evidence
 from .user_frame import in_stated_frame
 
 Progress = Callable[[str], None]

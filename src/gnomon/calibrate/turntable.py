@@ -35,8 +35,7 @@ from ..recording import Recording
 from ..triad_diagnostics import PeriodCurve
 from ..triad_options import StatedRate, TurntableOptions
 from ..units import GYROSCOPE_UNITS_RAD_S
-from .arguments import check_arguments
-from .preparation import local_gravity, recording_names, refuse_same_data, stated_options
+from .preparation import check_arguments, local_gravity, recording_names, refuse_same_data, stated_options
 from .turntable_preparation import prepare_turntable
 
 Progress = Callable[[str], None]
