@@ -42,8 +42,8 @@ RIG = "gnomon.calibrate_camera_imu(recording, target{options})"
 TRACK = """
 from gnomon.calibrate.board_corners import CameraImages, detect_corners
 from gnomon.readers.images.image_recording import open_images
-from gnomon.readers.rig.kalibr_target import read_target
-from gnomon.readers.rig.sensor_inputs import read_cameras
+from gnomon.formats.kalibr.target import read_target
+from gnomon.formats.sensor_inputs import read_cameras
 from pathlib import Path
 folder = Path({folder!r})
 known, target = read_cameras(folder / "camchain.yaml")["cam0"], read_target(folder / "target.yaml", [])

@@ -30,11 +30,11 @@ import cv2
 from imu import HERE, Table, child, machine
 
 from gnomon.calibrate.board_corners import CameraImages, detect_corners, detector
+from gnomon.formats.kalibr.target import read_target
+from gnomon.formats.sensor_inputs import read_cameras
 from gnomon.images import Frame, ImageRecording
 from gnomon.models.target import Target
 from gnomon.readers.images.image_recording import open_images
-from gnomon.readers.rig.kalibr_target import read_target
-from gnomon.readers.rig.sensor_inputs import read_cameras
 
 RUNS = 3
 RATE_HZ = 20.0
@@ -157,12 +157,12 @@ import gnomon, scipy.linalg, scipy.optimize, cv2, rosbags.highlevel
 from gnomon.calibrate import calibrate_camera_imu
 from gnomon.calibrate.board_corners import CameraImages, detect_corners
 from gnomon.readers.images.image_recording import open_images
-from gnomon.readers.rig.kalibr_target import read_target
-from gnomon.readers.rig.sensor_inputs import read_cameras, read_imus
+from gnomon.formats.kalibr.target import read_target
+from gnomon.formats.sensor_inputs import read_cameras, read_imus
 from gnomon.recording import Recording
 from gnomon.report import write_report
 from gnomon.writers.camera_imu_files import save_camera_imu_files
-from gnomon.writers import save
+from gnomon.formats.own.calibration_text import save
 from gnomon.writers.diagnostics_file import save_diagnostics
 from dataclasses import replace
 mark("importing what is needed")

@@ -63,14 +63,19 @@ if TYPE_CHECKING:
     from .detect.platter.rate import PlatterRate
     from .diagnostics import Result
     from .findings import Finding
+    from .formats.conversion import convert
+    from .formats.foreign import ForeignCalibration
+    from .formats.foreign_files import load_foreign
+    from .formats.kalibr.cam_results import save_camera_files
+    from .formats.losses import Loss
+    from .formats.own.calibration_file import load
+    from .formats.own.calibration_text import save
+    from .formats.own.noise_file import load_noise, save_noise
     from .models.camera import Camera
     from .models.noise import ImuNoise
     from .models.target import Target
     from .options import CameraImuOptions, ImuOptions, NoiseOptions
-    from .readers import load, read
-    from .readers.own.noise_file import load_noise
-    from .readers.projects.foreign import ForeignCalibration
-    from .readers.projects.foreign_files import load_foreign
+    from .readers.recordings import read
     from .readers.samples.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
@@ -87,9 +92,7 @@ if TYPE_CHECKING:
     )
     from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
-    from .writers import Loss, convert, save, save_camera_imu_files
-    from .writers.camera_files import save_camera_files
-    from .writers.noise_file import save_noise
+    from .writers.camera_imu_files import save_camera_imu_files
 
 _HOMES = {
     "AccelerometerCalibration": "calibration",
@@ -103,11 +106,11 @@ _HOMES = {
     "CameraFrames": "recording",
     "CameraImuOptions": "options",
     "CameraOptions": "camera_options",
-    "ForeignCalibration": "readers.projects.foreign",
+    "ForeignCalibration": "formats.foreign",
     "ImuNoise": "models.noise",
     "ImuOptions": "options",
     "ImuSamples": "recording",
-    "Loss": "writers",
+    "Loss": "formats.losses",
     "Recording": "recording",
     "Result": "diagnostics",
     "Target": "models.target",
@@ -130,15 +133,15 @@ _HOMES = {
     "simulate_poses": "simulate",
     "simulate_turntable": "simulate",
     "write_comparison_report": "report.comparison",
-    "convert": "writers",
-    "load": "readers",
-    "load_foreign": "readers.projects.foreign_files",
-    "read": "readers",
+    "convert": "formats.conversion",
+    "load": "formats.own.calibration_file",
+    "load_foreign": "formats.foreign_files",
+    "read": "readers.recordings",
     "read_camera_imu": "calibrate",
     "read_camera_views": "calibrate",
-    "save": "writers",
-    "save_camera_files": "writers.camera_files",
-    "save_camera_imu_files": "writers",
+    "save": "formats.own.calibration_text",
+    "save_camera_files": "formats.kalibr.cam_results",
+    "save_camera_imu_files": "writers.camera_imu_files",
     "write_report": "report",
     "MagnetometerCalibration": "calibration",
     "Poses": "recording",
@@ -149,14 +152,14 @@ _HOMES = {
     "calibrate_turntable": "calibrate",
     "identify_noise": "calibrate",
     "rate_from_video": "calibrate",
-    "load_noise": "readers.own.noise_file",
+    "load_noise": "formats.own.noise_file",
     "NoiseOptions": "options",
     "NoiseResult": "sensor_noise",
     "SensorNoise": "sensor_noise",
     "PlatterRate": "detect.platter.rate",
     "read_turntable": "readers.samples.turntable_files",
     "write_noise_report": "report.noise",
-    "save_noise": "writers.noise_file",
+    "save_noise": "formats.own.noise_file",
 }
 
 __all__ = [

@@ -7,7 +7,7 @@ import pytest
 from detection import Score, with_truth
 from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.detect.boards.checkerboard import detect_checkerboard
-from gnomon.readers.rig.kalibr_target import read_target
+from gnomon.formats.kalibr.target import read_target
 
 KALIBR = {"recall": 0.97, "rms": (0.0435, 0.034)}
 """Kalibr's extraction on the same images: tags found, errors in u and v [px]."""

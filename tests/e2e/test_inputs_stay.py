@@ -6,8 +6,9 @@ import sys
 import pytest
 
 from gnomon.errors import OutputError, RecordingError
+from gnomon.formats.own.calibration_file import load
 from gnomon.output import atomic_file, files_together, spare_inputs
-from gnomon.readers import load, read
+from gnomon.readers.recordings import read
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from gnomon.readers import load
+from gnomon.formats.own.calibration_file import load
 from gnomon.simulate import FieldScenario, simulate_magnetometer
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.readers.own.noise_file import load_noise
-from gnomon.readers.rig.kalibr_imu_input import read_imu_input
+from gnomon.formats.kalibr.imu import read_imu_input
+from gnomon.formats.own.noise_file import load_noise
 
 FILES = ["allan.csv", "imu.yaml", "noise.yaml", "report.html"]
 RATE_HZ = 50.0

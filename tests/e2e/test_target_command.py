@@ -4,9 +4,8 @@ import json
 
 import pytest
 
+from gnomon.formats.kalibr.target import read_target, target_text
 from gnomon.models.target import Target
-from gnomon.readers.rig.kalibr_target import read_target
-from gnomon.writers.target_yaml import target_text
 from printed import pdf_boxes, pdf_caption, svg_size
 
 USAGE, BAD_INPUT = 2, 3

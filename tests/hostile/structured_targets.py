@@ -19,30 +19,25 @@ from gnomon.calibrate.board_reading import kept_corners
 from gnomon.calibration import Calibration, Provenance
 from gnomon.cli.inputs import read_priors
 from gnomon.findings import Finding
+from gnomon.formats.conversion import exported
+from gnomon.formats.foreign import as_calibration
+from gnomon.formats.foreign_files import load_any, load_foreign
+from gnomon.formats.kalibr.cam_results import camera_texts
+from gnomon.formats.kalibr.camchain import read_camchain
+from gnomon.formats.kalibr.imu import read_imu_input
+from gnomon.formats.kalibr.target import read_target
+from gnomon.formats.losses import StatedImu
+from gnomon.formats.own.noise_file import load_noise, noise_text
+from gnomon.formats.own.options_file import options_text, read_options, read_use
+from gnomon.formats.sensor_inputs import read_cameras, read_imu_noise, read_imus, read_rig
 from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target as Board
-from gnomon.readers.own.calibration_sources import load_any
-from gnomon.readers.own.noise_file import load_noise
-from gnomon.readers.own.options_file import read_options
-from gnomon.readers.own.use_file import read_use
-from gnomon.readers.projects.foreign_calibration import as_calibration
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.readers.rig.imu_noise import read_imu_noise
-from gnomon.readers.rig.kalibr_camchain import read_camchain
-from gnomon.readers.rig.kalibr_imu_input import read_imu_input
-from gnomon.readers.rig.kalibr_target import read_target
-from gnomon.readers.rig.sensor_inputs import read_cameras, read_imus, read_rig
 from gnomon.readers.rig.sensor_yaml import read_sensor
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.cameras_scenario import CamerasScenario
-from gnomon.writers.camera_files import camera_texts
 from gnomon.writers.camera_imu_files import camera_imu_texts
-from gnomon.writers.context import StatedImu
-from gnomon.writers.conversion import exported
-from gnomon.writers.noise_file import noise_text
-from gnomon.writers.options_file import options_text
 
 from .promise import Target
 

@@ -21,6 +21,8 @@ from gnomon.calibration import (
     ImuCalibration,
     Provenance,
 )
+from gnomon.formats.foreign import as_calibration
+from gnomon.formats.foreign_files import is_own, load_foreign
 from gnomon.models.diagonal_forms import DiagonalTriad
 from gnomon.models.estimator_forms import BasaltTriad, OpenVinsAccelerometer, OpenVinsGyroscope
 from gnomon.models.forms import (
@@ -40,8 +42,6 @@ from gnomon.models.project_forms import (
     KalibrGyroscope,
 )
 from gnomon.parameters import covariance_names, parameters
-from gnomon.readers.projects.foreign_calibration import as_calibration
-from gnomon.readers.projects.foreign_files import is_own, load_foreign
 
 entry = st.floats(-0.2, 0.2)
 matrices = st.lists(entry, min_size=9, max_size=9).map(lambda x: np.eye(3) + np.reshape(x, (3, 3)))

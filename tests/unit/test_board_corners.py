@@ -9,11 +9,11 @@ import pytest
 from gnomon.calibrate.board_corners import BoardCorners, CameraImages, detect_corners
 from gnomon.calibrate.board_reading import cache_file, keep_corners, kept_corners
 from gnomon.errors import DetectionError, OptionError, RecordingError
+from gnomon.formats.kalibr.camchain import CameraInput
 from gnomon.images import Frame, Grey, ImageStream
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.readers.rig.kalibr_camchain import CameraInput
 from gnomon.recording import Source
 from gnomon.simulate.rendering import render
 from rendered import FACING

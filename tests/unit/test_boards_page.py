@@ -9,10 +9,9 @@ import pytest
 from docs_pages import DOCS, text
 from gnomon.cli import main
 from gnomon.detect.boards.checkerboard_order import ambiguous_turns
+from gnomon.formats.kalibr.target import read_target, target_text
 from gnomon.models.target import Target
-from gnomon.readers.rig.kalibr_target import read_target
 from gnomon.writers.board_sheet import largest_on
-from gnomon.writers.target_yaml import target_text
 
 SHOWN = re.compile(r"boards/([\w-]+)\.svg\)(?:\n\n```yaml\n(.*?)```\n\n`gnomon (.*?)`)?", re.DOTALL)
 

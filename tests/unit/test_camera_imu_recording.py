@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, FormatError, OutputError, Scenario, load, read_camera_imu, simulate_camera_imu
-from gnomon.readers.own.options_file import read_options
+from gnomon.formats.own.options_file import options_text, read_options
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording
-from gnomon.writers.options_file import options_text
 
 BASE = CameraImuScenario(duration_s=3.0, random_extrinsics=True, motion="shaky", distance_m=0.6)
 RICH = replace(

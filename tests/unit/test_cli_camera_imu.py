@@ -17,9 +17,9 @@ from gnomon.cli import main
 from gnomon.cli.camera_imu import CameraImu, SimulateCameraImu
 from gnomon.cli.commands import COMMANDS, parse
 from gnomon.cli.output_folder import CAMERA_IMU_FILES
+from gnomon.formats.own.options_file import options_text
 from gnomon.options import CameraImuOptions
 from gnomon.writers.camera_imu_files import CAMERA_IMU_FILES as KALIBR_FILES
-from gnomon.writers.options_file import options_text
 
 SMALL = ("--duration-s", 3, "--seed", 5)
 
@@ -353,7 +353,7 @@ def test_show_refuses_other_files(tmp_path):
 
 
 def test_camera_entries_by_hand(camera_calibration):
-    from gnomon.writers.camera_entries import camera_entries
+    from gnomon.formats.entries import camera_entries
 
     calibration = camera_calibration(6)
     found = {entry.name: (entry.value, sigma) for entry, sigma in camera_entries(calibration, "cam1")}

@@ -12,7 +12,7 @@ import pytest
 import gnomon
 from gnomon.cli import main
 from gnomon.cli.compare import sources_of
-from gnomon.readers.own.calibration_sources import load_any, source_names
+from gnomon.formats.foreign_files import load_any, source_names
 from gnomon.recording import Source
 from gnomon.simulate.truth import TRUTH_METHOD
 from html_page import Page

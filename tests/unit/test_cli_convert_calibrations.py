@@ -10,12 +10,12 @@ import pytest
 import gnomon
 from gnomon.calibration import Provenance
 from gnomon.cli import main
+from gnomon.formats.conversion import WITH_NOISE
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.losses import StatedImu
+from gnomon.formats.own.noise_file import save_noise
 from gnomon.models.noise import ImuNoise
-from gnomon.readers.projects.foreign_files import load_foreign
 from gnomon.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
-from gnomon.writers.context import StatedImu
-from gnomon.writers.conversion import WITH_NOISE
-from gnomon.writers.noise_file import save_noise
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

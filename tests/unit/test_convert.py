@@ -13,13 +13,13 @@ import yaml
 import gnomon
 from gnomon.calibration import ImuCalibration
 from gnomon.errors import FormatError, OptionError, OutputError
-from gnomon.readers.own.parameter_csv import read_parameter_csv
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.readers.projects.imu_tk_calib import read_imu_tk
-from gnomon.readers.projects.imucal_json import read_imucal
-from gnomon.readers.projects.kalibr_imu import read_kalibr
+from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.imu_tk import read_imu_tk
+from gnomon.formats.imucal import read_imucal
+from gnomon.formats.kalibr.imu import read_kalibr
+from gnomon.formats.own.parameter_csv import read_parameter_csv
 from gnomon.recording import Recording
-from gnomon.writers.conversion import FORMATS, exported
 
 
 def said(losses):

@@ -10,15 +10,15 @@ import yaml
 
 import gnomon
 from gnomon.calibration import Assessment, Calibration, Covariance, Gravity, Provenance
+from gnomon.formats.basalt import basalt_text
+from gnomon.formats.conversion import exported
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.kalibr.imu import StatedImu
+from gnomon.formats.losses import formats_of
+from gnomon.formats.openvins import imu_chain_text
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.parameters import covariance_names
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.writers.basalt import basalt_text
-from gnomon.writers.conversion import exported
-from gnomon.writers.kalibr import StatedImu
-from gnomon.writers.lens_formats import formats_of
-from gnomon.writers.openvins import imu_chain_text
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,
@@ -325,7 +325,7 @@ def test_through_all_of_them_and_back(rig, tmp_path, seed):
 
 def again(found, to, folder, stated=STATED):
     """Write what was read in the same format, noise and all, and read it."""
-    from gnomon.writers.openvins import camera_chain_text
+    from gnomon.formats.openvins import camera_chain_text
 
     folder.mkdir(exist_ok=True)
     if to == "basalt":

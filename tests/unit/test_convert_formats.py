@@ -12,14 +12,14 @@ import gnomon
 from gnomon.calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance
 from gnomon.errors import FormatError, OptionError
 from gnomon.findings import Finding
+from gnomon.formats import orb_slam3
+from gnomon.formats.conversion import FORMATS, WITH_NOISE, exported
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.losses import Context, StatedImu
+from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.parameters import covariance_names, parameters
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.writers import orb_slam3
-from gnomon.writers.calibration_file import calibration_text
-from gnomon.writers.context import Context, StatedImu
-from gnomon.writers.conversion import FORMATS, WITH_NOISE, exported
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

@@ -9,8 +9,8 @@ import pytest
 import gnomon
 from gnomon.cli import main
 from gnomon.errors import OptionError
-from gnomon.writers.conversion import exported
-from gnomon.writers.count_scales import with_full_scale
+from gnomon.formats.conversion import exported
+from gnomon.formats.si_units import with_full_scale
 
 FLIGHT = ("px4", "ardupilot")
 PER_G, PER_DEG_S = 16384.0, 131.0

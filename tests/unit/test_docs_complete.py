@@ -20,21 +20,22 @@ from gnomon.calibration import parameters
 from gnomon.cli.commands import COMMANDS, parse
 from gnomon.cli.convert import RecordingForm
 from gnomon.cli.study import PAGE, STUDIES
+from gnomon.formats.conversion import FORMATS
+from gnomon.formats.kalibr import camchain
+from gnomon.formats.kalibr import target as kalibr_target
+from gnomon.formats.own.calibration_file import SIGMAS
+from gnomon.formats.own.calibration_text import calibration_text
+from gnomon.formats.own.noise_file import allan_text, noise_document
+from gnomon.formats.own.options_file import read_use
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
-from gnomon.readers.own.calibration_cameras import SIGMAS
-from gnomon.readers.own.use_file import read_use
-from gnomon.readers.rig import kalibr_camchain, kalibr_target
 from gnomon.readers.samples.npz import __doc__ as npz_keys
 from gnomon.readers.samples.pose_table import pose_column
 from gnomon.recording import FrameQuality
 from gnomon.requirements import QUANTITIES, USES, stated
 from gnomon.trust import ParameterChange, WeakDirection
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from gnomon.writers.calibration_file import calibration_text
-from gnomon.writers.conversion import FORMATS
 from gnomon.writers.diagnostics_file import diagnostic_arrays
-from gnomon.writers.noise_file import allan_text, noise_document
 from support.faults import fault_named, faults
 
 SHORT = gnomon.Scenario(intervals=20, t_init_s=20.0, g_sensitivity=3e-4)
@@ -229,7 +230,7 @@ def test_every_key_of_a_board_is_documented():
     inputs = text("files.md").split("## Kalibr's files")[1].split("\n## ")[0]
     keys = {key for _, values in kalibr_target._BOARDS.values() for key in values}
     assert len(keys) > 8
-    keys |= {*kalibr_target._FIRST_TAG, kalibr_target._BORDER, *kalibr_camchain._SIGMAS}
+    keys |= {*kalibr_target._FIRST_TAG, kalibr_target._BORDER, *camchain._SIGMAS}
     assert {key for key in keys if f"`{key}`" not in inputs} == set()
 
 

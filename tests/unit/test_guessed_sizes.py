@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.readers.projects.foreign_files import load_foreign
+from gnomon.formats.foreign_files import load_foreign
 
 
 @pytest.fixture

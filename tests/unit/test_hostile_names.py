@@ -18,10 +18,10 @@ from cameras_result import make_cameras_result
 from gnomon.cli import main
 from gnomon.cli.terminal import Terminal
 from gnomon.findings import Finding, printable
+from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.recording import Source
 from gnomon.report import write_report
-from gnomon.writers.calibration_file import calibration_text
-from gnomon.writers.conversion import FORMATS, exported
 from hostile.structured_targets import NOISE, StatedImu
 
 EVIL = (

@@ -8,12 +8,12 @@ import yaml
 
 import gnomon
 from gnomon.errors import FormatError
-from gnomon.readers.own.own_root import read_own
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.readers.projects.foreign_yaml import read_foreign_yaml
-from gnomon.readers.rig.sensor_inputs import read_cameras
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.foreign_yaml import read_foreign_yaml
+from gnomon.formats.own.calibration_file import read_own
+from gnomon.formats.sensor_inputs import read_cameras
+from gnomon.formats.structured import read_json, read_yaml
 from gnomon.readers.samples.pose_files import pose_files
-from gnomon.readers.structured import read_json, read_yaml
 from hostile.promise import Target, keep
 from hostile.structured_targets import CAM, converted
 

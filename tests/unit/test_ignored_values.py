@@ -8,8 +8,8 @@ import pytest
 import gnomon
 from gnomon.calibration import Gravity
 from gnomon.cli import main
+from gnomon.formats.conversion import exported
 from gnomon.models.camera import Camera
-from gnomon.writers.conversion import exported
 
 WIDE = Camera(
     projection="pinhole", intrinsics=[300.0, 301, 320, 240], distortion="equidistant",

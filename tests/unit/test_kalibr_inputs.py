@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gnomon.errors import FormatError
+from gnomon.formats.kalibr.camchain import read_camchain
+from gnomon.formats.kalibr.imu import read_imu_input
+from gnomon.formats.kalibr.target import read_target
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.readers.rig.kalibr_camchain import read_camchain
-from gnomon.readers.rig.kalibr_imu_input import read_imu_input
-from gnomon.readers.rig.kalibr_target import read_target
 
 CAM = {
     "camera_model": "pinhole",

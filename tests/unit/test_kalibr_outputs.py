@@ -10,22 +10,18 @@ import yaml
 
 import gnomon
 from gnomon.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance
+from gnomon.formats.conversion import exported
+from gnomon.formats.foreign import Residuals, Statistics
+from gnomon.formats.kalibr.camchain import camchain_text, read_camchain
+from gnomon.formats.kalibr.imu import StatedImu, imu_text, read_imu_input, read_kalibr
+from gnomon.formats.kalibr.results import KalibrResults, read_kalibr_results
+from gnomon.formats.kalibr.target import read_target
+from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.parameters import covariance_names
-from gnomon.readers.projects.foreign import Residuals, Statistics
-from gnomon.readers.projects.kalibr_imu import read_kalibr
-from gnomon.readers.projects.kalibr_results import read_kalibr_results
-from gnomon.readers.rig.kalibr_camchain import read_camchain
-from gnomon.readers.rig.kalibr_imu_input import read_imu_input
-from gnomon.readers.rig.kalibr_target import read_target
-from gnomon.writers.calibration_file import calibration_text
 from gnomon.writers.camera_imu_files import camera_imu_texts, residuals, save_camera_imu_files
-from gnomon.writers.conversion import exported
-from gnomon.writers.kalibr import StatedImu, imu_text
-from gnomon.writers.kalibr_camchain import camchain_text
-from gnomon.writers.kalibr_results import KalibrResults
 
 SAMPLES = [
     "a-aprilgrid-full/kalibr/calibrated",
@@ -364,7 +360,7 @@ def test_formats_without_cameras_say_so(camera_calibration, random_calibration, 
 
 
 def test_csv_lists_the_cameras(camera_calibration, tmp_path):
-    from gnomon.readers.own.parameter_csv import read_parameter_csv
+    from gnomon.formats.own.parameter_csv import read_parameter_csv
 
     calibration = camera_calibration(4, cameras=3)
     gnomon.convert(calibration, "csv", tmp_path)

@@ -3,11 +3,11 @@
 import pytest
 
 from gnomon.estimate.cameras.first_lens import BENDINGS, SHAPES, names_of
+from gnomon.formats.kalibr.results import LENS_NAMES
 from gnomon.models import lens_names
 from gnomon.models.distortions import DISTORTIONS
 from gnomon.models.projections import PROJECTIONS
 from gnomon.report.cameras import DISTORTION_FORMULAS, PROJECTION_FORMULAS
-from gnomon.writers.kalibr_results import LENS_NAMES
 
 
 def missing(name, tables):
@@ -20,7 +20,7 @@ def test_a_projection_is_known_everywhere(name):
         "models/projections.py": PROJECTIONS,
         "estimate/cameras/first_lens.py": SHAPES,
         "report/cameras_use.py": PROJECTION_FORMULAS,
-        "writers/kalibr_results.py": LENS_NAMES,
+        "formats/kalibr/results.py": LENS_NAMES,
     }
     assert missing(name, tables) == []
     assert PROJECTIONS[name].names == lens_names.SHAPES[name]

@@ -10,18 +10,18 @@ import gnomon
 from gnomon.calibration import Covariance
 from gnomon.cli.camera_summary import imu_pose_lines
 from gnomon.errors import FormatError, OptionError
+from gnomon.formats.kalibr.imu import read_kalibr
+from gnomon.formats.own.calibration_file import load
+from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rigid_body import acceleration_by_place
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, parameters
-from gnomon.readers.own.calibration_file import load
-from gnomon.readers.projects.kalibr_imu import read_kalibr
 from gnomon.report.rig import origin_figure
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.trust import Need, TrustNote
-from gnomon.writers.calibration_file import calibration_text, save
 from gnomon.writers.tables import summary_table
 
 ARMS = (0.0075, -0.0116, 0.0006, 0.0074, -0.0112, 0.0015)

@@ -8,8 +8,8 @@ import pytest
 from gnomon.calibration import Provenance
 from gnomon.errors import FormatError, OptionError
 from gnomon.findings import Finding
-from gnomon.readers.own.noise_file import load_noise
-from gnomon.readers.rig.kalibr_imu_input import read_imu_input
+from gnomon.formats.kalibr.imu import read_imu_input
+from gnomon.formats.own.noise_file import allan_text, load_noise, noise_text, save_noise, save_noise_files
 from gnomon.recording import Source
 from gnomon.report.noise import write_noise_report
 from gnomon.sensor_noise import (
@@ -21,7 +21,6 @@ from gnomon.sensor_noise import (
     SensorNoise,
     TriadNoise,
 )
-from gnomon.writers.noise_file import allan_text, noise_text, save_noise, save_noise_files
 from html_page import Page
 
 

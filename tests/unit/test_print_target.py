@@ -12,14 +12,13 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial import KDTree
 
 from gnomon import OptionError, OutputError
+from gnomon.formats.kalibr.target import read_target, target_text
 from gnomon.models.board_pattern import Pattern, _outline, board_pattern
 from gnomon.models.target import Target
-from gnomon.readers.rig.kalibr_target import read_target
 from gnomon.writers.board_paths import board_paths
 from gnomon.writers.board_sheet import PAPERS, board_drawing, largest_on, paper_size, tiled
 from gnomon.writers.drawing import pdf_bytes, svg_text
 from gnomon.writers.printed_board import save_target
-from gnomon.writers.target_yaml import target_text
 from headless import CHROMIUM, WHY_NOT, Browser
 from printed import (
     PX_PER_MM,

@@ -14,12 +14,12 @@ from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu, with_loo
 from gnomon.estimate.camera_imu.first_guess import Look
 from gnomon.estimate.camera_imu.other_imus import Beside
 from gnomon.findings import Finding
+from gnomon.formats.sensor_inputs import read_imus
+from gnomon.formats.yaml_text import kalibr_yaml
 from gnomon.options import CameraImuOptions
 from gnomon.readers.images.image_recording import open_images
 from gnomon.readers.rig.corner_stamps import read_corner_stamps
-from gnomon.readers.rig.sensor_inputs import read_imus
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording
-from gnomon.writers.kalibr_text import kalibr_yaml
 from gnomon.writers.recording_file import save_recording
 
 TWO = CameraImuScenario(

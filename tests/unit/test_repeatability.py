@@ -5,9 +5,9 @@ import pytest
 
 from gnomon.calibrate.comparison import compare
 from gnomon.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
+from gnomon.formats.foreign import ForeignCalibration
 from gnomon.geometry.quaternion import normalised, rotation_from_quaternion
 from gnomon.models.camera import Camera
-from gnomon.readers.projects.foreign import ForeignCalibration
 from gnomon.report.comparison import comparison_page
 from gnomon.report.page import render
 from gnomon.writers.comparison_table import comparison_csv

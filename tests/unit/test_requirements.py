@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.errors import FormatError, OptionError
-from gnomon.readers.own.use_file import read_use
+from gnomon.formats.own.options_file import read_use
 from gnomon.requirements import QUANTITIES, USES, stated
 
 

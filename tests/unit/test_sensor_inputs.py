@@ -9,8 +9,8 @@ import yaml
 
 import gnomon
 from gnomon.errors import FormatError
-from gnomon.readers.rig.sensor_inputs import read_cameras, read_imus
-from gnomon.writers.calibration_file import calibration_text
+from gnomon.formats.own.calibration_text import calibration_text
+from gnomon.formats.sensor_inputs import read_cameras, read_imus
 
 CAM = {
     "camera_model": "pinhole",

@@ -19,16 +19,16 @@ from gnomon.estimate.camera_imu.inertial_data import InertialData, TriadData, ap
 from gnomon.estimate.camera_imu.initial_trajectory import ImuPath, initial_trajectory
 from gnomon.estimate.camera_imu.other_imus import with_stated_pose
 from gnomon.estimate.camera_imu.parameters import ImuParameters
+from gnomon.formats.own.calibration_file import load
+from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import in_frame
 from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.parameters import covariance_names, moved_into_frame, moved_to_origin, parameters
-from gnomon.readers.own.calibration_file import load
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
-from gnomon.writers.calibration_file import calibration_text, save
 
 
 def pose(seed):

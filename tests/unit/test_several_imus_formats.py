@@ -8,11 +8,11 @@ import pytest
 
 from gnomon import CameraImuScenario, convert, simulate_camera_imu
 from gnomon.calibration import Covariance
-from gnomon.readers.projects.foreign_calibration import as_calibration
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.writers.context import StatedImu
-from gnomon.writers.conversion import FORMATS, exported
-from gnomon.writers.kalibr_results import KalibrResults
+from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.foreign import as_calibration
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.kalibr.results import KalibrResults
+from gnomon.formats.losses import StatedImu
 from gnomon.writers.tables import form_tables
 
 SCENARIO = CameraImuScenario(duration_s=1.0, imus=3, cameras=2, accelerometer_delay_s=0.002, imu_clock_offset_s=-7.0)

@@ -7,10 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gnomon import FormatError
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.kalibr.target import DICTIONARIES, read_target, target_lines, target_text
 from gnomon.models.target import Target
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.readers.rig.kalibr_target import DICTIONARIES, read_target
-from gnomon.writers.target_yaml import target_lines, target_text
 
 CHARUCO = {
     "target_type": "charuco",

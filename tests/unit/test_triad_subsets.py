@@ -17,9 +17,9 @@ import gnomon
 from gnomon.calibration import Covariance, parameters
 from gnomon.cli.summary import parameter_lines, summary_lines
 from gnomon.errors import FormatError, OptionError
-from gnomon.readers.projects.foreign_files import load_foreign
-from gnomon.writers.calibration_file import calibration_text
-from gnomon.writers.conversion import FORMATS, exported
+from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.foreign_files import load_foreign
+from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.writers.tables import form_tables, summary_table
 from triad_subsets import FRAMES, SUBSETS, TRIADS, recorded, subset_calibration
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..calibration import Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
 from ..errors import OptionError
+from ..formats.foreign import FOREIGN_METHOD, ForeignCalibration
 from ..frozen import FrozenMapping
 from ..models.camera import Camera
 from ..parameters import covariance_names, element_names, moved_into_frame, parameters
-from ..readers.projects.foreign import FOREIGN_METHOD, ForeignCalibration
 from ..recording import Floats, Source, frozen_array
 from ..simulate.truth import TRUTH_METHOD
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT

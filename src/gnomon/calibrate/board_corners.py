@@ -21,10 +21,10 @@ from threadpoolctl import threadpool_limits
 from ..detect.boards.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen, tag_spacing
 from ..detect.boards.worker import BoardProcess, ProcessLostError, detector
 from ..errors import DetectionError, RecordingError
+from ..formats.kalibr.camchain import CameraInput
 from ..images import Frame, Grey, ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
-from ..readers.rig.kalibr_camchain import CameraInput
 from ..recording import CameraFrames, FrameQuality
 
 Progress = Callable[[str], None]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from .._version import __version__
 from ..errors import GnomonError, RecordingError
+from ..formats.kalibr.camchain import CameraInput
 from ..images import ImageRecording
 from ..models.target import Target
 from ..output import atomic_file, remove_parts
-from ..readers.rig.kalibr_camchain import CameraInput
 from ..readers.zips import ZIP_DAMAGE, refuse_false_arrays
 from ..recording import CameraFrames, FrameQuality, Source
 from .board_corners import BoardCorners, CameraImages, detect_corners

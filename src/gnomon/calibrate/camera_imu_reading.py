@@ -14,6 +14,10 @@ from types import MappingProxyType
 from ..assess.clock_checks import check_clocks
 from ..errors import OptionError
 from ..findings import Finding, make_finding
+from ..formats.kalibr.camchain import CameraInput
+from ..formats.kalibr.imu import ImuInput
+from ..formats.kalibr.target import read_target
+from ..formats.sensor_inputs import ImuFiles, imu_paths, made_from, read_cameras, read_imus, read_rig
 from ..images import ImageRecording, ImageStream
 from ..models.target import Target
 from ..readers.files import file_source
@@ -21,10 +25,6 @@ from ..readers.images.image_recording import open_images
 from ..readers.rig.camera_folder import holds_corners, recording_folder
 from ..readers.rig.camera_imu import read_corner_recording
 from ..readers.rig.imu_stream import with_stated
-from ..readers.rig.kalibr_camchain import CameraInput
-from ..readers.rig.kalibr_imu_input import ImuInput
-from ..readers.rig.kalibr_target import read_target
-from ..readers.rig.sensor_inputs import ImuFiles, imu_paths, made_from, read_cameras, read_imus, read_rig
 from ..recording import CameraFrames, ImuSamples, KnownRig, Recording
 from ..units import Units
 from .board_reading import Progress, corners_of_camera, stated_cameras

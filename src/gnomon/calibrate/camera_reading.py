@@ -13,6 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from ..errors import OptionError, RecordingError
+from ..formats.kalibr.camchain import CameraInput
+from ..formats.kalibr.target import read_target
+from ..formats.sensor_inputs import read_cameras
 from ..images import ImageStream
 from ..models.camera import Camera
 from ..models.target import Target
@@ -23,9 +26,6 @@ from ..readers.images.image_recording import open_images
 from ..readers.read_log import ReadLog
 from ..readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
 from ..readers.rig.camera_imu import corners_of
-from ..readers.rig.kalibr_camchain import CameraInput
-from ..readers.rig.kalibr_target import read_target
-from ..readers.rig.sensor_inputs import read_cameras
 from ..recording import CameraFrames, Recording
 from ..units import Units
 from .board_reading import Progress, corners_of_camera, stated_cameras

@@ -10,8 +10,8 @@ from ..assess.comparison import Comparison
 from ..calibration import Calibration
 from ..diagnostics import Result
 from ..errors import OptionError
-from ..readers.own.calibration_sources import load_any, source_names
-from ..readers.projects.foreign import ForeignCalibration
+from ..formats.foreign import ForeignCalibration
+from ..formats.foreign_files import load_any, source_names
 
 CalibrationSource = Calibration | ForeignCalibration | Result | str | PathLike[str] | Sequence[str | PathLike[str]]
 """A calibration, a result, a file or folder, or the files of one calibration."""

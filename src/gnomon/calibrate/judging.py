@@ -5,7 +5,7 @@ from os import PathLike
 from ..assess.needs import judged
 from ..calibration import Calibration
 from ..errors import OptionError
-from ..readers.own.use_file import read_use
+from ..formats.own.options_file import read_use
 from ..requirements import GENERAL, Use
 
 

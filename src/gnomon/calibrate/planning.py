@@ -15,11 +15,11 @@ from ..assess.verdict import merge_by_cause, verdict_of
 from ..assess.weak_findings import weak_findings
 from ..calibration import Calibration
 from ..errors import GnomonError
+from ..formats.kalibr.camchain import CameraInput
+from ..formats.kalibr.target import read_target
+from ..formats.sensor_inputs import read_cameras, read_imus
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
-from ..readers.rig.kalibr_camchain import CameraInput
-from ..readers.rig.kalibr_target import read_target
-from ..readers.rig.sensor_inputs import read_cameras, read_imus
 from ..recording import Floats
 from ..requirements import GENERAL_IMU, GENERAL_RIG, Use
 from ..sensors import CameraCalibration

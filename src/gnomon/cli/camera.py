@@ -97,8 +97,8 @@ class CameraCommand(Command):
         """Calibrate, write the folder of the result, and return the exit code."""
         from ..calibrate.camera_reading import read_camera_views
         from ..calibrate.cameras import calibrate_cameras
+        from ..formats.kalibr.cam_results import save_camera_files
         from ..readers.images.image_recording import holds_imu
-        from ..writers.camera_files import save_camera_files
 
         folder = self.output or default_folder((self.recording,), "camera")
         if not self.recording.exists():

@@ -9,12 +9,12 @@ from rich.table import Table
 
 from ..calibration import Calibration, CamerasFit
 from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, Result
+from ..formats.baselines import baseline_of
+from ..formats.entries import camera_entries
 from ..models.lens_programs import PROGRAMS, knows
 from ..models.origin import AXES
 from ..recording import Floats
 from ..units import share_words
-from ..writers.baselines import baseline_of
-from ..writers.camera_entries import camera_entries
 from ..writers.tables import value_text
 from .summary import common_decimals
 

@@ -67,7 +67,7 @@ class Check(Command):
 
 def _check_imu(command: Check, terminal: Terminal) -> int:
     from ..assess.doctor import check, check_magnetometers
-    from ..readers import read
+    from ..readers.recordings import read
 
     source = command.recording
     recording = read(*source.paths, **source.table)
@@ -123,9 +123,9 @@ def _corner_entries(recording: "Recording") -> dict[str, dict[str, Any]]:
 
 def _check_images(command: Check, terminal: Terminal) -> int:
     from ..assess.rig_doctor import check_rig
+    from ..formats.kalibr.target import read_target
+    from ..formats.sensor_inputs import read_cameras, read_imus
     from ..readers.images.image_recording import open_images
-    from ..readers.rig.kalibr_target import read_target
-    from ..readers.rig.sensor_inputs import read_cameras, read_imus
 
     files, taken = _files(command)
     notes: list[str] = []

@@ -81,7 +81,7 @@ class FromScenario(Command):
         FormatError
             If the file cannot be read, or states something that is no option.
         """
-        from ..readers.own.options_file import read_options  # NumPy is not needed for the help
+        from ..formats.own.options_file import read_options  # NumPy is not needed for the help
 
         command: Any = cls
         return command(output=tyro.MISSING, scenario=path, options=read_options(path, cls.scenario_type))

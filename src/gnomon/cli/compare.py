@@ -52,7 +52,7 @@ class Compare(Command):
     def run(self, terminal: Terminal) -> int:
         """Compare calibrations, and return the exit code."""
         from ..calibrate.comparison import compare as compare_calibrations
-        from ..readers.own.calibration_sources import source_names
+        from ..formats.foreign_files import source_names
 
         sources = sources_of(self.calibrations)
         guessed = source_names([paths for _, paths in sources])

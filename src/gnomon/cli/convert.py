@@ -16,8 +16,8 @@ from .results import USABLE, print_assumptions
 from .terminal import Terminal
 
 if TYPE_CHECKING:
+    from ..formats.losses import StatedImu
     from ..images import ImageRecording
-    from ..writers.context import StatedImu
 
 
 CalibrationForm = Literal[
@@ -89,8 +89,8 @@ class Convert(Command):
 
 def _of_result(command: Convert) -> Convert:
     """Return the command with the calibration of a result's folder in place of the folder, unless images are in it."""
+    from ..formats.own.calibration_file import calibration_at
     from ..readers.images.image_recording import holds_images
-    from ..readers.own.own_root import calibration_at
 
     inside = Path(calibration_at(command.path))
     if inside == command.path or holds_images(command.path):
@@ -99,10 +99,10 @@ def _of_result(command: Convert) -> Convert:
 
 
 def _convert_calibration(command: Convert, terminal: Terminal) -> int:
-    from ..readers import load
-    from ..readers.projects.foreign_files import is_own, load_foreign
-    from ..writers.conversion import convert as write
-    from ..writers.conversion import exported
+    from ..formats.conversion import convert as write
+    from ..formats.conversion import exported
+    from ..formats.foreign_files import is_own, load_foreign
+    from ..formats.own.calibration_file import load
 
     _refuse_recording(command)
     if is_own(command.path):
@@ -151,7 +151,7 @@ def _spare_inputs(command: Convert, paths: list[Path]) -> None:
 
 def _noise(command: Convert) -> tuple["Mapping[str, StatedImu] | None", list[str]]:
     """Return noise and rate from the file that is given, or that lies beside the calibration, and what to say of it."""
-    from ..writers.conversion import WITH_NOISE, stated_imus
+    from ..formats.conversion import WITH_NOISE, stated_imus
 
     if command.imu is not None:
         if command.to not in WITH_NOISE:
@@ -197,7 +197,7 @@ def _convert_recording(command: Convert, terminal: Terminal) -> int:
 
 def _with_lenses(recording: "ImageRecording", path: Path) -> "ImageRecording":
     """Return the recording with the lenses of camchain.yaml in its folder, where it states none itself."""
-    from ..readers.rig.sensor_inputs import read_cameras
+    from ..formats.sensor_inputs import read_cameras
 
     file = (path if path.is_dir() else path.parent) / "camchain.yaml"
     if not file.is_file() or all(stream.camera is not None for stream in recording.streams.values()):

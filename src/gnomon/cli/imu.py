@@ -125,9 +125,9 @@ class Demo(Command):
     def run(self, terminal: Terminal) -> int:
         """Simulate, calibrate, write both, print them beside the truth, and return the exit code."""
         from ..calibrate import calibrate_imu
-        from ..readers import read
+        from ..formats.own.calibration_text import save
+        from ..readers.recordings import read
         from ..simulate import simulate
-        from ..writers import save
         from ..writers.recording_file import save_recording
         from .summary import comparison_document, comparison_sentence, comparison_table, summary_lines
 

@@ -60,7 +60,7 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
     files = [Path(text) for text in prior if text not in stated]
     if not files:
         return PriorFiles(stated=stated)
-    from ..readers import load
+    from ..formats.own.calibration_file import load
     from ..readers.files import file_source
 
     calibrations: list[Calibration] = []
@@ -92,14 +92,14 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
 
 def _noise(path: Path) -> "ImuNoise | None":
     """Return the noise that a file states, or None where it is no such file."""
-    from ..readers.own.noise_file import is_noise, load_noise
-    from ..readers.projects.foreign_files import is_own
+    from ..formats.foreign_files import is_own
+    from ..formats.own.noise_file import is_noise, load_noise
 
     if is_noise(path):
         return load_noise(path).imu_noise()
     if is_own(path):
         return None
-    from ..readers.rig.sensor_inputs import read_imus
+    from ..formats.sensor_inputs import read_imus
 
     return next(iter(read_imus(path, []).values())).noise
 

@@ -34,7 +34,7 @@ class Magnetometer(Command):
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
         from ..calibrate.magnetometer import calibrate_magnetometer
-        from ..readers import read
+        from ..readers.recordings import read
         from .summary import magnetometer_lines
 
         source = self.recording

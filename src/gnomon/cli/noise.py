@@ -45,8 +45,8 @@ class Noise(Command):
     def run(self, terminal: Terminal) -> int:
         """Identify the noise of an IMU, write and say it, and return the exit code."""
         from ..calibrate.noise import identify_noise
+        from ..formats.own.noise_file import noise_document, save_noise_files
         from ..report.noise import write_noise_report
-        from ..writers.noise_file import noise_document, save_noise_files
 
         source = self.recording
         folder = self.output or default_folder(source.paths, "noise")
@@ -79,8 +79,7 @@ class Noise(Command):
 
 def show_noise(path: Path, terminal: Terminal) -> int:
     """Show a noise.yaml."""
-    from ..readers.own.noise_file import load_noise
-    from ..writers.noise_file import noise_document
+    from ..formats.own.noise_file import load_noise, noise_document
 
     found = load_noise(path)
     _print(found, terminal)

@@ -31,8 +31,8 @@ class SimulatePoses(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate poses, write them and their truth, and return the exit code."""
+        from ..formats.own.calibration_text import save
         from ..simulate import simulate_poses
-        from ..writers import save
         from ..writers.pose_files import save_pose_files, save_poses
         from ..writers.recording_file import save_recording
 

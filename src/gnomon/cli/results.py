@@ -25,7 +25,7 @@ def exit_code(calibration: "Calibration") -> int:
 
 def write_result(result: "Result", folder: Path, *, report: bool, terminal: Terminal) -> None:
     """Write calibration, diagnostics and, where wanted, the report into a folder."""
-    from ..writers import save
+    from ..formats.own.calibration_text import save
     from ..writers.diagnostics_file import save_diagnostics
 
     save(result.calibration, folder / "calibration.yaml")
@@ -156,7 +156,7 @@ def calibration_document(calibration: "Calibration") -> dict[str, Any]:
     """Return what calibration.yaml holds."""
     import yaml
 
-    from ..writers.calibration_file import calibration_text
+    from ..formats.own.calibration_text import calibration_text
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     return yaml.load(calibration_text(calibration), Loader=loader)

@@ -51,9 +51,8 @@ class Show(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Print the tables, and return the exit code."""
-        from ..readers import load
-        from ..readers.own.noise_file import is_noise
-        from ..readers.own.own_root import calibration_at, is_own
+        from ..formats.own.calibration_file import calibration_at, is_own, load
+        from ..formats.own.noise_file import is_noise
         from ..writers.tables import form_tables, summary_table
 
         path = Path(calibration_at(self.calibration))
@@ -83,7 +82,7 @@ class Show(Command):
 
 
 def _show_foreign(path: Path, form: str, terminal: Terminal) -> int:
-    from ..readers.projects.foreign_files import load_foreign
+    from ..formats.foreign_files import load_foreign
     from ..writers.foreign_tables import foreign_document, foreign_tables
 
     foreign = load_foreign(path)
@@ -120,7 +119,7 @@ class Apply(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write the corrected samples of a recording, and return the exit code."""
-        from ..readers import load
+        from ..formats.own.calibration_file import load
         from ..writers.apply import apply_files
 
         source = self.recording

@@ -24,7 +24,7 @@ def write_simulated(recording: "Recording", truth: "Calibration", path: Path, te
     ----------
     then : the command that calibrates from it
     """
-    from ..writers import save
+    from ..formats.own.calibration_text import save
     from ..writers.recording_file import check_suffix, save_recording
 
     check_suffix(path)

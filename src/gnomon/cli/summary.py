@@ -11,12 +11,12 @@ import numpy as np
 from ..calibration import Calibration, element_names, parameters
 from ..diagnostics import Result
 from ..findings import Finding
+from ..formats.losses import held_names
+from ..formats.units_text import parameter_unit
 from ..recording import Floats
 from ..triad_diagnostics import TriadDiagnostics
 from ..trust import TrustNote
-from ..writers.context import held_names
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
-from ..writers.units_text import parameter_unit
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -196,7 +196,7 @@ def _board(command: PrintTarget) -> "Target":
         case "circlegrid":
             return Target.circlegrid(cols=cols, rows=rows, spacing_m=size, asymmetric=command.asymmetric)
         case _:
-            from ..readers.rig.kalibr_target import dictionary_name
+            from ..formats.kalibr.target import dictionary_name
 
             return Target.charuco(
                 cols=cols,
@@ -214,7 +214,7 @@ def _stated(value: Any, usual: Any) -> Any:
 
 
 def _described(name: str) -> "Target":
-    from ..readers.rig.kalibr_target import read_target
+    from ..formats.kalibr.target import read_target
 
     if not Path(name).exists():
         raise OptionError(f"{name}: there is neither such a board nor such a file. Boards are {', '.join(KINDS)}.")

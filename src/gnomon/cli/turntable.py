@@ -196,8 +196,8 @@ class SimulateTurntable(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Simulate recordings, write their folder, and return the exit code."""
+        from ..formats.own.calibration_text import save
         from ..simulate.turntable import simulate_turntable
-        from ..writers import save
         from ..writers.recording_file import save_recording
 
         scenario, folder = self.scenario, self.output

@@ -3,12 +3,12 @@
 import gzip
 import hashlib
 import io
-import stat
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import RecordingError
+from ..formats.structured import refuse_special
 from ..recording import Source
 
 _GZIP = b"\x1f\x8b"
@@ -47,28 +47,6 @@ class TextFile:
     name: str
     data: bytes
     source: Source
-
-
-def refuse_special(path: Path) -> None:
-    """Refuse what is neither a file nor a folder: a pipe gives its bytes once, and a device has no end.
-
-    Raises
-    ------
-    RecordingError
-        If it is a pipe, a device or a socket.
-    """
-    try:
-        mode = path.stat().st_mode
-    except OSError:  # whoever opens it says what is wrong
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-        kind = (
-            "a pipe" if stat.S_ISFIFO(mode) else "a device" if stat.S_ISCHR(mode) or stat.S_ISBLK(mode) else "a socket"
-        )
-        raise RecordingError(
-            f"{path}: this is {kind}, and gnomon reads its inputs more than once. Write what comes out of it into a "
-            "file, such as zcat a.csv.gz > a.csv, and give that file."
-        )
 
 
 def first_bytes(path: Path, count: int = 512) -> bytes:

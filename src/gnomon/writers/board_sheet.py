@@ -12,12 +12,12 @@ from math import ceil, floor
 import numpy as np
 
 from ..errors import OptionError
+from ..formats.kalibr.target import target_lines
 from ..models.board_pattern import Pattern, board_pattern
 from ..models.target import Target
 from ..recording import Floats
 from .board_paths import board_paths
 from .drawing import Drawing, Page, Words
-from .target_yaml import target_lines
 
 Size = tuple[float, float]
 

@@ -25,18 +25,18 @@ import numpy as np
 
 from ..diagnostics import TrajectoryTrack
 from ..errors import OutputError
+from ..formats.kalibr.target import target_text
+from ..formats.own.calibration_text import calibration_text
+from ..formats.own.options_file import options_text
+from ..formats.yaml_text import kalibr_yaml
 from ..models.camera import Camera
 from ..output import atomic_file, write_whole
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..simulate.board_images import simulated_images
 from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.camera_imu_scenario import MOST_IMUS
-from .calibration_file import calibration_text
-from .kalibr_text import kalibr_yaml
-from .options_file import options_text
 from .recording_file import save_recording
 from .recording_forms import PLACES, ImageForm, save_images
-from .target_yaml import target_text
 from .trajectory import trajectory_text
 
 CAMERA_FILES = (

@@ -12,15 +12,15 @@ scenario.yaml         what was simulated
 from collections.abc import Callable
 from pathlib import Path
 
+from ..formats.kalibr.target import target_text
+from ..formats.own.calibration_text import calibration_text
+from ..formats.own.options_file import options_text
+from ..formats.yaml_text import kalibr_yaml
 from ..output import write_whole
 from ..simulate.board_images import rendered_cameras
 from ..simulate.cameras import CamerasSimulation
-from .calibration_file import calibration_text
 from .camera_imu_recording import camera_node, save_frames
-from .kalibr_text import kalibr_yaml
-from .options_file import options_text
 from .recording_forms import PLACES, ImageForm, save_images
-from .target_yaml import target_text
 
 CAMERAS_FILES = (
     *(f"cam{i}{ending}" for i in range(3) for ending in ("", "_corners.csv.gz", "_frames.csv")),

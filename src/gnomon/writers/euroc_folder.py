@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, RecordingError
+from ..formats.yaml_text import yaml_lines
 from ..images import ImageRecording, ImageStream
 from ..output import whole_folder
 from ..recording import Floats, ImuSamples
 from .png_files import encoded
-from .yaml_text import yaml_lines
 
 _FRAMES = "#timestamp [ns],filename\n"
 _SAMPLES = (

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ..formats.foreign import ForeignCalibration, ForeignImu, told
 from ..models.camera import Camera
-from ..readers.projects.foreign import ForeignCalibration, ForeignImu
-from ..readers.projects.foreign_calibration import told
 from .tables import Row, Table, form_tables
 
 _FIXED = " (fixed)"

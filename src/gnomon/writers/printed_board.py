@@ -5,12 +5,11 @@ from os import PathLike
 from pathlib import Path
 
 from ..errors import FormatError, OptionError, OutputError
+from ..formats.kalibr.target import read_target, target_text
 from ..models.target import Target
 from ..output import write_together
-from ..readers.rig.kalibr_target import read_target
 from .board_sheet import board_drawing, tiled
 from .drawing import pdf_bytes, svg_text
-from .target_yaml import target_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

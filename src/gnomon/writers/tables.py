@@ -8,45 +8,44 @@ import numpy as np
 
 from ..calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, parameters
 from ..errors import OptionError
+from ..formats import entries
+from ..formats.entries import IMU_EQUATION, Entry, camera_entries, camera_equation, imu_entries
 from ..models.frames import Floats, frame_rotation
 from ..simulate.truth import TRUTH_METHOD
 from ..units import share_words
-from . import form_entries
-from .camera_entries import IMU_EQUATION, camera_entries, camera_equation, imu_entries
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
-from .form_entries import Entry
 
 _Entries = Callable[..., Iterator[Entry]]
 _FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
     "sensitivity": (
         None,
-        form_entries.sensitivity_accelerometer,
-        form_entries.sensitivity_gyroscope,
-        form_entries.sensitivity_magnetometer,
+        entries.sensitivity_accelerometer,
+        entries.sensitivity_gyroscope,
+        entries.sensitivity_magnetometer,
     ),
     "tedaldi": (
         "accel-z",
-        form_entries.tedaldi_accelerometer,
-        form_entries.tedaldi_gyroscope,
-        form_entries.sensitivity_magnetometer,
+        entries.tedaldi_accelerometer,
+        entries.tedaldi_gyroscope,
+        entries.sensitivity_magnetometer,
     ),
     "krebs": (
         "accel-x",
-        form_entries.krebs_accelerometer,
-        form_entries.krebs_gyroscope,
-        form_entries.sensitivity_magnetometer,
+        entries.krebs_accelerometer,
+        entries.krebs_gyroscope,
+        entries.sensitivity_magnetometer,
     ),
     "angrisano": (
         "accel-z",
-        form_entries.angrisano_accelerometer,
-        form_entries.angrisano_gyroscope,
-        form_entries.angrisano_magnetometer,
+        entries.angrisano_accelerometer,
+        entries.angrisano_gyroscope,
+        entries.angrisano_magnetometer,
     ),
     "kalibr": (
         "accel-x",
-        form_entries.kalibr_accelerometer,
-        form_entries.kalibr_gyroscope,
-        form_entries.sensitivity_magnetometer,
+        entries.kalibr_accelerometer,
+        entries.kalibr_gyroscope,
+        entries.sensitivity_magnetometer,
     ),
 }
 """Form -> the frame of its accelerometer (None: any), and what each triad consists of."""
@@ -205,9 +204,9 @@ def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[Entry]:
             matrix = np.tril(matrix) if frame == "accel-x" else np.triu(matrix)
         yield from accelerometer(matrix, turned["accelerometer.bias"], imu.accelerometer.unit)
         if imu.accelerometer.lever_arms_m is not None:
-            yield from form_entries.lever_arms(turned["accelerometer.lever_arms_m"])
+            yield from entries.lever_arms(turned["accelerometer.lever_arms_m"])
         if imu.accelerometer.time_shift_s is not None:
-            yield from form_entries.time_shift(float(turned["accelerometer.time_shift"]))
+            yield from entries.time_shift(float(turned["accelerometer.time_shift"]))
     if imu.gyroscope is not None:
         names = ("gyroscope.sensitivity", "gyroscope.bias", "gyroscope.g_sensitivity")
         yield from gyroscope(*(turned[name] for name in names), imu.gyroscope.unit)

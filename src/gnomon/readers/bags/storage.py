@@ -8,8 +8,8 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import FormatError, RecordingError
+from ...formats.structured import parse_yaml, read_text
 from ..files import first_bytes
-from ..structured import parse_yaml, read_text
 from .messages import Wire
 from .salvage import (
     MCAP_MAGIC,

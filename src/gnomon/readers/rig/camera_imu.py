@@ -5,6 +5,9 @@ from os import PathLike
 from pathlib import Path
 
 from ...errors import RecordingError
+from ...formats.kalibr.camchain import CameraInput
+from ...formats.kalibr.target import read_target
+from ...formats.sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imus
 from ...models.target import Target
 from ...recording import CameraFrames, Recording
 from ...units import Units
@@ -14,9 +17,6 @@ from .camera_folder import CornerStream, corner_streams, imu_files, recording_fo
 from .corner_frames import camera_frames
 from .corner_table import read_corner_table, read_frame_stamps
 from .imu_stream import read_imu
-from .kalibr_camchain import CameraInput
-from .kalibr_target import read_target
-from .sensor_inputs import ImuFiles, imu_paths, read_cameras, read_imus
 
 
 def read_corner_recording(
@@ -33,8 +33,8 @@ def read_corner_recording(
     ----------
     path : folder with the corners of each camera, cam0_corners.csv, cam1_corners.csv, ..., and the samples of each
         IMU, imu0.csv, ...; all may be gzipped
-    cam : Kalibr's camchain.yaml, or another file that `readers.rig.sensor_inputs.read_cameras` reads
-    imu : Kalibr's imu.yaml, or what else `readers.rig.sensor_inputs.read_imus` reads; None where the noise of the IMUs
+    cam : Kalibr's camchain.yaml, or another file that `formats.sensor_inputs.read_cameras` reads
+    imu : Kalibr's imu.yaml, or what else `formats.sensor_inputs.read_imus` reads; None where the noise of the IMUs
         is not known
     target : Kalibr's target.yaml
     units : of the IMU's samples, as for `gnomon.read`

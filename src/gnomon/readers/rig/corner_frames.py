@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...formats.kalibr.camchain import CameraInput
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
 from .corner_table import CornerTable
-from .kalibr_camchain import CameraInput
 
 Booleans = NDArray[np.bool_]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
+from ...formats.kalibr.imu import ImuInput
 from ...recording import ImuSamples, Source, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..recordings import read_recognising
@@ -13,7 +14,6 @@ from ..samples.column_roles import HELP
 from ..samples.recognise import IN_MOTION
 from ..samples.stamps import strayed
 from ..samples.table import RATE_HELP
-from .kalibr_imu_input import ImuInput
 
 _RATE_TOLERANCE = 0.05
 _HEADER = "Name the columns in the first line, such as ts_ns,wx,wy,wz,ax,ay,az (ts_ns in nanoseconds)."

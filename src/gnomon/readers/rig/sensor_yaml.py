@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError, OptionError
+from ...formats.foreign_yaml import read_foreign_yaml, rigid
+from ...formats.kalibr.camchain import camera_of
+from ...formats.kalibr.imu import ImuInput
+from ...formats.structured import Node
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, frozen_array
-from ..projects.foreign_yaml import read_foreign_yaml, rigid
-from ..structured import Node
-from .kalibr_camchain import camera_of
-from .kalibr_imu_input import ImuInput
 
 _KALIBR_NAMES = {"distortion_coefficients": "distortion_coeffs", "projection_model": "camera_model"}
 _NOISE = (

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...formats.structured import shortened
 from ...recording import Floats, Integers, measurable
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..structured import shortened
 from ..zips import ZIP_DAMAGE, refuse_false_arrays
 from .npz_keys import SensorArray, sensor_arrays
 from .stamps import guess_time_unit, to_ns

@@ -1,0 +1,366 @@
+"""Basalt's calibration JSON: cameras against the IMU, its scale, misalignment and bias, and its noise.
+
+Basalt corrects f = (I + S) a - b, S lower triangular, and w = (I + S_g) y - b_g; its lists hold the bias, then the
+columns of S. T_imu_cam maps camera to IMU coordinates, with a Hamilton quaternion (x, y, z, w); cam_time_offset_ns is
+t_imu - t_cam. Densities are of continuous time, as Kalibr's are.
+"""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..calibration import AccelerometerCalibration, Calibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
+from ..errors import OptionError
+from ..geometry.quaternion import normalised, quaternion_from_rotation, rotation_from_quaternion
+from ..models.camera import Camera
+from ..models.estimator_forms import BasaltTriad
+from ..models.lens_names import DistortionName, ProjectionName
+from ..models.noise import CONSUMER_MEMS, ImuNoise
+from ..recording import Floats
+from .foreign import ForeignCalibration, ForeignImu, recognised_frame
+from .foreign_yaml import passed_over, required, whole_number
+from .losses import (
+    Context,
+    Export,
+    Loss,
+    StatedImu,
+    g_sensitivity_losses,
+    into_frame,
+    magnetometer_losses,
+    require_triads,
+    uncertainty_loss,
+    unknown_lens,
+)
+from .sensor_losses import accelerometer_losses, missing_gyroscope_loss, noise_losses, other_imu_losses, shift_losses
+from .si_units import conversions, count_losses, si_imu
+from .structured import Node
+
+_NOISE = {
+    "accel_noise_std": "accelerometer_noise_density",
+    "accel_bias_std": "accelerometer_random_walk",
+    "gyro_noise_std": "gyroscope_noise_density",
+    "gyro_bias_std": "gyroscope_random_walk",
+}
+_KEYS = (
+    "T_imu_cam", "intrinsics", "resolution", "calib_accel_bias", "calib_gyro_bias", "imu_update_rate",
+    "cam_time_offset_ns", "vignette", "comment", *_NOISE,
+)  # fmt: skip
+_LINEAR = ("fx", "fy", "cx", "cy")
+_RATIONAL = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_NAMES = {
+    "pinhole": (),
+    "ds": ("xi", "alpha"),
+    "eucm": ("alpha", "beta"),
+    "ucm": ("alpha",),
+    "kb4": ("k1", "k2", "k3", "k4"),
+    "pinhole-radtan8": _RATIONAL,
+}
+"""Basalt's name of a camera -> its parameters beside focal lengths and principal point."""
+_PROJECTIONS: dict[str, ProjectionName] = {"ds": "ds", "eucm": "eucm", "ucm": "omni"}
+_DISTORTIONS: dict[str, DistortionName] = {"kb4": "equidistant", "pinhole-radtan8": "radtan"}
+
+
+def is_basalt(root: Node) -> bool:
+    """Return whether a JSON document is laid out as Basalt's calibrations are."""
+    value = root.value.get("value0", root.value) if isinstance(root.value, dict) else None
+    return isinstance(value, dict) and "T_imu_cam" in value and "intrinsics" in value
+
+
+def basalt_of(root: Node) -> ForeignCalibration:
+    """Return the calibration in a JSON document of Basalt's.
+
+    Raises
+    ------
+    FormatError
+        If it is not in Basalt's layout, or has a camera that gnomon does not know.
+    """
+    if not is_basalt(root):
+        raise root.fail("expected Basalt's calibration, with T_imu_cam and intrinsics under value0.")
+    top = root.child("value0") if "value0" in root.value else root
+    keys = {node.key: node for node in top.entries()}
+    notes: list[str] = []
+    passed_over((node for key, node in keys.items() if key not in _KEYS), notes)
+    imu = ImuCalibration(
+        accelerometer=_accelerometer(keys.get("calib_accel_bias")),
+        gyroscope=_gyroscope(keys.get("calib_gyro_bias")),
+    )
+    noise = _read_noise(keys, notes)
+    rate = keys["imu_update_rate"].number() if "imu_update_rate" in keys else None
+    return ForeignCalibration(
+        imus={"imu0": imu},
+        frame=recognised_frame({"imu0": imu}),
+        notes=tuple(notes),
+        cameras=_cameras(keys, top),
+        imu_data={"imu0": ForeignImu(noise=noise, update_rate_hz=rate)},
+        format="Basalt",
+    )
+
+
+def _read_triad(node: Node | None, count: int) -> BasaltTriad:
+    if node is None:
+        return BasaltTriad(S=np.zeros((3, 3)), b=np.zeros(3))
+    values = node.floats(count)
+    S = np.zeros((3, 3))
+    if count == 9:  # the lower triangle, column by column
+        S[[0, 1, 2, 1, 2, 2], [0, 0, 0, 1, 1, 2]] = values[3:]
+    else:
+        S[:] = values[3:].reshape(3, 3).T
+    if np.linalg.matrix_rank(np.eye(3) + S) < 3:
+        raise node.fail("with these scales and misalignments the three axes do not measure three directions.")
+    return BasaltTriad(S=S, b=values[:3])
+
+
+def _accelerometer(node: Node | None) -> AccelerometerCalibration:
+    sensitivity, bias = _read_triad(node, 9).to_sensor()
+    return AccelerometerCalibration(sensitivity=np.tril(sensitivity), bias=bias, unit="m/s^2")
+
+
+def _gyroscope(node: Node | None) -> GyroscopeCalibration:
+    sensitivity, bias = _read_triad(node, 12).to_sensor()
+    return GyroscopeCalibration(sensitivity=sensitivity, bias=bias, g_sensitivity=np.zeros((3, 3)), unit="rad/s")
+
+
+def _read_noise(keys: dict[str, Node], notes: list[str]) -> ImuNoise | None:
+    found: dict[str, float] = {}
+    for name, ours in _NOISE.items():
+        if name in keys:
+            node = keys[name]
+            values = node.floats(3) if isinstance(node.value, list) else np.full(3, node.number())
+            found[ours] = float(values[0] if np.ptp(values) == 0 else np.sqrt(np.mean(np.square(values))))
+            if np.ptp(values) != 0:
+                notes.append(f"{name} differs from axis to axis; taken: the root of the mean square.")
+    try:
+        return ImuNoise(**found) if len(found) == len(_NOISE) else None
+    except OptionError as error:
+        notes.append(f"The noise was left out: {error}")
+        return None
+
+
+def _cameras(keys: dict[str, Node], top: Node) -> dict[str, CameraCalibration]:
+    poses, lenses = list(keys["T_imu_cam"].items()), list(keys["intrinsics"].items())
+    sizes = list(required(keys, "resolution", top, "[width, height] of each camera").items())
+    if not len(poses) == len(lenses) == len(sizes):
+        raise top.fail(
+            f"found {len(poses)} poses (T_imu_cam), {len(lenses)} intrinsics and {len(sizes)} resolutions; expected "
+            "one of each for every camera."
+        )
+    shift = keys["cam_time_offset_ns"].number() * 1e-9 if "cam_time_offset_ns" in keys else 0.0
+    return {
+        f"cam{i}": CameraCalibration(
+            T_cam_body=_T_cam_imu(pose), time_shift_cam_imu=shift, camera=_read_camera(lens, size)
+        )
+        for i, (pose, lens, size) in enumerate(zip(poses, lenses, sizes, strict=True))
+    }
+
+
+def _T_cam_imu(node: Node) -> Floats:
+    keys = {child.key: child for child in node.entries()}
+    p, q = (
+        np.array([required(keys, name, node, "a number").number() for name in names])
+        for names in (("px", "py", "pz"), ("qw", "qx", "qy", "qz"))
+    )
+    length = float(np.linalg.norm(q))
+    if not 0.98 < length < 1.02:
+        raise node.fail(f"the quaternion (qx, qy, qz, qw) has length {length:.3g}, expected 1.")
+    R_imu_cam = rotation_from_quaternion(normalised(q))
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R_imu_cam.T, -R_imu_cam.T @ p
+    return T
+
+
+def _read_camera(node: Node, size: Node) -> Camera:
+    keys = {child.key: child for child in node.entries()}
+    kind = required(keys, "camera_type", node, f"one of {', '.join(_NAMES)}").text(tuple(_NAMES))
+    values = {child.key: child for child in required(keys, "intrinsics", node, "its parameters").entries()}
+
+    def read(names: tuple[str, ...]) -> Floats:
+        return np.array([required(values, name, keys["intrinsics"], f"a number of {kind}").number() for name in names])
+
+    linear, own = read(_LINEAR), read(_NAMES[kind])
+    sides = list(size.items())
+    if len(sides) != 2:
+        raise size.fail(f"found {len(sides)} numbers, expected [width, height].")
+    resolution = whole_number(sides[0]), whole_number(sides[1])
+    shape, coeffs = (own, np.empty(0)) if kind in {"ds", "eucm", "ucm"} else (np.empty(0), own)
+    bent = _DISTORTIONS.get(kind, "none")
+    if kind == "ucm":
+        shape, linear = _omni(own, linear, node)
+    if kind == "pinhole-radtan8":
+        if coeffs[5:].any():
+            raise node.fail("k4 to k6 are not all zero, and gnomon knows k1 k2 p1 p2 k3 of pinhole-radtan8 only.")
+        bent = bent if coeffs[4] == 0 else "radtan5"
+        coeffs = coeffs[: 4 if coeffs[4] == 0 else 5]
+    try:
+        return Camera(
+            projection=_PROJECTIONS.get(kind, "pinhole"),
+            intrinsics=np.concatenate([shape, linear]),
+            distortion=bent,
+            distortion_coeffs=coeffs,
+            resolution=resolution,
+        )
+    except OptionError as error:
+        raise node.fail(str(error)) from None
+
+
+def _omni(own: Floats, linear: Floats, node: Node) -> tuple[Floats, Floats]:
+    """Return shape and focal lengths: Basalt divides by alpha rho + (1 - alpha) z, Mei and Rives by xi rho + z."""
+    alpha = float(own[0])
+    if not 0 <= alpha < 1:
+        raise node.fail(f"alpha {alpha:g} of ucm is out of range: it must be from 0 to below 1.")
+    return own / (1 - alpha), linear / [1 - alpha, 1 - alpha, 1, 1]
+
+
+FILE = "calibration.json"
+
+_RATE_HZ = 200.0
+_NO_LIMIT = 1e6  # nothing is seen so far from the axis; Basalt then writes zero
+_COMMENT = (
+    "Made by gnomon. p_imu = T_imu_cam p_cam [m], quaternion x y z w; t_imu = t_cam + cam_time_offset_ns; specific "
+    "force = (I + S) a - b, calib_accel_bias = b and the lower triangle of S by columns; angular rate = "
+    "(I + S_g) y - b_g, calib_gyro_bias = b_g and S_g by columns."
+)
+_PLACEHOLDER = "of this file are not this IMU's but those of some consumer IMU: put in your own."
+_INSTEAD = (
+    "does not start without: the file has those of a consumer IMU (accel_noise_std, gyro_noise_std, accel_bias_std, "
+    "gyro_bias_std, imu_update_rate). Put in yours"
+)
+
+
+def export(calibration: Calibration, context: Context) -> Export:
+    """Return `calibration.json`.
+
+    Raises
+    ------
+    OptionError
+        If Basalt does not know the model of a camera, or an IMU has no accelerometer, which defines its frame.
+    """
+    require_triads(calibration, "basalt", "accelerometer", otherwise="imu_tk, c-header or csv")
+    moved, losses = into_frame(calibration, BasaltTriad.frame, "Basalt's")
+    name, imu = next(iter(moved.imus.items()))
+    found = (
+        *losses,
+        *count_losses(name, imu, "Basalt"),
+        *g_sensitivity_losses(moved, "Basalt"),
+        *missing_gyroscope_loss(name, imu),
+        *other_imu_losses(moved, "Basalt"),
+        *shift_losses(moved, "Basalt"),
+        *noise_losses(context.of(name), "Basalt", _INSTEAD),
+        *accelerometer_losses(moved, "Basalt"),
+        *_losses(moved),
+        *magnetometer_losses(moved, "Basalt"),
+    )
+    return Export(
+        files={FILE: basalt_text(moved, context.of(name), context.remarks)}, losses=(*found, uncertainty_loss("basalt"))
+    )
+
+
+def basalt_text(calibration: Calibration, stated: StatedImu | None = None, remarks: tuple[str, ...] = ()) -> str:
+    """Return the text of the JSON for a calibration in body frame accel-x.
+
+    Parameters
+    ----------
+    stated : noise and rate of imu0; without them those of a consumer IMU are put in, and the file says so
+    remarks : sentences for the comment
+
+    Raises
+    ------
+    OptionError
+        If Basalt does not know the model of a camera.
+    """
+    imu = next(iter(calibration.imus.values()))
+    accelerometer, gyroscope = _triads(imu)
+    stated = stated or StatedImu()
+    noise, rate_hz = stated.noise or CONSUMER_MEMS, stated.update_rate_hz or _RATE_HZ
+    cameras = list(calibration.cameras.values())
+    shift = cameras[0].time_shift_cam_imu if cameras else 0.0
+    lines = [line for conversion in conversions(imu) if conversion.unit == "count" for line in conversion.lines()]
+    placeholders = (*(() if stated.noise else ("Noise",)), *(() if stated.update_rate_hz else ("imu_update_rate",)))
+    assumed = [f"{' and '.join(placeholders)} {_PLACEHOLDER}"] if placeholders else []
+    comment = " ".join([_COMMENT, *assumed, *lines, *remarks])
+    document: dict[str, Any] = {
+        "comment": comment,
+        "T_imu_cam": [_pose_entry(camera) for camera in cameras],
+        "intrinsics": [_lens_entry(name, entry.camera) for name, entry in calibration.cameras.items()],
+        "resolution": [list(camera.camera.resolution) for camera in cameras],
+        "calib_accel_bias": [*accelerometer.b.tolist(), *(accelerometer.S.T[np.triu_indices(3)]).tolist()],
+        "calib_gyro_bias": [*gyroscope.b.tolist(), *gyroscope.S.T.ravel().tolist()],
+        "imu_update_rate": float(rate_hz),
+        "accel_noise_std": [noise.accelerometer_noise_density] * 3,
+        "gyro_noise_std": [noise.gyroscope_noise_density] * 3,
+        "accel_bias_std": [noise.accelerometer_random_walk] * 3,
+        "gyro_bias_std": [noise.gyroscope_random_walk] * 3,
+        "cam_time_offset_ns": round(shift * 1e9),
+        "vignette": [],
+    }
+    return json.dumps({"value0": document}, indent=4) + "\n"
+
+
+def _triads(imu: ImuCalibration) -> tuple[BasaltTriad, BasaltTriad]:
+    si = si_imu(imu)
+    sensor = si.required_accelerometer
+    accelerometer = BasaltTriad.of_accelerometer(sensor.sensitivity, sensor.bias)
+    if si.gyroscope is None:
+        return accelerometer, BasaltTriad(S=np.zeros((3, 3)), b=np.zeros(3))
+    return accelerometer, BasaltTriad.from_sensor(si.gyroscope.sensitivity, si.gyroscope.bias)
+
+
+def _pose_entry(camera: CameraCalibration) -> dict[str, float]:
+    R_imu_cam = camera.T_cam_imu[:3, :3].T
+    p_imu_cam = -R_imu_cam @ camera.T_cam_imu[:3, 3]
+    w, x, y, z = quaternion_from_rotation(R_imu_cam).tolist()
+    px, py, pz = p_imu_cam.tolist()
+    return {"px": px, "py": py, "pz": pz, "qx": x, "qy": y, "qz": z, "qw": w}
+
+
+def _lens_entry(name: str, camera: Camera) -> dict[str, Any]:
+    """Return a lens in Basalt's terms."""
+    shape, (fx, fy, cx, cy) = camera.intrinsics[:-4].tolist(), camera.intrinsics[-4:].tolist()
+    linear = {"fx": fx, "fy": fy, "cx": cx, "cy": cy}
+    match camera.projection, camera.distortion:
+        case "pinhole", "none":
+            return {"camera_type": "pinhole", "intrinsics": linear}
+        case "pinhole", "equidistant":
+            return {"camera_type": "kb4", "intrinsics": linear | _named("k1 k2 k3 k4", camera.distortion_coeffs)}
+        case "pinhole", "radtan" | "radtan5":
+            coeffs = np.zeros(8)
+            coeffs[: len(camera.distortion_coeffs)] = camera.distortion_coeffs
+            own = _named("k1 k2 p1 p2 k3 k4 k5 k6", coeffs)
+            limit = camera.distortion_limit
+            return {
+                "camera_type": "pinhole-radtan8",
+                "intrinsics": {**linear, **own, "rpmax": limit if limit < _NO_LIMIT else 0.0},
+            }
+        case "ds", "none":
+            return {"camera_type": "ds", "intrinsics": {**linear, "xi": shape[0], "alpha": shape[1]}}
+        case "eucm", "none":
+            return {"camera_type": "eucm", "intrinsics": {**linear, "alpha": shape[0], "beta": shape[1]}}
+        case "omni", "none" if shape[0] >= 0:  # Basalt divides by alpha rho + (1 - alpha) z, omni by xi rho + z
+            scale = 1 + shape[0]
+            return {
+                "camera_type": "ucm",
+                "intrinsics": {**linear, "fx": fx / scale, "fy": fy / scale, "alpha": shape[0] / scale},
+            }
+        case _:
+            knows = "Basalt knows pinhole with radtan, equidistant or no distortion, and ds, eucm and omni without"
+            raise unknown_lens(name, camera, knows)
+
+
+def _named(names: str, values: Floats) -> dict[str, float]:
+    return dict(zip(names.split(), values.tolist(), strict=True))
+
+
+def _losses(calibration: Calibration) -> Iterator[Loss]:
+    if not calibration.cameras:
+        yield Loss(what="cameras", why="this calibration is of an IMU alone; Basalt needs at least one.")
+        return
+    yield Loss(what="time shift", why="Basalt counts whole nanoseconds: it was rounded.", size="at most 0.5 ns")
+    for name, camera in calibration.cameras.items():
+        if camera.camera.topic:
+            yield Loss(what=f"rostopic of {name}", why="Basalt has no key for it.")
+        if camera.camera.model in ("pinhole-radtan", "pinhole-radtan5"):
+            yield Loss(
+                what=f"camera_type of {name}",
+                why="only newer versions of Basalt know pinhole-radtan8; the first ones know no radtan at all.",
+            )

@@ -1,0 +1,171 @@
+"""C99 (and C++): one header with the numbers and inline functions for each IMU, in single precision.
+
+A bias of 33124.1825 counts loses two thousandths of a count in a float; it is therefore kept as the sum of two floats,
+whose differences to a sample of similar size are exact.
+"""
+
+import re
+
+import numpy as np
+
+from ..calibration import Calibration, ImuCalibration
+from ..models.forms import inverse
+from ..recording import Floats
+from .losses import Context, Export, Loss, rig_losses, uncertainty_loss
+from .own.calibration_text import FRAMES
+from .sensor_losses import accelerometer_losses
+
+_HEAD = """\
+/* Calibration of an inertial sensor as C code, made by gnomon.
+ *
+ * With specific force f [m/s^2] and angular rate w [rad/s] in the body frame, the sensor reads
+ *   accelerometer = S f + b,   gyroscope = S w + b + G f,
+ * so that
+ *   f = S^-1 (accelerometer - b),   w = S^-1 (gyroscope - b - G f).
+{magnetometer} * Body frame: {frame}.
+{remarks} */
+#ifndef GNOMON_IMU_H
+#define GNOMON_IMU_H
+"""
+
+_HEAD_MAGNETOMETER = """\
+ * With the magnetic field m in the body frame,
+ *   magnetometer = S m + b, so that m = S^-1 (magnetometer - b);
+ * its unit stands at the function; where it is "local field", m has length 1 where the sensor was calibrated.
+"""
+
+_FUNCTION = """\
+/* {imu}: from samples in {units} to {results} in the body frame.
+ * {notes} */
+static inline void gnomon_{imu}_apply{suffix}({arguments})
+{{
+    float d[3];
+{body}}}
+"""
+
+_OFFSET = """\
+    for (int i = 0; i < 3; ++i)
+        d[i] = (accelerometer[i] - gnomon_{imu}_accelerometer_bias[i]) - gnomon_{imu}_accelerometer_bias_rest[i];
+"""
+
+_OFFSET_WITH_FORCE = """\
+    for (int i = 0; i < 3; ++i)
+        d[i] = ((gyroscope[i] - gnomon_{imu}_gyroscope_bias[i]) - gnomon_{imu}_gyroscope_bias_rest[i])
+             - (gnomon_{imu}_g_sensitivity[i][0] * force[0]
+              + gnomon_{imu}_g_sensitivity[i][1] * force[1]
+              + gnomon_{imu}_g_sensitivity[i][2] * force[2]);
+"""
+
+_PRODUCT = """\
+    for (int i = 0; i < 3; ++i)
+        {result}[i] = gnomon_{imu}_{triad}_correction[i][0] * d[0]
+        {pad}     + gnomon_{imu}_{triad}_correction[i][1] * d[1]
+        {pad}     + gnomon_{imu}_{triad}_correction[i][2] * d[2];
+"""
+
+
+def export(calibration: Calibration, context: Context) -> Export:
+    """Return `gnomon_imu.h` with a function `gnomon_imu0_apply` for each IMU.
+
+    A magnetometer, whose samples come at a rate of their own, has `gnomon_imu0_apply_magnetometer`.
+    """
+    frame = f"{calibration.frame}, {FRAMES.get(calibration.frame, FRAMES['user'])}"
+    magnetic = any(imu.magnetometer is not None for imu in calibration.imus.values())
+    remarks = context.comment(" * ").replace("*/", "* /")
+    parts = [
+        _HEAD.format(
+            frame=frame.replace("*/", "* /"), magnetometer=_HEAD_MAGNETOMETER if magnetic else "", remarks=remarks
+        )
+    ]
+    for name, imu in calibration.imus.items():
+        identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
+        parts.append(_constants(identifier, imu))
+        if imu.accelerometer is not None or imu.gyroscope is not None:
+            parts.append(_function(identifier, imu))
+        if imu.magnetometer is not None:
+            parts.append(_magnetometer_function(identifier, imu.magnetometer.unit, imu.magnetometer.field_unit))
+    text = "\n".join([*parts, "#endif\n"])
+    rounding = Loss(
+        what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
+    )
+    losses = (*rig_losses(calibration, "the C header"), *accelerometer_losses(calibration, "the C header"), rounding)
+    return Export(files={"gnomon_imu.h": text}, losses=(*losses, uncertainty_loss("the C header")))
+
+
+def _constants(imu: str, calibration: ImuCalibration) -> str:
+    magnetometer = calibration.magnetometer
+    triads = {
+        "accelerometer": (calibration.accelerometer, "m/s^2"),
+        "gyroscope": (calibration.gyroscope, "rad/s"),
+        "magnetometer": (magnetometer, "" if magnetometer is None else magnetometer.field_unit),
+    }
+    lines: list[str] = []
+    for name, (triad, physical) in triads.items():
+        if triad is not None:
+            bias = triad.bias.astype(np.float32)
+            lines += [
+                f"/* S^-1 of the {name} [{physical} per {triad.unit}] */",
+                _matrix(f"gnomon_{imu}_{name}_correction", inverse(triad.sensitivity)),
+                f"/* b of the {name} [{triad.unit}], the sum of two floats */",
+                _vector(f"gnomon_{imu}_{name}_bias", triad.bias),
+                _vector(f"gnomon_{imu}_{name}_bias_rest", triad.bias - bias),
+            ]
+    if calibration.gyroscope is not None:
+        lines.append(f"/* G [{calibration.gyroscope.unit} per m/s^2] */")
+        lines.append(_matrix(f"gnomon_{imu}_g_sensitivity", calibration.gyroscope.g_sensitivity))
+    return "\n".join(lines) + "\n"
+
+
+def _function(imu: str, calibration: ImuCalibration) -> str:
+    """Return the function of accelerometer and gyroscope; of a gyroscope alone it takes the specific force."""
+    accelerometer, gyroscope = calibration.accelerometer, calibration.gyroscope
+    samples, results, meant, units, body = list[str](), list[str](), list[str](), list[str](), ""
+    if accelerometer is not None:
+        samples.append("const float accelerometer[3]")
+        results.append("float force[3]")
+        meant.append("specific force [m/s^2]")
+        units.append(accelerometer.unit)
+        body += _OFFSET.format(imu=imu) + _product(imu, "accelerometer", "force")
+    note = "Samples and results are x, y, z of one instant."
+    if gyroscope is not None:
+        samples.append("const float gyroscope[3]")
+        results.append("float rate[3]")
+        meant.append("angular rate [rad/s]")
+        units += [gyroscope.unit] if gyroscope.unit not in units else []
+        body += _OFFSET_WITH_FORCE.format(imu=imu) + _product(imu, "gyroscope", "rate")
+        if accelerometer is None:
+            samples.append("const float force[3]")
+            note += " force is the specific force [m/s^2] in the body frame."
+    return _FUNCTION.format(
+        imu=imu, units=" and ".join(units), results=" and ".join(meant), notes=note, suffix="",
+        arguments=", ".join([*samples, *results]), body=body,
+    )  # fmt: skip
+
+
+def _magnetometer_function(imu: str, unit: str, field_unit: str) -> str:
+    body = _OFFSET.format(imu=imu).replace("accelerometer", "magnetometer") + _product(imu, "magnetometer", "field")
+    return _FUNCTION.format(
+        imu=imu, units=unit, results=f"magnetic field [{field_unit}]", suffix="_magnetometer", body=body,
+        notes="Samples and results are x, y, z.", arguments="const float magnetometer[3], float field[3]",
+    )  # fmt: skip
+
+
+def _product(imu: str, triad: str, result: str) -> str:
+    return _PRODUCT.format(imu=imu, triad=triad, result=result, pad=" " * (len(result) - 1))
+
+
+def _vector(name: str, values: Floats) -> str:
+    return f"static const float {name}[3] = {_row(values)};"
+
+
+def _matrix(name: str, values: Floats) -> str:
+    return f"static const float {name}[3][3] = {{\n    " + ",\n    ".join(map(_row, values)) + "\n};"
+
+
+def _row(values: Floats) -> str:
+    return "{" + ", ".join(_literal(value) for value in values.tolist()) + "}"
+
+
+def _literal(value: float) -> str:
+    text = f"{float(np.float32(value)):.9g}"
+    return f"{text}f" if any(c in text for c in ".e") else f"{text}.0f"

@@ -1,0 +1,1 @@
+"""Kalibr's files."""

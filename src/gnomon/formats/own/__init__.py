@@ -1,0 +1,1 @@
+"""gnomon's own files."""

@@ -1,1 +1,0 @@
-"""Gnomon's own files: calibrations, noise, options, what a use needs."""
