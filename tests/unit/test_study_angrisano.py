@@ -24,8 +24,8 @@ from gnomon.study.angrisano_trial import (
     TRUTH,
     Basin,
     Trial,
+    as_angrisano,
     drawn_start,
-    in_document_c,
     offsets,
     pose_means,
     run_trial,
@@ -99,7 +99,7 @@ def test_a_run_depends_on_its_seed_alone():
 def test_gnomons_result_in_the_letters_of_document_c():
     simulation = simulate_poses(PoseScenario(attitude_error_deg=10.0), seed=8)
     fit = fit_triad(pose_means(simulation))
-    X, covariance = in_document_c(fit)
+    X, covariance = as_angrisano(fit)
     f = AngrisanoTriad.from_parameters(X).correction @ (simulation.accelerometer - X[3:6]).T
     np.testing.assert_allclose(
         np.linalg.norm(f, axis=0), np.linalg.norm(fit.physical(simulation.accelerometer), axis=1)

@@ -30,9 +30,9 @@ from gnomon.study.tedaldi_trial import (
     METHODS,
     SCENARIO,
     SignalErrors,
+    as_tedaldi,
     corrected,
     ideal_signals,
-    in_document_a,
     recorded,
     run_trial,
     signal_errors,
@@ -104,7 +104,7 @@ def test_the_metrics_measure_what_is_wrong():
 def test_letters_and_sigmas_of_document_a():
     _, truth = simulate_imu(Scenario(style="thesis", intervals=6, t_init_s=8.0), 3)
     known = truth.in_frame("accel-z")
-    estimate, sigma = in_document_a(known)
+    estimate, sigma = as_tedaldi(known)
     assert np.abs(sigma).max() == 0
     imu = known.imus["imu0"]
     a = TedaldiAccelerometer.from_sensor(np.triu(imu.accelerometer.sensitivity), imu.accelerometer.bias)
@@ -121,13 +121,13 @@ def test_letters_and_sigmas_of_document_a():
         matrix = np.zeros_like(known.uncertainty.matrix)
         matrix[at, at] = step**2
         uncertain = replace(known, uncertainty=replace(known.uncertainty, matrix=matrix))
-        _, sigma = in_document_a(uncertain)
+        _, sigma = as_tedaldi(uncertain)
         changed = getattr(imu, triad).sensitivity.copy()
         changed[0, 1] += step
         moved = replace(
             known, imus={"imu0": replace(imu, **{triad: replace(getattr(imu, triad), sensitivity=changed)})}
         )
-        difference = in_document_a(moved)[0] - estimate
+        difference = as_tedaldi(moved)[0] - estimate
         np.testing.assert_allclose(sigma, np.abs(difference), atol=1e-10)
         assert sigma[first : first + size].max() > 0.5 * step
 
@@ -195,10 +195,10 @@ def test_the_page_fits_any_screen(small, tmp_path, width, mobile, scheme):
 
 def test_tables_are_whole_csv_files(small):
     found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in tables(small)}
-    assert set(found) == {"claims", "parameters", "document_a", "signals"}
+    assert set(found) == {"claims", "parameters", "tedaldi_2014", "signals"}
     assert len(found["parameters"]) == 2 * len(METHODS) * 18
     assert len(found["signals"]) == 2 * FEW * (1 + len(METHODS))
     assert float(found["parameters"][0]["truth"]) == small.truth[0, 0]
-    assert float(found["document_a"][0]["mean_absolute_error"]) == MEAN_ERROR[0]
+    assert float(found["tedaldi_2014"][0]["mean_absolute_error"]) == MEAN_ERROR[0]
     assert {row["method"] for row in found["signals"]} == {"uncalibrated", *METHODS}
     assert tedaldi.SETS == 40

@@ -118,7 +118,7 @@ STUDIES: Mapping[str, StudyEntry] = {
         runs=30,
         minutes=15,
         stages=("recording",),
-        tables=("claims", "parameters", "document_a", "signals"),
+        tables=("claims", "parameters", "tedaldi_2014", "signals"),
         load=_tedaldi,
     ),
     "krebs": StudyEntry(

@@ -36,7 +36,7 @@ _SETUP = (
 def angrisano_page(study: AngrisanoStudy) -> Page:
     """Return the page of the study."""
     return study_page(
-        "Study of document C",
+        "Study of Angrisano",
         f"Angrisano et al.: {study.runs} runs of each of {len(study.samples)} settings, seed {study.seed}",
         tuple(claims(study)),
         _key_numbers(study),
@@ -69,7 +69,7 @@ def _key_numbers(study: AngrisanoStudy) -> tuple[KeyNumber, ...]:
 def _sigmas(study: AngrisanoStudy) -> Section:
     single = Table(
         f"Each parameter: {study.samples[0].setting.name}",
-        ("", "truth", "σ, document C", "scatter", "ratio", "σ, gnomon", "scatter", "ratio"),
+        ("", "truth", "σ, Angrisano", "scatter", "ratio", "σ, gnomon", "scatter", "ratio"),
         tuple(_parameter_row(study.samples[0], k) for k in range(9)),
         "Scatter is the rms error over the runs; angles in radians, scale factors in m/s² per count.",
         dense=True,

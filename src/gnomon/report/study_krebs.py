@@ -47,7 +47,7 @@ _DOUBTS = (
 def krebs_page(study: KrebsStudy) -> Page:
     """Return the page of the study."""
     return study_page(
-        "Study of document B",
+        "Study of Krebs",
         f"Krebs: {study.runs} simulated recordings of each of {len(study.samples)} series, seed {study.seed}",
         tuple(claims(study)),
         _key_numbers(study),

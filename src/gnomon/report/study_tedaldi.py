@@ -47,7 +47,7 @@ _SETUP = (
 def tedaldi_page(study: TedaldiStudy) -> Page:
     """Return the page of the study."""
     return study_page(
-        "Study of document A",
+        "Study of Tedaldi",
         f"Tedaldi: {len(study.outcomes)} parameter sets, {study.runs} recordings of each, seed {study.seed}",
         tuple(claims(study)),
         _key_numbers(study),

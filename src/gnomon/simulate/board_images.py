@@ -98,10 +98,10 @@ def _streams(
 
 
 def simulated_images(simulation: CameraImuSimulation) -> ImageRecording:
-    """Return a simulated recording whose cameras are images: those of `simulation.recording`, with the same stamps.
+    """Return a simulated recording whose cameras are images: those of `simulation.recording`, with the same timestamps.
 
-    A stamp is that of the middle of the exposure, of the top row with a rolling shutter. Errors that a detector makes
-    (pixel_noise_px, outliers, shifted_frames) do not concern images; its own come in their place.
+    A timestamp is that of the middle of the exposure, of the top row with a rolling shutter. Errors that a detector
+    makes (pixel_noise_px, outliers, shifted_frames) do not concern images; its own come in their place.
 
     Parameters
     ----------
@@ -135,10 +135,10 @@ class _ViewsOnPath:
 
 
 def rendered_cameras(simulation: CamerasSimulation) -> ImageRecording:
-    """Return a simulated recording of cameras as images: those of `simulation.recording`, with the same stamps.
+    """Return a simulated recording of cameras as images: those of `simulation.recording`, with the same timestamps.
 
-    A stamp is that of the middle of the exposure. Of cameras that take turns, the others see the board, too: what is
-    told of detected corners (`CamerasScenario.pixel_noise_px`, outliers, shared_views) does not concern images.
+    A timestamp is that of the middle of the exposure. Of cameras that take turns, the others see the board, too: what
+    is told of detected corners (`CamerasScenario.pixel_noise_px`, outliers, shared_views) does not concern images.
 
     Parameters
     ----------

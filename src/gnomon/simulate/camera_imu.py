@@ -1,4 +1,4 @@
-"""The simulation of cameras and an IMU before a board (document B, section 5.1.1)."""
+"""The simulation of cameras and an IMU before a board (Krebs, section 5.1.1)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace

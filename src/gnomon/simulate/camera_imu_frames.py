@@ -12,7 +12,7 @@ from .camera_imu_path import CameraPath
 from .camera_imu_scenario import CameraImuScenario
 
 START_NS = 1_600_000_000_000_000_000
-"""First stamp of the IMU; stamps are of the order of real ones, which float64 cannot hold to the nanosecond."""
+"""First timestamp of the IMU; timestamps are of the order of real ones, which float64 cannot hold to the nanosecond."""
 
 BORDER_PX = 4.0
 """Corners nearer to the image's border are not detected."""
@@ -29,8 +29,9 @@ class CameraTruth:
 
     Attributes
     ----------
-    exposure_s : (n,) instant at which the top row of each frame was exposed [s on the IMU's clock from its first stamp]
-    late, shifted : (n,) whether the frame's stamp is late, whether all its corners are shifted
+    exposure_s : (n,) instant at which the top row of each frame was exposed [s on the IMU's clock from its first
+        timestamp]
+    late, shifted : (n,) whether the frame's timestamp is late, whether all its corners are shifted
     pixels : (m, 2) exact corners [px]
     outlier : (m,) whether the corner was detected in a wrong place
     visible : fraction of the board's points that are seen, mean over the frames
@@ -139,7 +140,7 @@ def simulated_frames(
     view : what it sees
     stated : the camera that goes with the recording
     exposure_s : (n,) instants at which it exposes, on the IMU's clock [s]
-    clock_offset_s : added to its stamps
+    clock_offset_s : added to its timestamps
     streams : random numbers
     """
     offset_ns = round(clock_offset_s * 1e9)
@@ -172,7 +173,7 @@ def simulated_frames(
 def _stamps(
     scenario: CameraImuScenario, time_shift_s: float, exposure_s: Floats, offset_ns: int, streams: FrameStreams
 ) -> tuple[Integers, Booleans]:
-    """Return the stamps [ns], and which of them are late."""
+    """Return the timestamps [ns], and which of them are late."""
     late = streams.late.random(len(exposure_s)) < scenario.late_frames
     error_s = np.where(late, streams.late.uniform(*LATE_S, len(exposure_s)), 0.0)
     error_s += scenario.camera_jitter_s * streams.jitter.standard_normal(len(exposure_s))

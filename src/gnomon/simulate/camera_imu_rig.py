@@ -1,6 +1,6 @@
 """The rig: board, cameras and IMU as they truly are, drawn at random where the scenario says so.
 
-Table A.1 of document B is the default truth. It states one initial bias for each triad, which is taken for every axis,
+Table A.1 of Krebs is the default truth. It states one initial bias for each triad, which is taken for every axis,
 and the gyroscope is turned by one degree about z.
 """
 
@@ -25,7 +25,7 @@ THESIS_NOISE = ImuNoise(
     gyroscope_noise_density=8.73e-5,
     gyroscope_random_walk=0.0087,
 )
-"""Table A.1 of document B, of the MPU-6000."""
+"""Table A.1 of Krebs, of the MPU-6000."""
 
 CONSUMER_NOISE = ImuNoise(
     accelerometer_noise_density=2e-3,
@@ -41,14 +41,14 @@ _AXES_CAM_IMU = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 _TILT_CAM_IMU = np.array([0.03, -0.04, 0.05])
 _P_CAM_IMU = np.array([0.103, -0.015, -0.010])
-"""Table B.2 of document B."""
+"""Table B.2 of Krebs."""
 
 _TILT_CAM1_CAM0 = np.array([0.004, -0.012, 0.007])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImuTruth:
-    """The true parameters of Table 4.1 of document B, and the noise.
+    """The true parameters of Table 4.1 of Krebs, and the noise.
 
     accelerometer = S_a M_a f + b_a, gyroscope = S_g M_g C_bg' omega + B_g f + b_g, in the body frame "accel-x".
 
@@ -63,8 +63,8 @@ class ImuTruth:
     accelerometer_shift_s : t_gyroscope = t_accelerometer + accelerometer_shift_s [s]
     T_imu_body : (4, 4) of an IMU beside imu0, else None
     time_shift_s : t_body = t_imu + time_shift_s but for the offset of the clocks [s]
-    clock_offset_ns : which is added to the stamps
-    separate_stamps : whether the accelerometer has stamps of its own
+    clock_offset_ns : which is added to the timestamps
+    separate_stamps : whether the accelerometer has timestamps of its own
     noise : densities and walks; each may be zero
     nominal : the same for who weighs measurements: where the true noise is zero, that of the preset
     """

@@ -32,7 +32,7 @@ class TrueTrajectory:
     f_imu : (n, 3) specific force at the origin, frame of the IMU [m/s^2]
     path : of cam0, in closed form
     T_cam0_imu : (4, 4)
-    start_ns : stamp of t = 0 [ns]
+    start_ns : timestamp of t = 0 [ns]
     """
 
     t_s: Floats
@@ -200,7 +200,7 @@ def simulated_imu(
 
 
 def _instants(scenario: CameraImuScenario, sensor: ImuTruth, streams: ImuStreams) -> tuple[_Instants, _Instants]:
-    """Return when gyroscope and accelerometer are read: the same where they share their stamps."""
+    """Return when gyroscope and accelerometer are read: the same where they share their timestamps."""
     further = sensor.T_imu_body is not None
     rate_hz = (scenario.further_imu_rate_hz if further else None) or scenario.imu_rate_hz
     start_s = streams.phase.random() / rate_hz if further else 0.0
@@ -219,7 +219,7 @@ def _sampled(
     start_s: float,
     streams: tuple[np.random.Generator, np.random.Generator],
 ) -> _Instants:
-    """Return instants, with random numbers for the samples that are lost, and for errors of the stamps."""
+    """Return instants, with random numbers for the samples that are lost, and for errors of the timestamps."""
     t_s = start_s + np.arange(int((scenario.duration_s - start_s) * rate_hz + 1e-6) + 1) / rate_hz
     dropped, jitter = streams
     kept = dropped.random(len(t_s)) >= scenario.dropped_samples

@@ -18,10 +18,10 @@ class HandMotion:
     """How long cameras and IMU are waved, how, and at which rates they measure."""
 
     duration_s: float = 60.0
-    """Length of the recording in seconds; 90 in document B."""
+    """Length of the recording in seconds; 90 in Krebs."""
 
     motion: MotionName = "normal"
-    """gentle: document B's mean rate 0.366 rad/s and acceleration 3.12 m/s^2. normal: by hand, up to 2.5 Hz. tremor:
+    """gentle: Krebs's mean rate 0.366 rad/s and acceleration 3.12 m/s^2. normal: by hand, up to 2.5 Hz. tremor:
     normal with a tremor up to 12 Hz. shaky: up to 20 Hz and 10 m/s^2. rolling: normal while turning over and over about
     the optical axis. translation: without any turn. one-axis: turns about the optical axis alone. slow: 0.05 rad/s and
     hardly any acceleration, as who fears blur does. static: at rest."""
@@ -35,7 +35,7 @@ class HandMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
-    """Cameras and an IMU that are waved together before a board (document B, section 5.1)."""
+    """Cameras and an IMU that are waved together before a board (Krebs, section 5.1)."""
 
     board_bow_m: float = 0.0
     """How far the middle of the board bulges towards the viewer against its corners, in metres."""
@@ -65,7 +65,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """Standard deviation of a detected corner, per axis."""
 
     exposure_s: float = 0.004
-    """Exposure time of the images in seconds; stamps are of its middle."""
+    """Exposure time of the images in seconds; timestamps are of its middle."""
 
     line_delay_s: float = 0.0
     """Time from one image row to the next in seconds (rolling shutter)."""
@@ -102,10 +102,10 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """How much larger the time shift of the second camera is, in seconds."""
 
     clock_offset_s: float = 0.0
-    """Added to the cameras' stamps: clocks of unrelated origin."""
+    """Added to the cameras' timestamps: clocks of unrelated origin."""
 
     clock_offset_difference_s: float = 0.0
-    """How much more is added to the stamps of the second camera."""
+    """How much more is added to the timestamps of the second camera."""
 
     imus: int = 1
     """Number of IMUs; the first one, imu0, is the body."""
@@ -130,13 +130,13 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """Draw the time shift of each of the further IMUs between minus and plus this instead, in seconds."""
 
     imu_clock_offset_s: float = 0.0
-    """Added to the stamps of imu1, twice to those of imu2, and so on: clocks of unrelated origin."""
+    """Added to the timestamps of imu1, twice to those of imu2, and so on: clocks of unrelated origin."""
 
     accelerometer_rate_hz: float | None = None
-    """Sample rate of the accelerometers where they have stamps of their own; without it they share the gyroscopes'."""
+    """Sample rate of the accelerometers where they have timestamps of their own; else they share the gyroscopes'."""
 
     accelerometer_delay_s: float = 0.0
-    """How much older than its stamp a reading of the accelerometer is, against one of the gyroscope, in seconds."""
+    """How much older than its timestamp a reading of the accelerometer is, against one of the gyroscope, in seconds."""
 
     further_accelerometer_delay_s: float | None = None
     """The same of the IMUs after the first, in place of accelerometer_delay_s."""
@@ -149,7 +149,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     stands still."""
 
     imu: ImuPreset = "consumer"
-    """True errors and noise of the IMU. thesis: Table A.1 of document B. consumer: the same errors, noise of a good
+    """True errors and noise of the IMU. thesis: Table A.1 of Krebs. consumer: the same errors, noise of a good
     consumer sensor. ideal: no errors, the same noise. Further IMUs have the same noise, and errors of that size that
     are drawn."""
 
@@ -166,7 +166,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """Walk of the bias in rad/s/sqrt(s), in place of the preset's; Table A.1 can be read as 0.0087 or far less."""
 
     noise_factor: float = 1.0
-    """Multiplies all noise and walk of the IMU; 1, 0.1 and 0.01 in document B."""
+    """Multiplies all noise and walk of the IMU; 1, 0.1 and 0.01 in Krebs."""
 
     scale_range: float | None = None
     """Draw the elements of S_a and S_g between 1 minus and plus this, in place of the preset's."""
@@ -196,7 +196,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """Fraction of the IMU's samples that are lost, one by one."""
 
     imu_jitter_s: float = 0.0
-    """Standard deviation of the IMU's stamps about the instants of sampling, in seconds."""
+    """Standard deviation of the IMU's timestamps about the instants of sampling, in seconds."""
 
     imu_gaps_s: tuple[tuple[float, float], ...] = ()
     """Start and length of times without IMU samples, in seconds from the start."""
@@ -211,7 +211,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """Fraction of the frames that are lost, one by one."""
 
     late_frames: float = 0.0
-    """Fraction of the frames whose stamp is 5 to 20 ms late."""
+    """Fraction of the frames whose timestamp is 5 to 20 ms late."""
 
     shifted_frames: float = 0.0
     """Fraction of the frames all of whose corners are shifted by the same vector."""
@@ -220,7 +220,7 @@ class CameraImuScenario(RenderedImages, TrueLens, SeenBoard, HandMotion):
     """Length of that vector in px."""
 
     camera_jitter_s: float = 0.0
-    """Standard deviation of the cameras' stamps about the instants of exposure, in seconds."""
+    """Standard deviation of the cameras' timestamps about the instants of exposure, in seconds."""
 
     camera_gaps_s: tuple[tuple[float, float], ...] = ()
     """Start and length of times without frames, in seconds from the start."""

@@ -65,7 +65,7 @@ class CamerasSimulation:
     target : the board, as its owner describes it
     truth : the cameras in frame "cam0", with zero covariance
     points : (k, 3) places of the board's points as they truly are, in the board's frame [m]
-    t_ns : (v,) stamp of each view [ns]
+    t_ns : (v,) timestamp of each view [ns]
     R_cam0_target, p_cam0_target : (v, 3, 3) and (v, 3) pose of the board in cam0's frame [m]
     corners : "cam0", ... -> what is true of each corner
     blurred, resized : (v,) whether the view's corners are bad, whether its images are of half the size

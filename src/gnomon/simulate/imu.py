@@ -32,7 +32,7 @@ class _World:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Clock:
-    """When a triad is sampled (n,), what its stamps say (n,), and which samples are not lost (n,)."""
+    """When a triad is sampled (n,), what its timestamps say (n,), and which samples are not lost (n,)."""
 
     t_s: Floats
     stamps_ns: Integers
@@ -52,7 +52,7 @@ def simulate_imu(scenario: Scenario, seed: int, *, digitised: bool = True) -> tu
     world, end_s = _drawn_world(scenario, for_motion)
     rate_hz = scenario.gyroscope_rate_hz or scenario.rate_hz
     clock = _clock(scenario, end_s, scenario.rate_hz, for_clock)
-    # Triads of one rate come in one packet: the same stamps, the same losses.
+    # Triads of one rate come in one packet: the same timestamps, the same losses.
     gyroscope_clock = clock if rate_hz == scenario.rate_hz else _clock(scenario, end_s, rate_hz, for_clock)
     to_force, to_rate = converters(scenario)
     if not digitised:

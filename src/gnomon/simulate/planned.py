@@ -47,7 +47,7 @@ class PlannedRecording:
     motion : of the IMU at them
     f_imu, omega_imu : (n, 3) specific force [m/s^2] and angular rate [rad/s], body frame
     gravity_target : (3,) [m/s^2]
-    frames : exact corners, stamps on each camera's own clock
+    frames : exact corners, timestamps on each camera's own clock
     fastest_hz : highest frequency of the motion
     """
 

@@ -10,7 +10,7 @@ from ..ranges import check_ranges
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlatterScenario:
-    """A webcam that looks at a turning platter, as in the gyroscope experiment of document C (fig. 7)."""
+    """A webcam that looks at a turning platter, as in the gyroscope experiment of Angrisano (fig. 7)."""
 
     rate_rad_s: float = 2 * pi * 16 / 60
     """Rate of the platter in rad/s; negative turns the other way."""
@@ -40,7 +40,7 @@ class PlatterScenario:
     """By this share the camera is faster than its nominal frame rate."""
 
     dropped: float = 0.0
-    """Share of frames that are missing; in a video with nominal stamps nothing tells where."""
+    """Share of frames that are missing; in a video with nominal timestamps nothing tells where."""
 
     noise_grey: float = 3.0
     """Standard deviation of a pixel's noise in grey levels."""

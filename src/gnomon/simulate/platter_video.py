@@ -31,7 +31,7 @@ class PlatterVideo:
     ----------
     scenario : what was simulated
     seed : every random number follows from it
-    t_ns : (n,) stamps that the video states [ns]
+    t_ns : (n,) timestamps that the video states [ns]
     t_true_s : (n,) middle of the exposure of each frame [s]
     rate_rad_s : mean rate of the platter over the steady part
     steady_s : from when to when it turned at its rate [s]

@@ -25,7 +25,7 @@ TABLE_1 = AngrisanoTriad(
     b=np.array([33610.0, 33382.0, 32063.0]),
     K=1 / np.array([547.6, 552.8, 550.6]),
 )
-"""The accelerometer that document C found from its first set of poses; the angles are radians, see docs/theory."""
+"""The accelerometer that Angrisano found from its first set of poses; the angles are radians, see docs/theory."""
 
 TABLE_3 = AngrisanoTriad(
     angles=np.array([-0.0089, -0.0026, 0.0130]),
@@ -68,7 +68,7 @@ def simulate_poses(scenario: PoseScenario | None = None, seed: int = 0) -> PoseS
 
     Parameters
     ----------
-    scenario : what to simulate; the default scenario where None: document C's accelerometer in 18 poses
+    scenario : what to simulate; the default scenario where None: Angrisano's accelerometer in 18 poses
     seed : every random number follows from it; the same scenario and seed give the same experiment
 
     Returns

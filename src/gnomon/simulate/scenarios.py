@@ -60,10 +60,10 @@ class RecordedSensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario(RecordedSensor):
-    """A multi-position recording by hand (document A, section 4.1) of an IMU with drawn parameters."""
+    """A multi-position recording by hand (Tedaldi 2014, section 4.1) of an IMU with drawn parameters."""
 
     style: Literal["hand", "thesis"] = "hand"
-    """hand: smooth turns about changing axes between attitudes that cover the sphere. thesis: as document A describes
+    """hand: smooth turns about changing axes between attitudes that cover the sphere. thesis: as Tedaldi 2014 describes
     its signals: sinusoidal accelerations, gravity turning at a random zenith and azimuth rate in each motion."""
 
     intervals: int = 40
@@ -122,10 +122,10 @@ class Scenario(RecordedSensor):
     """Random walk of the gyroscope's bias in rad/s/sqrt(s); the true bias is then its mean over the recording."""
 
     stamp_jitter_s: float = 0.0
-    """Standard deviation of the stamps about the instants of sampling, in seconds."""
+    """Standard deviation of the timestamps about the instants of sampling, in seconds."""
 
     stamp_resolution_s: float = 0.0
-    """Stamps are rounded to multiples of this, in seconds."""
+    """Timestamps are rounded to multiples of this, in seconds."""
 
     dropped: float = 0.0
     """Fraction of the samples that are lost, one by one."""
@@ -158,9 +158,9 @@ class Scenario(RecordedSensor):
                 "since the initial interval is never touched."
             )
         if self.touched and self.style == "thesis":
-            raise OptionError("touched: the signals of document A (style thesis) have none. Choose style hand.")
+            raise OptionError("touched: the signals of Tedaldi 2014 (style thesis) have none. Choose style hand.")
         if self.attitudes == "one-axis" and self.style == "thesis":
-            raise OptionError("attitudes one-axis: the signals of document A (style thesis) have none. Choose hand.")
+            raise OptionError("attitudes one-axis: the signals of Tedaldi 2014 (style thesis) have none. Choose hand.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,14 +168,14 @@ class PoseScenario(RecordedSensor):
     """A sensor that is laid down in one attitude after another, and what is recorded while it lies still."""
 
     attitudes: Attitudes = "angrisano18"
-    """angrisano18: the six faces and the twelve edges of a cube up, as with document C's wedge of 45 deg. six: the
-    faces. seven: document B's static experiment, -z -y z y x -x -z. sphere: evenly spread directions."""
+    """angrisano18: the six faces and the twelve edges of a cube up, as with Angrisano's wedge of 45 deg. six: the
+    faces. seven: Krebs's static experiment, -z -y z y x -x -z. sphere: evenly spread directions."""
 
     poses: int = 24
     """How many attitudes of "sphere"; the other sets have their own number."""
 
     attitude_error_deg: float = 1.0
-    """How well the sensor is laid down: standard deviation of the tilt about each axis, in degrees. Document C:
+    """How well the sensor is laid down: standard deviation of the tilt about each axis, in degrees. Angrisano:
     1 with a wedge, 10 without."""
 
     jig_rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -194,7 +194,7 @@ class PoseScenario(RecordedSensor):
     """Time between two poses, in seconds, which is not recorded."""
 
     sensor: Literal["angrisano", "drawn"] = "angrisano"
-    """angrisano: the MTi of document C (Tables 1 and 3), in counts. drawn: as `gnomon simulate` draws one."""
+    """angrisano: the MTi of Angrisano (Tables 1 and 3), in counts. drawn: as `gnomon simulate` draws one."""
 
     units: str = "raw"
     """Units of the readings: "si", "raw" (counts), or a list such as "g deg/s"."""
@@ -217,7 +217,7 @@ class PoseScenario(RecordedSensor):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurntableScenario(RecordedSensor):
-    """A sensor that lies on a record player in one attitude after another (document C, fig. 7)."""
+    """A sensor that lies on a record player in one attitude after another (Angrisano, fig. 7)."""
 
     rpm: tuple[float, ...] = (16.0,)
     """Speeds of the platter in turns a minute, one after the other in each attitude; it rests before and after them."""

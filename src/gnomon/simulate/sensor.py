@@ -35,7 +35,7 @@ class Converter:
 
     @classmethod
     def of(cls, unit: str, unit_si: float | None, full_scale_si: float, bits: int | None) -> Self:
-        """Make a converter for readings from minus to plus `full_scale_si`; its counts are unsigned (document A)."""
+        """Make a converter for readings from minus to plus `full_scale_si`; its counts are unsigned (Tedaldi 2014)."""
         codes = 2 ** (bits or DEFAULT_BITS)
         step_si = 2 * full_scale_si / (codes - 1)
         if unit_si is None:
@@ -67,7 +67,7 @@ def converters(scenario: RecordedSensor) -> tuple[Converter, Converter]:
 
 
 def drawn_imu(scenario: Scenario, rng: np.random.Generator, recorded: RecordedSensor | None = None) -> ImuCalibration:
-    """Draw a sensor as document A does (Tables 4.1 and 4.2): a_O = T K (s + b), in body frame "accel-z".
+    """Draw a sensor as Tedaldi 2014 does (Tables 4.1 and 4.2): a_O = T K (s + b), in body frame "accel-z".
 
     Parameters
     ----------

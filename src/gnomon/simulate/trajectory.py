@@ -4,10 +4,10 @@ The world's z axis points up and its x axis north. A motion between two static i
 tau = (t - start) / duration whose value, first, second and third derivatives are continuous everywhere, so that rate
 and acceleration are zero at both ends and smooth in between.
 
-The synthetic signals of document A, section 4.1, are there as well, as they are described: three sinusoids of different
-pulsation, randomly modulated from motion to motion, are the accelerations; where all three are zero a static interval
-is inserted. Gravity turns at a random zenith rate and a random azimuth rate in each motion, and the gyroscope senses
-that turn.
+The synthetic signals of Tedaldi 2014, section 4.1, are there as well, as they are described: three sinusoids of
+different pulsation, randomly modulated from motion to motion, are the accelerations; where all three are zero a static
+interval is inserted. Gravity turns at a random zenith rate and a random azimuth rate in each motion, and the gyroscope
+senses that turn.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from .scenarios import Scenario
 
 AMPLITUDE_M_S2 = 2.0
 RATE_RAD_S = 1.5
-"""Largest amplitude, zenith rate and azimuth rate; document A does not state its own."""
+"""Largest amplitude, zenith rate and azimuth rate; Tedaldi 2014 does not state its own."""
 
 HALF_WAVES = np.array([1.0, 2.0, 3.0])
 """Half waves of the three sinusoids between two common zeros."""

@@ -76,7 +76,7 @@ def simulate_turntable(scenario: TurntableScenario | None = None, seed: int = 0)
 
     Parameters
     ----------
-    scenario : what to simulate; the default scenario where None: document C's gyroscope on a record player at 16 rpm
+    scenario : what to simulate; the default scenario where None: Angrisano's gyroscope on a record player at 16 rpm
     seed : every random number follows from it; the same scenario and seed give the same recordings
 
     Returns

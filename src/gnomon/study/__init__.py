@@ -1,1 +1,1 @@
-"""The documents' experiments: many simulated recordings through one estimator, and what became of them."""
+"""Published experiments: many simulated recordings through one estimator, and what became of them."""

@@ -1,4 +1,4 @@
-"""Document C's experiment with the accelerometer, many times: Tables 1 and 2, Figs. 4-6, and gnomon beside it.
+"""Angrisano's experiment with the accelerometer, many times: Tables 1 and 2, Figs. 4-6, and gnomon beside it.
 
 simulate 18 poses of the document's sensor -> its iteration and gnomon's fit -> sigmas, scatter, starts that work
 """
@@ -38,7 +38,7 @@ class Setting:
     ----------
     name : in words
     scenario : the same for the simulation
-    table_1 : the sigmas that document C states for it: angles [rad], biases [count], scale factors [m/s^2 per count]
+    table_1 : the sigmas that Angrisano states for it: angles [rad], biases [count], scale factors [m/s^2 per count]
     """
 
     name: str
@@ -64,7 +64,7 @@ SETTINGS = (
         scenario=PoseScenario(attitude_error_deg=10.0, accelerometer_noise_density=2.7e-3),
     ),
 )
-"""Document C's two sets of poses, at the noise that its sigmas imply, and what the attitudes alone change."""
+"""Angrisano's two sets of poses, at the noise that its sigmas imply, and what the attitudes alone change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,7 +98,7 @@ class Sample:
 
     @property
     def iterations(self) -> Counter[int]:
-        """How often document C's method took so many iterations from the datasheet start."""
+        """How often Angrisano's method took so many iterations from the datasheet start."""
         return Counter(outcome.iterations for outcome in self.outcomes)
 
 
@@ -129,7 +129,7 @@ class AngrisanoStudy:
 def study_angrisano(
     *, runs: int = 500, scans: int = 8, workers: Workers = HERE, seed: int = 0, progress: Progress | None = None
 ) -> AngrisanoStudy:
-    """Carry out document C's experiment many times.
+    """Carry out Angrisano's experiment many times.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ def study_angrisano(
 
 
 def claims(study: AngrisanoStudy) -> Iterator[Claim]:
-    """Yield what document C says and gnomon promises, and whether the study agrees."""
-    for method, whose in (("paper", "Document C's"), ("ours", "Gnomon's")):
+    """Yield what Angrisano says and gnomon promises, and whether the study agrees."""
+    for method, whose in (("paper", "Angrisano's"), ("ours", "Gnomon's")):
         ratios = np.concatenate([sample.ratio(method) for sample in study.samples])
         yield sigmas_claim(f"{whose} sigmas agree with the scatter", ratios, study.runs)
     yield from _table_1(study)
@@ -199,7 +199,7 @@ def _convergence(study: AngrisanoStudy) -> Iterator[Claim]:
     yield Claim(
         claim="Gnomon ends in the same minimum from starts drawn in Table 2's intervals widened threefold",
         expected=f"{len(everything)} of {len(everything)}",
-        found=f"{same}; document C's iteration {theirs}",
+        found=f"{same}; Angrisano's iteration {theirs}",
         holds=same == len(everything),
     )
     whole = [bool(basin.ours.all()) for basins in study.basins for basin in basins]

@@ -1,4 +1,4 @@
-"""One simulated experiment of document C, calibrated by its method and by gnomon's, and the starts that lead there."""
+"""One simulated experiment of Angrisano, calibrated by its method and by gnomon's, and the starts that lead there."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ DATASHEET = datasheet_start(BITS, FULL_SCALE_M_S2)
 TRUTH = TABLE_1.parameters
 
 TABLE_2 = np.array([[np.radians(-18), np.radians(19)], [-1500.0, 2500.0], [-0.0006, 0.03]])
-"""Convergence intervals of document C about its datasheet start: angles [rad], biases [count], scale factors."""
+"""Convergence intervals of Angrisano about its datasheet start: angles [rad], biases [count], scale factors."""
 
 GROUPS = ("angles", "biases", "scale factors")
 STEPS, OURS_EVERY = 30, 5
@@ -49,16 +49,16 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrialOutcome:
-    """What became of one experiment; parameters are X of document C, Eq. (3), (9,).
+    """What became of one experiment; parameters are X of Angrisano, Eq. (3), (9,).
 
     Attributes
     ----------
-    paper, paper_sigma : magnitudes by document C's iteration from the datasheet start
+    paper, paper_sigma : magnitudes by Angrisano's iteration from the datasheet start
     iterations, status : how it got there
     ours, ours_sigma : gnomon's maximum likelihood, which needs no start
-    components : known attitudes by document C's iteration, with the attitudes as they were meant
+    components : known attitudes by Angrisano's iteration, with the attitudes as they were meant
     start : the start that was drawn, with positive scale factors
-    paper_from_start : how document C's iteration ended from there
+    paper_from_start : how Angrisano's iteration ended from there
     ours_from_start : largest difference of gnomon's solution from there, in sigmas
     """
 
@@ -85,7 +85,7 @@ def run_trial(trial: Trial) -> TrialOutcome:
     start = drawn_start(np.random.default_rng([trial.seed, 1]), trial.widened)
     paper = paper_fit(simulation, DATASHEET)
     poses = pose_means(simulation)
-    ours, covariance = in_document_c(fit_triad(poses))
+    ours, covariance = as_angrisano(fit_triad(poses))
     sigma = np.sqrt(np.diag(covariance))
     return TrialOutcome(
         paper=paper.parameters,
@@ -102,7 +102,7 @@ def run_trial(trial: Trial) -> TrialOutcome:
 
 
 def paper_fit(simulation: PoseSimulation, start: Floats, *, growth_stops: bool = False) -> AngrisanoFit:
-    """Carry out document C's iteration (8)-(11) from a start (9,)."""
+    """Carry out Angrisano's iteration (8)-(11) from a start (9,)."""
     gravity = simulation.scenario.gravity
     return fit_magnitudes(simulation.accelerometer, gravity, start, growth_stops=growth_stops)
 
@@ -114,7 +114,7 @@ def pose_means(simulation: PoseSimulation) -> TriadPoses:
     return TriadPoses.of(simulation.accelerometer, simulation.scenario.gravity, variance=variance)
 
 
-def in_document_c(fit: TriadFit) -> tuple[Floats, Floats]:
+def as_angrisano(fit: TriadFit) -> tuple[Floats, Floats]:
     """Return X (9,) and its covariance (9, 9) of a triad in any frame."""
     rotation = frame_rotation(fit.sensitivity, "accel-z")
     sensitivity = fit.sensitivity @ rotation.T
@@ -128,7 +128,7 @@ def in_document_c(fit: TriadFit) -> tuple[Floats, Floats]:
 def distance(poses: TriadPoses, start: Floats, solution: Floats, sigma: Floats) -> float:
     """Return how far from a solution gnomon's solver ends when it starts at X (9,), in sigmas; infinite if nowhere."""
     try:
-        there, _ = in_document_c(fit_triad(poses, start=start))
+        there, _ = as_angrisano(fit_triad(poses, start=start))
     except GnomonError:
         return float("inf")
     return float(np.max(np.abs(there - solution) / sigma))
@@ -148,7 +148,7 @@ class Basin:
     ----------
     group : "angles" [rad], "biases" [count] or "scale factors" [m/s^2 per count]
     offset : (m,) ascending, zero among them
-    paper : (m,) whether document C's iteration ended in the right minimum
+    paper : (m,) whether Angrisano's iteration ended in the right minimum
     printed : (m,) the same where growth of q meets the stop rule, as it is printed
     ours : (k,) the same of gnomon's solver, at each OURS_EVERY-th offset
     """
@@ -177,7 +177,7 @@ class Basin:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Journey:
-    """Document C's iteration from one start, and where gnomon ends.
+    """Angrisano's iteration from one start, and where gnomon ends.
 
     Attributes
     ----------
@@ -195,7 +195,7 @@ def scan(trial: Trial) -> tuple[Basin, ...]:
     """Return the basins of the three groups in one experiment."""
     simulation = simulate_poses(trial.scenario, trial.seed)
     poses = pose_means(simulation)
-    solution, covariance = in_document_c(fit_triad(poses))
+    solution, covariance = as_angrisano(fit_triad(poses))
     sigma = np.sqrt(np.diag(covariance))
     basins: list[Basin] = []
     for group, name in enumerate(GROUPS):
@@ -225,7 +225,7 @@ def journeys(trial: Trial) -> tuple[Journey, ...]:
         "from outside, angles": _outside(simulation),
     }
     return tuple(
-        Journey(name=name, fit=paper_fit(simulation, start), ours=in_document_c(fit_triad(poses, start=start))[0])
+        Journey(name=name, fit=paper_fit(simulation, start), ours=as_angrisano(fit_triad(poses, start=start))[0])
         for name, start in starts.items()
     )
 

@@ -1,4 +1,4 @@
-"""Document B's simulation many times: section 5.1, Tables 5.2, 5.3, B.1 and B.2, Figs. 5.2-5.4, and gnomon beside it.
+"""Krebs's simulation many times: section 5.1, Tables 5.2, 5.3, B.1 and B.2, Figs. 5.2-5.4, and gnomon beside it.
 
 simulate one motion with ever new noise -> calibrate camera and IMU -> errors, scatter, sigmas against the truth
 """
@@ -40,7 +40,7 @@ SERIES = (
     Series(name="S2, no pixel noise", task=KrebsTask(noise_factor=0.1, pixel_noise_px=0.0)),
     Series(name="S3, no pixel noise", task=KrebsTask(noise_factor=0.01, pixel_noise_px=0.0)),
 )
-"""Of many runs each; S1, S2 and S3 are document B's."""
+"""Of many runs each; S1, S2 and S3 are Krebs's."""
 
 SETTINGS = (
     Series(name="as S1", task=KrebsTask()),
@@ -49,7 +49,7 @@ SETTINGS = (
     Series(name="gyroscope walk 2·10⁻⁵ rad/s/√s, as consumer sensors have", task=KrebsTask(gyroscope_random_walk=2e-5)),
     Series(name="magnitude of gravity known", task=KrebsTask(gravity_known=True)),
 )
-"""S1 with one thing changed that document B leaves open, or that can be read otherwise; of one run each."""
+"""S1 with one thing changed that Krebs leaves open, or that can be read otherwise; of one run each."""
 
 _NOISELESS = KrebsTask(noise_factor=0.0, pixel_noise_px=0.0)
 
@@ -116,7 +116,7 @@ class Sample:
 
     @property
     def scatter(self) -> Floats:
-        """Standard deviation of the estimates, sigma_cal of document B, (34,)."""
+        """Standard deviation of the estimates, sigma_cal of Krebs, (34,)."""
         return self.errors.std(axis=0, ddof=1)
 
     @property
@@ -188,7 +188,7 @@ def study_krebs(
     progress: Progress | None = None,
     duration_s: float = SCENARIO.duration_s,
 ) -> KrebsStudy:
-    """Carry out document B's simulations.
+    """Carry out Krebs's simulations.
 
     Parameters
     ----------

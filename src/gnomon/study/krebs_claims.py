@@ -1,4 +1,4 @@
-"""What document B claims of its simulation, whether gnomon's runs agree, and all of their numbers as tables."""
+"""What Krebs claims of its simulation, whether gnomon's runs agree, and all of their numbers as tables."""
 
 from collections.abc import Iterator
 
@@ -18,7 +18,7 @@ _MOVED = 0.05
 """Sigmas by which an estimate may move that should not."""
 
 _LIKE = 3.0
-"""Factor within which sigmas count as like those of document B, whose board and camera are not known."""
+"""Factor within which sigmas count as like those of Krebs, whose board and camera are not known."""
 
 _HALF = 0.5
 """Share of the basic model's bias: where the extended model may have that much there are too few runs to tell."""
@@ -28,7 +28,7 @@ _AT_MOST_MM = 5.0
 
 
 def claims(study: KrebsStudy) -> Iterator[Claim]:
-    """Yield what document B says and gnomon promises, and whether the study agrees."""
+    """Yield what Krebs says and gnomon promises, and whether the study agrees."""
     done = sum(sample.converged for sample in study.samples)
     yield Claim(
         claim="Every recording is calibrated, whatever its noise",
@@ -40,7 +40,7 @@ def claims(study: KrebsStudy) -> Iterator[Claim]:
     yield _unbiased(study)
     yield _earth(study)
     yield from _honest(study)
-    yield from _like_document_b(study)
+    yield from _like_krebs(study)
     yield from _noise(study)
     yield from _neglect(study)
 
@@ -122,7 +122,7 @@ def _honest(study: KrebsStudy) -> Iterator[Claim]:
     yield sigmas_claim("And each sigma is that of the scatter", ratios, study.runs - 1, " for all of them, S1 to S3")
 
 
-def _like_document_b(study: KrebsStudy) -> Iterator[Claim]:
+def _like_krebs(study: KrebsStudy) -> Iterator[Claim]:
     ratios = {sample.series.name: _over_stated(sample, k) for k, sample in enumerate(study.noise_levels)}
     allowed = 1.0 + 3 / np.sqrt(2 * 3 * study.runs)
     above = [f"{name} {symbol} {r:.2f}" for name, found in ratios.items() for symbol, r in found.items() if r > allowed]

@@ -1,4 +1,4 @@
-"""One simulated recording of document B, section 5.1, calibrated: errors and sigmas of all of Table 4.1's constants."""
+"""One simulated recording of Krebs, section 5.1, calibrated: errors and sigmas of all of Table 4.1's constants."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -34,7 +34,7 @@ SCENARIO = CameraImuScenario(
     gyroscope_random_walk=THESIS_NOISE.gyroscope_random_walk,
     trajectory_seed=0,
 )
-"""One motion for all runs, as in document B; board, frame rate and pixel noise are not stated there."""
+"""One motion for all runs, as in Krebs; board, frame rate and pixel noise are not stated there."""
 
 OPTIONS = CameraImuOptions(
     gravity=GRAVITY,
@@ -45,7 +45,7 @@ OPTIONS = CameraImuOptions(
     robust=False,
     knots_per_s=25.0,
 )
-"""Document B's estimate: known weights, all of Table 4.1 with gravity's three elements; motion up to 2 Hz."""
+"""Krebs's estimate: known weights, all of Table 4.1 with gravity's three elements; motion up to 2 Hz."""
 
 PIXEL_NOISE_PX = SCENARIO.pixel_noise_px
 NO_PIXEL_NOISE_PX = PIXEL_NOISE_PX / 100

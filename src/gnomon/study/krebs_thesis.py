@@ -1,4 +1,4 @@
-"""What document B states of its simulation: Table A.1, Tables 5.2 and 5.3, and appendix B.1."""
+"""What Krebs states of its simulation: Table A.1, Tables 5.2 and 5.3, and appendix B.1."""
 
 from dataclasses import dataclass, field
 
@@ -27,7 +27,7 @@ def _gravity() -> Floats:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KrebsRig:
-    """What is true of the simulated camera and IMU; the defaults are those of document B.
+    """What is true of the simulated camera and IMU; the defaults are those of Krebs.
 
     accelerometer = S_a M_a f + b_a, gyroscope = S_g M_g C_bg' omega + B_g f + b_g (section 4.1.2).
 
@@ -58,7 +58,7 @@ class KrebsRig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Parameters that document B gives one name.
+    """Parameters that Krebs gives one name.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Document A's simulations: 40 sensors of 30 recordings each, Tables 4.1 to 4.5, and gnomon beside what was published.
+"""Tedaldi's simulations: 40 sensors of 30 recordings each, Tables 4.1 to 4.5, and gnomon beside what was published.
 
 simulate the signals of section 4.1 -> gnomon's recipe, Algorithm 1 as printed, the authors' script -> metrics 1 to 4
 """
@@ -28,7 +28,7 @@ from .tedaldi_trial import (
 )
 
 SETS = 40
-"""Parameter sets of document A."""
+"""Parameter sets of Tedaldi 2014."""
 
 _EXAMPLES = 4
 
@@ -125,7 +125,7 @@ def signals_of(outcome: TrialOutcome, method: Method | None) -> SignalErrors:
 def study_tedaldi(
     *, runs: int = 30, sets: int = SETS, workers: Workers = HERE, seed: int = 0, progress: Progress | None = None
 ) -> TedaldiStudy:
-    """Carry out document A's simulations.
+    """Carry out Tedaldi's simulations.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What document A found (Tables 4.1 to 4.5, set 1 and means over 40 sets), and whether a study of gnomon agrees."""
+"""What Tedaldi 2014 found (Tables 4.1 to 4.5, set 1 and means over 40 sets), and whether a study of gnomon agrees."""
 
 from collections.abc import Iterator
 
@@ -60,7 +60,7 @@ ROTATION = {
 """Table 4.5: mean and largest, and both in the worst case [m/s^2]; angle, and in the worst case [rad]."""
 
 GYROSCOPE_SHARE = 0.6
-"""Gnomon's errors of the gyroscope over those of document A, at most."""
+"""Gnomon's errors of the gyroscope over those of Tedaldi 2014, at most."""
 
 NAMES = (*(f"accelerometer {name}" for name in ACCELEROMETER), *(f"gyroscope {name}" for name in GYROSCOPE))
 
@@ -87,7 +87,7 @@ def noise_alone() -> tuple[float, float]:
 
 
 def claims(study: TedaldiStudy) -> Iterator[Claim]:
-    """Yield what document A says and gnomon promises, and whether the study agrees."""
+    """Yield what Tedaldi 2014 says and gnomon promises, and whether the study agrees."""
     failed = [len(study.failures(method)) for method in METHODS]
     total = sum(len(outcomes) for outcomes in study.outcomes)
     yield Claim(
@@ -112,7 +112,7 @@ def _parameters(study: TedaldiStudy) -> Iterator[Claim]:
         ("gyroscope", GYROSCOPE_SHARE, ", with motions of 1.5 to 3 s at up to 1.5 rad/s about two axes each"),
     ):
         limits = {name: share * theirs for name, (_, theirs) in GROUPS.items() if name.startswith(sensor)}
-        most = "those of document A" if share == 1 else f"{share:g} of document A's"
+        most = "those of Tedaldi 2014" if share == 1 else f"{share:g} of Tedaldi's"
         yield Claim(
             claim=f"Mean absolute errors of the {sensor} are at most {most}{motion} (Tables 4.1, 4.2, all sets)",
             expected=", ".join(f"{name.split()[1]} {1e3 * limit:.4f}" for name, limit in limits.items()) + ", x 1e-3",
@@ -166,7 +166,7 @@ def tables(study: TedaldiStudy) -> Iterator[StudyTable]:
         rows=list(_parameter_rows(study)),
     )
     yield StudyTable(
-        name="document_a",
+        name="tedaldi_2014",
         head=("parameter", "unit", "spread", "mean_absolute_error"),
         rows=[
             (name, unit, float(spread), float(error))

@@ -1,4 +1,4 @@
-"""One of document A's simulations: a recording of its signals, calibrated by gnomon and as published.
+"""One of Tedaldi's simulations: a recording of its signals, calibrated by gnomon and as published.
 
 A calibration is measured as in section 4.1.1: the signals before and after it against those without errors.
 """
@@ -25,7 +25,7 @@ METHODS: tuple[Method, ...] = ("gnomon", "tedaldi2014-text", "tedaldi2014")
 """gnomon's recipe; Algorithm 1 as printed; the authors' script."""
 
 SCENARIO = Scenario(style="thesis")
-"""As document A describes its signals, with 40 rests; what it does not state has the defaults of `Scenario`."""
+"""As Tedaldi 2014 describes its signals, with 40 rests; what it does not state has the defaults of `Scenario`."""
 
 _T_ENTRIES = ((0, 1, -1), (0, 2, 1), (1, 2, -1))
 _TG_ENTRIES = ((0, 1, -1), (0, 2, 1), (1, 0, 1), (1, 2, -1), (2, 0, -1), (2, 1, 1))
@@ -125,18 +125,18 @@ def run_trial(task: Trial) -> TrialOutcome:
                 estimate=np.full(18, np.nan), sigma=np.full(18, np.nan), errors=nothing, problem=str(error)
             )
         corrected_signals = corrected(calibration.imus["imu0"], force, rate)
-        estimate, sigma = in_document_a(calibration)
+        estimate, sigma = as_tedaldi(calibration)
         return MethodOutcome(estimate=estimate, sigma=sigma, errors=signal_errors(signals, *corrected_signals, gravity))
 
     return TrialOutcome(
-        truth=in_document_a(truth.in_frame("accel-z"))[0],
+        truth=as_tedaldi(truth.in_frame("accel-z"))[0],
         before=signal_errors(signals, force, rate, gravity),
         methods=tuple(measured(method) for method in METHODS),
     )
 
 
 def ideal_signals(task: Trial, truth: Calibration) -> TrueSignals:
-    """Return the signals without noise and errors, in document A's body frame."""
+    """Return the signals without noise and errors, in Tedaldi's body frame."""
     signals = true_signals(task.scenario, task.seed)
     before, after = (
         truth.in_frame(frame).imus["imu0"].required_accelerometer.sensitivity for frame in ("accel-x", "accel-z")
@@ -149,7 +149,7 @@ _SIZES = {name: 3 if name in ("force", "rate") else 2 for name in SignalErrors._
 
 
 def calibrated(recording: Recording, method: Method, gravity: float) -> Calibration:
-    """Calibrate a recording in document A's body frame."""
+    """Calibrate a recording in Tedaldi's body frame."""
     return calibrate_imu(recording, ImuOptions(preset=method, gravity=gravity, frame="accel-z")).calibration
 
 
@@ -168,7 +168,7 @@ def corrected(imu: ImuCalibration, force: Floats, rate: Floats) -> tuple[Floats,
     return force, rate @ inverse(gyroscope.sensitivity).T
 
 
-def in_document_a(calibration: Calibration) -> tuple[Floats, Floats]:
+def as_tedaldi(calibration: Calibration) -> tuple[Floats, Floats]:
     """Return the parameters (18,) of Eqs. (3.2) and (3.6), and their sigmas (18,), of one in body frame accel-z."""
     imu = calibration.imus["imu0"]
     gyro = imu.gyroscope
@@ -203,7 +203,7 @@ def _by_sensitivity(sensitivity: Floats, entries: tuple[tuple[int, int, int], ..
 def signal_errors(truth: TrueSignals, force: Floats, rate: Floats, gravity: float) -> SignalErrors:
     """Compare signals (n, 3), in SI units, with the true ones.
 
-    As in document A, the gyroscope's mean over the first rest is removed before it carries anything (metric 4).
+    As in Tedaldi 2014, the gyroscope's mean over the first rest is removed before it carries anything (metric 4).
     """
     rests = _rests(truth)
     away = np.abs(np.linalg.norm(force[~truth.moving], axis=1) - gravity)
