@@ -15,11 +15,9 @@ from ...recording import Floats, Integers
 from .board import DIFFERS
 from .checkerboard import board_near, reduced, search_scale
 from .checkerboard_grid import completed
-from .disc_lattice import disc_lattices
-from .discs import find_discs
-from .lattice import Lattice, find_lattices
+from .discs import disc_lattices, find_discs
+from .lattice import Lattice, find_lattices, find_saddles
 from .quads import black_quads
-from .saddles import find_saddles
 from .tags import Tags, read_markers, read_tags, square_to_quads
 
 _MOST_IMAGES = 16

@@ -10,8 +10,7 @@ from ...images import Grey
 from ...models.board_pattern import black_square
 from ...models.target import Target
 from ...recording import Floats, Integers
-from .lattice import Lattice, find_lattices
-from .saddles import find_saddles
+from .lattice import Lattice, find_lattices, find_saddles
 from .tags import cells_in, marker_pictures, of_unit_length, square_to_quads
 
 _BLUR = 0.6  # of the codes, in cells

@@ -22,11 +22,10 @@ from ...recording import Floats
 from ..corners.corner_fit import fit_corners
 from .board import BoardView, middle_of, nothing_seen
 from .checkerboard_grid import Board, board_at, boards_in, completed, steps
-from .lattice import Lattice, find_lattices
+from .lattice import Lattice, find_lattices, find_saddles
 from .marker_boards import BORDER_PX, COVERED, NEAR_BORDER, view_of
 from .optical_flow import carry_corners
 from .plane_map import LensGuess
-from .saddles import find_saddles
 
 _SEARCH_WIDTH = 480  # an image is reduced by halves until it is narrower
 _EVIDENCE, _FINER_PX = 6, 12.0  # crossings in a lattice, and squares below which a finer image may help

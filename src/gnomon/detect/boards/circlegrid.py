@@ -20,8 +20,7 @@ from ...recording import Floats, Integers
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .checkerboard import reduced
 from .disc_fit import DiscFits, fit_discs
-from .disc_lattice import disc_lattices, grids_in
-from .discs import Discs, find_discs
+from .discs import Discs, disc_lattices, find_discs, grids_in
 from .marker_boards import COVERED, as_good_as
 from .plane_map import PlaneMap, plane_map
 
