@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.camera_options import CameraOptions
+from gnomon.options import CameraOptions
 from gnomon.simulate.cameras import CamerasSimulation, simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
 

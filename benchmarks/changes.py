@@ -25,6 +25,7 @@ from imu import HERE, Table, machine
 import gnomon
 from gnomon import CameraImuOptions, CameraImuScenario, Recording, Scenario
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.options import StatedRate
 from gnomon.simulate import (
     CamerasScenario,
     FieldScenario,
@@ -34,7 +35,6 @@ from gnomon.simulate import (
     simulate_magnetometer,
     simulate_turntable,
 )
-from gnomon.triad_options import StatedRate
 
 NEEDED = {"rotation": np.radians(0.1), "scale": 2e-3, "axes": 3e-3, "time shift": 5e-4, "lens": 0.25, "field": 0.0122}
 """What general use needs [rad, 1, rad, s, px, rad], as `gnomon.assess.changes` has it."""

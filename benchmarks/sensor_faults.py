@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import gnomon
 from gnomon.errors import GnomonError
+from gnomon.options import StatedRate
 from gnomon.recording import ImuSamples, Poses, Recording, TriadSamples
 from gnomon.sensor_noise import Coefficient
 from gnomon.simulate import (
@@ -30,7 +31,6 @@ from gnomon.simulate import (
 )
 from gnomon.simulate.noise import noise_blocks
 from gnomon.simulate.scenarios import NoiseScenario
-from gnomon.triad_options import StatedRate
 
 Floats = NDArray[np.float64]
 _BEYOND = 4.0  # sigmas

@@ -20,10 +20,16 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import tyro.conf
 
 import gnomon
-from gnomon.camera_options import CameraOptions
 from gnomon.cli.commands import COMMANDS
 from gnomon.findings import read_catalogue
-from gnomon.options import CameraImuOptions, ImuOptions, NoiseOptions
+from gnomon.options import (
+    CameraImuOptions,
+    CameraOptions,
+    ImuOptions,
+    MagnetometerOptions,
+    NoiseOptions,
+    TurntableOptions,
+)
 from gnomon.simulate import (
     CameraImuPlan,
     CameraImuScenario,
@@ -34,7 +40,6 @@ from gnomon.simulate import (
     Scenario,
     TurntableScenario,
 )
-from gnomon.triad_options import MagnetometerOptions, TurntableOptions
 
 DOCS = Path(__file__).parent
 GENERATED = "<!-- Made by docs/make_reference.py; do not edit. -->"

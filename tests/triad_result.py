@@ -15,20 +15,20 @@ from gnomon.calibration import (
     Provenance,
     covariance_names,
 )
-from gnomon.diagnostics import Result
-from gnomon.findings import Finding
-from gnomon.recording import Source
-from gnomon.triad_diagnostics import (
+from gnomon.diagnostics import (
     DipTable,
     GyroscopeAtRest,
     IterationHistory,
     PeriodCurve,
     PoseTable,
+    Result,
     TriadDiagnostics,
     TriadRecord,
     TriadTrial,
     TurntableRate,
 )
+from gnomon.findings import Finding
+from gnomon.recording import Source
 
 RPM16 = 16 * 2 * np.pi / 60
 

@@ -59,7 +59,6 @@ if TYPE_CHECKING:
         ImuCalibration,
         MagnetometerCalibration,
     )
-    from .camera_options import CameraOptions
     from .detect.platter.rate import PlatterRate
     from .diagnostics import Result
     from .findings import Finding
@@ -74,7 +73,15 @@ if TYPE_CHECKING:
     from .models.camera import Camera
     from .models.noise import ImuNoise
     from .models.target import Target
-    from .options import CameraImuOptions, ImuOptions, NoiseOptions
+    from .options import (
+        CameraImuOptions,
+        CameraOptions,
+        ImuOptions,
+        MagnetometerOptions,
+        NoiseOptions,
+        StatedRate,
+        TurntableOptions,
+    )
     from .readers.recordings import read
     from .readers.samples.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
@@ -90,7 +97,6 @@ if TYPE_CHECKING:
         simulate_poses,
         simulate_turntable,
     )
-    from .triad_options import MagnetometerOptions, StatedRate, TurntableOptions
     from .units import Units
     from .writers.camera_imu_files import save_camera_imu_files
 
@@ -105,7 +111,7 @@ _HOMES = {
     "Camera": "models.camera",
     "CameraFrames": "recording",
     "CameraImuOptions": "options",
-    "CameraOptions": "camera_options",
+    "CameraOptions": "options",
     "ForeignCalibration": "formats.foreign",
     "ImuNoise": "models.noise",
     "ImuOptions": "options",
@@ -145,9 +151,9 @@ _HOMES = {
     "write_report": "report",
     "MagnetometerCalibration": "calibration",
     "Poses": "recording",
-    "StatedRate": "triad_options",
-    "TurntableOptions": "triad_options",
-    "MagnetometerOptions": "triad_options",
+    "StatedRate": "options",
+    "TurntableOptions": "options",
+    "MagnetometerOptions": "options",
     "calibrate_magnetometer": "calibrate",
     "calibrate_turntable": "calibrate",
     "identify_noise": "calibrate",

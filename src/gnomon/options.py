@@ -1,10 +1,309 @@
 """What a person may choose; the command line is made from these classes."""
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from math import isfinite, isnan, nan, pi
+from typing import Any, Literal, get_args
 
 from .errors import OptionError
-from .ranges import check_ranges
+
+_HUGE = 1e9
+_DAY_S = 86400.0
+_RANGES: dict[str, tuple[float, float]] = {
+    "altitude": (-12_000, 100_000),
+    "baseline": (1e-4, 1e4),
+    "between": (0, 10_000),
+    "bits": (2, 32),
+    "cols": (1, 1000),
+    "covers": (0, 1000),
+    "dip_deg": (-90, 90),
+    "disturbances": (0, 10_000),
+    "earth_rate_latitude": (-90, 90),
+    "field": (1e-3, 1e6),
+    "first": (0, 100_000),
+    "focus_m": (1e-3, 1e4),
+    "gravity": (9.0, 10.5),
+    "height": (1, 16_384),
+    "imus": (1, 100),
+    "intervals": (1, 10_000),
+    "jobs": (1, 1024),
+    "knots_per_s": (0.01, 10_000),
+    "latitude": (-90, 90),
+    "line_delay": (-1.0, 1.0),
+    "max_iterations": (1, 10_000),
+    "multiplier": (1e-3, 1e6),
+    "pixel_sigma": (1e-6, 1000),
+    "poses": (1, 10_000),
+    "rate": (1e-3, 1e6),
+    "rate_rad_s": (-1000, 1000),
+    "rate_sigma": (0, 1),
+    "resolution": (1, 65_536),
+    "rests": (0, 10_000),
+    "rows": (1, 1000),
+    "rpm": (-10_000, 10_000),
+    "runs": (1, 1_000_000),
+    "sample_rate": (1e-3, 1e6),
+    "samples": (1, 10_000_000),
+    "start_s": (-1e10, 1e10),
+    "stop_s": (-1e10, 1e10),
+    "symmetry": (1, 1000),
+    "target_cols": (1, 1000),
+    "target_rows": (1, 1000),
+    "touched": (0, 10_000),
+    "views": (1, 100_000),
+    "width": (1, 16_384),
+    "window_s": (1e-3, _DAY_S),
+    "workers": (1, 1024),
+}
+"""Name of an option -> its least and its largest value."""
+_ENDINGS: dict[str, tuple[float, float]] = {
+    "seed": (0, 2.0**64),
+    "_hz": (1e-3, 1e6),
+    "_deg": (-360, 360),
+    "_m": (-1e4, 1e4),
+    "_px": (-1e5, 1e5),
+    "duration_s": (1e-3, 40 * _DAY_S),
+    **dict.fromkeys(("hold_s", "init_s", "motion_s", "rest_s", "wait_s", "steady_s", "handling_s"), (0, _DAY_S)),
+    **dict.fromkeys(("spin_up_s", "spin_down_s", "exposure_s"), (0, _DAY_S)),
+    "clock_offset_s": (-1e10, 1e10),
+    "_s": (-1e7, 1e7),
+    "": (-_HUGE, _HUGE),
+}
+"""Ending of a name -> the same, for all others; the first that fits."""
+
+
+def option_range(name: str) -> tuple[float, float]:
+    """Return the least and the largest value of an option.
+
+    Examples
+    --------
+    >>> option_range("latitude"), option_range("gyroscope_rate_hz")
+    ((-90, 90), (0.001, 1000000.0))
+    """
+    if name in _RANGES:
+        return _RANGES[name]
+    return next(limits for ending, limits in _ENDINGS.items() if name.endswith(ending))
+
+
+def check_ranges(options: Any, *, positive: str = "", not_negative: str = "", fractions: str = "") -> None:
+    """Check all numbers in a dataclass of options, and in those in it.
+
+    Parameters
+    ----------
+    positive, not_negative, fractions : names of options, with spaces between, that must be greater than zero; not below
+        zero; from zero to below one
+
+    Raises
+    ------
+    OptionError
+        If one is not finite, or outside of its range.
+    """
+    for name, value in _numbers(options):
+        least, most = option_range(name)
+        if not isfinite(value):
+            raise OptionError(f"{name} {value:g} is not a finite number. Give one from {least:g} to {most:g}.")
+        if not least <= value <= most:
+            raise OptionError(f"{name} {value:g} is out of range. Give a number from {least:g} to {most:g}.")
+    for names, fits, wanted in (
+        (positive, lambda value: value > 0, " must be greater than zero."),
+        (not_negative, lambda value: value >= 0, " must not be below zero."),
+        (fractions, lambda value: 0 <= value < 1, ": give a fraction from 0 to below 1."),
+    ):
+        for name in names.split():
+            value = getattr(options, name)
+            if value is not None and not fits(value):
+                raise OptionError(f"{name} {value:g}{wanted}")
+
+
+def _numbers(options: Any) -> Iterator[tuple[str, float]]:
+    """Yield the name and the value of every number, those in tuples too."""
+    for entry in fields(options):
+        todo: list[Any] = [getattr(options, entry.name)]
+        while todo:
+            value = todo.pop()
+            if isinstance(value, tuple):
+                todo.extend(value)  # pyright: ignore[reportUnknownArgumentType]
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                yield entry.name, value
+            elif is_dataclass(value) and not isinstance(value, type):
+                yield from _numbers(value)
+
+
+_LABELS_RPM = (16.0, 50 / 3, 33.0, 100 / 3, 33.5, 45.0, 78.0, 78.26)
+_LABEL_SIGMA, _OTHER_SIGMA = 1e-2, 1e-3
+"""Relative: record players may be 1 % off and more (DIN 45500: -1 to +1.5 %); what is on no label was measured."""
+
+
+def default_rate_sigma(rate_rad_s: float) -> float:
+    """Return how well a rate is known of which only the number is stated, relative.
+
+    Examples
+    --------
+    >>> default_rate_sigma(33.33 * pi / 30), default_rate_sigma(33.41 * pi / 30)
+    (0.01, 0.001)
+    """
+    rpm = rate_rad_s * 30 / pi
+    return _LABEL_SIGMA if any(abs(rpm - label) < 1.5e-3 * label for label in _LABELS_RPM) else _OTHER_SIGMA
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedRate:
+    """The rate of a turntable, as somebody stated it or as a video showed it.
+
+    Attributes
+    ----------
+    name : as stated, such as "16rpm", or the name of the video
+    rate_rad_s : [rad/s], 0 for a turntable at rest
+    sigma_rad_s : its standard deviation [rad/s]; 0 where it is taken as exact. Where it is not stated, that of a record
+        player's label (1 %) for the speeds that are on such labels, else 0.1 %
+    turns : turns that a video showed; nan where there was none
+    """
+
+    name: str
+    rate_rad_s: float
+    sigma_rad_s: float = nan
+    turns: float = nan
+
+    def __post_init__(self) -> None:
+        if isnan(self.sigma_rad_s):
+            object.__setattr__(self, "sigma_rad_s", default_rate_sigma(self.rate_rad_s) * self.rate_rad_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurntableOptions:
+    """How to calibrate a gyroscope on a turntable (Angrisano)."""
+
+    model: Literal["auto", "basic", "g-sensitivity"] = "auto"
+    """Gyroscope bias: constant (basic), linear in the specific force (g-sensitivity), or chosen by hold-out (auto)."""
+
+    rate_sigma: float | None = None
+    """Relative standard deviation of rates that were stated as numbers: by default 0.01 of speeds that are on the label
+    of a record player (16, 33 1/3, 45, 78 rpm), 0.001 of others."""
+
+    sense: Literal["auto", "clockwise", "counterclockwise"] = "auto"
+    """Which way the platter turns, seen from above; both triads are taken for right-handed where it is not stated."""
+
+    gravity: float | None = None
+    """Local gravity in m/s^2, where you know it."""
+
+    latitude: float | None = None
+    """Latitude in degrees, from which the earth's rate and, unless stated, normal gravity (WGS 84) are computed."""
+
+    altitude: float = 0.0
+    """Height above the ellipsoid in metres, used with --latitude."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.gyroscope.g_sensitivity."""
+
+    free: tuple[str, ...] = ()
+    """Parameters to estimate that are fixed otherwise, such as rate.scale."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, a noise.yaml, or NAME=SIGMA, such as imu0.gyroscope.bias=0.01."""
+
+    accelerometer_range: float | None = None
+    """Full scale of the accelerometer, in the recording's unit; samples at or beyond it are masked."""
+
+    gyroscope_range: float | None = None
+    """Full scale of the gyroscope, in the recording's unit; samples at or beyond it are masked."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if self.rate_sigma is not None and not self.rate_sigma >= 0:
+            raise OptionError(f"rate_sigma {self.rate_sigma:g} must not be below zero.")
+        _check_gravity(self.gravity)
+        _check_positive(self, ("accelerometer_range", "gyroscope_range"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MagnetometerOptions:
+    """How to calibrate a magnetometer."""
+
+    field: float | None = None
+    """Strength of the local magnetic field in uT, where you know it; otherwise it is the unit of the result."""
+
+    dip: float | None = None
+    """Angle of the local field below the horizontal in degrees, below zero where it points up; checks handedness."""
+
+    latitude: float | None = None
+    """Latitude in degrees: which way the field dips there checks the handedness of the axes."""
+
+    model: Literal["auto", "hard-iron", "full"] = "auto"
+    """Every entry of the sensitivity (full, auto), or offset and one scale (hard-iron), soft iron left out."""
+
+    fix: tuple[str, ...] = ()
+    """Parameters that keep their prior value, such as imu0.magnetometer.bias."""
+
+    free: tuple[str, ...] = ()
+    """Parameters of which a prior calibration is not asked, such as imu0.accelerometer."""
+
+    prior: tuple[str, ...] = ()
+    """What is known beforehand: a calibration.yaml, or NAME=SIGMA, such as imu0.magnetometer.bias=5."""
+
+    magnetometer_range: float | None = None
+    """Full scale of the magnetometer, in the recording's unit; samples at or beyond it are masked."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+
+
+BoardModel = Literal["auto", "stated", "aspect", "bow", "corners"]
+CovarianceKind = Literal["robust", "ordinary"]
+BOARDS, COVARIANCES = get_args(BoardModel), get_args(CovarianceKind)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraOptions:
+    """How to calibrate one or several cameras from views of a board."""
+
+    model: tuple[str, ...] = ()
+    """Lens model of every camera, such as pinhole-radtan, or of each, cam0=pinhole-radtan cam1=ds-none; chosen by
+    hold-out where it is not given."""
+
+    among: tuple[str, ...] = ()
+    """Lens models to choose from, such as pinhole-radtan pinhole-equidistant; the usual ones where not given, of which
+    one that every program reads is taken where it predicts hold-out views within 3 % of the best."""
+
+    board: BoardModel = "auto"
+    """What of the board is estimated: nothing (stated), its scale along y over that along x (aspect), how it bends too
+    (bow), the place of every corner (corners), or what the views prove to be there (auto)."""
+
+    views: int | None = None
+    """Most views to use, the most informative ones; chosen by what further ones would add where it is not given."""
+
+    baseline: float | None = None
+    """Measured distance of cam1 from cam0 in metres, which tells the true size of the board."""
+
+    baseline_sigma: float = 1e-4
+    """Standard deviation of that distance in metres."""
+
+    robust: bool = True
+    """Single corners that fit badly count less (Huber), and whole views that do are left out; with --no-robust all of
+    them count alike."""
+
+    covariance: CovarianceKind = "robust"
+    """Take the uncertainty from the scatter between views, which holds where the errors of a view are correlated
+    (robust), or count all errors as independent (ordinary)."""
+
+    max_iterations: int = 50
+    """Most iterations of one solution."""
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
+        if isinstance(self.model, str):  # one name, as people write it in Python
+            object.__setattr__(self, "model", (self.model,))
+        if isinstance(self.among, str):
+            object.__setattr__(self, "among", (self.among,))
+        if self.model and self.among:
+            raise OptionError("model states the lens, and among from which it is chosen. Leave out one of them.")
+        for name, known in (("board", BOARDS), ("covariance", COVARIANCES)):
+            if getattr(self, name) not in known:
+                raise OptionError(f"{name} {getattr(self, name)!r} must be one of {', '.join(known)}.")
+        for name in ("views", "baseline", "baseline_sigma", "max_iterations"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise OptionError(f"{name} {value:g} must be greater than zero.")
+
 
 Preset = Literal["gnomon", "tedaldi2014", "tedaldi2014-text", "imu_tk", "angrisano"]
 

@@ -1,7 +1,7 @@
 """What was measured: samples, as recorded, with their timestamps and their unit."""
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
@@ -15,6 +15,31 @@ from .frozen import FrozenMapping
 from .models.camera import Camera
 from .models.noise import ImuNoise
 from .units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units
+
+
+def close_gaps(stamps: Sequence[NDArray[np.int64]], longest_ns: int) -> list[NDArray[np.int64]]:
+    """Return timestamps of one clock, which stands still wherever none of them came for longer than `longest_ns`.
+
+    An even grid over what is returned has at most `longest_ns` over its step points for each timestamp. Where there is
+    no such gap the timestamps are returned as they are.
+
+    Parameters
+    ----------
+    stamps : of several sensors, each (n,) and not falling [ns]
+    longest_ns : what remains of a gap [ns]
+
+    Examples
+    --------
+    >>> close_gaps([np.array([0, 10, 9000, 9010])], 100)
+    [array([  0,  10, 110, 120])]
+    """
+    every = np.unique(np.concatenate(stamps))
+    surplus = np.maximum(np.diff(every) - longest_ns, 0)
+    if not surplus.any():
+        return list(stamps)
+    taken = np.concatenate([[0], np.cumsum(surplus)])
+    return [np.asarray(t_ns - taken[np.searchsorted(every, t_ns)], dtype=np.int64) for t_ns in stamps]
+
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

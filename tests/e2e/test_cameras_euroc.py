@@ -6,12 +6,12 @@ import pytest
 from gnomon.calibrate.camera_reading import read_camera_views
 from gnomon.calibrate.camera_views import rms_of
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.camera_options import CameraOptions
 from gnomon.estimate.cameras.board_shape import stated
 from gnomon.estimate.cameras.holdout import posed
 from gnomon.estimate.cameras.rig import Rig
 from gnomon.estimate.cameras.views import gathered_views
 from gnomon.models.camera import Camera
+from gnomon.options import CameraOptions
 
 TARGET = "target_type: aprilgrid\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n"
 PUBLISHED = {

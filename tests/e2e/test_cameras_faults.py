@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.camera_options import CameraOptions
 from gnomon.errors import DetectionError, InitialisationError, OptionError, RecordingError
 from gnomon.models.target import Target
+from gnomon.options import CameraOptions
 from gnomon.recording import Recording
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario

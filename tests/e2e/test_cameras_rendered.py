@@ -12,9 +12,9 @@ from scipy.stats import chi2
 
 from gnomon.calibrate.board_corners import CameraImages, detect_corners
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.camera_options import CameraOptions
 from gnomon.formats.kalibr.camchain import CameraInput
 from gnomon.models.camera import Camera
+from gnomon.options import CameraOptions
 from gnomon.recording import Recording
 from gnomon.simulate.board_images import rendered_cameras
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras

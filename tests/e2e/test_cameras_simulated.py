@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 from gnomon.calibrate.camera_lenses import CANDIDATES
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.camera_options import CameraOptions
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.options import CameraOptions
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
 from support.healthy import healthy_cameras

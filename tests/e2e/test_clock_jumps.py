@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.gaps import close_gaps
+from gnomon.recording import close_gaps
 from gnomon.simulate import FieldScenario
 from gnomon.writers.recording_file import save_recording
 

@@ -13,8 +13,8 @@ from gnomon.calibrate.turntable_preparation import prepare_turntable
 from gnomon.calibration import parameters
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.turntable.fit import magnitude_poses
+from gnomon.options import StatedRate, TurntableOptions
 from gnomon.simulate import TurntableScenario, simulate_turntable
-from gnomon.triad_options import StatedRate, TurntableOptions
 
 DEFAULT = TurntableScenario()
 HARD = TurntableScenario(

@@ -5,8 +5,8 @@ import pytest
 
 from gnomon.calibrate.camera_lenses import CANDIDATES, stated_models
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.camera_options import CameraOptions
 from gnomon.errors import OptionError
+from gnomon.options import CameraOptions
 from gnomon.parameters import covariance_names
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario

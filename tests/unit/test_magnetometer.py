@@ -13,9 +13,9 @@ from gnomon.estimate.triads.dip import fit_dip
 from gnomon.estimate.triads.field_poses import field_poses, rough_ellipsoid, sample_noise
 from gnomon.estimate.triads.triad_start import Ellipsoid
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from gnomon.options import MagnetometerOptions
 from gnomon.recording import ImuSamples, Recording, TriadSamples
 from gnomon.simulate import FieldScenario, simulate_magnetometer
-from gnomon.triad_options import MagnetometerOptions
 
 NAMES = "imu0.magnetometer.sensitivity", "imu0.magnetometer.bias"
 IN_UT = MagnetometerOptions(field=48.0)

@@ -8,7 +8,7 @@ import pytest
 
 from gnomon.cli.commands import COMMANDS, parse
 from gnomon.errors import OptionError
-from gnomon.ranges import check_ranges, option_range
+from gnomon.options import check_ranges, option_range
 from gnomon.units import parse_rate
 
 

@@ -10,10 +10,10 @@ import pytest
 from cameras_result import BOARD, LENSES, PIXEL_SIGMA, make_cameras_result, without_lens_covariance
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.calibration import Covariance
-from gnomon.camera_options import CameraOptions
 from gnomon.diagnostics import ViewPose
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.camera import Camera
+from gnomon.options import CameraOptions
 from gnomon.report import write_report
 from gnomon.report.camera_parameters import pose_numbers
 from gnomon.report.cameras_lens import (

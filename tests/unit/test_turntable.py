@@ -13,8 +13,8 @@ from gnomon.errors import DetectionError, OptionError
 from gnomon.estimate.turntable.axis import ForceBlocks, axis_in_sensor
 from gnomon.estimate.turntable.drift import drift_at
 from gnomon.estimate.turntable.speeds import NO_SPEED, assign_speeds
+from gnomon.options import StatedRate, TurntableOptions
 from gnomon.simulate import TurntableScenario, simulate_turntable
-from gnomon.triad_options import StatedRate, TurntableOptions
 
 RPM = np.pi / 30
 QUICK = {"steady_s": 12.0, "rest_s": 4.0}

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..calibration import CameraCalibration
-from ..camera_options import CameraOptions
 from ..diagnostics import (
     CamerasDiagnostics,
     CornerFit,
@@ -18,6 +17,7 @@ from ..diagnostics import (
 from ..estimate.cameras.board_shape import places
 from ..estimate.cameras.rig import Rig, RigSolution, SeenCorners, Views
 from ..models.target import Target
+from ..options import CameraOptions
 from ..parameters import element_names, parameters
 from ..recording import CameraFrames, Floats, Integers, Recording
 from ..trust import Trust

@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 
 from ..findings import Finding, make_finding
-from ..gaps import close_gaps
-from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
 from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
 from .threshold import RestDetection

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import Gravity
+from ..diagnostics import DipTable, PoseTable, TriadDiagnostics, TriadRecord, TriadTrial
 from ..estimate.triads.dip import DipFit
 from ..estimate.triads.field_poses import FieldPoses, field_of
 from ..estimate.triads.gravity_along import GravityFit
@@ -13,7 +14,6 @@ from ..estimate.trust.cluster_trust import Trusted
 from ..intervals import Booleans
 from ..recording import Floats, TriadSamples
 from ..sensors import ImuCalibration
-from ..triad_diagnostics import DipTable, PoseTable, TriadDiagnostics, TriadRecord, TriadTrial
 
 _ROWS, _ATTITUDES = 400, 200
 _STRAY = 6.0  # sigmas

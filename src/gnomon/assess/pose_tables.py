@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import AccelerometerCalibration, Gravity
+from ..diagnostics import GyroscopeAtRest, IterationHistory, PoseTable, TriadDiagnostics, TriadRecord
 from ..estimate.triads.angrisano import AngrisanoFit
 from ..estimate.triads.known_attitudes import StatedAttitudes
 from ..estimate.triads.pose_drift import PoseDrift
@@ -16,7 +17,6 @@ from ..evidence import Evidence
 from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..recording import Floats, Integers, Poses
-from ..triad_diagnostics import GyroscopeAtRest, IterationHistory, PoseTable, TriadDiagnostics, TriadRecord
 from .imu_tables import uncalibrated_error
 
 _PREDICTABLE = 0.9  # leverage; beyond it the other poses say nothing of this one

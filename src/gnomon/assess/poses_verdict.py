@@ -3,13 +3,13 @@
 import numpy as np
 
 from ..calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
+from ..diagnostics import PoseTable, TriadDiagnostics
 from ..estimate.triads.angrisano import AngrisanoFit
 from ..estimate.triads.pose_drift import SIGNIFICANT, PoseDrift
 from ..estimate.triads.triad_poses import B_, S_
 from ..findings import Finding, make_finding
 from ..parameters import element_names
 from ..recording import Floats
-from ..triad_diagnostics import PoseTable, TriadDiagnostics
 from ..units import ACCELEROMETER_UNITS_M_S2
 from .imu_tables import rms
 from .pose_tables import PoseEvidence, RestingGyroscope, gyroscope_findings

@@ -5,13 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibration import Gravity
-from ..estimate.triads.triad import TriadFit, TriadPoses
-from ..estimate.triads.triad_trust import together
-from ..estimate.trust.cluster_trust import Trusted
-from ..estimate.turntable.fit import TurntableFit
-from ..estimate.turntable.parts import TurntableParts
-from ..recording import Floats
-from ..triad_diagnostics import (
+from ..diagnostics import (
     GyroscopeAtRest,
     PeriodCurve,
     PoseTable,
@@ -20,6 +14,12 @@ from ..triad_diagnostics import (
     TriadTrial,
     TurntableRate,
 )
+from ..estimate.triads.triad import TriadFit, TriadPoses
+from ..estimate.triads.triad_trust import together
+from ..estimate.trust.cluster_trust import Trusted
+from ..estimate.turntable.fit import TurntableFit
+from ..estimate.turntable.parts import TurntableParts
+from ..recording import Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

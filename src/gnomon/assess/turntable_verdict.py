@@ -5,11 +5,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..calibration import Assessment, Holdout
+from ..diagnostics import TriadDiagnostics
 from ..findings import Finding, make_finding
 from ..models.gravity import EARTH_RATE_RAD_S
+from ..options import TurntableOptions
 from ..recording import Floats
-from ..triad_diagnostics import TriadDiagnostics
-from ..triad_options import TurntableOptions
 from ..trust import TrustNote
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .imu_verdict import axis_findings, convergence_findings

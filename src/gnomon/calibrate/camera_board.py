@@ -10,12 +10,12 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ..camera_options import CameraOptions
 from ..errors import GnomonError
 from ..estimate.camera_imu.residual_patterns import along_board, common_pattern
 from ..estimate.cameras.rig import RigSolution
 from ..estimate.cameras.solution import solved
 from ..estimate.trust.model_choice import Candidate, Step, model_steps
+from ..options import CameraOptions
 from ..recording import Floats, Integers
 from ..trust import ModelStep
 from .camera_lenses import time_clusters

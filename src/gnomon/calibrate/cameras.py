@@ -19,7 +19,6 @@ from ..assess.cameras_verdict import assess
 from ..assess.changes import with_changes
 from ..assess.verdict import trust_note
 from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
-from ..camera_options import CameraOptions
 from ..diagnostics import Result
 from ..errors import DetectionError, GnomonError, RecordingError
 from ..estimate.cameras.holdout import posed
@@ -28,6 +27,7 @@ from ..estimate.cameras.solution import RigSolution, solved
 from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
+from ..options import CameraOptions
 from ..recording import Recording
 from .camera_board import BoardChoice, with_board
 from .camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters

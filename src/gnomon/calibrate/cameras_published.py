@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..calibration import CameraCalibration
-from ..camera_options import CameraOptions
 from ..errors import OptionError
 from ..estimate.cameras.rig import RigSolution
 from ..estimate.trust.cluster_trust import trusted
+from ..options import CameraOptions
 from ..parameters import covariance_names
 from ..recording import Floats
 from ..trust import Trust

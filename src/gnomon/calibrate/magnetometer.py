@@ -43,9 +43,8 @@ from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding, make_finding
 from ..intervals import Booleans
 from ..models.frames import frame_rotation, rotation_jacobian
-from ..options import ImuOptions
+from ..options import ImuOptions, MagnetometerOptions
 from ..recording import Floats, Recording, TriadSamples
-from ..triad_options import MagnetometerOptions
 from .preparation import check_arguments, local_gravity, stated_options
 
 _FIELDS_UT = (10.0, 200.0)

@@ -10,7 +10,6 @@ from ..assess.doctor import check_by_rests
 from ..assess.protocol import find_imu_rests
 from ..assess.threshold import RestDetection
 from ..calibration import UNSTATED_GRAVITY, AccelerometerCalibration, Gravity, GyroscopeCalibration, ImuCalibration
-from ..camera_options import CameraOptions
 from ..detect.samples.noise import resting_noise
 from ..detect.samples.repair import repaired
 from ..detect.samples.repeats import repeated_stretches
@@ -27,9 +26,8 @@ from ..models.gravity import (
     normal_gravity_m_s2,
 )
 from ..models.target import Target
-from ..options import CameraImuOptions, ImuOptions
+from ..options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples, shared_sources
-from ..triad_options import MagnetometerOptions, TurntableOptions
 
 _READ = {
     "calibrate_imu": 'gnomon.calibrate_imu(gnomon.read("recording.csv"))',

@@ -11,7 +11,7 @@ import numpy as np
 from .._version import __version__
 from ..assess.joined_recordings import Scalars, joined_assessment, quantities_of, refuse_other_sensors
 from ..calibration import Calibration, Covariance, Provenance
-from ..diagnostics import ImuDiagnostics, JoinedDiagnostics, JoinedRecording, Result
+from ..diagnostics import ImuDiagnostics, JoinedDiagnostics, JoinedRecording, Result, TriadDiagnostics
 from ..errors import GnomonError, OptionError, RecordingError
 from ..estimate.trust.between_recordings import join_estimates
 from ..evidence import Priors, gravity_part
@@ -19,7 +19,6 @@ from ..options import ImuOptions
 from ..parameters import parameters
 from ..recording import Floats, Recording
 from ..sensors import ImuCalibration
-from ..triad_diagnostics import TriadDiagnostics
 from .preparation import recording_names, refuse_same_data, stated_options
 
 Progress = Callable[[str], None]

@@ -24,16 +24,15 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..diagnostics import Result
+from ..diagnostics import PeriodCurve, Result
 from ..errors import DetectionError, InitialisationError, OptionError, SolveError
 from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
 from ..estimate.turntable.parts import TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, reassign
 from ..evidence import NOTHING, Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding
+from ..options import StatedRate, TurntableOptions
 from ..recording import Recording
-from ..triad_diagnostics import PeriodCurve
-from ..triad_options import StatedRate, TurntableOptions
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .preparation import check_arguments, local_gravity, recording_names, refuse_same_data, stated_options
 from .turntable_preparation import prepare_turntable

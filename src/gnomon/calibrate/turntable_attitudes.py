@@ -14,8 +14,8 @@ from ..estimate.turntable.parts import TurntableData, TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, Speeds
 from ..findings import Finding
 from ..intervals import Booleans, StaticIntervals
+from ..options import StatedRate
 from ..recording import Floats, Integers, TriadSamples
-from ..triad_options import StatedRate
 
 _FORCE_BLOCK_S = 0.125
 

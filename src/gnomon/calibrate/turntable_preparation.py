@@ -14,8 +14,8 @@ from ..estimate.turntable.parts import TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, Speeds, assign_speeds
 from ..findings import Finding, make_finding
 from ..intervals import Booleans, StaticIntervals, interval_means
+from ..options import StatedRate, TurntableOptions
 from ..recording import Floats, Integers, Recording, TriadSamples
-from ..triad_options import StatedRate, TurntableOptions
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .turntable_attitudes import PlatterStream, turntable_parts
 

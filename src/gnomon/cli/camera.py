@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from ..camera_options import CameraOptions
 from ..errors import OptionError, RecordingError
 from ..models.lens_programs import check_program, refit_models
+from ..options import CameraOptions
 from ..simulate.cameras_scenario import CamerasScenario
 from ..units import Units
 from .command import (

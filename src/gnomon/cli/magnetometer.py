@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
+from ..options import MagnetometerOptions
 from ..simulate import FieldScenario
-from ..triad_options import MagnetometerOptions
 from .command import Command, Flat, ForUse, Input, Json, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..calibration import Calibration, element_names, parameters
-from ..diagnostics import Result
+from ..diagnostics import Result, TriadDiagnostics
 from ..findings import Finding
 from ..formats.losses import held_names
 from ..formats.units_text import parameter_unit
 from ..recording import Floats
-from ..triad_diagnostics import TriadDiagnostics
 from ..trust import TrustNote
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 

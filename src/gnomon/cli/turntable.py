@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from ..errors import OptionError
+from ..options import TurntableOptions
 from ..simulate.platter_scenario import PlatterScenario
 from ..simulate.scenarios import TurntableScenario
-from ..triad_options import TurntableOptions
 from ..units import Units, parse_rate
 from .command import Command, Flat, ForUse, Json, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
@@ -21,11 +21,10 @@ from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..detect.platter.rate import PlatterRate
-    from ..diagnostics import Result
+    from ..diagnostics import PeriodCurve, Result
     from ..findings import Finding
+    from ..options import StatedRate
     from ..recording import Recording
-    from ..triad_diagnostics import PeriodCurve
-    from ..triad_options import StatedRate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +136,7 @@ def _rates(
 
 def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRate, PlatterRate | None]":
     """Return a speed as stated, or as a video shows it with what else it showed."""
-    from ..triad_options import StatedRate
+    from ..options import StatedRate
     from ..units import parse_rate
 
     path = Path(text)
@@ -156,7 +155,7 @@ def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRat
 
 
 def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
-    from ..triad_diagnostics import PeriodCurve
+    from ..diagnostics import PeriodCurve
 
     return PeriodCurve(
         name=name,
@@ -169,7 +168,7 @@ def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
 
 def _summary_lines(result: "Result") -> Iterator[str]:
     """Yield lines on what the calibration rests on, and the speeds."""
-    from ..triad_diagnostics import TriadDiagnostics
+    from ..diagnostics import TriadDiagnostics
     from . import summary
 
     diagnostics = result.diagnostics

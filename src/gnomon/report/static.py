@@ -9,9 +9,8 @@ from math import degrees, isfinite
 import numpy as np
 
 from ..calibration import Calibration
-from ..diagnostics import ImuDiagnostics, JoinedDiagnostics
+from ..diagnostics import ImuDiagnostics, JoinedDiagnostics, TriadDiagnostics
 from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
-from ..triad_diagnostics import TriadDiagnostics
 from ..units import STANDARD_GRAVITY_M_S2
 from .imu_parameters import parameter_groups
 from .numbers import (

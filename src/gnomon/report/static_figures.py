@@ -3,9 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnostics import AllanCurve, DetectorTrace, ImuDiagnostics, IntervalTable, RotationTable, SignalEnvelope
+from ..diagnostics import (
+    AllanCurve,
+    DetectorTrace,
+    DipTable,
+    GyroscopeAtRest,
+    ImuDiagnostics,
+    IntervalTable,
+    IterationHistory,
+    PeriodCurve,
+    PoseTable,
+    RotationTable,
+    SignalEnvelope,
+)
 from ..recording import Floats, Integers
-from ..triad_diagnostics import DipTable, GyroscopeAtRest, IterationHistory, PeriodCurve, PoseTable
 from . import svg
 from .figures import (
     AXES,

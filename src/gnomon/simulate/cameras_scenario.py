@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Self
 
 from ..errors import OptionError
-from ..ranges import check_ranges
+from ..options import check_ranges
 from .seen_board import RenderedImages, SeenBoard, TrueLens
 
 AttitudeName = Literal["varied", "facing", "one"]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..errors import OptionError
-from ..ranges import check_ranges
+from ..options import check_ranges
 from .camera_imu_scenario import MotionName
 
 PlannedMotion = MotionName | Literal["planar"]

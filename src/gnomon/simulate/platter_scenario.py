@@ -5,7 +5,7 @@ from math import pi
 from typing import Literal
 
 from ..errors import OptionError
-from ..ranges import check_ranges
+from ..options import check_ranges
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

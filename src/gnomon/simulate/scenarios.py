@@ -8,7 +8,7 @@ from math import radians
 from typing import Literal
 
 from ..errors import OptionError
-from ..ranges import check_ranges
+from ..options import check_ranges
 from ..units import Units
 
 Attitudes = Literal["angrisano18", "six", "seven", "sphere"]

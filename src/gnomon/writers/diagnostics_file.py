@@ -24,9 +24,9 @@ from ..diagnostics import (
     JoinedDiagnostics,
     SignalFit,
     TrajectoryTrack,
+    TriadDiagnostics,
 )
 from ..output import atomic_file
-from ..triad_diagnostics import TriadDiagnostics
 
 _LEVEL = 1  # higher levels take twice the time for a twentieth of the size
 _SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,

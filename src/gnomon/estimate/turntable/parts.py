@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 from ...findings import Finding
 from ...intervals import Booleans
+from ...options import StatedRate
 from ...recording import Floats, Integers
-from ...triad_options import StatedRate
 from .axis import AxisInSensor
 
 

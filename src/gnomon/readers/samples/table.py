@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import RecordingError
-from ...ranges import option_range
+from ...options import option_range
 from ...recording import Floats, Integers
 from ...units import Units
 from ..files import TextFile
