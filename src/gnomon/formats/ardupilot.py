@@ -34,7 +34,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     imus = require_flight_imus(calibration, "ArduPilot", _IMUS)
     rows = [f"{name},{value!r}\n" for i, imu in enumerate(imus.values()) for name, value in _names(i).values(imu)]
     head = flight_head(_HEAD, calibration, context)
-    losses = (*flight_losses(calibration, "ArduPilot", _IMUS), *_range_losses(imus), *_start_losses(imus))
+    losses = (*flight_losses(calibration, "ArduPilot", _IMUS, context), *_range_losses(imus), *_start_losses(imus))
     return Export(files={FILE: head + "".join(rows)}, losses=losses)
 
 

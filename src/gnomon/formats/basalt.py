@@ -26,15 +26,12 @@ from .losses import (
     Export,
     Loss,
     StatedImu,
-    g_sensitivity_losses,
     into_frame,
-    magnetometer_losses,
     require_triads,
-    uncertainty_loss,
     unknown_lens,
 )
-from .sensor_losses import accelerometer_losses, missing_gyroscope_loss, noise_losses, other_imu_losses, shift_losses
-from .si_units import conversions, count_losses, si_imu
+from .sensor_losses import Holds, not_representable
+from .si_units import conversions, si_imu
 from .structured import Node
 
 _NOISE = {
@@ -227,6 +224,16 @@ _INSTEAD = (
     "gyro_bias_std, imu_update_rate). Put in yours"
 )
 
+HOLDS = Holds(
+    program="Basalt",
+    imus=1,
+    g_sensitivity=False,
+    ideal_gyroscope=True,
+    time_shift="one",
+    topics=False,
+    without_noise=_INSTEAD,
+)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `calibration.json`.
@@ -238,22 +245,9 @@ def export(calibration: Calibration, context: Context) -> Export:
     """
     require_triads(calibration, "basalt", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, BasaltTriad.frame, "Basalt's")
-    name, imu = next(iter(moved.imus.items()))
-    found = (
-        *losses,
-        *count_losses(name, imu, "Basalt"),
-        *g_sensitivity_losses(moved, "Basalt"),
-        *missing_gyroscope_loss(name, imu),
-        *other_imu_losses(moved, "Basalt"),
-        *shift_losses(moved, "Basalt"),
-        *noise_losses(context.of(name), "Basalt", _INSTEAD),
-        *accelerometer_losses(moved, "Basalt"),
-        *_losses(moved),
-        *magnetometer_losses(moved, "Basalt"),
-    )
-    return Export(
-        files={FILE: basalt_text(moved, context.of(name), context.remarks)}, losses=(*found, uncertainty_loss("basalt"))
-    )
+    name = next(iter(moved.imus))
+    found = (*losses, *_losses(moved), *not_representable(moved, HOLDS, context))
+    return Export(files={FILE: basalt_text(moved, context.of(name), context.remarks)}, losses=found)
 
 
 def basalt_text(calibration: Calibration, stated: StatedImu | None = None, remarks: tuple[str, ...] = ()) -> str:
@@ -357,8 +351,6 @@ def _losses(calibration: Calibration) -> Iterator[Loss]:
         return
     yield Loss(what="time shift", why="Basalt counts whole nanoseconds: it was rounded.", size="at most 0.5 ns")
     for name, camera in calibration.cameras.items():
-        if camera.camera.topic:
-            yield Loss(what=f"rostopic of {name}", why="Basalt has no key for it.")
         if camera.camera.model in ("pinhole-radtan", "pinhole-radtan5"):
             yield Loss(
                 what=f"camera_type of {name}",

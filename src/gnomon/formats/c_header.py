@@ -11,9 +11,9 @@ import numpy as np
 from ..calibration import Calibration, ImuCalibration
 from ..models.forms import inverse
 from ..recording import Floats
-from .losses import Context, Export, Loss, rig_losses, uncertainty_loss
+from .losses import Context, Export, Loss
 from .own.calibration_text import FRAMES
-from .sensor_losses import accelerometer_losses
+from .sensor_losses import Holds, not_representable
 
 _HEAD = """\
 /* Calibration of an inertial sensor as C code, made by gnomon.
@@ -63,6 +63,8 @@ _PRODUCT = """\
         {pad}     + gnomon_{imu}_{triad}_correction[i][2] * d[2];
 """
 
+HOLDS = Holds(program="the C header", cameras=0, samples_in_si=False, magnetometer=True)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `gnomon_imu.h` with a function `gnomon_imu0_apply` for each IMU.
@@ -88,8 +90,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     rounding = Loss(
         what="precision", why="the numbers are floats; csv and calibration.yaml hold more.", size="6e-8 relative"
     )
-    losses = (*rig_losses(calibration, "the C header"), *accelerometer_losses(calibration, "the C header"), rounding)
-    return Export(files={"gnomon_imu.h": text}, losses=(*losses, uncertainty_loss("the C header")))
+    return Export(files={"gnomon_imu.h": text}, losses=(*not_representable(calibration, HOLDS, context), rounding))
 
 
 def _constants(imu: str, calibration: ImuCalibration) -> str:

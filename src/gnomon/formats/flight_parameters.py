@@ -16,8 +16,8 @@ from ..errors import FormatError, OptionError
 from ..models.diagonal_forms import DiagonalTriad
 from ..recording import Floats
 from .foreign import ForeignCalibration, recognised_frame
-from .losses import Context, Loss, g_sensitivity_losses, magnetometer_losses, rig_losses, uncertainty_loss
-from .sensor_losses import accelerometer_losses, rest_size, si_sensitivity
+from .losses import Context, Loss
+from .sensor_losses import Holds, not_representable, rest_size, si_sensitivity
 from .si_units import conversions, refuse_counts
 from .structured import read_text
 
@@ -166,11 +166,8 @@ def flight_head(head: str, calibration: Calibration, context: Context) -> str:
     return head.format(frame=calibration.frame) + context.comment()
 
 
-def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[Loss]:
-    """Yield what these parameters cannot hold."""
-    yield from rig_losses(calibration, whose)
-    for name in list(calibration.imus)[most:]:
-        yield Loss(what=name, why=f"{whose} knows {most} IMUs.")
+def flight_losses(calibration: Calibration, whose: str, most: int, context: Context) -> Iterator[Loss]:
+    """Yield what these parameters cannot represent."""
     for name, imu in list(calibration.imus.items())[:most]:
         flight = flight_imu(imu)
         for conversion in conversions(imu):
@@ -187,8 +184,5 @@ def flight_losses(calibration: Calibration, whose: str, most: int) -> Iterator[L
                     else f"{whose} knows an offset for each axis only. Use the c-header to correct the rest.",
                     size=rest_size(rest, conversion.triad),
                 )
-    yield from g_sensitivity_losses(calibration, whose)
-    yield from accelerometer_losses(calibration, whose)
-    yield from magnetometer_losses(calibration, whose)
-    yield Loss(what="precision", why=f"{whose} keeps floats.", size="6e-8 relative")
-    yield uncertainty_loss(whose)
+    holds = Holds(program=whose, imus=most, cameras=0, samples_in_si=False, g_sensitivity=False, floats="keeps")
+    yield from not_representable(calibration, holds, context)

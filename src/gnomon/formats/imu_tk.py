@@ -20,14 +20,10 @@ from .losses import (
     Context,
     Export,
     Loss,
-    g_sensitivity_losses,
     into_frame,
-    magnetometer_losses,
     numbers_text,
-    rig_losses,
-    uncertainty_loss,
 )
-from .sensor_losses import accelerometer_losses
+from .sensor_losses import Holds, not_representable
 from .structured import read_text
 
 _COMMENT = re.compile(r"(?m)^[ \t]*#.*$")
@@ -104,6 +100,9 @@ def _read_triad(path: str | PathLike[str], known: dict[str, float | None]) -> tu
     return *ImuTkTriad(T=T, K=np.diag(K).copy(), B=B).to_sensor(), found[2] if found and found[2] in known else ""
 
 
+HOLDS = Holds(program="imu_tk", cameras=0, samples_in_si=False, g_sensitivity=False)
+
+
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `imu0_acc.calib` and `imu0_gyro.calib` for each IMU, of the triads that there are.
 
@@ -139,15 +138,7 @@ def export(calibration: Calibration, context: Context) -> Export:
     )
     return Export(
         files=files,
-        losses=(
-            *rig_losses(moved, "imu_tk"),
-            *g_sensitivity_losses(moved, "imu_tk"),
-            *accelerometer_losses(moved, "imu_tk"),
-            *magnetometer_losses(moved, "imu_tk"),
-            *losses,
-            unit,
-            uncertainty_loss("imu_tk"),
-        ),
+        losses=(*losses, unit, *not_representable(moved, HOLDS, context)),
     )
 
 

@@ -11,9 +11,9 @@ from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibr
 from ..models.project_forms import ImucalAccelerometer, ImucalGyroscope
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .foreign import ForeignCalibration, recognised_frame
-from .losses import Context, Export, magnetometer_losses, require_triads, rig_losses, uncertainty_loss
+from .losses import Context, Export, require_triads
 from .own.calibration_text import FRAMES
-from .sensor_losses import accelerometer_losses
+from .sensor_losses import Holds, not_representable
 from .structured import Node, read_json
 
 _TEXTS = ("acc_unit", "gyr_unit", "from_acc_unit", "from_gyr_unit", "comment")
@@ -70,6 +70,8 @@ def _raw_unit(keys: dict[str, Node], name: str, known: dict[str, float | None]) 
 
 _COMMENT = "Made by gnomon. acc = K_a R_a f + b_a; gyr = K_g R_g w + K_ga f + b_g, f in m/s^2, w in deg/s."
 
+HOLDS = Holds(program="imucal", cameras=0, samples_in_si=False)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `imu0.json` for each IMU.
@@ -84,12 +86,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         f"{name}.json": json.dumps(_document(imu, calibration.frame, context.remarks), indent=4) + "\n"
         for name, imu in calibration.imus.items()
     }
-    losses = (
-        *rig_losses(calibration, "imucal"),
-        *accelerometer_losses(calibration, "imucal"),
-        *magnetometer_losses(calibration, "imucal"),
-    )
-    return Export(files=files, losses=(*losses, uncertainty_loss("imucal")))
+    return Export(files=files, losses=tuple(not_representable(calibration, HOLDS, context)))
 
 
 def _document(imu: ImuCalibration, frame: str, remarks: tuple[str, ...]) -> dict[str, Any]:

@@ -4,7 +4,6 @@ T_SC maps camera to IMU coordinates, T_BS those of the IMU to a body's, from whi
 stamp of an image is its stamp minus image_delay, so that t_imu - t_cam is minus image_delay.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -21,22 +20,11 @@ from .foreign_yaml import lens, placed, required, rigid
 from .losses import (
     Context,
     Export,
-    Loss,
     StatedImu,
-    g_sensitivity_losses,
-    magnetometer_losses,
-    uncertainty_loss,
     unknown_lens,
 )
-from .sensor_losses import (
-    accelerometer_losses,
-    ideal_losses,
-    noise_losses,
-    other_imu_losses,
-    require_cameras,
-    shift_losses,
-)
-from .si_units import conversions, count_losses
+from .sensor_losses import Holds, not_representable, require_cameras
+from .si_units import conversions
 from .structured import Node
 from .yaml_text import opencv_lines
 
@@ -168,6 +156,19 @@ _NAMES = {
     "equidistant": "equidistant",
 }
 
+HOLDS = Holds(
+    program=_WHOSE,
+    imus=1,
+    sensitivity=False,
+    g_sensitivity=False,
+    time_shift="one",
+    undistorted="radialtangential",
+    topics=False,
+    without_noise="does not start without sigma_g_c and the others: add them by hand",
+    settings=f"{_MISSING}, timestamp_tolerance, online_calibration and the parameters of frontend, estimator "
+    "and output",
+)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `okvis.yaml`.
@@ -179,25 +180,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     """
     require_cameras(calibration, _WHOSE)
     name, imu = next(iter(calibration.imus.items()))
-    stated = context.of(name)
-    losses = (
-        *count_losses(name, imu, _WHOSE),
-        *ideal_losses(name, imu, _WHOSE),
-        *g_sensitivity_losses(calibration, _WHOSE),
-        *accelerometer_losses(calibration, _WHOSE),
-        *noise_losses(stated, _WHOSE, "does not start without sigma_g_c and the others: add them by hand"),
-        *other_imu_losses(calibration, _WHOSE),
-        *shift_losses(calibration, _WHOSE),
-        *_camera_losses(calibration),
-        *magnetometer_losses(calibration, _WHOSE),
-        Loss(
-            what="settings of the program",
-            why=f"{_MISSING}, timestamp_tolerance, online_calibration and the parameters of frontend, estimator and "
-            "output are not of the rig. Take them from OKVIS' own files.",
-        ),
-        uncertainty_loss(_WHOSE),
-    )
-    return Export(files={FILE: _text(calibration, name, imu, stated, context)}, losses=losses)
+    losses = tuple(not_representable(calibration, HOLDS, context))
+    return Export(files={FILE: _text(calibration, name, imu, context.of(name), context)}, losses=losses)
 
 
 def _text(calibration: Calibration, name: str, imu: ImuCalibration, stated: StatedImu, context: Context) -> str:
@@ -255,14 +239,3 @@ def _imu_entry(imu: ImuCalibration, stated: StatedImu) -> dict[str, Any]:
         "g0": biases.get("gyroscope", np.zeros(3)),
         "a0": biases.get("accelerometer", np.zeros(3)),
     }
-
-
-def _camera_losses(calibration: Calibration) -> Iterator[Loss]:
-    for name, camera in calibration.cameras.items():
-        if camera.camera.distortion == "none":
-            yield Loss(
-                what=f"distortion of {name}",
-                why="it has none; the file has radialtangential with zeros, which is the same.",
-            )
-        if camera.camera.topic:
-            yield Loss(what=f"rostopic of {name}", why="OKVIS has no key for it.")

@@ -17,28 +17,19 @@ from ..models.noise import ImuNoise
 from ..recording import Floats
 from .foreign_yaml import file_name, matrix, rotation
 from .kalibr.camchain import camera_chain
-from .lenses import k3_losses, without_k3
+from .lenses import without_k3
 from .losses import (
     Context,
     Export,
     Loss,
     StatedImu,
     into_frame,
-    magnetometer_losses,
     require_triads,
     stated_entry,
-    uncertainty_loss,
     unknown_lens,
 )
-from .sensor_losses import (
-    accelerometer_losses,
-    bias_losses,
-    missing_gyroscope_loss,
-    noise_losses,
-    other_imu_losses,
-    shift_losses,
-)
-from .si_units import conversions, count_losses, si_imu
+from .sensor_losses import Holds, not_representable
+from .si_units import conversions, si_imu
 from .structured import Node
 from .yaml_text import kalibr_yaml
 
@@ -116,6 +107,17 @@ _EQUATIONS = """\
 #   accelerometer [m/s^2] = Ta R_IMUtoACC f + bias       gyroscope [rad/s] = Tw R_IMUtoGYRO w + Tg f + bias
 """
 
+HOLDS = Holds(
+    program="OpenVINS",
+    imus=1,
+    bias=False,
+    ideal_gyroscope=True,
+    time_shift="one",
+    k3=False,
+    undistorted="radtan",
+    without_noise="does not start without: add them by hand",
+)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `kalibr_imu_chain.yaml`, and `kalibr_imucam_chain.yaml` where there are cameras.
@@ -131,16 +133,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     files = {IMU_FILE: imu_chain_text(imu, context.of(name), context.comment())}
     if moved.cameras:
         files[CAMERA_FILE] = camera_chain_text(moved, context.comment())
-    found = (
-        *losses,
-        *_imu_losses(name, imu),
-        *noise_losses(context.of(name), "OpenVINS", "does not start without: add them by hand"),
-        *accelerometer_losses(moved, "OpenVINS"),
-        *other_imu_losses(moved, "OpenVINS"),
-        *k3_losses(moved, "OpenVINS"),
-        *_camera_losses(moved),
-    )
-    return Export(files=files, losses=(*found, *magnetometer_losses(moved, "OpenVINS"), uncertainty_loss("openvins")))
+    found = (*losses, *_camera_losses(moved), *not_representable(moved, HOLDS, context))
+    return Export(files=files, losses=found)
 
 
 def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None, remarks: str = "") -> str:
@@ -204,20 +198,9 @@ def _known(name: str, calibrated: CameraCalibration) -> CameraCalibration:
     return replace(calibrated, camera=replace(camera, distortion="radtan", distortion_coeffs=np.zeros(4)))
 
 
-def _imu_losses(name: str, imu: ImuCalibration) -> Iterator[Loss]:
-    yield from count_losses(name, imu, "OpenVINS")
-    yield from bias_losses(name, imu, "OpenVINS")
-    yield from missing_gyroscope_loss(name, imu)
-
-
 def _camera_losses(calibration: Calibration) -> Iterator[Loss]:
-    yield from shift_losses(calibration, "OpenVINS")
     if not calibration.cameras:
         yield Loss(what="cameras", why="this calibration is of an IMU alone; OpenVINS needs kalibr_imucam_chain.yaml.")
     for name, camera in calibration.cameras.items():
-        if camera.camera.distortion == "none":
-            yield Loss(
-                what=f"distortion of {name}", why="it has none; the file has radtan with zeros, which is the same."
-            )
         if not camera.camera.topic:
             yield Loss(what=f"rostopic of {name}", why="it was not stated; add it by hand for a ROS node.")

@@ -20,24 +20,11 @@ from .kalibr.camchain import baseline
 from .losses import (
     Context,
     Export,
-    Loss,
     StatedImu,
-    g_sensitivity_losses,
-    magnetometer_losses,
-    uncertainty_loss,
     unknown_lens,
 )
-from .sensor_losses import (
-    accelerometer_losses,
-    bias_losses,
-    first_cameras,
-    ideal_losses,
-    no_shift_losses,
-    noise_losses,
-    other_imu_losses,
-    require_cameras,
-)
-from .si_units import conversions, count_losses
+from .sensor_losses import Holds, not_representable, require_cameras
+from .si_units import conversions
 from .structured import Node
 from .yaml_text import opencv_lines, opencv_matrix
 
@@ -146,6 +133,20 @@ _COEFFS = {
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
 
+HOLDS = Holds(
+    program=_WHOSE,
+    imus=1,
+    cameras=_CAMERAS,
+    sensitivity=False,
+    bias=False,
+    g_sensitivity=False,
+    time_shift="none",
+    topics=False,
+    without_noise="does not start without: add IMU.NoiseGyro and the others by hand",
+    floats="reads",
+    settings="Camera.fps, Camera.RGB, Stereo.ThDepth, ORBextractor and Viewer",
+)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `orb_slam3.yaml`.
@@ -157,29 +158,8 @@ def export(calibration: Calibration, context: Context) -> Export:
     """
     require_cameras(calibration, _WHOSE)
     cameras = dict(list(calibration.cameras.items())[:_CAMERAS])
-    name, imu = next(iter(calibration.imus.items()))
-    stated = context.of(name)
-    text = _text(calibration, cameras, stated, context)
-    losses = (
-        *count_losses(name, imu, _WHOSE),
-        *ideal_losses(name, imu, _WHOSE),
-        *g_sensitivity_losses(calibration, _WHOSE),
-        *bias_losses(name, imu, _WHOSE),
-        *accelerometer_losses(calibration, _WHOSE),
-        *noise_losses(stated, _WHOSE, "does not start without: add IMU.NoiseGyro and the others by hand"),
-        *other_imu_losses(calibration, _WHOSE),
-        *first_cameras(calibration, _CAMERAS, _WHOSE),
-        *no_shift_losses(calibration, _WHOSE),
-        *_topic_losses(cameras),
-        *magnetometer_losses(calibration, _WHOSE),
-        Loss(what="precision", why="ORB-SLAM3 reads floats.", size="6e-8 relative"),
-        Loss(
-            what="settings of the program",
-            why="Camera.fps, Camera.RGB, Stereo.ThDepth, ORBextractor and Viewer are not of the rig. Take them from "
-            "ORB-SLAM3's own files.",
-        ),
-        uncertainty_loss(_WHOSE),
-    )
+    text = _text(calibration, cameras, context.of(next(iter(calibration.imus))), context)
+    losses = tuple(not_representable(calibration, HOLDS, context))
     return Export(files={FILE: text}, losses=losses)
 
 
@@ -242,12 +222,6 @@ def _noise_entries(stated: StatedImu) -> Iterator[tuple[str, float]]:
         yield "IMU.AccWalk", noise.accelerometer_random_walk
     if rate_hz is not None:
         yield "IMU.Frequency", float(rate_hz)
-
-
-def _topic_losses(cameras: dict[str, CameraCalibration]) -> Iterator[Loss]:
-    for name, camera in cameras.items():
-        if camera.camera.topic:
-            yield Loss(what=f"rostopic of {name}", why="ORB-SLAM3 has no key for it.")
 
 
 def _joined(lines: Iterator[str]) -> str:

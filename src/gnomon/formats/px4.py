@@ -43,7 +43,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         why="PX4 takes the values only where CAL_ACC0_ID and CAL_GYRO0_ID are those of this sensor: calibrate it once "
         "with the ground station, then load this file.",
     )
-    return Export(files={FILE: text}, losses=(*flight_losses(calibration, "PX4", _IMUS), identity))
+    return Export(files={FILE: text}, losses=(*flight_losses(calibration, "PX4", _IMUS, context), identity))
 
 
 def _names(index: int) -> ParameterNames:

@@ -21,7 +21,7 @@ from .baselines import pose_in_body
 from .foreign import ForeignCalibration, ForeignImu
 from .foreign_yaml import lens, matrix, placed, read_foreign_yaml, required, text_of, unwrapped, whole_number
 from .losses import Context, Export, Loss, uncertainty_loss, unknown_lens
-from .sensor_losses import no_shift_losses, require_cameras, triad_shift_losses
+from .sensor_losses import Holds, not_representable, require_cameras
 from .structured import Node
 from .yaml_text import flow
 
@@ -180,6 +180,9 @@ _MODELS = {
     "equidistant": ("equidistant", 4),
 }
 
+HOLDS = Holds(program=_WHOSE, samples_in_si=False, lever_arms=True, magnetometer=True, time_shift="none")
+"""But for the IMU, which has no place at all."""
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `static_transforms.launch.yaml` and `cam0_camera_info.yaml`, ...
@@ -206,11 +209,9 @@ def export(calibration: Calibration, context: Context) -> Export:
             why="sensor_msgs/Imu is of corrected samples: scales, axes, biases and noise have no place. Run gnomon "
             "apply, or put the c-header into the driver.",
         ),
-        *no_shift_losses(calibration, _WHOSE),
         *_clock_losses(calibration),
-        *triad_shift_losses(calibration, _WHOSE),
         *_lens_losses(calibration),
-        uncertainty_loss(_WHOSE),
+        *not_representable(calibration, HOLDS, context),
     )
     return Export(files={FILE: _launch_text(name, calibration, context), **infos}, losses=losses)
 

@@ -20,28 +20,15 @@ from ..models.noise import ImuNoise
 from .baselines import pose_in_body
 from .foreign import ForeignCalibration, ForeignImu
 from .foreign_yaml import lens, numbers, placed, read_foreign_yaml, required, rigid, text_of, whole_number
-from .lenses import cameras_without_k3, k3_losses
+from .lenses import cameras_without_k3
 from .losses import (
     Context,
     Export,
-    Loss,
     StatedImu,
-    g_sensitivity_losses,
-    magnetometer_losses,
-    uncertainty_loss,
     unknown_lens,
 )
-from .sensor_losses import (
-    accelerometer_losses,
-    bias_losses,
-    first_cameras,
-    ideal_losses,
-    noise_losses,
-    other_imu_losses,
-    require_cameras,
-    shift_losses,
-)
-from .si_units import conversions, count_losses
+from .sensor_losses import Holds, not_representable, require_cameras
+from .si_units import conversions
 from .structured import Node
 from .yaml_text import FIRST_LINE, opencv_lines, opencv_matrix
 
@@ -212,6 +199,19 @@ _NOISE_COMMENT = """\
 """
 _SETTINGS = "max_cnt, min_dist, freq, F_threshold, max_solver_time, max_num_iterations, keyframe_parallax and others"
 
+HOLDS = Holds(
+    program=_WHOSE,
+    imus=1,
+    cameras=_CAMERAS,
+    sensitivity=False,
+    bias=False,
+    g_sensitivity=False,
+    time_shift="one",
+    k3=False,
+    without_noise="does not start without acc_n, gyr_n, acc_w and gyr_w: add them by hand",
+    settings=_SETTINGS,
+)
+
 
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `config.yaml`, and `cam0.yaml`, `cam1.yaml` for the lenses.
@@ -223,25 +223,9 @@ def export(calibration: Calibration, context: Context) -> Export:
     """
     require_cameras(calibration, _WHOSE)
     cameras = cameras_without_k3(dict(list(calibration.cameras.items())[:_CAMERAS]))
-    name, imu = next(iter(calibration.imus.items()))
-    stated = context.of(name)
     files = {f"{camera}.yaml": _lens_text(camera, known.camera, context) for camera, known in cameras.items()}
-    losses = (
-        *count_losses(name, imu, _WHOSE),
-        *ideal_losses(name, imu, _WHOSE),
-        *g_sensitivity_losses(calibration, _WHOSE),
-        *bias_losses(name, imu, _WHOSE),
-        *accelerometer_losses(calibration, _WHOSE),
-        *noise_losses(stated, _WHOSE, "does not start without acc_n, gyr_n, acc_w and gyr_w: add them by hand"),
-        *other_imu_losses(calibration, _WHOSE),
-        *first_cameras(calibration, _CAMERAS, _WHOSE),
-        *k3_losses(calibration, _WHOSE),
-        *shift_losses(calibration, _WHOSE),
-        *magnetometer_losses(calibration, _WHOSE),
-        Loss(what="settings of the program", why=f"{_SETTINGS} are not of the rig. Take them from VINS' own files."),
-        uncertainty_loss(_WHOSE),
-    )
-    return Export(files={FILE: _text(calibration, cameras, stated, context), **files}, losses=losses)
+    text = _text(calibration, cameras, context.of(next(iter(calibration.imus))), context)
+    return Export(files={FILE: text, **files}, losses=tuple(not_representable(calibration, HOLDS, context)))
 
 
 def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], stated: StatedImu, context: Context) -> str:

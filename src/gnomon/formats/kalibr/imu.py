@@ -20,14 +20,13 @@ from ..losses import (
     Loss,
     StatedImu,
     into_frame,
-    magnetometer_losses,
     require_triads,
     stated_entry,
     uncertainty_loss,
 )
 from ..openvins import OPENVINS_KEYS, openvins_imu
-from ..sensor_losses import bias_losses, noise_losses, triad_shift_losses
-from ..si_units import conversions, count_losses
+from ..sensor_losses import Holds, not_representable
+from ..si_units import conversions
 from ..structured import Node
 from ..yaml_text import kalibr_yaml
 from .camchain import CAMCHAIN_FILE, LENS_FILE, camchain_text, lens_chain_text
@@ -301,6 +300,11 @@ class KalibrModel:
     lever_arms_m: Floats | None = None
 
 
+HOLDS = Holds(
+    program="Kalibr", bias=False, lever_arms=True, k3=False, without_noise="needs them in its input: add them by hand"
+)
+
+
 def export(calibration: Calibration, context: Context) -> Export:
     """Return `imu.yaml`, and `camchain-imucam.yaml` where there are cameras; of cameras alone `camchain.yaml`.
 
@@ -315,18 +319,11 @@ def export(calibration: Calibration, context: Context) -> Export:
         return Export(files={LENS_FILE: text}, losses=losses)
     require_triads(calibration, "kalibr", "accelerometer", otherwise="imu_tk, c-header or csv")
     moved, losses = into_frame(calibration, KalibrAccelerometer.frame, "Kalibr's")
-    found = list(losses)
-    for name, imu in moved.imus.items():
-        found.extend(_imu_losses(moved, name, imu))
-    found.extend(triad_shift_losses(moved, "Kalibr"))
-    found.extend(magnetometer_losses(moved, "kalibr"))
-    found.extend(k3_losses(moved, "Kalibr"))
-    for name in moved.imus:
-        found.extend(noise_losses(context.of(name), "Kalibr", "needs them in its input: add them by hand"))
+    found = (*losses, *_pose_losses(moved), *not_representable(moved, HOLDS, context))
     files = {IMU_FILE: imu_text(moved, context.stated, context.comment())}
     if moved.cameras:
         files[CAMCHAIN_FILE] = camchain_text(moved, context.comment())
-    return Export(files=files, losses=(*found, uncertainty_loss("kalibr")))
+    return Export(files=files, losses=found)
 
 
 def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = None, remarks: str = "") -> str:
@@ -415,8 +412,8 @@ def _imu_entry(model: KalibrModel, pose: tuple[Floats, float] | None) -> dict[st
     return entry
 
 
-def _imu_losses(calibration: Calibration, name: str, imu: ImuCalibration) -> Iterator[Loss]:
-    yield from count_losses(name, imu, "Kalibr")
-    yield from bias_losses(name, imu, "Kalibr")
-    if pose_in_kalibr(calibration, name) is None:
-        yield Loss(what=f"pose of {name}", why="how the IMUs lie to each other was not measured: T_i_b is left out.")
+def _pose_losses(calibration: Calibration) -> Iterator[Loss]:
+    for name in calibration.imus:
+        if pose_in_kalibr(calibration, name) is None:
+            why = "how the IMUs lie to each other was not measured: T_i_b is left out."
+            yield Loss(what=f"pose of {name}", why=why)
