@@ -19,6 +19,7 @@ from ..errors import FormatError, OptionError
 from ..models.camera import Camera
 from ..models.distortions import DISTORTIONS
 from ..models.lens_names import DistortionName, ProjectionName
+from ..models.noise import ImuNoise
 from ..recording import Floats, frozen_array
 from .structured import Node, parse_yaml, read_text
 
@@ -320,3 +321,21 @@ def lens(
 def text_of(keys: Mapping[str, Node], name: str) -> str:
     """Return a text under a key, "" where there is none."""
     return str(keys[name].value or "") if name in keys else ""
+
+
+def stated_noise(
+    keys: Mapping[str, Node], names: Mapping[str, str], notes: list[str], scale: float = 1.0
+) -> ImuNoise | None:
+    """Return the noise of an IMU where all of it is stated and of use; else None, and a note where it is of no use.
+
+    Parameters
+    ----------
+    names : a program's key -> the name in `ImuNoise`
+    scale : by which the stated numbers are multiplied
+    """
+    found = {ours: scale * keys[name].number() for name, ours in names.items() if name in keys}
+    try:
+        return ImuNoise(**found) if len(found) == len(names) else None
+    except OptionError as error:
+        notes.append(f"The noise was left out: {error}")
+        return None

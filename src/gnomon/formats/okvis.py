@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration, ImuCalibration
-from ..errors import OptionError
 from ..models.lens_names import DistortionName
-from ..models.noise import ImuNoise
 from ..recording import Floats
 from .baselines import pose_in_body
 from .foreign import ForeignCalibration, ForeignImu, ideal_imu
-from .foreign_yaml import lens, placed, required, rigid
+from .foreign_yaml import lens, placed, required, rigid, stated_noise
 from .losses import (
     Context,
     Export,
@@ -120,17 +118,11 @@ def _read_imu(values: dict[str, Node]) -> ImuCalibration:
 
 
 def _data(values: dict[str, Node], notes: list[str]) -> ForeignImu:
-    found = {ours: values[name].number() for name, ours in _NOISE.items() if name in values}
-    noise = None
-    try:
-        noise = ImuNoise(**found) if len(found) == len(_NOISE) else None
-    except OptionError as error:
-        notes.append(f"The noise was left out: {error}")
     T = rigid(values["T_BS"]) if "T_BS" in values else np.eye(4)
     if not np.array_equal(T, np.eye(4)):
         notes.append("T_BS, from the IMU to another body frame, was passed over: poses here are those to the IMU.")
     rate = values["imu_rate"].number() if "imu_rate" in values else None
-    return ForeignImu(noise=noise, update_rate_hz=rate)
+    return ForeignImu(noise=stated_noise(values, _NOISE, notes), update_rate_hz=rate)
 
 
 FILE = "okvis.yaml"

@@ -12,10 +12,9 @@ import numpy as np
 from ..calibration import Calibration, CameraCalibration
 from ..errors import OptionError
 from ..models.camera import Camera
-from ..models.noise import ImuNoise
 from .baselines import pose_in_body
 from .foreign import ForeignCalibration, ForeignImu
-from .foreign_yaml import lens, placed, required, rigid, whole_number
+from .foreign_yaml import lens, placed, required, rigid, stated_noise, whole_number
 from .kalibr.camchain import baseline
 from .losses import (
     Context,
@@ -69,13 +68,16 @@ def orb_slam3_of(root: Node, notes: list[str]) -> ForeignCalibration:
         if stereo is not None and "cam1" in lenses:
             cameras["cam1"] = placed(T_imu_cam0 @ rigid(stereo), 0.0, lenses["cam1"])
     rate = keys["IMU.Frequency"].number() if "IMU.Frequency" in keys else None
+    imu = ForeignImu(noise=stated_noise(keys, _NOISE, notes), update_rate_hz=rate) if pose is not None else None
     return ForeignCalibration(
         imus={},
         frame="accel-x",
         notes=tuple(notes),
         cameras=cameras,
         lenses={name: camera for name, camera in lenses.items() if name not in cameras},
-        imu_data={"imu0": ForeignImu(noise=_read_noise(keys, notes), update_rate_hz=rate)} if pose is not None else {},
+        imu_data={"imu0": ForeignImu(noise=stated_noise(keys, _NOISE, notes), update_rate_hz=rate)}
+        if pose is not None
+        else {},
         format="ORB-SLAM3",
     )
 
@@ -95,15 +97,6 @@ def _read_lens(root: Node, keys: dict[str, Node], prefix: str) -> Camera:
         coeffs=np.array(coeffs) if stated else np.empty(0),
         distortion="equidistant" if kind == "KannalaBrandt8" else "radtan" if stated else "none",
     )
-
-
-def _read_noise(keys: dict[str, Node], notes: list[str]) -> ImuNoise | None:
-    found = {ours: keys[name].number() for name, ours in _NOISE.items() if name in keys}
-    try:
-        return ImuNoise(**found) if len(found) == len(_NOISE) else None
-    except OptionError as error:
-        notes.append(f"The noise was left out: {error}")
-        return None
 
 
 FILE = "orb_slam3.yaml"

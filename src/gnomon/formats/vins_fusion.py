@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration
-from ..errors import FormatError, OptionError
+from ..errors import FormatError
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
 from .baselines import pose_in_body
 from .foreign import ForeignCalibration, ForeignImu
-from .foreign_yaml import lens, numbers, placed, read_foreign_yaml, required, rigid, text_of, whole_number
+from .foreign_yaml import lens, numbers, placed, read_foreign_yaml, required, rigid, stated_noise, text_of, whole_number
 from .lenses import cameras_without_k3
 from .losses import (
     Context,
@@ -170,17 +170,12 @@ def vins_lens(root: Node, topic: str) -> Camera:
 
 
 def _read_noise(keys: dict[str, Node], rate_hz: float | None, notes: list[str]) -> ImuNoise | None:
-    found = {ours: keys[name].number() for name, ours in _NOISE_KEYS.items() if name in keys}
-    if len(found) < len(_NOISE_KEYS):
+    if not set(_NOISE_KEYS) <= set(keys):
         return None
     if rate_hz is None or rate_hz <= 0:
         notes.append("The noise is that of a sample, and the rate is not stated: it was left out.")
         return None
-    try:
-        return ImuNoise(**{name: value / sqrt(rate_hz) for name, value in found.items()})
-    except OptionError as error:
-        notes.append(f"The noise was left out: {error}")
-        return None
+    return stated_noise(keys, _NOISE_KEYS, notes, 1 / sqrt(rate_hz))
 
 
 FILE = "config.yaml"
