@@ -22,7 +22,7 @@ from imu import HERE, Table, machine, median_cpu
 from gnomon.calibrate.platter_rate import rate_from_video
 from gnomon.readers.images.camera_places import video_place
 from gnomon.readers.images.video import video_stream
-from gnomon.readers.read_log import ReadLog
+from gnomon.readers.recordings import ReadLog
 from gnomon.simulate.platter_scenario import PlatterScenario
 from gnomon.simulate.platter_video import simulate_platter_video
 from gnomon.units import Units

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from gnomon.models.board_pattern import black_square, board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.writers.board_paths import board_paths
-from gnomon.writers.board_sheet import sheet_rotation
+from gnomon.writers.board_sheet import board_paths, sheet_rotation
 
 Floats = NDArray[np.float64]
 

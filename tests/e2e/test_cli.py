@@ -256,7 +256,7 @@ def test_an_interruption_leaves_nothing(recording, monkeypatch, run, names):
     def interrupted(*_arguments, **_keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gnomon.readers.several_recordings.read", interrupted)
+    monkeypatch.setattr("gnomon.readers.recordings.read", interrupted)
     code, _, err = run("imu", recording)
     assert code == 130
     assert "interrupted" in err

@@ -11,8 +11,7 @@ import gpmf_files as made
 from gnomon.errors import OptionError, RecordingError
 from gnomon.readers.devices.device_log import read_device_log
 from gnomon.readers.devices.gpmf import has_gpmf, is_gpmf
-from gnomon.readers.devices.gpmf_klv import entries
-from gnomon.readers.devices.gpmf_streams import Telemetry, in_camera_axes
+from gnomon.readers.devices.gpmf_streams import Telemetry, entries, in_camera_axes
 from gnomon.readers.images.image_recording import holds_images, open_images
 from gnomon.readers.samples.stream import open_stream
 from gnomon.units import Units

@@ -20,8 +20,8 @@ from gnomon.errors import GnomonError, RecordingError
 from gnomon.readers import files
 from gnomon.readers.bags.unpacking import TooLargeError, unpack
 from gnomon.readers.images.image_file import read_grey
+from gnomon.readers.images.image_pixels import stated_pixels
 from gnomon.readers.images.image_recording import open_images
-from gnomon.readers.images.image_size import stated_pixels
 from gpmf_files import box, entry
 from hostile.promise import Target, address_space, keep
 from hostile.sample_targets import npz, phone, streamed, table

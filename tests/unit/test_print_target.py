@@ -15,8 +15,7 @@ from gnomon import OptionError, OutputError
 from gnomon.formats.kalibr.target import read_target, target_text
 from gnomon.models.board_pattern import Pattern, _outline, board_pattern
 from gnomon.models.target import Target
-from gnomon.writers.board_paths import board_paths
-from gnomon.writers.board_sheet import PAPERS, board_drawing, largest_on, paper_size, tiled
+from gnomon.writers.board_sheet import PAPERS, board_drawing, board_paths, largest_on, paper_size, tiled
 from gnomon.writers.drawing import pdf_bytes, svg_text
 from gnomon.writers.printed_board import save_target
 from headless import CHROMIUM, WHY_NOT, Browser

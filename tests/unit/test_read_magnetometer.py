@@ -5,7 +5,7 @@ import pytest
 
 import gnomon
 from gnomon.errors import RecordingError
-from gnomon.readers.samples.npz_keys import sensor_arrays
+from gnomon.readers.samples.npz import sensor_arrays
 from gnomon.readers.samples.recognise import magnetometer_unit
 from gnomon.simulate import FieldScenario, simulate_magnetometer
 from gnomon.writers.recording_file import save_recording

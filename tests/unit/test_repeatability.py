@@ -10,7 +10,7 @@ from gnomon.geometry.quaternion import normalised, rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.report.comparison import comparison_page
 from gnomon.report.page import render
-from gnomon.writers.comparison_table import comparison_csv
+from gnomon.writers.tables import comparison_csv
 from html_page import Page
 
 ROWS = """

@@ -11,7 +11,7 @@ from gnomon.errors import OptionError, RecordingError
 from gnomon.estimate.trust.between_recordings import Block, join_estimates
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import save
-from gnomon.readers.several_recordings import read_several
+from gnomon.readers.recordings import read_several
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.report import write_report
 from gnomon.requirements import BETWEEN_RECORDINGS, USES

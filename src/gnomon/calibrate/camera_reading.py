@@ -23,7 +23,7 @@ from ..readers.files import file_source
 from ..readers.images.camera_places import camera_places, image_names
 from ..readers.images.image_file import read_grey
 from ..readers.images.image_recording import open_images
-from ..readers.read_log import ReadLog
+from ..readers.recordings import ReadLog
 from ..readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
 from ..readers.rig.camera_imu import corners_of
 from ..recording import CameraFrames, Recording

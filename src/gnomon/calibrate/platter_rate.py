@@ -12,7 +12,7 @@ from ..errors import DetectionError, RecordingError
 from ..images import ImageStream
 from ..readers.images.camera_places import video_place
 from ..readers.images.image_recording import holds_images, open_images
-from ..readers.read_log import ReadLog
+from ..readers.recordings import ReadLog
 from ..units import Units
 
 

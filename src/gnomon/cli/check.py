@@ -103,7 +103,7 @@ def _check_corners(command: Check, terminal: Terminal) -> int:
 
 def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[str, ...], terminal: Terminal) -> int:
     from ..assess.rig_doctor import check_imus, check_stamps_together
-    from ..readers.rig.corner_stamps import read_corner_stamps
+    from ..readers.rig.corner_frames import read_corner_stamps
 
     found = read_corner_stamps(command.recording.path, command.recording.units)
     findings = [*check_imus(found.imus), *check_stamps_together(found.frames, found.imus, {})]

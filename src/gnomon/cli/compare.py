@@ -105,7 +105,7 @@ def _place(path: Path) -> Path:
 def _write(found: "Comparison", folder: Path, terminal: Terminal) -> None:
     from ..output import write_whole
     from ..report.comparison import write_comparison_report
-    from ..writers.comparison_table import comparison_csv
+    from ..writers.tables import comparison_csv
 
     with result_folder(folder, "compare", own=(PAGE, TABLE)) as staging:
         terminal.progress("drawing the report")

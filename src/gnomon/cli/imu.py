@@ -58,7 +58,7 @@ class Imu(Command):
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
         from ..calibrate import calibrate_imu
-        from ..readers.several_recordings import read_several
+        from ..readers.recordings import read_several
         from .summary import summary_lines
 
         source = self.recording

@@ -135,7 +135,7 @@ class SimulateNoise(Command):
         """Write a recording of simulated noise, say where, and return the exit code."""
         from ..sensor_noise import SENSOR_UNITS
         from ..simulate.noise import noise_blocks
-        from ..writers.noise_recording import save_blocks
+        from ..writers.recording_file import save_blocks
 
         scenario = self.scenario
         if self.output.suffix != ".npz":

@@ -11,8 +11,8 @@ import numpy as np
 from ..calibration import Calibration, element_names, parameters
 from ..diagnostics import Result, TriadDiagnostics
 from ..findings import Finding
+from ..formats.entries import parameter_unit
 from ..formats.losses import held_names
-from ..formats.units_text import parameter_unit
 from ..recording import Floats
 from ..trust import TrustNote
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity

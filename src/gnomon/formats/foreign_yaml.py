@@ -324,16 +324,16 @@ def text_of(keys: Mapping[str, Node], name: str) -> str:
 
 
 def stated_noise(
-    keys: Mapping[str, Node], names: Mapping[str, str], notes: list[str], scale: float = 1.0
+    keys: Mapping[str, Node], names: Mapping[str, str], notes: list[str], divisor: float = 1.0
 ) -> ImuNoise | None:
     """Return the noise of an IMU where all of it is stated and of use; else None, and a note where it is of no use.
 
     Parameters
     ----------
     names : a program's key -> the name in `ImuNoise`
-    scale : by which the stated numbers are multiplied
+    divisor : by which the stated numbers are divided
     """
-    found = {ours: scale * keys[name].number() for name, ours in names.items() if name in keys}
+    found = {ours: keys[name].number() / divisor for name, ours in names.items() if name in keys}
     try:
         return ImuNoise(**found) if len(found) == len(names) else None
     except OptionError as error:

@@ -75,9 +75,7 @@ def orb_slam3_of(root: Node, notes: list[str]) -> ForeignCalibration:
         notes=tuple(notes),
         cameras=cameras,
         lenses={name: camera for name, camera in lenses.items() if name not in cameras},
-        imu_data={"imu0": ForeignImu(noise=stated_noise(keys, _NOISE, notes), update_rate_hz=rate)}
-        if pose is not None
-        else {},
+        imu_data={} if imu is None else {"imu0": imu},
         format="ORB-SLAM3",
     )
 

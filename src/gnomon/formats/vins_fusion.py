@@ -175,7 +175,7 @@ def _read_noise(keys: dict[str, Node], rate_hz: float | None, notes: list[str]) 
     if rate_hz is None or rate_hz <= 0:
         notes.append("The noise is that of a sample, and the rate is not stated: it was left out.")
         return None
-    return stated_noise(keys, _NOISE_KEYS, notes, 1 / sqrt(rate_hz))
+    return stated_noise(keys, _NOISE_KEYS, notes, sqrt(rate_hz))
 
 
 FILE = "config.yaml"

@@ -1,6 +1,6 @@
-"""Reading recordings: find the format by the content, put the triads together, recognise their units."""
+"""What was stated by the user and what was read so far, while a recording of several files is put together."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +8,36 @@ import numpy as np
 from ..errors import OptionError, RecordingError
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
 from ..units import Units
+from .devices.device_log import is_device_log
 from .files import NPZ_MAGIC, file_source, first_bytes, read_text
-from .samples.column_roles import HELP
+from .samples.column_names import HELP
 from .samples.folder import recording_files
-from .samples.pose_files import joined, pose_files
+from .samples.pose_files import FEWEST_FILES, joined, pose_files
 from .samples.pose_table import LARGEST_BYTES, read_pose_table
 from .samples.recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
 from .samples.table import Table, Triad, read_table
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadLog:
+    """What was stated, and lists that grow: the files, and sentences on what was assumed.
+
+    Attributes
+    ----------
+    units : of what is read
+    cameras_alone : whether IMUs are passed over; images may be numbered then, where nothing says when they were taken
+    """
+
+    units: Units
+    cameras_alone: bool = False
+    sources: list[Source] = field(default_factory=list[Source])
+    notes: list[str] = field(default_factory=list[str])
+
+    def note(self, text: str) -> None:
+        """Keep a sentence, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
 
 StampedTriad = tuple[Integers, Triad]
 Streams = tuple[StampedTriad | None, StampedTriad | None, StampedTriad | None]
@@ -299,3 +322,67 @@ def _force_at(t_ns: Integers, accelerometer: TriadSamples) -> Floats | None:
         return None
     t, at = accelerometer.t_ns - t_ns[0], t_ns - t_ns[0]
     return np.column_stack([np.interp(at, t, accelerometer.values[:, axis]) for axis in range(3)])
+
+
+_WINDOWS, _WINDOW = 200, 50  # samples; half a second at usual rates
+_TURNED = 20.0
+"""Scatter of a triad between its quieter moments over that within them, from which on its attitude changed: a pose has
+1 to 5, a recording with rests some hundred."""
+
+
+def read_several(
+    *paths: str | Path, columns: str | None = None, rate_hz: float | None = None, units: str | Units | None = None
+) -> tuple[Recording, ...]:
+    """Read one recording or several.
+
+    Two files of one triad each are the accelerometer and the gyroscope of one recording; three files or more that each
+    hold one attitude are poses of one recording. Folders, logs that are whole by themselves, and files that hold both
+    triads (with three files or more: several attitudes) are recordings of their own.
+
+    Parameters
+    ----------
+    paths, columns, rate_hz, units : as for `read`
+
+    Raises
+    ------
+    RecordingError, OptionError
+        See `read`; of several recordings the message names the one.
+    """
+    if not _are_recordings([Path(path) for path in paths], columns, rate_hz, units):
+        return (read(*paths, columns=columns, rate_hz=rate_hz, units=units),)
+    return tuple(read(path, columns=columns, rate_hz=rate_hz, units=units) for path in paths)
+
+
+def _are_recordings(paths: list[Path], columns: str | None, rate_hz: float | None, units: str | Units | None) -> bool:
+    """Tell whether each of several paths is a recording by itself."""
+    if len(paths) < 2:
+        return False
+    if any(path.is_dir() or is_device_log([path]) for path in paths):
+        return True
+    if all(first_bytes(path).startswith(NPZ_MAGIC) for path in paths):
+        return True
+    stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
+    try:
+        tables = [read_table(read_text(path), columns, rate_hz, stated) for path in paths]
+    except RecordingError:
+        return False  # whoever reads them as one recording says what is wrong
+    kinds = [sorted(triad.quantity for triad in table.triads if triad.quantity != "magnetometer") for table in tables]
+    if len(paths) < FEWEST_FILES:
+        return all(len(kind) > 1 for kind in kinds) or all(kind == ["accelerometer"] for kind in kinds)
+    return 2 * sum(_turned(table) for table in tables) > len(tables)
+
+
+def _turned(table: Table) -> bool:
+    """Tell whether a table holds several attitudes."""
+    return any(_scatter(triad.values) > _TURNED for triad in table.triads if triad.quantity != "magnetometer")
+
+
+def _scatter(values: Floats) -> float:
+    """Return the scatter of the means of the quieter half of windows over that within them."""
+    length = min(_WINDOW, max(2, len(values) // 4), len(values))
+    start = np.linspace(0, len(values) - length, min(_WINDOWS, len(values) // length)).astype(np.int64)
+    part = values[start[:, None] + np.arange(length)]
+    means, within = part.mean(axis=1), np.sqrt(part.var(axis=1).sum(axis=1))
+    quiet = within <= np.median(within)
+    between = float(np.sqrt(means[quiet].var(axis=0).sum()))
+    return between / max(float(np.median(within[quiet])), 1e-12 * float(np.abs(values).max(initial=1.0)))

@@ -35,9 +35,9 @@ from ..recording import CameraFrames, ImuSamples, Recording
 from ..simulate.board_images import simulated_images
 from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.camera_imu_scenario import MOST_IMUS
+from .pose_files import trajectory_text
 from .recording_file import save_recording
 from .recording_forms import PLACES, ImageForm, save_images
-from .trajectory import trajectory_text
 
 CAMERA_FILES = (
     *(f"{name}{ending}" for name in ("cam0", "cam1") for ending in ("", "_corners.csv.gz", "_frames.csv")),

@@ -2,7 +2,9 @@
 
 import gzip
 import io
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..output import atomic_file
-from ..recording import ImuSamples, Recording, TriadSamples
+from ..recording import Floats, ImuSamples, Recording, TriadSamples
 
 _CHUNK = 20_000  # rows; bounds the memory
 _AXES = "xyz"
@@ -122,3 +124,38 @@ def _texts(column: NDArray[Any]) -> list[str]:
     if column.dtype.kind == "f" and bool((np.abs(column) < 1e15).all()) and bool((column == np.rint(column)).all()):
         column = column.astype(np.int64)
     return list(map(repr, column.tolist()))
+
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the same samples give the same bytes
+
+
+def save_blocks(
+    path: str | PathLike[str], sensors: Mapping[str, tuple[str, Iterable[Floats]]], *, samples: int, rate_hz: float
+) -> None:
+    """Write sensors with one sample rate and no stamps, as numbers of single precision.
+
+    Parameters
+    ----------
+    sensors : "accelerometer", "gyroscope" -> unit, and consecutive blocks (n, 3)
+    samples : length of each
+    rate_hz : sample rate [Hz]
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    with atomic_file(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
+        _write(archive, "rate_hz", np.array(rate_hz))
+        for name, (unit, blocks) in sensors.items():
+            _write(archive, f"unit_{name}", np.array(unit))
+            with archive.open(zipfile.ZipInfo(f"{name}.npy", _EPOCH), "w", force_zip64=True) as member:
+                header = {"descr": "<f4", "fortran_order": False, "shape": (samples, 3)}
+                np.lib.format.write_array_header_1_0(member, header)  # pyright: ignore[reportArgumentType]
+                for block in blocks:
+                    member.write(np.ascontiguousarray(block, "<f4").tobytes())
+
+
+def _write(archive: zipfile.ZipFile, name: str, array: Any) -> None:
+    with archive.open(zipfile.ZipInfo(f"{name}.npy", _EPOCH), "w") as member:
+        np.lib.format.write_array(member, array, allow_pickle=False)

@@ -10,8 +10,8 @@ from typing import Literal
 
 from ..images import Frame, Grey, ImageRecording
 from .bag_recording import save_bag
-from .camera_imu_images import save_simulated_images
 from .euroc_folder import save_euroc
+from .png_files import save_simulated_images
 
 _WORKERS, _AHEAD = 2, 8
 

@@ -25,11 +25,10 @@ from ...models.distortions import DISTORTIONS
 from ...models.projections import PROJECTIONS
 from ...recording import Floats
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..entries import IMU_EQUATION, camera_equation
+from ..entries import IMU_EQUATION, camera_equation, element_units
 from ..foreign import ForeignCalibration, recognised_frame
 from ..losses import Context, Export, Loss
 from ..structured import read_text
-from ..units_text import element_units
 from .calibration_file import FIELD_UNITS
 from .calibration_text import FRAMES
 

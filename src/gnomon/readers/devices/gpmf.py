@@ -11,8 +11,7 @@ from ..files import file_source, is_mp4_head
 from ..samples.column_names import unit_of
 from ..samples.table import Triad
 from .device_log import DeviceLog, StampedTriad
-from .gpmf_clock import NOMINAL_PAYLOAD_S, PayloadTimes, sample_clock
-from .gpmf_notes import notes_on_clock, notes_on_video
+from .gpmf_clock import NOMINAL_PAYLOAD_S, PayloadTimes, notes_on_clock, notes_on_video, sample_clock
 from .gpmf_streams import Block, Device, Telemetry, in_camera_axes
 
 _MAGIC = b"DEVC"

@@ -13,8 +13,7 @@ from ...errors import RecordingError
 from ...recording import Integers, Source
 from ...units import TIME_UNITS_NS
 from ..files import TextFile, read_text
-from ..samples.column_names import column_name
-from ..samples.column_roles import time_columns
+from ..samples.column_names import column_name, time_columns
 from ..samples.stamps import TYPICAL_FRAMES_HZ, guess_time_unit, stamp_kind, strayed, to_ns
 from ..samples.text_table import Layout, is_number, numbered_rows, sniff
 

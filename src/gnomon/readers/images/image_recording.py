@@ -13,11 +13,10 @@ from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
-from ..read_log import ReadLog
-from ..rig.camera_folder import holds_corners
+from ..recordings import ReadLog
+from ..rig.camera_folder import EXPECTED as EXPECTED_IMU
+from ..rig.camera_folder import holds_corners, imu_tables, imu_tables_beside
 from ..rig.camera_folder import holds_imu as corners_with_imu
-from ..rig.imu_places import EXPECTED as EXPECTED_IMU
-from ..rig.imu_places import imu_tables, imu_tables_beside
 from ..rig.imu_stream import read_imu
 from ..rig.sensor_yaml import SensorInput, T_sensor_imu, read_sensor
 from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, image_names, video_place
@@ -223,7 +222,7 @@ def _tables_of(video: Path, place: CameraPlace) -> dict[str, tuple[Path, ...]]:
 
 def _stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
     if place.video is None:
-        from .image_folder import folder_stream
+        from .camera_places import folder_stream
 
         return folder_stream(name, place, log)
     from .video import video_stream  # PyAV takes its time

@@ -17,7 +17,7 @@ from ...errors import RecordingError
 from ...images import Frame, Grey, ImageStream
 from ...recording import Integers
 from ..files import file_source, is_mp4_head
-from ..read_log import ReadLog
+from ..recordings import ReadLog
 from .camera_places import CameraPlace
 from .frame_stamps import FrameTable, read_frame_table
 

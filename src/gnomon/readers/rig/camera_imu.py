@@ -12,7 +12,7 @@ from ...models.target import Target
 from ...recording import CameraFrames, Recording
 from ...units import Units
 from ..files import file_source
-from ..read_log import ReadLog
+from ..recordings import ReadLog
 from .camera_folder import CornerStream, corner_streams, imu_files, recording_folder
 from .corner_frames import camera_frames
 from .corner_table import read_corner_table, read_frame_stamps

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import Floats, Integers, Source
 from ..files import TextFile, read_text
-from ..samples.column_names import column_name
-from ..samples.column_roles import time_columns
+from ..samples.column_names import column_name, time_columns
 from ..samples.stamps import guess_time_unit, stamp_kind, strayed, to_ns
 from ..samples.text_table import Column, Layout, is_number, line_number, parse, sniff
 

@@ -10,7 +10,7 @@ from ...formats.kalibr.imu import ImuInput
 from ...recording import ImuSamples, Source, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..recordings import read_recognising
-from ..samples.column_roles import HELP
+from ..samples.column_names import HELP
 from ..samples.recognise import IN_MOTION
 from ..samples.stamps import strayed
 from ..samples.table import RATE_HELP

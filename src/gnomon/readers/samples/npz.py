@@ -13,11 +13,12 @@
 Keys of a second IMU begin with "imu1.", such as "imu1.accelerometer", and so on; "imu0." may be left out.
 
 Files of others whose arrays are named after a sensor, such as acc_g and t_acc_g, are read too
-(`readers.samples.npz_keys`).
+(`readers.samples.npz`).
 """
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,50 @@ from ...formats.structured import shortened
 from ...recording import Floats, Integers, measurable
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..zips import ZIP_DAMAGE, refuse_false_arrays
-from .npz_keys import SensorArray, sensor_arrays
+from .column_names import column_name
 from .stamps import guess_time_unit, to_ns
 from .table import Table, Triad, uniform_stamps
+
+_STAMPS = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "ts")
+_PREFIXES = ("t", "time", "timestamp", "ts")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorArray:
+    """One array of samples: its key, its unit where the name tells it, and the key of its stamps, or None."""
+
+    key: str
+    unit: str | None
+    stamps: str | None
+
+
+def sensor_arrays(keys: Collection[str]) -> dict[str, SensorArray]:
+    """Return the sensors that the names of arrays tell, "accelerometer", "gyroscope", "magnetometer" -> array.
+
+    A sensor that two arrays seem to be is none of them.
+
+    Examples
+    --------
+    >>> sensor_arrays(["mag_gauss", "t_mag_gauss", "temp_c"])["magnetometer"]
+    SensorArray(key='mag_gauss', unit='gauss', stamps='t_mag_gauss')
+    """
+    found: dict[str, list[SensorArray]] = {}
+    for key in keys:
+        if key.split("_", 1)[0].lower() in _STAMPS:
+            continue
+        head, _, tail = key.partition("_")
+        name = column_name(f"{head}_x_{tail}")  # "acc_g" is named like its columns, "acc_x_g"
+        if name.axis is not None and name.quantity in {"accelerometer", "gyroscope", "magnetometer"}:
+            array = SensorArray(key=key, unit=name.unit, stamps=_stamps_of_columns(key, head, keys))
+            found.setdefault(name.quantity, []).append(array)
+    return {quantity: arrays[0] for quantity, arrays in found.items() if len(arrays) == 1}
+
+
+def _stamps_of_columns(key: str, sensor: str, keys: Collection[str]) -> str | None:
+    own = [f"{prefix}_{name}" for name in (key, sensor) for prefix in _PREFIXES]
+    own += [f"{name}_{prefix}" for name in (key, sensor) for prefix in _PREFIXES]
+    return next((name for name in (*own, *_STAMPS) if name in keys), None)
+
 
 _UNITS = {
     "accelerometer": ACCELEROMETER_UNITS_M_S2,

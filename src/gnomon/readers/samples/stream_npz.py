@@ -16,7 +16,7 @@ from ...formats.structured import shortened
 from ...recording import TriadSamples, measurable
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..zips import ZIP_DAMAGE, array_header, refuse_false_arrays
-from .npz_keys import SensorArray, sensor_arrays
+from .npz import SensorArray, sensor_arrays
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
 from .stamps import guess_time_unit, to_ns
 from .table import uniform_stamps

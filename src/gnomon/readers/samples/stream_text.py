@@ -15,7 +15,7 @@ from ...errors import RecordingError
 from ...recording import Integers, Source, TriadSamples
 from ..files import TextFile, bomb, first_bytes, largest_unpacked, refuse_binary
 from ..recordings import inertial_streams, without_magnetometer
-from .column_roles import Roles, roles
+from .column_names import Roles, roles
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .stamps import guess_time_unit, stamp_kind, to_ns
 from .table import Triad, preamble_rate, read_table, uniform_stamps

@@ -10,8 +10,7 @@ from ...options import option_range
 from ...recording import Floats, Integers
 from ...units import Units
 from ..files import TextFile
-from .column_names import unit_of
-from .column_roles import HELP, Roles, roles
+from .column_names import HELP, Roles, roles, unit_of
 from .stamps import guess_time_unit, stamp_kind, to_ns
 from .text_table import Column, Layout, parse, sniff
 
