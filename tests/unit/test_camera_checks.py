@@ -172,7 +172,7 @@ def test_frames_out_of_order_or_twice() -> None:
     frames = camera()
     t_ns = frames.t_ns.copy()
     t_ns[100] = t_ns[99]
-    assert "the stamp of frame 100 is not later" in bad(replace(frames, t_ns=t_ns))["frames-backward"].message
+    assert "the timestamp of frame 100 is not later" in bad(replace(frames, t_ns=t_ns))["frames-backward"].message
     t_ns[100] = t_ns[90]
     assert bad(replace(frames, t_ns=t_ns))["frames-backward"].severity == "problem"
 

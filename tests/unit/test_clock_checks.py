@@ -151,7 +151,7 @@ def test_same_epoch_and_unit() -> None:
 def test_another_epoch() -> None:
     (found,) = check_epochs({"cam0": stamps(350.0), "cam1": stamps(351.0), "imu0": stamps(rate_hz=200)})
     assert (found.severity, found.code) == ("info", "stamps-epoch")
-    assert "The stamps of imu0 count from 1970, those of cam0, cam1 from another moment" in found.message
+    assert "The timestamps of imu0 count from 1970, those of cam0, cam1 from another moment" in found.message
 
 
 def test_another_unit() -> None:
