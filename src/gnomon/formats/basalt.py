@@ -13,14 +13,15 @@ import numpy as np
 
 from ..calibration import AccelerometerCalibration, Calibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ..errors import OptionError
-from ..geometry.quaternion import normalised, quaternion_from_rotation, rotation_from_quaternion
+from ..geometry.quaternion import quaternion_from_rotation
 from ..models.camera import Camera
 from ..models.estimator_forms import BasaltTriad
 from ..models.lens_names import DistortionName, ProjectionName
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..recording import Floats
+from .baselines import inverse_pose
 from .foreign import ForeignCalibration, ForeignImu, recognised_frame
-from .foreign_yaml import passed_over, required, whole_number
+from .foreign_yaml import passed_over, required, unit_quaternion, whole_number
 from .losses import (
     Context,
     Export,
@@ -158,13 +159,9 @@ def _T_cam_imu(node: Node) -> Floats:
         np.array([required(keys, name, node, "a number").number() for name in names])
         for names in (("px", "py", "pz"), ("qw", "qx", "qy", "qz"))
     )
-    length = float(np.linalg.norm(q))
-    if not 0.98 < length < 1.02:
-        raise node.fail(f"the quaternion (qx, qy, qz, qw) has length {length:.3g}, expected 1.")
-    R_imu_cam = rotation_from_quaternion(normalised(q))
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R_imu_cam.T, -R_imu_cam.T @ p
-    return T
+    T_imu_cam = np.eye(4)
+    T_imu_cam[:3, :3], T_imu_cam[:3, 3] = unit_quaternion(node, q), p
+    return inverse_pose(T_imu_cam)
 
 
 def _read_camera(node: Node, size: Node) -> Camera:
@@ -301,10 +298,9 @@ def _triads(imu: ImuCalibration) -> tuple[BasaltTriad, BasaltTriad]:
 
 
 def _pose_entry(camera: CameraCalibration) -> dict[str, float]:
-    R_imu_cam = camera.T_cam_imu[:3, :3].T
-    p_imu_cam = -R_imu_cam @ camera.T_cam_imu[:3, 3]
-    w, x, y, z = quaternion_from_rotation(R_imu_cam).tolist()
-    px, py, pz = p_imu_cam.tolist()
+    T_imu_cam = inverse_pose(camera.T_cam_imu)
+    w, x, y, z = quaternion_from_rotation(T_imu_cam[:3, :3]).tolist()
+    px, py, pz = T_imu_cam[:3, 3].tolist()
     return {"px": px, "py": py, "pz": pz, "qx": x, "qy": y, "qz": z, "qw": w}
 
 

@@ -4,17 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration
+from ..calibration import Calibration
 from ..geometry.so3 import skew
 from ..recording import Floats
 
 
-def pose_in_body(camera: CameraCalibration) -> Floats:
-    """Return T_body_cam (4, 4), p_body = T_body_cam @ p_cam [m], the inverse of T_cam_imu, or of T_cam_cam0."""
-    R_body_cam = camera.T_cam_body[:3, :3].T
+def inverse_pose(T: Floats) -> Floats:
+    """Return the inverse of a rigid transformation (4, 4) [m], of T_cam_imu such as T_imu_cam."""
+    R = T[:3, :3].T
     pose = np.eye(4)
-    pose[:3, :3] = R_body_cam
-    pose[:3, 3] = -R_body_cam @ camera.T_cam_body[:3, 3]
+    pose[:3, :3], pose[:3, 3] = R, -R @ T[:3, 3]
     return pose
 
 

@@ -16,11 +16,13 @@ import numpy as np
 
 from ..calibration import CameraCalibration
 from ..errors import FormatError, OptionError
+from ..geometry.quaternion import normalised, rotation_from_quaternion
 from ..models.camera import Camera
 from ..models.distortions import DISTORTIONS
 from ..models.lens_names import DistortionName, ProjectionName
 from ..models.noise import ImuNoise
 from ..recording import Floats, frozen_array
+from .baselines import inverse_pose
 from .structured import Node, parse_yaml, read_text
 
 _ROW_WITH_COMMA = re.compile(r"^(\s*(?:-\s|[\w.]+\s*:).*[\]}])\s*,\s*(#.*)?$")
@@ -253,17 +255,9 @@ def required(keys: dict[str, Node], name: str, parent: Node, expected: str) -> N
     return keys[name]
 
 
-def seen_from_camera(T_imu_cam: Floats) -> Floats:
-    """Return T_cam_imu (4, 4) of T_imu_cam (4, 4) [m]."""
-    R = T_imu_cam[:3, :3].T
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, -R @ T_imu_cam[:3, 3]
-    return T
-
-
 def placed(T_imu_cam: Floats, shift_s: float, camera: Camera) -> CameraCalibration:
     """Return a camera by its place in the IMU's frame, and t_imu - t_cam."""
-    return CameraCalibration(T_cam_body=seen_from_camera(T_imu_cam), time_shift_cam_imu=shift_s, camera=camera)
+    return CameraCalibration(T_cam_body=inverse_pose(T_imu_cam), time_shift_cam_imu=shift_s, camera=camera)
 
 
 def numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats:
@@ -339,3 +333,17 @@ def stated_noise(
     except OptionError as error:
         notes.append(f"The noise was left out: {error}")
         return None
+
+
+def unit_quaternion(node: Node, q_wxyz: Floats) -> Floats:
+    """Return the rotation (3, 3) of a quaternion (4,) whose length is one but for rounding.
+
+    Raises
+    ------
+    FormatError
+        If it is not.
+    """
+    length = float(np.linalg.norm(q_wxyz))
+    if not 0.98 < length < 1.02:
+        raise node.fail(f"the quaternion (qx, qy, qz, qw) has length {length:.3g}, expected 1.")
+    return rotation_from_quaternion(normalised(q_wxyz))

@@ -27,7 +27,7 @@ class Loss:
 
     Attributes
     ----------
-    what : what is lost or changed, such as "g-sensitivity"
+    what : what is not representable, or changed, such as "g-sensitivity"
     why : why the format cannot hold it, and what to do
     size : how much it matters, with its unit; may be empty
     """

@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration import Calibration, CameraCalibration, ImuCalibration
 from ..models.lens_names import DistortionName
 from ..recording import Floats
-from .baselines import pose_in_body
+from .baselines import inverse_pose
 from .foreign import ForeignCalibration, ForeignImu, ideal_imu
 from .foreign_yaml import lens, placed, required, rigid, stated_noise
 from .losses import (
@@ -204,7 +204,7 @@ def _camera_entry(name: str, calibrated: CameraCalibration) -> dict[str, Any]:
     coeffs = camera.distortion_coeffs if camera.distortion != "none" else np.zeros(4)
     coeffs = np.append(coeffs, np.zeros(3)) if camera.distortion == "radtan5" else coeffs  # k4, k5, k6
     return {
-        "T_SC": pose_in_body(calibrated),
+        "T_SC": inverse_pose(calibrated.T_cam_body),
         "image_dimension": np.array(camera.resolution),
         "distortion_coefficients": coeffs,
         "distortion_type": _NAMES[camera.distortion],

@@ -12,7 +12,7 @@ import numpy as np
 from ..calibration import Calibration, CameraCalibration
 from ..errors import OptionError
 from ..models.camera import Camera
-from .baselines import pose_in_body
+from .baselines import inverse_pose
 from .foreign import ForeignCalibration, ForeignImu
 from .foreign_yaml import lens, placed, required, rigid, stated_noise, whole_number
 from .kalibr.camchain import baseline
@@ -181,7 +181,7 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
     parts = [_HEAD, _IDEAL, shifts, context.comment(), comments, _joined(opencv_lines(rig))]
     if others:
         parts.append(_joined(opencv_matrix("Stereo.T_c1_c2", _second_to_first(first, others[0]), "f")))
-    parts.append(_joined(opencv_matrix("IMU.T_b_c1", pose_in_body(first), "f")))
+    parts.append(_joined(opencv_matrix("IMU.T_b_c1", inverse_pose(first.T_cam_body), "f")))
     noise = dict(_noise_entries(stated))
     if len(noise) < 5:
         parts.append("# ORB-SLAM3 also needs IMU.NoiseGyro, NoiseAcc, GyroWalk, AccWalk and Frequency: add them.\n")

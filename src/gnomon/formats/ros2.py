@@ -12,14 +12,24 @@ from typing import Any
 import numpy as np
 
 from ..calibration import Calibration, CameraCalibration
-from ..geometry.quaternion import normalised, quaternion_from_rotation, rotation_from_quaternion
+from ..geometry.quaternion import quaternion_from_rotation
 from ..geometry.so3 import inverse
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats
-from .baselines import pose_in_body
+from .baselines import inverse_pose
 from .foreign import ForeignCalibration, ForeignImu
-from .foreign_yaml import lens, matrix, placed, read_foreign_yaml, required, text_of, unwrapped, whole_number
+from .foreign_yaml import (
+    lens,
+    matrix,
+    placed,
+    read_foreign_yaml,
+    required,
+    text_of,
+    unit_quaternion,
+    unwrapped,
+    whole_number,
+)
 from .losses import Context, Export, Loss, uncertainty_loss, unknown_lens
 from .sensor_losses import Holds, not_representable, require_cameras
 from .structured import Node
@@ -117,11 +127,8 @@ def _read_pose(node: Node, values: dict[str, str]) -> Floats:
             raise node.fail(f"found --{key}; gnomon reads quaternions (--qx --qy --qz --qw) only.")
     found = {key: _number(node, key, values) for key in _NUMBERS if key in values}
     q = np.array([found.get(key, 1.0 if key == "qw" else 0.0) for key in ("qw", "qx", "qy", "qz")])
-    length = float(np.linalg.norm(q))
-    if not 0.98 < length < 1.02:
-        raise node.fail(f"the quaternion (qx, qy, qz, qw) has length {length:.3g}, expected 1.")
     T = np.eye(4)
-    T[:3, :3] = rotation_from_quaternion(normalised(q))
+    T[:3, :3] = unit_quaternion(node, q)
     T[:3, 3] = [found.get(key, 0.0) for key in ("x", "y", "z")]
     return T
 
@@ -223,7 +230,9 @@ def _launch_text(imu: str, calibration: Calibration, context: Context) -> str:
             text += _SHIFT.format(shift=float(camera.time_shift_cam_imu), name=name)
     poses = {name: known.T_imu_body for name, known in calibration.imus.items() if known.T_imu_body is not None}
     placed = {name: inverse(pose) for name, pose in poses.items()}
-    placed |= {name: pose_in_body(camera) for name, camera in calibration.cameras.items() if name != camera.body}
+    placed |= {
+        name: inverse_pose(camera.T_cam_body) for name, camera in calibration.cameras.items() if name != camera.body
+    }
     return text + "launch:\n" + "".join(_node(imu, name, pose) for name, pose in placed.items())
 
 

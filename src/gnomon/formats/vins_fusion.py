@@ -17,7 +17,7 @@ from ..calibration import Calibration, CameraCalibration
 from ..errors import FormatError
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
-from .baselines import pose_in_body
+from .baselines import inverse_pose
 from .foreign import ForeignCalibration, ForeignImu
 from .foreign_yaml import lens, numbers, placed, read_foreign_yaml, required, rigid, stated_noise, text_of, whole_number
 from .lenses import cameras_without_k3
@@ -244,7 +244,7 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
     }
     parts = [FIRST_LINE, _HEAD, context.comment(), comments, _joined(opencv_lines(rig))]
     for i, camera in enumerate(cameras.values()):
-        parts.append(_joined(opencv_matrix(f"body_T_cam{i}", pose_in_body(camera), "d")))
+        parts.append(_joined(opencv_matrix(f"body_T_cam{i}", inverse_pose(camera.T_cam_body), "d")))
     parts.append(_NOISE_COMMENT if noise else "# VINS also needs acc_n, gyr_n, acc_w and gyr_w: add them.\n")
     return "".join([*parts, _joined(opencv_lines(end))])
 

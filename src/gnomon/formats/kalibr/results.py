@@ -23,6 +23,7 @@ from ...models.noise import ImuNoise
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.target import Target
 from ...recording import Floats
+from ..baselines import inverse_pose
 from ..foreign import ForeignCalibration, ForeignImu, Residuals, Statistics, ideal_imu, recognised_frame
 from ..foreign_yaml import rigid, rotation
 from ..lenses import without_k3
@@ -396,12 +397,9 @@ def _matrix(values: Floats, indent: str = "") -> list[str]:
 
 
 def _transformation(name: str, camera: CameraCalibration) -> Iterator[str]:
-    inverse = np.eye(4)
-    inverse[:3, :3] = camera.T_cam_imu[:3, :3].T
-    inverse[:3, 3] = -camera.T_cam_imu[:3, :3].T @ camera.T_cam_imu[:3, 3]
     yield from ("", f"Transformation ({name}):", "-----------------------")
     yield from (f"T_ci:  (imu0 to {name}): ", *_matrix(camera.T_cam_imu), "")
-    yield from (f"T_ic:  ({name} to imu0): ", *_matrix(inverse), "")
+    yield from (f"T_ic:  ({name} to imu0): ", *_matrix(inverse_pose(camera.T_cam_imu)), "")
     yield f"timeshift {name} to imu0: [s] (t_imu = t_cam + shift)"
     yield from (str(float(camera.time_shift_cam_imu)), "")
 

@@ -7,9 +7,8 @@ only: whatever cannot be used is passed over with a note.
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from ...errors import FormatError, OptionError
+from ...formats.baselines import inverse_pose
 from ...formats.foreign_yaml import read_foreign_yaml, rigid
 from ...formats.kalibr.camchain import camera_of
 from ...formats.kalibr.imu import ImuInput
@@ -76,9 +75,7 @@ def T_sensor_imu(sensor: SensorInput, imu: SensorInput) -> Floats | None:
     """Return p_sensor = T @ p_imu from the places of both on the body; an IMU without place is the body itself."""
     if sensor.T_body_sensor is None:
         return None
-    R, p = sensor.T_body_sensor[:3, :3], sensor.T_body_sensor[:3, 3]
-    T_sensor_body = np.eye(4)
-    T_sensor_body[:3, :3], T_sensor_body[:3, 3] = R.T, -R.T @ p
+    T_sensor_body = inverse_pose(sensor.T_body_sensor)
     return frozen_array(T_sensor_body if imu.T_body_sensor is None else T_sensor_body @ imu.T_body_sensor)
 
 
