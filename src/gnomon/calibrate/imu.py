@@ -49,6 +49,7 @@ from .preparation import (
     PreparedImu,
     check_arguments,
     imu_calibration,
+    in_stated_frame,
     local_gravity,
     prepare,
     stated_options,
@@ -56,7 +57,6 @@ from .preparation import (
 )
 from .published import calibrate_as_published
 from .several_recordings import calibrate_several
-from .user_frame import in_stated_frame
 
 Progress = Callable[[str], None]
 

@@ -40,8 +40,7 @@ from .imu_model import refuse_evidence
 from .pose_gyroscope import fit_gyroscope_at_rest
 from .pose_preparation import PreparedPoses, prepare_poses, recording_gaps
 from .poses_as_published import calibrate_poses_as_published
-from .preparation import PreparedImu, local_gravity, stated_options
-from .user_frame import in_stated_frame
+from .preparation import PreparedImu, in_stated_frame, local_gravity, stated_options
 
 Progress = Callable[[str], None]
 

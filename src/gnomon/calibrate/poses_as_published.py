@@ -28,8 +28,7 @@ from ..options import ImuOptions
 from ..recording import Floats, Poses, Recording
 from ..units import ACCELEROMETER_UNITS_M_S2
 from .pose_preparation import PreparedPoses
-from .preparation import stated_options
-from .user_frame import in_stated_frame
+from .preparation import in_stated_frame, stated_options
 
 _ALONE = "Preset angrisano calibrates the accelerometer alone; the gyroscope's samples are not used."
 

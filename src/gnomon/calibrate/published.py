@@ -44,9 +44,8 @@ from ..geometry.so3 import inverse
 from ..intervals import interval_means
 from ..options import ImuOptions
 from ..recording import Recording
-from .preparation import PreparedImu, imu_calibration, local_gravity, stated_options, stream
+from .preparation import PreparedImu, imu_calibration, in_stated_frame, local_gravity, stated_options, stream
 from .published_search import Search, Turned, fit_rotations, held_out_forces, search_threshold
-from .user_frame import in_stated_frame
 
 
 def describe(prepared: PreparedImu, search: Search, turned: Turned, gravity_m_s2: float) -> ImuDiagnostics:
