@@ -15,8 +15,8 @@ from ..recording import Floats
 from .cameras_lens import field_of_view, focal_at_axis
 from .figures import AXES
 from .imu_parameters import sigmas_of, triple
-from .numbers import fixed, number, with_sigma
-from .page import Parameter, ParameterGroup
+from .numbers import fixed, number
+from .page import Parameter, ParameterGroup, parameter
 
 _DEG = degrees(1.0)
 
@@ -56,15 +56,14 @@ def placed_imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGro
     shifts: list[tuple[str, str, str]] = []
     if imu.T_imu_body is not None:
         groups = _pose_groups(calibration, f"{name}.T_imu_body", imu.T_imu_body, (name, name, "imu0"))
-        shifts.append(("time shift", "time_shift_imu", f"t_imu0 = t_{name} + time shift"))
+        shifts.append(("time shift", f"{name}.time_shift_imu", f"t_imu0 = t_{name} + time shift"))
     if imu.accelerometer is not None and imu.accelerometer.time_shift_s is not None:
         words = "t_gyroscope = t_accelerometer + time shift"
-        shifts.append(("of the accelerometer", "accelerometer.time_shift", words))
-    rows: list[Parameter] = []
-    for label, path, words in shifts:
-        values = (1e3 * float(of(f"{name}.{path}")) for of in (calibration.parameter, calibration.sigma))
-        text, sigma = with_sigma(*values)
-        rows.append(Parameter(label, text, sigma, "ms", reads_as=words))
+        shifts.append(("of the accelerometer", f"{name}.accelerometer.time_shift", words))
+    rows = [
+        parameter(label, 1e3 * calibration.parameter(path), 1e3 * calibration.sigma(path), "ms", reads_as=words)
+        for label, path, words in shifts
+    ]
     return (*groups, ParameterGroup("Time", "", rows)) if rows else tuple(groups)
 
 
@@ -101,15 +100,12 @@ def _pose_groups(calibration: Calibration, path: str, T: Floats, words: tuple[st
 
 def _times(calibration: Calibration, name: str) -> ParameterGroup:
     camera = calibration.cameras[name]
-    shift, sigma = with_sigma(
-        1e3 * camera.time_shift_cam_imu, 1e3 * float(calibration.sigma(f"{name}.time_shift_cam_imu"))
-    )
-    rows = [Parameter("time shift", shift, sigma, "ms", reads_as="t_imu = t_cam + time shift")]
+    shift, sigma = 1e3 * camera.time_shift_cam_imu, 1e3 * calibration.sigma(f"{name}.time_shift_cam_imu")
+    rows = [parameter("time shift", shift, float(sigma), "ms", reads_as="t_imu = t_cam + time shift")]
     delay, spread = 1e6 * camera.camera.line_delay_s, 1e6 * float(calibration.sigma(f"{name}.line_delay"))
     if delay or spread:
-        text, sigma = with_sigma(delay, spread)
         total = number(1e-3 * delay * camera.camera.resolution[1], 3)
-        rows.append(Parameter("line delay", text, sigma, "µs per row", reads_as=f"{total} ms per image"))
+        rows.append(parameter("line delay", delay, spread, "µs per row", reads_as=f"{total} ms per image"))
     return ParameterGroup("Time", "", rows)
 
 
@@ -120,8 +116,7 @@ def lens_group(calibration: Calibration, name: str) -> ParameterGroup:
     spreads = np.concatenate([calibration.sigma(f"{name}.{part}") for part in ("intrinsics", "distortion_coeffs")])
     rows: list[Parameter] = []
     for label, value, spread in zip(names, values.tolist(), spreads.tolist(), strict=True):
-        text, sigma = with_sigma(value, spread)
-        rows.append(Parameter(label, text, sigma, "px" if label[0] in "fp" and label[1] in "uv" else ""))
+        rows.append(parameter(label, value, spread, "px" if label[0] in "fp" and label[1] in "uv" else ""))
     return ParameterGroup("Lens", f"{camera.projection}, {camera.distortion}", rows)
 
 
@@ -135,8 +130,7 @@ def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> t
         values, spreads = _baseline(calibration, to, source)
         note = f"origin of {source} in the frame of {to}"
         translation = triple(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
-        text, sigma = with_sigma(float(values[3]), float(spreads[3]))
-        distance = Parameter("distance", text, sigma, "mm")
+        distance = parameter("distance", values[3], spreads[3], "mm")
         groups.append(replace(translation, rows=(*translation.rows, distance)))
         note = f"from the axes of {source} to those of {to}"
         groups.append(triple("Rotation", note, "°", values[4:], spreads[4:]))
@@ -192,11 +186,9 @@ def pose_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ..
         return ()
     values, spreads = pose_numbers(calibration, name)
     place = triple("Position", f"origin of {name} in the frame of {camera.body}", "mm", values[:3], spreads[:3])
-    text, sigma = with_sigma(float(values[3]), float(spreads[3]))
-    distance = Parameter("baseline", text, sigma, "mm", reads_as="distance of the two")
+    distance = parameter("baseline", values[3], spreads[3], "mm", reads_as="distance of the two")
     turn = triple("Rotation", f"from the axes of {camera.body} to those of {name}", "°", values[4:7], spreads[4:7])
-    text, sigma = with_sigma(float(values[7]), float(spreads[7]))
-    angle = Parameter("in all", text, sigma, "°")
+    angle = parameter("in all", values[7], spreads[7], "°")
     shift = triple(
         "Translation", f"last column of {camera.link}: origin of {camera.body} in the frame of {name}", "mm",
         1e3 * camera.T_cam_body[:3, 3], 1e3 * calibration.sigma(f"{name}.{camera.link}.translation"),

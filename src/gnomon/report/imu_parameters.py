@@ -18,7 +18,7 @@ from ..models.forms import in_own_axes
 from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import MISSING, estimate, fixed, number, readable_unit, with_sigma
-from .page import Bar, Parameter, ParameterGroup, Table
+from .page import Bar, Parameter, ParameterGroup, Table, parameter
 
 AXES = "xyz"
 _DEG = 180 / pi
@@ -106,12 +106,11 @@ def _scales(
     rows: list[Parameter] = []
     for i, axis in enumerate(AXES):
         sign = -1.0 if matrix[i, i] < 0 else 1.0
-        value, spread = with_sigma(sign * float(lengths[i]), float(np.sqrt(np.fmax(joint[i, i], 0.0))))
         rows.append(
-            Parameter(
+            parameter(
                 f"scale {axis}",
-                value,
-                spread,
+                sign * float(lengths[i]),
+                float(np.sqrt(np.fmax(joint[i, i], 0.0))),
                 unit,
                 reads_as=_percent(*percents[i]),
                 note=_NOT_DETERMINED if _held(calibration, path, *(f"{i},{j}" for j in range(3))) else "",
@@ -148,16 +147,15 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
     lengths = np.linalg.norm(triad.sensitivity, axis=1)
     rows: list[Parameter] = []
     for i, axis in enumerate(AXES):
-        value, spread = with_sigma(float(triad.bias[i]), float(sigmas[i]))
         physical, sigma = float(triad.bias[i] / lengths[i]), float(sigmas[i] / lengths[i])
         # The offset of raw counts is arbitrary; only its uncertainty says something in physical units.
         arbitrary = triad.unit == "count" and not isinstance(triad, MagnetometerCalibration)
         reads_as = f"± {_physical(sigma, si)}" if arbitrary else _physical(physical, si)
         rows.append(
-            Parameter(
+            parameter(
                 f"bias {axis}",
-                value,
-                spread,
+                float(triad.bias[i]),
+                float(sigmas[i]),
                 readable_unit(triad.unit),
                 reads_as=reads_as if isfinite(sigma) else "",
                 note=_NOT_DETERMINED if _held(calibration, f"{path}.bias", str(i)) else "",
@@ -203,10 +201,9 @@ def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: G
 def _about_zero(name: str, found: tuple[float, float], *, unit: str, reads_as: str, held: bool) -> Parameter:
     """Return the row of a value, with sigma, that is zero in an ideal sensor."""
     value, sigma = found
-    text, spread = with_sigma(value, sigma, sign=True)
     insignificant = "within 2σ of zero" if sigma > 0 and abs(value) < 2 * sigma else ""
     note = _NOT_DETERMINED if held else insignificant
-    return Parameter(name, text, spread, unit, reads_as=reads_as, note=note)
+    return parameter(name, value, sigma, unit, reads_as=reads_as, note=note, sign=True)
 
 
 def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> list[tuple[float, float]]:
@@ -265,9 +262,8 @@ def triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) ->
     word = "about" if unit == "°" else "along"
     rows: list[Parameter] = []
     for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
-        text, sigma = with_sigma(value, spread)
         reads_as = f"{fixed(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
-        rows.append(Parameter(f"{word} {axis}", text, sigma, unit, reads_as=reads_as))
+        rows.append(parameter(f"{word} {axis}", value, spread, unit, reads_as=reads_as))
     return ParameterGroup(title, note, with_bars(rows, _pairs(values, spreads)))
 
 
@@ -349,19 +345,17 @@ def _own_triad(title: str, letter: str, values: Floats, spreads: Floats) -> tupl
     percents, percent_spreads = 100 * (values[:3] - 1), 100 * spreads[:3]
     scales: list[Parameter] = []
     for i, axis in enumerate(AXES):
-        text, sigma = with_sigma(float(values[i]), float(spreads[i]))
         percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
         reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
-        scales.append(Parameter(f"scale {axis}", text, sigma, "", reads_as=reads_as))
+        scales.append(parameter(f"scale {axis}", values[i], spreads[i], "", reads_as=reads_as))
     scale = ParameterGroup(
         f"{title} scale", f"S_{letter}; bars: deviation from one",
         with_bars(scales, _pairs(percents, percent_spreads)),
     )  # fmt: skip
     tilts: list[Parameter] = []
     for entry, value, spread in zip(("yz", "zy", "zx"), 1e3 * values[3:], 1e3 * spreads[3:], strict=True):
-        text, sigma = with_sigma(float(value), float(spread), sign=True)
         reads_as = f"{fixed(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
-        tilts.append(Parameter(f"entry {entry}", text, sigma, "mrad", reads_as=reads_as))
+        tilts.append(parameter(f"entry {entry}", float(value), float(spread), "mrad", reads_as=reads_as, sign=True))
     tilt = ParameterGroup(
         f"{title} misalignment", f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
         with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
@@ -383,10 +377,9 @@ def _own_bias(calibration: Calibration, path: str, title: str, letter: str) -> P
     gyroscope = letter == "g"
     rows: list[Parameter] = []
     for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
-        text, sigma = with_sigma(value, spread, sign=True)
         physical = f"{number(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
         unit = "rad/s" if gyroscope else "m/s²"
-        rows.append(Parameter(f"bias {axis}", text, sigma, unit, reads_as=physical))
+        rows.append(parameter(f"bias {axis}", value, spread, unit, reads_as=physical, sign=True))
     note = f"b_{letter}, mean over the recording"
     return ParameterGroup(f"{title} bias", note, with_bars(rows, _pairs(values, spreads)))
 
@@ -399,10 +392,9 @@ def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit
     flat, spreads = 1e3 * values.ravel(), 1e3 * calibration.sigma(f"{path}.g_sensitivity").ravel()
     rows: list[Parameter] = []
     for (i, j), value, spread in zip(np.ndindex(3, 3), flat.tolist(), spreads.tolist(), strict=True):
-        text, sigma = with_sigma(value, spread, sign=True)
         per_g = f"{number(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
         name = f"{AXES[i]} by force {AXES[j]}"
-        rows.append(Parameter(name, text, sigma, f"m{unit} per m/s²", reads_as=per_g))
+        rows.append(parameter(name, value, spread, f"m{unit} per m/s²", reads_as=per_g, sign=True))
     group = ParameterGroup(
         "Gyroscope g-sensitivity",
         "B_g of chapter 4, on the force in the body frame",

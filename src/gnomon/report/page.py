@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, SupportsFloat
 
 from ..calibration import Verdict
 from ..findings import Finding, printable
+from .numbers import with_sigma
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -50,6 +51,20 @@ class Parameter:
     reads_as: str = ""
     note: str = ""
     bar: Bar | None = None
+
+
+def parameter(
+    name: str,
+    value: SupportsFloat,
+    sigma: SupportsFloat,
+    unit: str,
+    *,
+    reads_as: str = "",
+    note: str = "",
+    sign: bool = False,
+) -> Parameter:
+    """Return the line of a number with its standard deviation, which says how many digits are shown."""
+    return Parameter(name, *with_sigma(float(value), float(sigma), sign=sign), unit, reads_as, note)
 
 
 @dataclass(frozen=True, slots=True)
