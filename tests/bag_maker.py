@@ -19,7 +19,7 @@ NAMES = {"ros1": "rec.bag", "ros2": "rec", "mcap": "rec_mcap"}
 
 @dataclass
 class Message:
-    """One message: its topic, its type's short name, its header stamp, when it was received, and its fields."""
+    """One message: its topic, its type's short name, its header timestamp, when it was received, and its fields."""
 
     topic: str
     kind: str

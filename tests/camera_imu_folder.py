@@ -12,7 +12,7 @@ import gnomon
 
 
 def read_table(path):
-    """Return the header, the stamps (n,) int64, and the other columns (n, c)."""
+    """Return the header, the timestamps (n,) int64, and the other columns (n, c)."""
     with gzip.open(path, "rt", encoding="ascii") as file:
         header, *rows = file.read().splitlines()
     cells = [row.split(",") for row in rows]
@@ -30,7 +30,7 @@ def write_table(path, header, t_ns, columns):
 
 
 def samples(change, header=None):
-    """Change the IMU's samples: `change` takes and returns stamps and (n, 6), accelerometer first."""
+    """Change the IMU's samples: `change` takes and returns timestamps and (n, 6), accelerometer first."""
 
     def edit(folder):
         path = folder / "imu0.csv.gz"
@@ -41,7 +41,7 @@ def samples(change, header=None):
 
 
 def corners(change, camera="cam0"):
-    """Change the corners: `change` takes and returns stamps, numbers of points (n,) and pixels (n, 2)."""
+    """Change the corners: `change` takes and returns timestamps, numbers of points (n,) and pixels (n, 2)."""
 
     def edit(folder):
         path = folder / f"{camera}_corners.csv.gz"
@@ -64,7 +64,7 @@ def renumbered(number):
 
 
 def some_frames(choose):
-    """Keep the corners of some frames; `choose` takes the stamps of all."""
+    """Keep the corners of some frames; `choose` takes the timestamps of all."""
 
     def change(t_ns, point, pixels):
         kept = np.isin(t_ns, choose(np.unique(t_ns)))

@@ -170,7 +170,7 @@ FINDINGS = (
     Finding(
         severity="info",
         code="stamps-quantised",
-        message="Time stamps are quantised to 1 ms; a straight line fits them with 0.26 ms rms.",
+        message="Time timestamps are quantised to 1 ms; a straight line fits them with 0.26 ms rms.",
         consequence="A uniform time base of 9.99900 ms was used.",
     ),
     Finding(severity="good", code="coverage", message="38 attitudes cover the sphere: no parameter is weak."),

@@ -110,8 +110,8 @@ def payloads_of(
     Parameters
     ----------
     rate_hz : of both sensors
-    first_us : stamp of the first sample; the video begins at `FRAME_US`
-    stamps : whether they hold stamps and streams of the video
+    first_us : timestamp of the first sample; the video begins at `FRAME_US`
+    stamps : whether they hold timestamps and streams of the video
     jitter : samples by which a payload begins too early or too late at most
     """
     rng = np.random.default_rng(seed)

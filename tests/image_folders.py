@@ -28,7 +28,7 @@ def write_images(folder, names, *, suffix=".png", change=lambda image: image):
 
 
 def samples(count=40, seed=0):
-    """Return stamps (n,) and accelerometer and gyroscope (n, 6)."""
+    """Return timestamps (n,) and accelerometer and gyroscope (n, 6)."""
     rng = np.random.default_rng(seed)
     t_ns = START + 5_000_000 * np.arange(count)
     return t_ns, np.column_stack(
@@ -64,7 +64,7 @@ def write_video(path, *, count=30, codec="ffv1", pixels="gray", times_ms=None, r
 
 
 def frames_of(recording, camera="cam0"):
-    """Return the stamps, the images and the notes of a camera; what cannot be decoded is None."""
+    """Return the timestamps, the images and the notes of a camera; what cannot be decoded is None."""
     from gnomon.errors import RecordingError
 
     notes, t_ns, images = [], [], []

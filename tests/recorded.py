@@ -145,13 +145,13 @@ def samples_of(folder: Path) -> Samples:
 
 
 def write_samples(path: Path, samples: Samples, change: Callable[[int], int] = lambda t_ns: t_ns) -> None:
-    """Write a table of samples, with other stamps."""
+    """Write a table of samples, with other timestamps."""
     lines = [samples.head, *([str(change(int(t_ns))), *values] for t_ns, *values in samples.rows)]
     path.write_text("\n".join(",".join(line) for line in lines) + "\n", encoding="ascii")
 
 
 def write_kalibr(source: Path, target: Path) -> None:
-    """Write the layout that Kalibr makes bags from: cam0/<stamp>.png, imu0.csv."""
+    """Write the layout that Kalibr makes bags from: cam0/<timestamp>.png, imu0.csv."""
     (target / "cam0").mkdir(parents=True)
     for image in images_of(source):
         shutil.copy(image, target / "cam0")

@@ -76,7 +76,7 @@ def subset_calibration(
 
 
 def recorded(triads, *, count=300, seed=0, own_stamps=False) -> ImuSamples:
-    """Return samples in counts of these triads; with stamps of their own the magnetometer is the slowest."""
+    """Return samples in counts of these triads; with timestamps of their own the magnetometer is the slowest."""
     rng = np.random.default_rng(seed)
     start = 1_600_000_000_000_000_000
     made = {}

@@ -156,7 +156,7 @@ def exact_corners(folder, recording, result):
     true = {}
     for stamp, point, u, v, *_ in rows:
         frame = int(np.argmin(np.abs(stamps - int(stamp))))
-        assert abs(int(stamps[frame]) - int(stamp)) < 1000  # Kalibr's stamps have passed through double seconds
+        assert abs(int(stamps[frame]) - int(stamp)) < 1000  # Kalibr's timestamps have passed through double seconds
         true[frame, int(point)] = float(u), float(v)
     fit = result.diagnostics.corners["cam0"]
     index = [k for k, key in enumerate(zip(fit.frame.tolist(), fit.point.tolist(), strict=True)) if key in true]

@@ -61,7 +61,7 @@ def codes(result):
 
 
 def tracked(result, simulation):
-    """Return the estimated trajectory, and the true motion at its stamps."""
+    """Return the estimated trajectory, and the true motion at its timestamps."""
     track = result.diagnostics.trajectory
     return track, simulation.trajectory.at((track.t_ns - simulation.trajectory.start_ns) * 1e-9)
 
@@ -289,7 +289,7 @@ def test_one_camera_of_two_keeps_its_name():
 FAULTS = {
     "gaps of both streams": {"imu_gaps_s": ((4.0, 0.6), (8.0, 0.025)), "camera_gaps_s": ((1.5, 1.0), (9.0, 0.7))},
     "lost samples and frames": {"dropped_samples": 0.1, "dropped_frames": 0.3},
-    "jitter of the stamps": {"imu_jitter_s": 5e-5, "camera_jitter_s": 2e-5},
+    "jitter of the timestamps": {"imu_jitter_s": 5e-5, "camera_jitter_s": 2e-5},
     "5 % scale and large biases": {
         "scale_range": 0.05, "misalignment_range": 0.03, "gyroscope_rotation_range": 0.1,
         "accelerometer_bias_range": 2.0, "gyroscope_bias_range": 0.5, "time_shift_range_s": 5.0,

@@ -1,4 +1,4 @@
-"""One jump of the clock, by a second to fifty years: memory follows the samples, not the span of their stamps.
+"""One jump of the clock, by a second to fifty years: memory follows the samples, not the span of their timestamps.
 
 And what else is odd in a recording ends without a warning of NumPy's and without 'a bug'.
 """

@@ -21,7 +21,7 @@ def test_one_mp4_is_calibrated_like_the_folder_it_was_made_of(run, walks, tmp_pa
     found = calibrated(run, path, source, tmp_path / "gopro")
     expected = calibrated(run, source, source, tmp_path / "folder")
     between = found.cameras["cam0"].time_shift_cam_imu - expected.cameras["cam0"].time_shift_cam_imu
-    assert abs(between) < 20e-6  # stamps of the telemetry are in whole microseconds
+    assert abs(between) < 20e-6  # timestamps of the telemetry are in whole microseconds
     assert recorded.most_sigmas(found, expected) < 0.3
     assert [source.name for source in found.provenance.inputs].count(path.name) == 1
 

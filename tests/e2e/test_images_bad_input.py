@@ -116,7 +116,7 @@ def cut_off(part):
 
 
 def stamps(change):
-    """Change the stamps of the images in their table."""
+    """Change the timestamps of the images in their table."""
 
     def edit(recording, _):
         table = recording / "cam0" / "data.csv"
@@ -269,17 +269,17 @@ REFUSED = {
     "a bag that is packed in an unknown way": Case(
         layout="mcap", edit=compression_of_mcap, words=('compressed with "snpy"', "does not know", "mcap convert")
     ),
-    "no stamps": Case(edit=stamps(lambda t: 0), words=("images have the same stamp", "in nanoseconds")),
-    "no stamps of the samples": Case(
-        edit=sample_stamps(lambda t: 0), words=("imu0: all 801 stamps are the same", "in nanoseconds")
+    "no timestamps": Case(edit=stamps(lambda t: 0), words=("images have the same timestamp", "in nanoseconds")),
+    "no timestamps of the samples": Case(
+        edit=sample_stamps(lambda t: 0), words=("imu0: all 801 timestamps are the same", "in nanoseconds")
     ),
-    "a bag without any stamp": Case(
+    "a bag without any timestamp": Case(
         layout="ros1",
         edit=bag(
             *[bag_maker.image("/cam0", 0, bag_maker.picture(k), received_ns=1) for k in range(5)],
             *[bag_maker.imu("/imu0", 0, received_ns=1) for k in range(5)],
         ),
-        words=("have no stamps, neither their own nor the recorder's",),
+        words=("have no timestamps, neither their own nor the recorder's",),
     ),
     "a bag cut off early": Case(layout="ros1", edit=cut_off(0.4), words=SHORT, said="walk.bag ends early"),
     "an MCAP cut off early": Case(layout="mcap", edit=cut_off(0.4), words=SHORT, said="walk.mcap ends early"),
@@ -425,7 +425,7 @@ USED = {
     "clocks that are hours apart": Case(
         few=False,
         edit=sample_stamps(lambda t: t - HOURS_NS),
-        words=("have no time in common by their stamps", "Their clocks are taken for unrelated"),
+        words=("have no time in common by their timestamps", "Their clocks are taken for unrelated"),
     ),
     "a border of one bit stated": Case(few=False, edit=target(tagBorderBits=1), words=()),
 }

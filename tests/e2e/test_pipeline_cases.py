@@ -438,7 +438,8 @@ def test_frames_that_do_not_exist_are_refused(simulated, frame):
         calibrate(simulated[0], frame=frame)
 
 
-# --- many bad rotations, and stamps in packets -----------------------------------------------------------------------
+# --- many bad rotations, and timestamps in packets
+# -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bad", [(4,), (4, 12), (2, 7, 12, 17, 22)], ids=str)

@@ -49,7 +49,7 @@ def test_corners_are_detected_where_they_truly_are(lens):
             errors.append(view.pixels[mine] - truth.pixels[rows][true])
         errors = np.concatenate(errors)
         assert len(errors) > 0.95 * len(recorded.point)
-        assert np.sqrt(np.mean(errors**2)) < 0.01  # a shift of the stamps by 1 ms would be 0.3 px and more
+        assert np.sqrt(np.mean(errors**2)) < 0.01  # a shift of the timestamps by 1 ms would be 0.3 px and more
         assert np.abs(errors.mean(axis=0)).max() < 0.002
 
 

@@ -32,7 +32,7 @@ IMU = {
     70810: "a tremor of about a step, which dwells at its ends",
     20555: "a latitude stated where the Earth stands still",
     70367: "the same, seen in a mirror",
-    50121: "samples dropped for their stamps, though a uniform clock is stated",
+    50121: "samples dropped for their timestamps, though a uniform clock is stated",
     60157: "a uniform clock stated for samples with losses too rare to be warned of",
     60119: "one rest, and a prior that it contradicts",
     60091: "motion between samples, which the integration does not see",

@@ -1,4 +1,4 @@
-"""Targets: images, videos, stamps of frames, tables of corners, folders of a rig, and bags."""
+"""Targets: images, videos, timestamps of frames, tables of corners, folders of a rig, and bags."""
 
 import shutil
 import sqlite3

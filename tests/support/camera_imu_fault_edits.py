@@ -170,7 +170,7 @@ def with_gaps(samples: TriadSamples, rng: np.random.Generator) -> TriadSamples:
 
 
 def jittery(samples: TriadSamples, rng: np.random.Generator) -> TriadSamples:
-    """Stamp samples when they arrive."""
+    """Timestamp samples when they arrive."""
     late = rng.exponential(0.9 / samples.rate_hz, len(samples)) * 1e9
     return replace(samples, t_ns=np.maximum.accumulate(samples.t_ns + late.astype(np.int64)) + np.arange(len(samples)))
 

@@ -94,7 +94,7 @@ CAMERA_IMU_FAULTS = (
     ),
     Fault(
         name="clocks-offset",
-        title="The stamps of the camera are 3 s ahead of the IMU's",
+        title="The timestamps of the camera are 3 s ahead of the IMU's",
         symptom="A time shift of -3 s.",
         codes=("time-shift", "streams-apart"),
         says=(r"(2\.99|3\.0)\d* s",),
@@ -302,4 +302,4 @@ CAMERA_IMU_FAULTS = (
         spoil=edits.inverse_stated,
     ),
 )
-"""The catalogue's part; the order is that of its gallery: units and axes, stamps and clocks, board, lens, motion."""
+"""The catalogue's part, in the order of its gallery: units and axes, timestamps and clocks, board, lens, motion."""

@@ -53,7 +53,7 @@ def with_frames(case: FaultyRecording, frames: CameraFrames) -> FaultyRecording:
 
 
 def seconds(t_ns: Integers) -> Floats:
-    """Return stamps as seconds from the first of them."""
+    """Return timestamps as seconds from the first of them."""
     return np.asarray((t_ns - t_ns[0]) * 1e-9, dtype=np.float64)
 
 

@@ -43,14 +43,14 @@ def _doubled(samples: TriadSamples, _rng: np.random.Generator) -> TriadSamples:
 
 
 def _stamped_on_arrival(samples: TriadSamples, rng: np.random.Generator) -> TriadSamples:
-    """Stamp samples when they arrive, held up now and then by a busy computer."""
+    """Timestamp samples when they arrive, held up now and then by a busy computer."""
     period = 1 / samples.rate_hz
     late = rng.exponential(0.8 * period, len(samples)) * 1e9
     return replace(samples, t_ns=np.maximum.accumulate(samples.t_ns + late.astype(np.int64)))
 
 
 def _counted(samples: TriadSamples, _rng: np.random.Generator) -> TriadSamples:
-    """Make stamps by the number of the sample and half of the true rate."""
+    """Make timestamps by the number of the sample and half of the true rate."""
     return replace(samples, t_ns=samples.t_ns[0] + 2 * (samples.t_ns - samples.t_ns[0]))
 
 
@@ -149,14 +149,14 @@ IMU_FAULTS = (
     Fault(
         name="stamped-on-arrival",
         title="Samples are stamped when they arrive",
-        symptom="Steps between stamps scatter by most of a period.",
+        symptom="Steps between timestamps scatter by most of a period.",
         codes=("jitter",),
         scenario=_SOUND,
         spoil=both(_stamped_on_arrival),
     ),
     Fault(
         name="rate-misstated",
-        title="Stamps were made by half of the true sample rate",
+        title="Timestamps were made by half of the true sample rate",
         symptom="Everything is slow; the gyroscope's scale comes out near 0.5.",
         codes=("unit", "rate-wrong"),
         says=(r"rate",),
@@ -165,7 +165,7 @@ IMU_FAULTS = (
     ),
     Fault(
         name="triads-apart",
-        title="The gyroscope's stamps are 1.2 s later than the accelerometer's",
+        title="The gyroscope's timestamps are 1.2 s later than the accelerometer's",
         symptom="Rotations begin before and end after the accelerometer's motions; they fit badly.",
         codes=("triads-apart",),
         says=(r"1\.[12]\d* s",),
@@ -238,4 +238,4 @@ IMU_FAULTS = (
         ),
     ),
 )
-"""The catalogue's part; the order is that of its gallery: units and axes, samples and stamps, motion, sensor."""
+"""The catalogue's part; the order is that of its gallery: units and axes, samples and timestamps, motion, sensor."""

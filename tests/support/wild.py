@@ -41,7 +41,7 @@ class WildCase:
     Attributes
     ----------
     recording, target, options : what the calibration is given
-    imus, cameras : what is true, in the units and the stamps of the recording, body frame accel-x
+    imus, cameras : what is true, in the units and the timestamps of the recording, body frame accel-x
     oddities : what is odd about it
     wandering : path -> by how much the true value moved during the recording, so that no number is the true one
     """

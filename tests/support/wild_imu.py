@@ -83,7 +83,7 @@ def _said(case: WildCase, scenario: Scenario) -> WildCase:
     if scenario.stamp_jitter_s:
         case = case.with_oddity(f"jitter {scenario.stamp_jitter_s:.2g} s", *_LOST)
     if scenario.stamp_resolution_s:
-        case = case.with_oddity(f"stamps rounded to {scenario.stamp_resolution_s:.2g} s", "time-repeated", *_LOST)
+        case = case.with_oddity(f"timestamps rounded to {scenario.stamp_resolution_s:.2g} s", "time-repeated", *_LOST)
     if scenario.gyroscope_bias_walk:
         t_s = case.recording.imus["imu0"].gyroscope.duration_s
         walk = scenario.gyroscope_bias_walk * np.sqrt(t_s)
@@ -237,7 +237,7 @@ def _doubled(case: WildCase, rng: np.random.Generator) -> WildCase:
         return replace(samples, t_ns=t_ns)
 
     names = ("time-backward", "time-repeated", "time-base-stated", "jitter")
-    return _both(case, muddled).with_oddity(f"{share:.2g} {'swapped' if swapped else 'repeated'} stamps", *names)
+    return _both(case, muddled).with_oddity(f"{share:.2g} {'swapped' if swapped else 'repeated'} timestamps", *names)
 
 
 def _stretched(case: WildCase, rng: np.random.Generator) -> WildCase:

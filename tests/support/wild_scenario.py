@@ -1,4 +1,4 @@
-"""Wild scenarios of an IMU alone: sensor, motion, converter and stamps."""
+"""Wild scenarios of an IMU alone: sensor, motion, converter and timestamps."""
 
 import numpy as np
 

@@ -30,7 +30,7 @@ def samples(count=1000, seed=0, *, own_stamps=False, start_ns=1_600_000_000_000_
 
 
 def expected(imu, recorded):
-    """Stamps, rate and force in one table, from `apply` in memory."""
+    """Timestamps, rate and force in one table, from `apply` in memory."""
     done = imu.apply(recorded)
     force = interpolate_triad(done.accelerometer, recorded.gyroscope)
     return np.column_stack([done.gyroscope.values, force]), recorded.gyroscope.t_ns
@@ -104,7 +104,7 @@ def test_pair_of_tables_with_stamps_in_seconds(random_calibration, tmp_path):
         same(tmp_path / "out.csv", expected(imu, recorded))
 
 
-@pytest.mark.parametrize("content", ["no stamps", "late fractions", "columns", "utf-16", "epoch seconds"])
+@pytest.mark.parametrize("content", ["no timestamps", "late fractions", "columns", "utf-16", "epoch seconds"])
 def test_what_the_reader_knows_the_stream_knows(random_calibration, tmp_path, content):
     imu = random_calibration(25).imus["imu0"]
     path, options = tmp_path / "r.txt", {}
@@ -116,7 +116,7 @@ def test_what_the_reader_knows_the_stream_knows(random_calibration, tmp_path, co
         stamps = [f"{1_600_000_000 + i // 100}.{i % 100:02d}0000001" for i in range(400)]
     rows = [[stamp, *map(str, row)] for stamp, row in zip(stamps, numbers, strict=True)]
     header = "t,ax,ay,az,gx,gy,gz\n"
-    if content == "no stamps":
+    if content == "no timestamps":
         rows, header, options = [row[1:] for row in rows], "ax,ay,az,gx,gy,gz\n", {"rate_hz": 123.0}
     if content == "columns":
         header, options = "", {"columns": "t gx gy gz ax ay az"}
@@ -292,7 +292,7 @@ def test_backward_stamps_cannot_be_interpolated(random_calibration, tmp_path):
         t[[30, 40]] = t[[40, 30]]
         triads = {"accelerometer": recorded.accelerometer, "gyroscope": recorded.gyroscope}
         triads[swapped] = TriadSamples(t_ns=t, values=triads[swapped].values, unit="count")
-        with pytest.raises(RecordingError, match=f"{swapped}'s stamps go backwards"):
+        with pytest.raises(RecordingError, match=f"{swapped}'s timestamps go backwards"):
             write_calibrated(
                 random_calibration(35).imus["imu0"], stream_of(ImuSamples(**triads), 10), tmp_path / "out.csv"
             )

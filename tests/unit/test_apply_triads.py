@@ -32,7 +32,7 @@ def table(path):
 
 
 def expected(imu, samples, triads):
-    """Header, stamps and values as `apply` in memory gives them, brought to the stamps of the rows."""
+    """Header, timestamps and values as `apply` in memory gives them, brought to the timestamps of the rows."""
     order = [name for name in ("gyroscope", "accelerometer", "magnetometer") if name in triads]
     done = imu.apply(samples)
     rows = getattr(samples, order[0])
@@ -100,7 +100,7 @@ def test_npz_of_every_subset(tmp_path, triads):
 
 
 def test_npz_of_somebody_else(tmp_path):
-    """Arrays named after their sensor, with stamps in seconds."""
+    """Arrays named after their sensor, with timestamps in seconds."""
     samples = recorded(("magnetometer",), own_stamps=True)
     t_s = (samples.magnetometer.t_ns - samples.magnetometer.t_ns[0]) * 1e-9
     np.savez(tmp_path / "r.npz", mag=samples.magnetometer.values, t_mag=t_s)
@@ -179,7 +179,7 @@ def test_stamps_of_a_magnetometer_that_go_backwards(tmp_path):
     t_ns = samples.magnetometer.t_ns.copy()
     t_ns[[5, 6]] = t_ns[[6, 5]]
     samples = replace(samples, magnetometer=replace(samples.magnetometer, t_ns=t_ns))
-    with pytest.raises(RecordingError, match="the magnetometer's stamps go backwards"):
+    with pytest.raises(RecordingError, match="the magnetometer's timestamps go backwards"):
         write_calibrated(
             imu_of(("gyroscope", "magnetometer"), g_sensitivity=False), stream_of(samples), tmp_path / "out.csv"
         )

@@ -34,7 +34,7 @@ def file_of(path: Path) -> Path:
 
 
 def read(path):
-    """Return stamps and images of a recording, stamps of its samples, and all that was said."""
+    """Return timestamps and images of a recording, timestamps of its samples, and all that was said."""
     recording, notes = open_bag(path), []
     frames = list(recording.streams["cam0"].frames(notes))
     assert notes == []  # all was said when the bag was opened

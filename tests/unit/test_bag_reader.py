@@ -233,7 +233,7 @@ def test_samples_out_of_order_are_sorted_with_a_note(tmp_path):
         message.received_ns, message.t_ns = message.t_ns, stamp
     recording = open_bag(make_bag(tmp_path, "ros1", messages))
     np.testing.assert_array_equal(recording.imus["imu0"].gyroscope.t_ns, sorted(stamps))
-    assert sum("imu0: the stamps go back at 1 of 40 samples" in note for note in recording.assumptions) == 1
+    assert sum("imu0: the timestamps go back at 1 of 40 samples" in note for note in recording.assumptions) == 1
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -247,8 +247,8 @@ def test_zero_stamps_give_way_to_the_times_of_receipt(form, tmp_path):
     stamps = [message.received_ns for message in messages if message.kind == "Image"]
     assert [frame.t_ns for frame in all_frames(recording.streams["cam0"])] == stamps
     assert recording.streams["cam0"].arrivals is None
-    assert recording.imus["imu0"].gyroscope.t_ns[0] == T0  # stamps that are in the same clock stay
-    assert any("/cam0/image_raw: all stamps are zero" in note for note in recording.assumptions)
+    assert recording.imus["imu0"].gyroscope.t_ns[0] == T0  # timestamps that are in the same clock stay
+    assert any("/cam0/image_raw: all timestamps are zero" in note for note in recording.assumptions)
 
 
 def test_without_stamps_of_the_images_another_clock_of_the_imu_is_left_aside(tmp_path):
@@ -260,7 +260,7 @@ def test_without_stamps_of_the_images_another_clock_of_the_imu_is_left_aside(tmp
         )  # counts from when it was switched on
     recording = open_bag(make_bag(tmp_path, "ros2", messages))
     assert recording.imus["imu0"].gyroscope.t_ns[0] == T0
-    assert any("/imu0: its stamps are not in the recorder's clock" in note for note in recording.assumptions)
+    assert any("/imu0: its timestamps are not in the recorder's clock" in note for note in recording.assumptions)
 
 
 def test_a_single_stamp_of_zero_among_others(tmp_path):
@@ -268,7 +268,7 @@ def test_a_single_stamp_of_zero_among_others(tmp_path):
     messages[-1].received_ns, messages[-1].t_ns = messages[-1].t_ns, 0
     recording = open_bag(make_bag(tmp_path, "ros2", messages))
     assert len(recording.imus["imu0"].gyroscope) == 39
-    assert any("/imu0: 1 of 40 messages have no stamp" in note for note in recording.assumptions)
+    assert any("/imu0: 1 of 40 messages have no timestamp" in note for note in recording.assumptions)
     simulated = [message for message in usual() if message.t_ns - T0 < 10**9]
     for message in simulated:
         message.t_ns -= T0  # a clock that starts at zero
@@ -281,7 +281,7 @@ def test_images_without_any_time_are_refused(tmp_path):
     messages = usual()
     for message in messages:
         message.received_ns = message.t_ns = 0
-    with pytest.raises(RecordingError, match="the images have no stamps, neither their own nor the recorder's"):
+    with pytest.raises(RecordingError, match="the images have no timestamps, neither their own nor the recorder's"):
         open_bag(make_bag(tmp_path, "ros2", messages))
 
 

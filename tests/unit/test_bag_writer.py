@@ -234,7 +234,7 @@ def test_stamps_that_do_not_fit_are_refused(form, name, tmp_path):
 
     last = 2**31 * 10**9
     for t_ns in (-1, last):
-        with pytest.raises(OutputError, match=rf"imu0: a stamp of {t_ns} ns .*1970 to 2038"):
+        with pytest.raises(OutputError, match=rf"imu0: a timestamp of {t_ns} ns .*1970 to 2038"):
             save_bag(shifted(t_ns), tmp_path / name, form)
     assert list(tmp_path.iterdir()) == []
     save_bag(shifted(last - 1), tmp_path / name, form)

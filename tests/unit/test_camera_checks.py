@@ -210,7 +210,7 @@ def test_irregular_frames() -> None:
     frames = camera()
     jitter = np.random.default_rng(1).integers(-30_000_000, 30_000_000, 800)
     jittered = replace(frames, t_ns=np.sort(frames.t_ns + jitter))
-    assert "stamps are irregular" in bad(jittered)["frame-jitter"].message
+    assert "timestamps are irregular" in bad(jittered)["frame-jitter"].message
     slight = replace(frames, t_ns=frames.t_ns + jitter // 20)
     assert bad(slight) == {}
 
@@ -276,7 +276,7 @@ def test_every_camera_is_looked_at() -> None:
 
 
 def changed(*, accelerometer=None, gyroscope=None, **stamps) -> ImuSamples:
-    """Return a waved IMU with other values or units of a triad, or other stamps (t_ns) of both."""
+    """Return a waved IMU with other values or units of a triad, or other timestamps (t_ns) of both."""
     samples = imu()
     return ImuSamples(
         accelerometer=replace(samples.accelerometer, **(accelerometer or {}), **stamps),

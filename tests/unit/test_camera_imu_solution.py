@@ -39,7 +39,7 @@ def test_steps_that_shrink_go_on():
 
 
 def test_images_delivered_twice_count_once():
-    """A driver that delivers every tenth image again, with a stamp of its own, while the rig moves on."""
+    """A driver that delivers every tenth image again, with a timestamp of its own, while the rig moves on."""
     simulation = simulate_camera_imu(CameraImuScenario(duration_s=8.0), 3)
     recording = simulation.recording
     frames = recording.cameras["cam0"]

@@ -121,7 +121,7 @@ def test_mean_of_a_bias_is_its_integral_over_the_segments(order):
 
 
 def simulated(**changes):
-    """Return the exact path at the IMU's stamps, when frames were seen, and the truth."""
+    """Return the exact path at the IMU's timestamps, when frames were seen, and the truth."""
     simulation = simulate_camera_imu(CameraImuScenario(duration_s=12.0, **changes), seed=2)
     true = simulation.trajectory
     path = ImuPath(t_s=true.t_s, R=true.R_target_imu, position=true.p_target_imu)

@@ -47,7 +47,7 @@ def seen(target: Target, t_s: float, rng=None) -> BoardView:
 
 
 def sequence(target: Target, count: int, seed=0, gaps=()):
-    """Return views of which the ends are exchanged at random, their stamps, and by how many quarters."""
+    """Return views of which the ends are exchanged at random, their timestamps, and by how many quarters."""
     rng = np.random.default_rng(seed)
     t_ns = STEP_NS * np.arange(count)
     turns = rng.choice(ambiguous_turns(target), count)

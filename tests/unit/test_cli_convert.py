@@ -57,7 +57,7 @@ def test_every_form_holds_the_same(rig, tmp_path, form, made, same):
     document = json.loads(out)
     assert document["files"] == [str(tmp_path / made)]
     assert document["notes"] == []
-    assert any("the names of the images are their stamps in ns" in text for text in document["assumptions"])
+    assert any("the names of the images are their timestamps in ns" in text for text in document["assumptions"])
     code, _, err = run("convert", tmp_path / made, "--to", "euroc", "-o", tmp_path / "back")
     assert code == 0, err
     same(tmp_path / "rig-euroc", tmp_path / "back")

@@ -417,7 +417,7 @@ def clock(t_s, **options):
 def test_rounded_stamps_give_way_to_the_line():
     base = clock(np.round(TRUE_S, 3))
     assert base.uniform
-    np.testing.assert_allclose(base.t_s, TRUE_S - 1.0, atol=1e-4)  # 1 ms in the stamps
+    np.testing.assert_allclose(base.t_s, TRUE_S - 1.0, atol=1e-4)  # 1 ms in the timestamps
     assert base.jitter_s == pytest.approx(1e-3 / np.sqrt(12), rel=0.05)
 
 

@@ -70,7 +70,7 @@ def test_stamps_of_a_video(real_data):
     assert abs(samples.t_ns[0] - (80_577 - 85_608) * 1000) < 30_000
     assert abs(samples.t_ns[-1] - 10_543e6) < 10e6  # the video lasts 10.543 s
     said = " ".join(recording.assumptions)
-    assert "stamps of 11 payloads (largest deviation 0.021 ms)" in said
+    assert "timestamps of 11 payloads (largest deviation 0.021 ms)" in said
     assert "turned by up to 19.4 degrees" in said
     assert "31.1 to 31.8 degrees Celsius" in said
 

@@ -45,7 +45,7 @@ def test_a_shift_that_is_not_applied(rig, to, key):
     found = loss(calibration, to, key)
     assert f"{shift * 1e3:+.6g} ms" in found.size
     text = " ".join("".join(exported(calibration, to).files.values()).replace("#", " ").split())
-    assert "add the shift to the stamps of the images" in text
+    assert "add the shift to the timestamps of the images" in text
     still = replace(calibration.cameras["cam0"], time_shift_cam_imu=0.0)
     assert loss(replace(calibration, cameras={"cam0": still}), to, key) is None
 

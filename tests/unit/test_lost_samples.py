@@ -1,4 +1,4 @@
-"""Samples that are missing without stamps show as steps of twice the length in smooth motion."""
+"""Samples that are missing without timestamps show as steps of twice the length in smooth motion."""
 
 from dataclasses import replace
 

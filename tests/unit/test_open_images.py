@@ -56,7 +56,7 @@ def colour(image):
 
 
 def check(recording, count=6, camera="cam0"):
-    """The stamps and the images are those that were written."""
+    """The timestamps and the images are those that were written."""
     t_ns, images, notes = frames_of(recording, camera)
     assert t_ns == stamps(count)
     assert recording.streams[camera].count == count
@@ -208,7 +208,7 @@ def test_stamps_in_names(tmp_path, names, unit):
     grain = {"ns": 1, "us": 1000, "ms": 10**6, "s": 1000}[unit]
     assert np.abs(np.diff(t_ns) - STEP).max() <= grain
     assert abs(t_ns[0] - stamps(1)[0]) <= grain or t_ns[0] == 7 * STEP
-    assert f"stamps in {unit} " in said(recording)
+    assert f"timestamps in {unit} " in said(recording)
 
 
 TABLES = {
@@ -225,14 +225,14 @@ TABLES = {
         lambda t, name: f"{name[:-4]} {t // 10**9}.{t % 10**9:09d} 0.25",
     ),
     "in microseconds": ("cam0_frames.csv", "t_us,file", lambda t, name: f"{t // 1000}.{t % 1000:03d},{name}"),
-    "stamps alone": ("cam0_timestamps.txt", None, lambda t, name: f"{t}"),
+    "timestamps alone": ("cam0_timestamps.txt", None, lambda t, name: f"{t}"),
     "beside the folder": ("cam0.csv", "stamp_ns,image", lambda t, name: f"{t},{name}"),
 }
 
 
 @pytest.mark.parametrize(("path", "header", "row"), TABLES.values(), ids=TABLES)
 def test_tables_of_stamps(tmp_path, path, header, row):
-    own = path == "cam0/times.txt" and header is None  # the names are stamps, too
+    own = path == "cam0/times.txt" and header is None  # the names are timestamps, too
     names = [str(t) for t in stamps(6)] if own else [f"{number:06d}" for number in range(6)]
     write_images(tmp_path / "cam0", names)
     write_samples(tmp_path / "imu0.csv")
@@ -269,7 +269,7 @@ def test_rows_out_of_order_and_stamps_twice(tmp_path):
     np.testing.assert_array_equal(images[0], picture(1))
     np.testing.assert_array_equal(images[2], picture(2))
     assert "they were sorted" in said(recording)
-    assert "1 of 5 images have the stamp of another one" in said(recording)
+    assert "1 of 5 images have the timestamp of another one" in said(recording)
 
 
 @pytest.mark.parametrize(
@@ -392,12 +392,18 @@ BAD = {
         lambda root: write_images(root / "cam0", [f"img{k:04d}" for k in range(0, 90, 10)]),
         "img0000.png to img0080.png, number the images",
     ),
-    "names without stamps": (lambda root: write_images(root / "cam0", list("abc")), "a.png holds no stamp"),
+    "names without timestamps": (lambda root: write_images(root / "cam0", list("abc")), "a.png holds no timestamp"),
     "two folders": (two_folders, r"2 of its folders may be the camera \(day/, night/\). Name those"),
-    "zero stamps": (stamps_of([0, 0, 0, 0]), "3 of 4 images have the same stamp as another one; the first is 0 ns"),
-    "a stray stamp": (stamps_of([START, START + STEP, 5, START + 2 * STEP]), "row 3: the stamp 5 ns is more than half"),
-    "a stamp in words": (stamps_of([START, "later", START + STEP, START + 2 * STEP]), "data.csv, line 3"),
-    "too few stamps": (too_few_stamps, "3 stamps and 4 images in cam0/"),
+    "zero timestamps": (
+        stamps_of([0, 0, 0, 0]),
+        "3 of 4 images have the same timestamp as another one; the first is 0 ns",
+    ),
+    "a stray timestamp": (
+        stamps_of([START, START + STEP, 5, START + 2 * STEP]),
+        "row 3: the timestamp 5 ns is more than half",
+    ),
+    "a timestamp in words": (stamps_of([START, "later", START + STEP, START + 2 * STEP]), "data.csv, line 3"),
+    "too few timestamps": (too_few_stamps, "3 timestamps and 4 images in cam0/"),
     "other images": (other_names, "none of the 4 images that it lists, such as a.png, is in cam0/, which holds xa.png"),
 }
 

@@ -61,7 +61,7 @@ def android(tmp_path):
 
 
 def test_sensor_logger_on_android(android, tmp_path):
-    """The uncalibrated sensors first, columns by name, each with its own stamps; of the folder and of the zip."""
+    """The uncalibrated sensors first, columns by name, each with its own timestamps; of the folder and of the zip."""
     for path in (android, zipped(android, tmp_path / "a.zip"), zipped(android, tmp_path / "b.zip", "in/")):
         imu = imu_of(path)
         same(imu.accelerometer, T, FORCE + 0.1, "m/s^2")
@@ -255,7 +255,7 @@ def test_androsensor(tmp_path, encoding):
 
 @pytest.fixture
 def mars(tmp_path):
-    """A folder of the MARS logger: movie.mp4 with the stamps of its frames, and gyro_accel.csv in the same clock."""
+    """A folder of the MARS logger: movie.mp4 with its frames' timestamps, and gyro_accel.csv in the same clock."""
     start = 5_000_000_000_000
     header = "Timestamp[nanosec], gx[rad/s], gy[rad/s], gz[rad/s], ax[m/s^2], ay[m/s^2], az[m/s^2], Unix time[nanosec]"
     stamps = [start + round(1e9 * t) for t in T]
@@ -277,7 +277,7 @@ def test_mars_logger(mars):
 
 
 def test_opencamera_sensors(tmp_path):
-    """Two tables without header, x, y, z, stamp, called after the video."""
+    """Two tables without header, x, y, z, timestamp, called after the video."""
     for name, values in (("accel", FORCE), ("gyro", RATE)):
         rows = [(*row, str(5 * 10**12 + round(1e9 * t))) for t, row in zip(T, values, strict=True)]
         first, *rest = rows

@@ -16,7 +16,7 @@ from gnomon.units import Units
 
 
 def hand_held(rate_hz: float = 100.0, rests: int = 8, seed: int = 1):
-    """Return stamps [s], specific force [m/s^2] and angular rate [rad/s] of rests with turns between them."""
+    """Return timestamps [s], specific force [m/s^2] and angular rate [rad/s] of rests with turns between them."""
     rng = np.random.default_rng(seed)
     dt, still, turn = 1 / rate_hz, round(2 * rate_hz), round(1 * rate_hz)
     up, force, rate = np.array([0.0, 0.0, 1.0]), [], []
@@ -298,7 +298,7 @@ def test_cut_last_line_is_left_out_and_said(tmp_path) -> None:
     assert "cut off" in said(recording)
 
 
-# ---- stamps ----
+# ---- timestamps ----
 
 
 def test_epoch_seconds_with_a_fraction_are_exact(tmp_path) -> None:
@@ -379,10 +379,10 @@ def test_npz_arrays_are_not_copied() -> None:
     ("arrays", "message"),
     [
         ({"data": np.zeros(3)}, "no array named accelerometer; found data"),
-        ({"accelerometer": np.zeros((5, 3))}, "no stamps"),
+        ({"accelerometer": np.zeros((5, 3))}, "no timestamps"),
         ({"accelerometer": np.zeros((5, 4)), "rate_hz": 1.0}, r"expected numbers of shape \(n, 3\)"),
         ({"accelerometer": np.zeros((1, 3)), "rate_hz": 1.0}, "found 1 samples"),
-        ({"accelerometer": np.zeros((5, 3)), "t_s": np.zeros(4)}, "5 samples of the accelerometer, but 4 stamps"),
+        ({"accelerometer": np.zeros((5, 3)), "t_s": np.zeros(4)}, "5 samples of the accelerometer, but 4 timestamps"),
         ({"accelerometer": np.full((5, 3), np.nan), "rate_hz": 1.0}, "sample 0 is NaN"),
         ({"accelerometer": np.zeros((5, 3)), "unit_accelerometer": "V", "rate_hz": 1.0}, 'unit_accelerometer is "V"'),
         ({"accelerometer": np.zeros((5, 3)), "t_s": np.full(5, np.inf)}, "not a finite number"),

@@ -256,7 +256,7 @@ def test_without_imu_file(folder) -> None:
     assert read(folder, imu=None)[0].imus["imu0"].noise is None
 
 
-# ---- stamps ----
+# ---- timestamps ----
 
 
 @settings(max_examples=25)
@@ -298,7 +298,7 @@ def test_corner_twice_in_a_frame(folder) -> None:
 def test_stamps_too_coarse_to_tell_frames_apart(folder) -> None:
     rows = [[int(row[0]) // 10**9, row[1], float(row[2]) + 9 * (i // 24), row[3]] for i, row in enumerate(point_rows())]
     (folder / "cam0_corners.csv").write_text(text(rows, "t [s],corner_id,u,v"))
-    with pytest.raises(RecordingError, match=r"several times at one stamp, at different places \(72 of 96 rows\)"):
+    with pytest.raises(RecordingError, match=r"several times at one timestamp, at different places \(72 of 96 rows\)"):
         read(folder)
 
 
@@ -310,11 +310,11 @@ def test_imu_out_of_order_is_sorted_with_a_note(folder) -> None:
     for triad, columns in ((imu.gyroscope, slice(1, 4)), (imu.accelerometer, slice(4, 7))):
         assert triad.t_ns.tolist() == [row[0] for row in imu_rows()]
         assert triad.values.tolist() == [row[columns] for row in imu_rows()]
-    assert said(folder).count("imu0: the stamps go back at 1 of 400 samples, which were sorted.") == 1
+    assert said(folder).count("imu0: the timestamps go back at 1 of 400 samples, which were sorted.") == 1
 
 
 def test_packets_of_samples_stay_whole(folder) -> None:
-    """Samples that came together over a wire share a stamp; their clock is found from their number later."""
+    """Samples that came together over a wire share a timestamp; their clock is found from their number later."""
     rows = [[imu_rows()[k - k % 4 + 3][0], *row[1:]] for k, row in enumerate(imu_rows())]
     (folder / "imu0.csv").write_text(text(rows, IMU_HEADER))
     assert read(folder)[0].imus["imu0"].gyroscope.values.tolist() == [row[1:4] for row in imu_rows()]
@@ -327,31 +327,31 @@ def test_imu_in_blocks_is_sorted_and_a_clock_set_anew_is_not(folder) -> None:
     assert read(folder)[0].imus["imu0"].gyroscope.t_ns.tolist() == [row[0] for row in rows]
     later = [[row[0] if k < 200 else row[0] - 700_000_001, *row[1:]] for k, row in enumerate(rows)]
     (folder / "imu0.csv").write_text(text(later, IMU_HEADER))
-    with pytest.raises(RecordingError, match=r"imu0: the stamps jump back by 0\.695 s after sample 199"):
+    with pytest.raises(RecordingError, match=r"imu0: the timestamps jump back by 0\.695 s after sample 199"):
         read(folder)
 
 
 def test_stamp_that_strayed_is_refused(folder) -> None:
     with_row(folder, 30, [0, 6, 5.0, 4.0])
     with pytest.raises(
-        RecordingError, match=r"cam0_corners\.csv, line 32: the stamp 0 ns is more than half a day from"
+        RecordingError, match=r"cam0_corners\.csv, line 32: the timestamp 0 ns is more than half a day from"
     ):
         read(folder)
     with_row(folder, 30, point_rows()[30])
     (folder / "cam0_frames.csv").write_text(text([[t, 24] for t in [*stamps(), 7]], "ts_ns,n_corners"))
-    with pytest.raises(RecordingError, match=r"cam0_frames\.csv, line 6: the stamp 7 ns"):
+    with pytest.raises(RecordingError, match=r"cam0_frames\.csv, line 6: the timestamp 7 ns"):
         read(folder)
     (folder / "cam0_frames.csv").unlink()
     rows = imu_rows()
     rows[50][0] = -5
     (folder / "imu0.csv").write_text(text(rows, IMU_HEADER))
-    with pytest.raises(RecordingError, match=r"imu0: the stamp of sample 50, -5 ns, is more than half a day"):
+    with pytest.raises(RecordingError, match=r"imu0: the timestamp of sample 50, -5 ns, is more than half a day"):
         read(folder)
 
 
 @pytest.mark.parametrize("late", [False, True])
 def test_stamp_that_is_no_number(folder, late) -> None:
-    """The kind of the stamps is known from the first hundred lines; later ones are another case."""
+    """The kind of the timestamps is known from the first hundred lines; later ones are another case."""
     for name, rows, header in (
         ("cam0_corners.csv", point_rows(10), POINT_HEADER),
         ("imu0.csv", imu_rows(), IMU_HEADER),
@@ -360,7 +360,9 @@ def test_stamp_that_is_no_number(folder, late) -> None:
         rows[row][0] = "16000x"
         (folder / name).write_text(text(rows, header))
         place = (
-            f'stamp {row + 1} is "16000x", which is no number' if late else f"line {row + 2}, column 1 (ts_ns): found"
+            f'timestamp {row + 1} is "16000x", which is no number'
+            if late
+            else f"line {row + 2}, column 1 (ts_ns): found"
         )
         with pytest.raises(RecordingError, match=re.escape(place)) as caught:
             read(folder)

@@ -108,7 +108,7 @@ def test_arrays_named_after_a_sensor_are_understood(tmp_path) -> None:
     imu = gnomon.read(tmp_path / "a.npz").imus["imu0"]
     assert (imu.accelerometer.unit, imu.magnetometer.unit) == ("mg", "uT")
     np.savez(tmp_path / "b.npz", mag=field())
-    with pytest.raises(RecordingError, match="no stamps for mag"):
+    with pytest.raises(RecordingError, match="no timestamps for mag"):
         gnomon.read(tmp_path / "b.npz")
     assert gnomon.read(tmp_path / "b.npz", rate_hz=20.0).imus["imu0"].magnetometer.rate_hz == 20.0
     assert "accelerometer" not in sensor_arrays(["acc_g", "accel"])  # one of them, but which

@@ -77,7 +77,7 @@ def test_images_with_several_imus_read_back_in_every_form(form, scenario, tmp_pa
 
 def test_euroc_s_table_has_no_room_for_stamps_of_their_own(tmp_path):
     short = replace(APART, duration_s=0.4, images=True, resolution=(64, 48))
-    with pytest.raises(OptionError, match=r"imu0: accelerometer .* have stamps of their own"):
+    with pytest.raises(OptionError, match=r"imu0: accelerometer .* have timestamps of their own"):
         save_camera_imu_recording(simulate_camera_imu(short, seed=1), tmp_path, form="euroc")
 
 

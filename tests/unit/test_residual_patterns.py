@@ -11,7 +11,7 @@ LABELS, RATE_HZ = 40, 10.0
 
 
 def residuals(rng, *, pattern, memory_s, duration_s=40.0):
-    """Return residuals (m, 2) of unit variance that remember a while, labels and stamps, with a pattern of a size."""
+    """Return residuals (m, 2) of unit variance that remember a while, labels, timestamps, with a pattern of a size."""
     t_s = np.arange(0, duration_s, 1 / RATE_HZ)
     keep = np.exp(-1 / (RATE_HZ * memory_s)) if memory_s else 0.0
     values = rng.normal(size=(len(t_s), LABELS, 2))

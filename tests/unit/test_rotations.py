@@ -49,7 +49,9 @@ def as_segments(gyroscope, dt, lengths, accelerometer=None):
 def test_segments_reach_from_the_last_static_sample_to_the_next():
     t = np.arange(20) * 0.1
     first, lengths = segments_between(t, np.array([0.2, 0.95]), np.array([0.5, 1.25]))
-    np.testing.assert_array_equal(first, [2, 9])  # stamps between those of the accelerometer: one more on either side
+    np.testing.assert_array_equal(
+        first, [2, 9]
+    )  # timestamps between those of the accelerometer: one more on either side
     np.testing.assert_array_equal(first + lengths - 1, [5, 13])
 
 

@@ -112,7 +112,7 @@ def test_damaged_images_and_stamps_twice_are_left_out(tmp_path):
         save_euroc(recording, tmp_path / "out")
     save_euroc(recording, tmp_path / "out", notes=notes)
     assert "1 images cannot be read and were left out; the first: bag, image 3" in notes[1]
-    assert "1 images have the stamp of another one" in notes[2]
+    assert "1 images have the timestamp of another one" in notes[2]
     found, images, _ = frames_of(open_images(tmp_path / "out", need_imu=False))
     assert found == [t for k, t in enumerate(stamps(5)) if k != 3]
     np.testing.assert_array_equal(images[1], picture(1))
@@ -149,6 +149,6 @@ def test_triads_with_stamps_of_their_own_are_refused(tmp_path):
     samples = imu()
     slower = replace(samples.gyroscope, t_ns=samples.gyroscope.t_ns + 1)
     recording = ImageRecording(imus={"imu0": replace(samples, gyroscope=slower)}, streams={"cam0": stream(2)})
-    with pytest.raises(OptionError, match="stamps of their own"):
+    with pytest.raises(OptionError, match="timestamps of their own"):
         save_euroc(recording, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -126,7 +126,7 @@ def test_samples_follow_table_4_1_exactly(changes, seed):
     C_bg = rotation_from_rotvec(true["imu0.q_bg"])
     force = f @ (S_a @ M_a).T + simulation.b_a
     rate = motion.omega @ (S_g @ M_g @ C_bg.T).T + f @ true["imu0.B_g"].T + simulation.b_g
-    np.testing.assert_allclose(samples.accelerometer.values, force, atol=1e-6)  # stamps are whole nanoseconds
+    np.testing.assert_allclose(samples.accelerometer.values, force, atol=1e-6)  # timestamps are whole nanoseconds
     np.testing.assert_allclose(samples.gyroscope.values, rate, atol=1e-7)
     # and gnomon's own form of the same truth
     body = simulation.truth.imus["imu0"].apply(samples)
@@ -157,7 +157,7 @@ def test_drawn_errors_fill_their_ranges():
 
 
 def predicted(simulation, name):
-    """Return the exact corners by the truth that a calibration states, from the frames' stamps."""
+    """Return the exact corners by the truth that a calibration states, from the frames' timestamps."""
     frames, camera = simulation.recording.cameras[name], simulation.truth.cameras[name]
     shift_ns = round(camera.time_shift_cam_imu * 1e9)
     top_s = (frames.t_ns + shift_ns - START_NS)[frames.frame] * 1e-9
@@ -190,7 +190,7 @@ def test_corners_are_where_the_truth_says_at_the_shifted_stamp(changes):
     for name, frames in simulation.recording.cameras.items():
         assert len(frames.point) > 1000
         np.testing.assert_allclose(frames.pixels, simulation.frames[name].pixels, atol=1e-12)
-        np.testing.assert_allclose(frames.pixels, predicted(simulation, name), atol=2e-6)  # stamps are whole ns
+        np.testing.assert_allclose(frames.pixels, predicted(simulation, name), atol=2e-6)  # timestamps are whole ns
         assert set(simulation.truth.cameras) == set(simulation.recording.cameras)
 
 

@@ -1,4 +1,4 @@
-"""Several IMUs in the camera-IMU simulator: what each feels at its place, its clock, its accelerometer's own stamps."""
+"""Several IMUs in the camera-IMU simulator: what each feels at its place, clocks, an accelerometer's own timestamps."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def felt(simulation, name, t_s, arm=(0.0, 0.0, 0.0)):
 
 
 def body_time(simulation, name, samples):
-    """Return the instants on the clock of imu0 [s] that go with the stamps of a triad, as the truth has it."""
+    """Return the instants on the clock of imu0 [s] that go with the timestamps of a triad, as the truth has it."""
     calibration = simulation.truth.imus[name]
     shift_s = calibration.time_shift_s
     if samples is simulation.recording.imus[name].accelerometer:

@@ -1,4 +1,4 @@
-"""Videos with a table of IMU samples: stamps, tables of stamps, damage, and what is refused."""
+"""Videos with a table of IMU samples: timestamps, tables of timestamps, damage, and what is refused."""
 
 import av
 import numpy as np
@@ -78,7 +78,7 @@ def test_a_table_of_stamps(tmp_path, name):
 def test_a_table_with_another_number_of_rows(tmp_path):
     write_video(tmp_path / "ride.mkv", count=5)
     (tmp_path / "ride.csv").write_text("timestamp [ns]\n" + "".join(f"{t}\n" for t in stamps(4)))
-    with pytest.raises(RecordingError, match=r"4 stamps for the 5 frames of ride\.mkv"):
+    with pytest.raises(RecordingError, match=r"4 timestamps for the 5 frames of ride\.mkv"):
         opened(tmp_path / "ride.mkv")
 
 

@@ -141,7 +141,7 @@ _ACCELEROMETER, _GYROSCOPE = _Maker(triad="accelerometer", si=_FORCE), _Maker(tr
 
 _UPPER_ANGLES = {"yz": (-1, 0, 1), "zy": (1, 0, 2), "zx": (-1, 1, 2)}
 _ALL_ANGLES = {**_UPPER_ANGLES, "xz": (1, 1, 0), "xy": (-1, 2, 0), "yx": (1, 2, 1)}
-"""Document A, Eqs. (2.6), (2.7): angle -> (sign, row, column) in T."""
+"""Tedaldi, Eqs. (2.6), (2.7): angle -> (sign, row, column) in T."""
 _ANGRISANO_ANGLES = {"z": (1, 0, 1), "y": (1, 0, 2), "x": (1, 1, 2)}
 _KREBS_ANGLES = {"yz": (1, 1, 0), "zy": (1, 2, 0), "zx": (1, 2, 1)}
 
@@ -158,7 +158,7 @@ def lever_arms(places: Floats) -> Iterator[Entry]:
 
 
 def time_shift(shift_s: float) -> Iterator[Entry]:
-    """Name what is added to the stamps of the accelerometer."""
+    """Name what is added to the timestamps of the accelerometer."""
     yield _ACCELEROMETER.one("time_shift", 1e3 * shift_s, "ms")
 
 
@@ -170,19 +170,19 @@ def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterato
 
 
 def tedaldi_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
-    """Document A, (2.6): angles alpha, scales s, bias b (added)."""
+    """Tedaldi, (2.6): angles alpha, scales s, bias b (added)."""
     yield from _ACCELEROMETER.corrected(TedaldiAccelerometer.from_sensor(S, b), _UPPER_ANGLES, "alpha_", "s", unit)
 
 
 def tedaldi_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
-    """Document A, (2.7): angles gamma, scales s, bias b (added), with document B's g-sensitivity."""
+    """Tedaldi, (2.7): angles gamma, scales s, bias b (added), with Krebs's g-sensitivity."""
     form = TedaldiGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.corrected(form, _ALL_ANGLES, "gamma_", "s", unit)
     yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
 
 
 def krebs_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
-    """Document B, chapter 3: misalignments M, scales S, bias b."""
+    """Krebs, chapter 3: misalignments M, scales S, bias b."""
     form = KrebsAccelerometer.from_sensor(S, b)
     yield from _ACCELEROMETER.angles(form.M, _KREBS_ANGLES, "M_")
     yield from _ACCELEROMETER.vector("S", form.S, per(unit, _FORCE))
@@ -190,7 +190,7 @@ def krebs_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
 
 
 def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
-    """Document B: misalignments M, scales S, rotation q_bg, g-sensitivity B (chapter 3) and B' (chapter 4), bias b."""
+    """Krebs: misalignments M, scales S, rotation q_bg, g-sensitivity B (chapter 3) and B' (chapter 4), bias b."""
     form = KrebsGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.angles(form.M, _KREBS_ANGLES, "M_")
     yield from _GYROSCOPE.vector("S", form.S, per(unit, _RATE))
@@ -202,12 +202,12 @@ def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entr
 
 
 def angrisano_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
-    """Document C, (1), (2): angles a, scales k, bias b (subtracted)."""
+    """Angrisano, (1), (2): angles a, scales k, bias b (subtracted)."""
     yield from _ACCELEROMETER.corrected(AngrisanoAccelerometer.from_sensor(S, b), _ANGRISANO_ANGLES, "a_", "k", unit)
 
 
 def angrisano_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
-    """Document C: as the accelerometer, in a frame of its own, rotated by C_gb and document B's g-sensitivity."""
+    """Angrisano: as the accelerometer, in a frame of its own, rotated by C_gb and Krebs's g-sensitivity."""
     form = AngrisanoGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.corrected(form, _ANGRISANO_ANGLES, "a_", "k", unit)
     yield from _GYROSCOPE.matrix("C_gb", form.C_gb, "1")
@@ -239,7 +239,7 @@ def sensitivity_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -
 
 
 def angrisano_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
-    """Document C, (1), (2): as the gyroscope, in a frame of its own, rotated by C_mb."""
+    """Angrisano, (1), (2): as the gyroscope, in a frame of its own, rotated by C_mb."""
     maker = _Maker(triad="magnetometer", si=field_unit)
     upper, C_mb = in_own_axes(S, AngrisanoAccelerometer.frame)
     form = AngrisanoAccelerometer.from_sensor(upper, b)

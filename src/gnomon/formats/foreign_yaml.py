@@ -39,7 +39,7 @@ def read_foreign_yaml(path: str | PathLike[str], notes: list[str] | None = None)
     Parameters
     ----------
     path : the file
-    notes : where sentences on what was mended are appended
+    notes : where sentences on what was fixed are appended
 
     Raises
     ------

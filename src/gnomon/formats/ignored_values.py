@@ -30,7 +30,8 @@ def _basalt_shift(calibration: Calibration) -> Iterator[Loss]:
     yield from _shift(
         calibration,
         "cam_time_offset_ns",
-        "Basalt's odometry does not use it: the line that would add it to the stamps of the images is commented out",
+        "Basalt's odometry does not use it: the line that would add it to the timestamps of the images is commented "
+        "out",
     )
 
 
@@ -45,8 +46,8 @@ def _shift(calibration: Calibration, key: str, why: str) -> Iterator[Loss]:
     if shift:
         yield Loss(
             what=key,
-            why=f"{why}. Where yours does so, add the shift to the stamps of the images (t_imu = t_cam + shift) and "
-            f"set {key} to 0.",
+            why=f"{why}. Where yours does so, add the shift to the timestamps of the images (t_imu = t_cam + shift) "
+            f"and set {key} to 0.",
             size=f"shift {shift * 1e3:+.6g} ms",
         )
 
@@ -79,7 +80,7 @@ def _orb_slam3_second_lens(calibration: Calibration) -> Iterator[Loss]:
         apart = np.linalg.norm(image.pixels - pixels[valid], axis=1)[image.valid]
         yield Loss(
             what=f"Camera2.k1 to k4 of {name}",
-            why="ORB-SLAM3 reads Camera1.k1 to k4 for the second lens, too (Settings::readCamera2); mend it there.",
+            why="ORB-SLAM3 reads Camera1.k1 to k4 for the second lens, too (Settings::readCamera2); fix it there.",
             size=f"{np.mean(apart):.2g} px off on average, {np.max(apart):.2g} px at worst",
         )
 

@@ -1,7 +1,7 @@
 """OKVIS2's and OKVIS' configuration: cameras with T_SC, the delay of images, biases and noise of the IMU.
 
 T_SC maps camera to IMU coordinates, T_BS those of the IMU to a body's, from which all else is counted; the corrected
-stamp of an image is its stamp minus image_delay, so that t_imu - t_cam is minus image_delay.
+timestamp of an image is its timestamp minus image_delay, so that t_imu - t_cam is minus image_delay.
 """
 
 from dataclasses import replace
@@ -134,7 +134,7 @@ _HEAD = """\
 # The rig for OKVIS2, made by gnomon; sigmas are in calibration.yaml. It is not the whole of a configuration: take
 # timestamp_tolerance, online_calibration, {missing} and the parameters of frontend, estimator and
 # output from one of OKVIS' own.
-# p_imu = T_SC p_cam [m], T_SC row by row; corrected stamp of an image = stamp - image_delay [s], so that
+# p_imu = T_SC p_cam [m], T_SC row by row; corrected timestamp of an image = timestamp - image_delay [s], so that
 # t_imu = t_cam - image_delay.
 # a0 [m/s^2] and g0 [rad/s] are the biases of samples as they come; set them to zero where samples were corrected
 # (gnomon apply), as they have to be for the poses to hold where the IMU is not ideal.

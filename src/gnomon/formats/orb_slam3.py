@@ -109,7 +109,7 @@ _HEAD = """\
 # p_b = IMU.T_b_c1 p_c1 [m], b the IMU's frame; p_c1 = Stereo.T_c1_c2 p_c2 [m].
 """
 _SHIFT = """\
-# There is no key for the time shift: add {shift!r} s to the stamps of {name}, t_imu = t_cam + shift.
+# There is no key for the time shift: add {shift!r} s to the timestamps of {name}, t_imu = t_cam + shift.
 """
 _IDEAL = """\
 # ORB-SLAM3 takes an ideal IMU: the pose holds for samples in m/s^2 and rad/s that were corrected (gnomon apply).

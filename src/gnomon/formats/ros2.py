@@ -274,7 +274,7 @@ def _clock_losses(calibration: Calibration) -> Iterator[Loss]:
         if imu.time_shift_s:
             yield Loss(
                 what=f"time shift of {name}",
-                why=f"{_WHOSE} takes the stamps of all sensors to be of one clock: add it to those of {name} "
+                why=f"{_WHOSE} takes the timestamps of all sensors to be of one clock: add it to those of {name} "
                 "(t_imu0 = t_imu + shift).",
                 size=f"{imu.time_shift_s * 1e3:+.6g} ms",
             )

@@ -168,7 +168,7 @@ def _no_shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
         if shift:
             yield Loss(
                 what=f"time shift of {name}",
-                why=f"{whose} takes the stamps of images as those of the IMU: add it to the stamps of {name} "
+                why=f"{whose} takes the timestamps of images as those of the IMU: add it to the timestamps of {name} "
                 "(t_imu = t_cam + shift).",
                 size=f"{shift * 1e3:+.6g} ms",
             )
@@ -223,7 +223,7 @@ def _triad_shift_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
         if shift:
             yield Loss(
                 what=f"time shift of the accelerometer of {name}",
-                why=f"{whose} takes accelerometer and gyroscope to be stamped alike: add it to the stamps of the "
+                why=f"{whose} takes accelerometer and gyroscope to be stamped alike: add it to the timestamps of the "
                 "accelerometer (t_gyroscope = t_accelerometer + shift), or run gnomon apply first. Use json or csv to "
                 "keep it.",
                 size=f"{shift * 1e3:+.6g} ms",

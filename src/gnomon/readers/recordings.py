@@ -57,7 +57,7 @@ def read(
     paths : a file, a folder, or an accelerometer file and a gyroscope file; text may be gzipped; three files or
         more, or a folder of such, are one pose each
     columns : what the columns of a text table are, such as "t ax ay az gx gy gz"; _ skips a column
-    rate_hz : sample rate of a recording without stamps [Hz]
+    rate_hz : sample rate of a recording without timestamps [Hz]
     units : "si", "raw" or a list such as "g deg/s us"; recognised from headers and magnitudes where not given
 
     Raises
@@ -313,7 +313,7 @@ def _known(stated: str | None, named: str | None) -> tuple[str | None, str]:
 
 
 def _force_at(t_ns: Integers, accelerometer: TriadSamples) -> Floats | None:
-    """Return the accelerometer at the gyroscope's stamps where it is cheap and its zero is known; else None."""
+    """Return the accelerometer at the gyroscope's timestamps where it is cheap and its zero is known; else None."""
     if accelerometer.unit == "count" or not len(accelerometer):
         return None
     if np.array_equal(t_ns, accelerometer.t_ns):

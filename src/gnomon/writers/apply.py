@@ -2,8 +2,8 @@
 
 The result is a CSV table of what was calibrated and recorded. It has one row for each gyroscope sample, else for each
 accelerometer sample, else for each magnetometer sample. Other triads stand beside it: their own samples where they have
-the same stamps, else interpolated linearly to those of the row; of an accelerometer with a time shift, after that was
-added to its stamps. The specific force beside a rate is the one that the
+the same timestamps, else interpolated linearly to those of the row; of an accelerometer with a time shift, after that
+was added to its timestamps. The specific force beside a rate is the one that the
 gyroscope's correction used.
 """
 
@@ -90,7 +90,7 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
     Raises
     ------
     RecordingError
-        If the stream cannot be read on, holds nothing that was calibrated, or stamps that must be interpolated go
+        If the stream cannot be read on, holds nothing that was calibrated, or timestamps that must be interpolated go
         backwards.
     FormatError
         If the samples are not in the units for which the calibration was made, or the gyroscope's g-sensitivity needs a
@@ -114,7 +114,7 @@ def write_calibrated(calibration: ImuCalibration, stream: SampleStream, output: 
 
 
 def calibrated_blocks(calibration: ImuCalibration, stream: SampleStream) -> Iterator[tuple[Integers, Floats]]:
-    """Yield stamps (k,) [ns] and, of what was calibrated and recorded, rate, force and field side by side, (k, 3 n)."""
+    """Yield timestamps (k,) [ns] and, of what was calibrated and recorded, rate, force and field, (k, 3 n)."""
     there = _triads(calibration, stream)
     first = next(name for name in ("gyroscope", "accelerometer", "magnetometer") if name in there)
     beside = {
@@ -184,22 +184,22 @@ def _calibrator(calibration: ImuCalibration, name: str) -> Callable[[TriadSample
 
 
 class _Synchroniser:
-    """Brings one triad to the stamps of consecutive blocks of another, as `calibration.interpolate_triad` does."""
+    """Brings one triad to the timestamps of consecutive blocks of another, as `calibration.interpolate_triad` does."""
 
     def __init__(self, rows: Rows) -> None:
         self._rows = rows
-        self._equal = True  # so far the stamps were the same
+        self._equal = True  # so far the timestamps were the same
         self._origin: int | None = None
         self._last: int | None = None
-        self._support: tuple[Integers, Floats] | None = None  # the last row of equal stamps
+        self._support: tuple[Integers, Floats] | None = None  # the last row of equal timestamps
 
     def at(self, t_ns: Integers) -> Floats:
-        """Return the values (k, 3) at stamps (k,).
+        """Return the values (k, 3) at timestamps (k,).
 
         Raises
         ------
         RecordingError
-            If stamps that must be interpolated go backwards.
+            If timestamps that must be interpolated go backwards.
         """
         rows = self._rows
         rows.fill(len(t_ns))
@@ -212,7 +212,7 @@ class _Synchroniser:
             self._support = (t_ns[-1:], values[-1:])
             rows.drop(len(t_ns))
             return values
-        if self._equal and self._support is not None:  # the stamps part company here
+        if self._equal and self._support is not None:  # the timestamps part company here
             rows.put_back(*self._support)
         self._equal = False
         return self._interpolated(t_ns)
@@ -221,8 +221,8 @@ class _Synchroniser:
         rows, origin = self._rows, self._origin or 0
         if (np.diff(t_ns) < 0).any() or (self._last is not None and t_ns[0] < self._last):
             raise RecordingError(
-                f"the {rows.onto}'s stamps go backwards, so that the {rows.what}'s samples cannot be brought to them. "
-                "`gnomon check` says where; sort or cut the recording."
+                f"the {rows.onto}'s timestamps go backwards, so that the {rows.what}'s samples cannot be brought to "
+                "them. `gnomon check` says where; sort or cut the recording."
             )
         self._last = int(t_ns[-1])
         rows.reach(self._last)

@@ -5,7 +5,7 @@ ros2    a folder with metadata.yaml and an SQLite file
 mcap    a folder with metadata.yaml and an MCAP file; the MCAP file alone where the name ends with .mcap
 
 ROS 2 bags have metadata of version 8. Images are mono8 and not compressed, so that they read back as they were. An
-accelerometer and a gyroscope with stamps of their own become two topics, .../accel and .../gyro; as sensor_msgs/Imu
+accelerometer and a gyroscope with timestamps of their own become two topics, .../accel and .../gyro; as sensor_msgs/Imu
 has it, -1 as the first number of a covariance says which triad is not there.
 """
 
@@ -59,7 +59,7 @@ def save_bag(
     Raises
     ------
     OutputError
-        If it cannot be written, or a stamp does not fit the format.
+        If it cannot be written, or a timestamp does not fit the format.
     RecordingError
         If an image cannot be read.
     """
@@ -179,7 +179,7 @@ class _Counter:
 
 
 def _receipts(arrivals: Arrivals | None) -> Callable[[int], int]:
-    """Return what maps a stamp to its time of receipt; where that is not known or does not fit, the stamp itself."""
+    """Return what maps a timestamp to its time of receipt; where that is not known or does not fit, to itself."""
     if arrivals is None:
         return lambda t_ns: t_ns
     pairs = zip(arrivals.t_ns.tolist(), arrivals.received_ns.tolist(), strict=True)
@@ -201,16 +201,16 @@ def _image_items(
 
 
 def _check_stamp(t_ns: int, name: str) -> None:
-    """Refuse a stamp that the format cannot hold."""
+    """Refuse a timestamp that the format cannot hold."""
     if not 0 <= t_ns < _LATEST_NS:
         raise OutputError(
-            f"{name}: a stamp of {t_ns} ns cannot be written; bags hold times from 1970 to 2038. Write the recording "
-            "as an EuRoC folder instead."
+            f"{name}: a timestamp of {t_ns} ns cannot be written; bags hold times from 1970 to 2038. Write the "
+            "recording as an EuRoC folder instead."
         )
 
 
 class _Triads(NamedTuple):
-    """Samples that go into one topic: stamps, and one triad or both."""
+    """Samples that go into one topic: timestamps, and one triad or both."""
 
     t_ns: Integers
     accelerometer: Floats | None

@@ -2,8 +2,9 @@
 
 cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, numbered in Kalibr's order
 cam0_frames.csv       ts_ns, corners: every frame, also those without corners
-cam0/data.csv, cam0/data/<stamp>.png    in their place, where the scenario wants images
-imu0.csv.gz, ...      the samples of each IMU; imu0-acc.csv.gz and imu0-gyr.csv.gz where its triads have stamps of their
+cam0/data.csv, cam0/data/<timestamp>.png    in their place, where the scenario wants images
+imu0.csv.gz, ...      the samples of each IMU; imu0-acc.csv.gz and imu0-gyr.csv.gz where its triads have timestamps of
+their
                       own
 mav0, recording.bag, recording, recording.mcap    images and samples in one of these, where another form is wanted
 camchain.yaml, imu.yaml, target.yaml    Kalibr's input: lens, nominal noise (of several IMUs keyed imu0, imu1), board

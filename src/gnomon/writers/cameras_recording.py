@@ -2,7 +2,7 @@
 
 cam0_corners.csv.gz   ts_ns, corner_id, u_px, v_px: the corners detected, numbered in Kalibr's order
 cam0_frames.csv       ts_ns, corners: every frame, also those without corners
-cam0/data.csv, cam0/data/<stamp>.png, or mav0, recording.bag, recording.mcap    images in their place
+cam0/data.csv, cam0/data/<timestamp>.png, or mav0, recording.bag, recording.mcap    images in their place
 camchain.yaml         Kalibr's file with the sizes of the images and a lens that stands in, beside corners
 target.yaml           the board as its owner describes it
 truth.yaml            what is true, as a calibration file

@@ -37,7 +37,7 @@ _SINGLE: Mapping[type, frozenset[str]] = {
     TrajectoryTrack: frozenset({"p_target_imu", "q_target_imu_wxyz", "omega_imu", "f_imu"}),
 }
 """What has a row for each sample or corner of a recording, and is kept in single precision: pixels to 1e-4 px, the
-others to 6e-8 of their size. Stamps, and all that was estimated, keep theirs."""
+others to 6e-8 of their size. Timestamps, and all that was estimated, keep theirs."""
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same diagnostics give the same bytes
 

@@ -1,6 +1,6 @@
 """A recording of cameras as images and IMUs -> a folder in EuRoC's layout, which reads back to the same numbers.
 
-    mav0/cam0/data.csv, data/<stamp>.png, sensor.yaml      of each camera; PNG without loss, in 8 bits of grey
+    mav0/cam0/data.csv, data/<timestamp>.png, sensor.yaml      of each camera; PNG without loss, in 8 bits of grey
     mav0/imu0/data.csv, sensor.yaml                        of each IMU
 
 T_BS of sensor.yaml maps coordinates of the sensor to those of the body, which is imu0.
@@ -49,7 +49,7 @@ def save_euroc(
     Raises
     ------
     OptionError
-        If the triads of an IMU have stamps of their own, for which the format has no room.
+        If the triads of an IMU have timestamps of their own, for which the format has no room.
     RecordingError
         If an image cannot be read, or with `notes` none of a camera's.
     OutputError
@@ -69,7 +69,7 @@ def _refuse_own_stamps(name: str, imu: ImuSamples) -> None:
     a, g = imu.accelerometer, imu.gyroscope
     if not np.array_equal(a.t_ns, g.t_ns):
         raise OptionError(
-            f"{name}: accelerometer ({len(a)} samples) and gyroscope ({len(g)} samples) have stamps of their own; "
+            f"{name}: accelerometer ({len(a)} samples) and gyroscope ({len(g)} samples) have timestamps of their own; "
             "EuRoC's table holds one row for both, and samples are not interpolated here. Write a bag instead "
             "(--to ros1, ros2 or mcap)."
         )
@@ -122,7 +122,7 @@ def _save_camera(
     if damaged:
         said.append(f"{name}: {len(damaged)} images cannot be read and were left out; the first: {damaged[0]}")
     if twice:
-        said.append(f"{name}: {twice} images have the stamp of another one and were left out.")
+        said.append(f"{name}: {twice} images have the timestamp of another one and were left out.")
     node = _camera_node(name, stream, written, said)
     if node:
         _save_yaml(place / "sensor.yaml", node)

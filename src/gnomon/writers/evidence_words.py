@@ -33,7 +33,7 @@ def rests_on_gravity(calibration: Calibration) -> bool:
 
 
 def held_out_errors(calibration: Calibration) -> Iterator[tuple[str, str, float, str]]:
-    """Yield (sensor, what was compared, rms, unit) of every error on unseen data that is known.
+    """Yield (sensor, what was compared, rms, unit) of every hold-out error data that is known.
 
     Errors of the magnetic field are in percent of the local field.
     """

@@ -13,7 +13,7 @@ _WORKERS, _AHEAD = 2, 8
 
 
 def encoded(frames: Iterable[Frame]) -> Iterator[tuple[int, bytes | RecordingError]]:
-    """Yield the stamp [ns] and the PNG of each frame, or what is wrong with it; none is kept."""
+    """Yield the timestamp [ns] and the PNG of each frame, or what is wrong with it; none is kept."""
     waiting: deque[tuple[int, Future[bytes | RecordingError]]] = deque()
     with ThreadPoolExecutor(_WORKERS) as pool:
         for frame in frames:

@@ -23,7 +23,7 @@ def save_recording(recording: Recording, path: str | Path) -> tuple[Path, ...]:
     """Write a recording, and return the files that were written.
 
     NPZ holds any recording; its keys are documented in `gnomon.readers.samples.npz`. CSV holds one IMU, with the units
-    in its header; triads with stamps of their own have files of their own, whose names end in -acc, -gyr and -mag.
+    in its header; triads with timestamps of their own have files of their own, whose names end in -acc, -gyr and -mag.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _arrays(recording: Recording) -> dict[str, NDArray[Any]]:
 
 
 def _save_csv(imu: ImuSamples, path: Path) -> tuple[Path, ...]:
-    """Write triads that share their stamps into one file, others into files of their own."""
+    """Write triads that share their timestamps into one file, others into files of their own."""
     named = {"-acc": imu.accelerometer, "-gyr": imu.gyroscope, "-mag": imu.magnetometer}
     there = {name: samples for name, samples in named.items() if samples is not None and len(samples)}
     files: dict[str, list[TriadSamples]] = {}

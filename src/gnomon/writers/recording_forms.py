@@ -30,7 +30,7 @@ def save_images(
     ----------
     recording : in the form "folder" its images alone
     folder : it is there, and has nothing in it of the same names
-    form : "folder" (cam0/data.csv and cam0/data/<stamp>.png), "euroc" (the same in mav0, with sensor.yaml), "ros1",
+    form : "folder" (cam0/data.csv and cam0/data/<timestamp>.png), "euroc" (the same in mav0, with sensor.yaml), "ros1",
         "ros2" (SQLite) or "mcap"
     progress : called with a sentence now and then
 

@@ -63,24 +63,24 @@ _EQUATIONS = {
         _MAGNETOMETER,
     ),
     "tedaldi": (
-        "document A: f = T K (measured + b), T = [1 -yz zy; 0 1 -zx; 0 0 1]",
-        "document A: w = T K (measured + b - B f), T = [1 -yz zy; xz 1 -zx; -xy yx 1]",
+        "Tedaldi: f = T K (measured + b), T = [1 -yz zy; 0 1 -zx; 0 0 1]",
+        "Tedaldi: w = T K (measured + b - B f), T = [1 -yz zy; xz 1 -zx; -xy yx 1]",
         _MAGNETOMETER,
     ),
     "krebs": (
-        "document B: measured = S M f + b, M = [1 0 0; yz 1 0; zy zx 1]",
-        "document B, ch. 3: measured = S M C_bg' w + B C_bg' f + b (reading B1); in ch. 4, B' f in place of B C_bg' f "
+        "Krebs: measured = S M f + b, M = [1 0 0; yz 1 0; zy zx 1]",
+        "Krebs, ch. 3: measured = S M C_bg' w + B C_bg' f + b (reading B1); in ch. 4, B' f in place of B C_bg' f "
         "(reading B2); q_bg is the Hamilton quaternion of C_bg",
         _MAGNETOMETER,
     ),
     "angrisano": (
-        "document C: f = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1]",
-        "document C: C_gb w = T K (measured - b - B f), T = [1 az ay; 0 1 ax; 0 0 1], in the gyroscope's own frame",
-        "document C: C_mb m = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1], in the magnetometer's own frame",
+        "Angrisano: f = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1]",
+        "Angrisano: C_gb w = T K (measured - b - B f), T = [1 az ay; 0 1 ax; 0 0 1], in the gyroscope's own frame",
+        "Angrisano: C_mb m = T K (measured - b), T = [1 az ay; 0 1 ax; 0 0 1], in the magnetometer's own frame",
     ),
     "kalibr": (
         "Kalibr: measured = M f + bias",
-        "Kalibr: measured = M C_gyro_i w + A C_gyro_i f + bias; AC = A C_gyro_i. Of document B's B_g, A is reading B1, "
+        "Kalibr: measured = M C_gyro_i w + A C_gyro_i f + bias; AC = A C_gyro_i. Of Krebs's B_g, A is reading B1, "
         "AC reading B2",
         _MAGNETOMETER,
     ),
@@ -330,7 +330,7 @@ def _cameras_rows(fit: CamerasFit) -> Iterator[Row]:
         yield Row(name=f"{name}, views used", value=f"{fit.views_used[name]} of {found}", unit="")
         yield Row(name=f"{name}, corners used", value=str(fit.corners_used[name]), unit="")
         yield Row(name=f"{name}, reprojection, rms per axis", value=_known(fit.reprojection_rms_px[name]), unit="px")
-        yield Row(name=f"{name}, the same of unseen views", value=_known(fit.holdout_rms_px[name]), unit="px")
+        yield Row(name=f"{name}, the same of hold-out views", value=_known(fit.holdout_rms_px[name]), unit="px")
         yield Row(name=f"{name}, image covered", value=share_words(fit.coverage[name]).removesuffix(" %"), unit="%")
     if fit.aspect_sigma:
         yield Row(name="board, y over x, less 1", value=value_text(fit.aspect, fit.aspect_sigma), unit="1")

@@ -30,7 +30,7 @@ def save_video(
     ----------
     path : its suffix, .mp4, .mov, .mkv or .avi, says the container
     images : (height, width) in 8 bits of grey, all of one size
-    t_ns : (n,) stamps, ascending, counted from the first [ns]
+    t_ns : (n,) timestamps, ascending, counted from the first [ns]
     codec : of PyAV, such as "mpeg4", "mjpeg", or "ffv1", which loses nothing
     rate_hz : what the container states as its frame rate
 

@@ -50,7 +50,7 @@ _OPTIONAL = ("distortion_model", "distortion_coeffs", "T_cam_imu", "T_imu_cam", 
 _SIGMAS = ("intrinsics_sigma", "distortion_coeffs_sigma")  # no keys of Kalibr's
 _OTHER_KEYS = {"distortion_coefficients": "distortion_coeffs", "projection_model": "camera_model"}  # of EuRoC
 _IGNORED = ("cam_overlaps", "rostopic", "line_delay")
-_LONGEST_SHIFT_S = 9e9  # clocks may have unrelated origins, but stamps fit into 64 bits of nanoseconds
+_LONGEST_SHIFT_S = 9e9  # clocks may have unrelated origins, but timestamps fit into 64 bits of nanoseconds
 _CONTRADICTION = 0.02  # [rad] and [m]
 
 

@@ -28,7 +28,7 @@ _DEFINITIONS = {
     "y down, z forward).",
     "time_shift_cam_imu": "t_imu = t_cam + time_shift_cam_imu [s]; row v of an image is line_delay * v later [s].",
     "T_imu_body": "p_imu = T_imu_body p_body [m], 4x4 row by row: from the body frame, imu0's, to that of another IMU.",
-    "time_shift_imu": "t_imu0 = t_imu + time_shift_imu [s], of the stamps of the gyroscopes; of an accelerometer "
+    "time_shift_imu": "t_imu0 = t_imu + time_shift_imu [s], of the timestamps of the gyroscopes; of an accelerometer "
     "t_gyroscope = t_accelerometer + time_shift [s].",
     "sigma": "every *_sigma is one standard deviation; T_cam_imu_rotation_sigma is that of a small rotation about the "
     "body's axes [rad].",

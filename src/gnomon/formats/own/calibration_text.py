@@ -116,7 +116,7 @@ _SEVERAL_IMUS = """\
 
 _ACCELEROMETER_SHIFT = """\
 #
-# Accelerometers with a delay of their own: t_gyroscope = t_accelerometer + time_shift, in s, of the stamps of one
+# Accelerometers with a delay of their own: t_gyroscope = t_accelerometer + time_shift, in s, of the timestamps of one
 # instant. The time shifts of IMUs and cameras are between gyroscopes, and to that of imu0.
 #
 """

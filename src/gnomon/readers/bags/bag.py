@@ -1,7 +1,7 @@
 """Format "bag": ROS 1 bags, ROS 2 bags in SQLite or MCAP, and single MCAP files, with images and IMU samples.
 
-Stamps are those of the messages' headers; the times of receipt are kept beside them. An IMU's samples are read at once,
-images when they are asked for. A bag that ends early is read as far as it goes.
+Timestamps are those of the messages' headers; the times of receipt are kept beside them. An IMU's samples are read at
+once, images when they are asked for. A bag that ends early is read as far as it goes.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -214,8 +214,8 @@ def _stream(bag: Bag, topic: Topic, track: ImageTrack, notes: list[str]) -> Imag
         raise RecordingError(f"{track.where}: none of its {topic.count} messages is an image. Record it again.")
     if track.by_receipt and len(times) > 1 and not np.ptp(track.times()[1]):
         raise RecordingError(
-            f"{track.where}: the images have no stamps, neither their own nor the recorder's. Have the driver stamp "
-            "them, and record them again."
+            f"{track.where}: the images have no timestamps, neither their own nor the recorder's. Have the driver "
+            "timestamp them, and record them again."
         )
     if track.bits is not None and track.bits < 16:
         notes.append(f"{topic.name}: its 16-bit images hold {track.bits} bits; they were scaled by that.")

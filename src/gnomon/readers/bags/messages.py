@@ -1,4 +1,4 @@
-"""Messages of a bag as bytes -> stamps, images, and samples of an IMU.
+"""Messages of a bag as bytes -> timestamps, images, and samples of an IMU.
 
 sensor_msgs/Image, CompressedImage and Imu are the same in all versions of ROS. Their bytes are read at their places:
 a message object for every sample would take most of the time of reading a bag.
@@ -42,7 +42,7 @@ def _byte_order(data: bytes, wire: Wire) -> str:
 
 
 def stamp_ns(data: bytes, wire: Wire) -> int | None:
-    """Return the stamp of a message that begins with a header [ns]; None where it is too short or damaged."""
+    """Return the timestamp of a message that begins with a header [ns]; None where it is too short or damaged."""
     try:
         form = "II" if wire == "ros1" else "iI"
         seconds, nanoseconds = struct.unpack_from(_byte_order(data, wire) + form, data, _STAMP)
@@ -123,7 +123,7 @@ class ImuBlock:
     Attributes
     ----------
     place : (n,) which of the messages that were given; damaged ones are left out
-    t_ns : (n,) header stamps [ns]
+    t_ns : (n,) header timestamps [ns]
     gyroscope : (n, 3) angular_velocity [rad/s]
     accelerometer : (n, 3) linear_acceleration [m/s^2]
     no_gyroscope, no_accelerometer : (n,) whether the message says so, by -1 as the first number of the covariance

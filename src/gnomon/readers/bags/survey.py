@@ -1,4 +1,4 @@
-"""One pass over a bag: the stamps of the images, and the samples of the IMUs."""
+"""One pass over a bag: the timestamps of the images, and the samples of the IMUs."""
 
 from array import array
 from collections.abc import Mapping
@@ -34,10 +34,10 @@ class Track:
 
     Attributes
     ----------
-    stamps, received : of each message that has a header [ns]
+    timestamps, received : of each message that has a header [ns]
     damaged : how many have none
-    by_receipt : whether the times of receipt take the place of the stamps
-    zero_is_missing : whether a stamp of zero means that there is none
+    by_receipt : whether the times of receipt take the place of the timestamps
+    zero_is_missing : whether a timestamp of zero means that there is none
     """
 
     where: str
@@ -50,13 +50,13 @@ class Track:
     zero_is_missing: bool = False
 
     def times(self) -> tuple[Integers, Integers]:
-        """Return stamps and times of receipt of the messages that are used, (n,) each [ns]."""
+        """Return timestamps and times of receipt of the messages that are used, (n,) each [ns]."""
         stamps, received = np.array(self.stamps, np.int64), np.array(self.received, np.int64)
         keep = self.used(stamps)
         return stamps[keep], received[keep]
 
     def used(self, stamps: Integers) -> Integers:
-        """Return the indices of the messages whose stamp is one, or does not matter."""
+        """Return the indices of the messages whose timestamp is one, or does not matter."""
         return np.flatnonzero((stamps != 0) | (not self.zero_is_missing))
 
     def arrivals(self) -> Arrivals | None:
@@ -69,7 +69,7 @@ class Track:
 
 @dataclass(slots=True, kw_only=True)
 class ImageTrack(Track):
-    """The images of one topic: their stamps, and the depth of those that have 16 bits."""
+    """The images of one topic: their timestamps, and the depth of those that have 16 bits."""
 
     largest: int = 0
     pictures: int = 0
@@ -196,10 +196,10 @@ def survey(
 
 
 def settle_times(tracks: list[Track], notes: list[str]) -> None:
-    """Choose between stamps and times of receipt, for all topics that are used.
+    """Choose between timestamps and times of receipt, for all topics that are used.
 
-    Stamps of the sensors are used. Where a topic has none (all are zero) its times of receipt take their place, and
-    with it those of all topics whose stamps are in another clock than the recorder's.
+    Timestamps of the sensors are used. Where a topic has none (all are zero) its times of receipt take their place, and
+    with it those of all topics whose timestamps are in another clock than the recorder's.
     """
     for track in tracks:
         stamps = np.array(track.stamps, dtype=np.int64)
@@ -207,12 +207,12 @@ def settle_times(tracks: list[Track], notes: list[str]) -> None:
         if zeros == len(stamps) > 0:
             track.by_receipt = True
             notes.append(
-                f"{track.topic.name}: all stamps are zero; the times at which the recorder received the messages were "
-                "used. They jitter: expect larger residuals, and have the driver stamp its messages."
+                f"{track.topic.name}: all timestamps are zero; the times at which the recorder received the messages "
+                "were used. They jitter: expect larger residuals, and have the driver timestamp its messages."
             )
         elif zeros and abs(float(np.median(stamps))) > _HALF_A_DAY_NS:
             track.zero_is_missing = True
-            notes.append(f"{track.topic.name}: {zeros} of {len(stamps)} messages have no stamp and were left out.")
+            notes.append(f"{track.topic.name}: {zeros} of {len(stamps)} messages have no timestamp and were left out.")
         if track.damaged:
             notes.append(f"{track.topic.name}: {track.damaged} damaged messages were left out.")
     if not any(track.by_receipt for track in tracks):
@@ -222,6 +222,6 @@ def settle_times(tracks: list[Track], notes: list[str]) -> None:
         if not track.by_receipt and len(stamps) and abs(float(np.median(received - stamps))) > _OTHER_CLOCK_NS:
             track.by_receipt = True
             notes.append(
-                f"{track.topic.name}: its stamps are not in the recorder's clock; since other messages have no stamps, "
-                "the times of receipt were used here, too."
+                f"{track.topic.name}: its timestamps are not in the recorder's clock; since other messages have no "
+                "timestamps, the times of receipt were used here, too."
             )

@@ -1,4 +1,4 @@
-"""What a device logged with its own app or firmware: triads with stamps of their own, and what was assumed of them."""
+"""What a device logged with its own app or firmware: triads with timestamps of their own, and what was assumed."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class DeviceLog:
 
     Attributes
     ----------
-    accelerometer, gyroscope, magnetometer : stamps and samples, or None
+    accelerometer, gyroscope, magnetometer : timestamps and samples, or None
     sources : the files that were read
     notes : what was assumed
     """
@@ -52,7 +52,7 @@ def read_device_log(
     path = Path(paths[0])
     for option, value in (("columns", columns), ("rate", rate_hz)):
         if value is not None:
-            raise OptionError(f"{path.name}: this log names its columns and has stamps. Leave out --{option}.")
+            raise OptionError(f"{path.name}: this log names its columns and has timestamps. Leave out --{option}.")
     try:
         return reader(path)
     except OSError as error:

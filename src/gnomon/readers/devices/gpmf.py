@@ -35,7 +35,7 @@ def read_gpmf(path: Path) -> DeviceLog:
     """Read the accelerometer and the gyroscope of a GoPro camera, in m/s^2 and rad/s.
 
     Both are along the axes that GoPro labels x, y, z: seen from behind the camera x points to the left, y out of its
-    back towards the viewer, z up. Stamps of an MP4 are those of its video.
+    back towards the viewer, z up. Timestamps of an MP4 are those of its video.
 
     Raises
     ------
@@ -165,10 +165,10 @@ class _Reading:
         return found
 
     def _origin(self) -> float:
-        """Return where the recording begins in the clock of the camera's stamps [s]; zero where nothing tells.
+        """Return where the recording begins in the clock of the camera's timestamps [s]; zero where nothing tells.
 
-        A payload of an MP4 begins with a frame of the video, whose streams (CORI, SHUT) state its stamp; a raw stream
-        begins with its first sample.
+        A payload of an MP4 begins with a frame of the video, whose streams (CORI, SHUT) state its timestamp; a raw
+        stream begins with its first sample.
         """
         for key in ("CORI", "SHUT", "ACCL") if self.times is not None else ("ACCL",):
             blocks = [block for block in self.device.of(key) if block.stamp_us is not None]
@@ -196,7 +196,7 @@ class _Reading:
         return orientation
 
     def triad(self, key: str) -> StampedTriad | None:
-        """Return the samples of a sensor with their stamps; None of a magnetometer of unknown components."""
+        """Return the samples of a sensor with their timestamps; None of a magnetometer of unknown components."""
         blocks, sensor = self.device.of(key), _SENSORS[key]
         components = sorted({block.values.shape[1] for block in blocks})
         if components != [3]:

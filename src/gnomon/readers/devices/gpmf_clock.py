@@ -1,8 +1,8 @@
 """When the samples of a GPMF stream were taken: an even clock, fitted to what is known of the beginnings of payloads.
 
 The camera stores samples in payloads of about a second, whose limits jitter by some samples, while the sensor samples
-evenly, at a rate of its own that drifts slowly. So stamps are not spread payload by payload: one clock is fitted to all
-beginnings, with a rate that may change from minute to minute.
+evenly, at a rate of its own that drifts slowly. So timestamps are not spread payload by payload: one clock is fitted to
+all beginnings, with a rate that may change from minute to minute.
 """
 
 from dataclasses import dataclass
@@ -35,14 +35,14 @@ class PayloadTimes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Clock:
-    """Stamps of all samples of a stream.
+    """Timestamps of all samples of a stream.
 
     Attributes
     ----------
     t_ns : (n,) [ns]
     rate_hz : mean rate
     stray_s : by which the farthest beginning of a payload is off that clock [s]
-    stamped : whether they come from the camera's stamps; else from the times of payloads
+    stamped : whether they come from the camera's timestamps; else from the times of payloads
     lost : samples between payloads that the counts say are missing
     """
 
@@ -60,12 +60,12 @@ def sample_clock(blocks: tuple[Block, ...], times: PayloadTimes | None, origin_s
     ----------
     blocks : its samples; at least one block
     times : of the payloads, or None of a raw stream
-    origin_s : where the time begins in the camera's clock of stamps [s]
+    origin_s : where the time begins in the camera's clock of timestamps [s]
 
     Raises
     ------
     RecordingError
-        If the stamps do not rise.
+        If the timestamps do not rise.
     """
     key = blocks[0].key
     counts = np.array([len(block.values) for block in blocks])

@@ -128,7 +128,7 @@ class _Log:
         return t_ns, Triad(quantity="accelerometer", values=-total if turned else total, unit="m/s^2")
 
     def triad(self, name: str) -> tuple[Integers, Floats]:
-        """Return stamps and values of a table, without the rows that stand in it twice."""
+        """Return timestamps and values of a table, without the rows that stand in it twice."""
         table = read_table(self.files.text(name), None, None, Units())
         self.read.append(name)
         if len(table.triads) != 1:

@@ -1,1 +1,1 @@
-"""Images of cameras: folders, videos and datasets, with their stamps."""
+"""Images of cameras: folders, videos and datasets, with their timestamps."""

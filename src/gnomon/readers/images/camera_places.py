@@ -47,7 +47,7 @@ class CameraPlace:
     folder : of the images, or None
     prefix : with which the names of its images begin, in lower case, where several cameras share the folder
     video : the file, or None
-    table : with the stamps of its frames, or None
+    table : with the timestamps of its frames, or None
     sensor : its sensor.yaml, or None
     label : folder or file as it is called in messages
     """
@@ -173,13 +173,13 @@ def _folder_place(folder: Path, camera: Path, root: Path) -> CameraPlace:
 
 
 def _with_table(place: CameraPlace, name: str, root: Path, *, alone: bool) -> CameraPlace:
-    """Return the place with the table of its stamps, where there is one."""
+    """Return the place with the table of its timestamps, where there is one."""
     table = next((path for path in _tables(place, name, root, alone=alone) if is_frame_table(path)), None)
     return replace(place, table=table)
 
 
 def _tables(place: CameraPlace, name: str, root: Path, *, alone: bool) -> Iterator[Path]:
-    """Yield files whose names are those of tables of stamps, the likeliest first."""
+    """Yield files whose names are those of tables of timestamps, the likeliest first."""
     own = re.escape(name if place.video is None else place.video.stem)
     inside = re.compile(rf"(?:{_STAMPS}|{own}){_TABLE}", re.IGNORECASE)
     beside = re.compile(rf"(?:{own}|{name})(?:[-_.](?:{_STAMPS}))?{_TABLE}", re.IGNORECASE)

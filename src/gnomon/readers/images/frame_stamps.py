@@ -20,18 +20,18 @@ from ..samples.text_table import Layout, is_number, numbered_rows, sniff
 _ROW = "time of a frame, name of its file"
 _SPLIT = re.compile(r"(?<!\d)(\d{9,10})[-_](\d{9}|\d{6})$")  # seconds and a fraction with all its zeros
 _LAST_NUMBER = re.compile(r"(\d+(?:\.\d+)?)$")
-_LARGEST_NUMBER = 1e8  # of views; stamps since 1970 are larger in any unit
+_LARGEST_NUMBER = 1e8  # of views; timestamps since 1970 are larger in any unit
 _SECOND_NS = 1_000_000_000
 _COUNTER_STEP = 1000  # numbers closer than that, at even steps, count the images
 WHAT_TO_WRITE = (
-    "Name the images after their stamps in nanoseconds, such as 1600000000050000000.png, or put a table data.csv "
+    "Name the images after their timestamps in nanoseconds, such as 1600000000050000000.png, or put a table data.csv "
     'beside them with the first line "timestamp [ns],filename" and a row for each image.'
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameTable:
-    """A table of stamps, in the order of its rows.
+    """A table of timestamps, in the order of its rows.
 
     Attributes
     ----------
@@ -48,18 +48,18 @@ class FrameTable:
 
 
 def read_frame_table(path: Path, files: Sequence[str] = (), time_unit: str | None = None) -> FrameTable:
-    """Read the stamps of frames.
+    """Read the timestamps of frames.
 
     Parameters
     ----------
     path : text, gzipped or not, with one row a frame
     files : names of the images, by which a column of file names is recognised; with or without suffix
-    time_unit : unit of the stamps where the header does not tell it; recognised if None
+    time_unit : unit of the timestamps where the header does not tell it; recognised if None
 
     Raises
     ------
     RecordingError
-        If the file cannot be read, no column holds the time, or a stamp is damaged.
+        If the file cannot be read, no column holds the time, or a timestamp is damaged.
     """
     file = read_text(path)
     layout = sniff(file, _ROW)
@@ -77,7 +77,7 @@ def read_frame_table(path: Path, files: Sequence[str] = (), time_unit: str | Non
 
 
 def is_frame_table(path: Path) -> bool:
-    """Tell whether a file can be a table of stamps: few columns, of which one is the time, and no samples of an IMU."""
+    """Tell whether a file can be a table of timestamps: few columns, one of them the time, and no samples of an IMU."""
     try:
         layout = sniff(read_text(path), _ROW)
     except RecordingError:
@@ -90,19 +90,19 @@ def is_frame_table(path: Path) -> bool:
 
 
 def stamps_in_names(files: Sequence[str], time_unit: str | None, where: str) -> tuple[Integers, str]:
-    """Return the stamps that files are named after, (n,) [ns], in the order of the files, and what was assumed.
+    """Return the timestamps that files are named after, (n,) [ns], in the order of the files, and what was assumed.
 
     Raises
     ------
     RecordingError
-        If the names hold no stamps; the message says what to write.
+        If the names hold no timestamps; the message says what to write.
     """
     texts: list[str] = []
     for name in files:
         stem = stem_of(name)
         split, last = _SPLIT.search(stem), _LAST_NUMBER.search(stem)
         if last is None:
-            raise RecordingError(f"{where}: the name {name} holds no stamp, and there is no table. {WHAT_TO_WRITE}")
+            raise RecordingError(f"{where}: the name {name} holds no timestamp, and there is no table. {WHAT_TO_WRITE}")
         texts.append(f"{split[1]}.{split[2]}" if split else last[1])
     values = _values(texts)
     ordered = np.sort(values.astype(np.float64))
@@ -114,11 +114,11 @@ def stamps_in_names(files: Sequence[str], time_unit: str | None, where: str) -> 
     unit, reason = (time_unit, "as stated") if time_unit else _unit(ordered)
     t_ns = to_ns(values, unit, where)
     refuse_strayed(t_ns, where, files)
-    return t_ns, f"{where}: the names of the images are their stamps in {unit} ({reason})."
+    return t_ns, f"{where}: the names of the images are their timestamps in {unit} ({reason})."
 
 
 def are_stamps(files: Sequence[str]) -> bool:
-    """Tell whether files are named after stamps, rather than numbered or named otherwise."""
+    """Tell whether files are named after timestamps, rather than numbered or named otherwise."""
     numbers = numbers_in_names(files)
     return numbers is not None and float(numbers.max()) > _LARGEST_NUMBER
 
@@ -136,13 +136,13 @@ def numbers_in_names(files: Sequence[str]) -> NDArray[np.float64] | None:
 
 
 def numbered_names(files: Sequence[str], where: str) -> tuple[Integers, str]:
-    """Return numbers of views in place of stamps, a second apart, (n,) [ns], and what was assumed.
+    """Return numbers of views in place of timestamps, a second apart, (n,) [ns], and what was assumed.
 
     The number at the end of a name is that of the view; without numbers their order is.
     """
     numbers = numbers_in_names(files)
     if numbers is None:
-        said = f"{where}: the images hold no stamps, and were numbered in the order of their names."
+        said = f"{where}: the images hold no timestamps, and were numbered in the order of their names."
         return np.arange(len(files), dtype=np.int64) * _SECOND_NS, said
     said = f"{where}: the names of the images number the views; nothing tells when they were taken."
     return np.rint(numbers * _SECOND_NS).astype(np.int64), said
@@ -155,18 +155,18 @@ def stem_of(name: str) -> str:
 
 
 def refuse_strayed(t_ns: Integers, where: str, places: Sequence[str]) -> None:
-    """Refuse stamps of which one is more than half a day from the others.
+    """Refuse timestamps of which one is more than half a day from the others.
 
     Raises
     ------
     RecordingError
-        If there is such a stamp; the message names its place.
+        If there is such a timestamp; the message names its place.
     """
     far = strayed(t_ns)
     if far is not None:
         raise RecordingError(
-            f"{where}, {places[far]}: the stamp {t_ns[far]} ns is more than half a day from the middle of the others, "
-            f"{int(np.median(t_ns))} ns. Mend or remove it."
+            f"{where}, {places[far]}: the timestamp {t_ns[far]} ns is more than half a day from the middle of the "
+            f"others, {int(np.median(t_ns))} ns. Mend or remove it."
         )
 
 
@@ -202,7 +202,7 @@ def _like_a_file(token: str) -> bool:
 
 
 def _stamp_column(layout: Layout, named: int | None, where: str) -> tuple[int, str | None]:
-    """Return the column of the stamps and its unit, where the header tells it."""
+    """Return the column of the timestamps and its unit, where the header tells it."""
     row = layout.sample[0]
     if layout.header:
         names = [column_name(text) for text in layout.header]
@@ -221,7 +221,7 @@ def _stamp_column(layout: Layout, named: int | None, where: str) -> tuple[int, s
 
 
 def _columns(file: TextFile, layout: Layout, stamp: int, named: int | None) -> tuple[list[str], list[str], str]:
-    """Return the stamps as text, the names of files, and a sentence on a last line that was cut off."""
+    """Return the timestamps as text, the names of files, and a sentence on a last line that was cut off."""
     texts: list[str] = []
     names: list[str] = []
     whole = file.data.endswith((b"\n", b"\r"))

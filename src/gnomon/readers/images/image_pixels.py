@@ -135,7 +135,7 @@ def grey_image(image: RawImage, where: str, bits: int | None = None) -> Grey:
     Parameters
     ----------
     image : as the camera sent it; colour is weighted as ITU-R BT.601 says, a Bayer pattern is interpolated
-    where : file, topic and stamp, for messages
+    where : file, topic and timestamp, for messages
     bits : how many bits images of 16 bits really have; None to tell from this image alone. Larger numbers are white
 
     Raises
@@ -190,7 +190,7 @@ def compressed_image(data: Buffer, form: str, where: str, bits: int | None = Non
     ----------
     data : a whole JPEG, PNG or other picture file
     form : its `format`, such as "jpeg", "bgr8; jpeg compressed bgr8" or "bayer_rggb8; jpeg compressed"
-    where : file, topic and stamp, for messages
+    where : file, topic and timestamp, for messages
     bits : as for `grey_image`
 
     Raises
@@ -215,7 +215,7 @@ def picture(data: Buffer, where: str, bits: int | None = None) -> Grey:
     Parameters
     ----------
     data : the whole file
-    where : file, or file, topic and stamp, for messages
+    where : file, or file, topic and timestamp, for messages
     bits : as for `grey_image`
 
     Raises

@@ -93,7 +93,7 @@ def open_images(
     imu_table : table of the IMU's samples, where it is not in the recording
     need_imu : whether a recording without IMU is refused
     cameras_alone : whether an IMU is passed over, as are the lenses that the recording states. Images in folders need
-        no stamps then: by the numbers in their names, or their order, those of several cameras belong together
+        no timestamps then: by the numbers in their names, or their order, those of several cameras belong together
 
     Raises
     ------
@@ -268,7 +268,7 @@ def _check_order(counts: Mapping[str, int]) -> None:
         found = " and ".join(f"{count} images in {label}" for label, count in counts.items())
         raise RecordingError(
             f"there are {found}, and their names hold no numbers that tell which of them were taken together. Number "
-            "them, such as left01.png and right01.png, or name them after their stamps in nanoseconds."
+            "them, such as left01.png and right01.png, or name them after their timestamps in nanoseconds."
         )
 
 

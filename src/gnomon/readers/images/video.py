@@ -57,13 +57,13 @@ class _Facts:
 def video_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
     """Return the stream of the frames of a video, in the order in which they are shown.
 
-    Stamps come from a table beside it with a row a frame, or are those of the video, which mostly count from its
+    Timestamps come from a table beside it with a row a frame, or are those of the video, which mostly count from its
     beginning: unless the video holds its telemetry, their clock has nothing to do with that of an IMU.
 
     Parameters
     ----------
     name : "cam0", "cam1", ...
-    place : the video and the table of its stamps
+    place : the video and the table of its timestamps
     log : what was stated; the files that are read, and sentences on what was assumed, are added
 
     Raises
@@ -99,7 +99,7 @@ def _check_rows(table: FrameTable, facts: _Facts, place: CameraPlace) -> None:
     whole = max(facts.packets, facts.stated_frames)
     if rows not in {facts.packets, whole}:
         raise RecordingError(
-            f"{table.source.name}: found {rows} stamps for the {facts.packets} frames of {place.label}; each frame "
+            f"{table.source.name}: found {rows} timestamps for the {facts.packets} frames of {place.label}; each frame "
             "needs one, in the order in which they are shown. Which frames were dropped cannot be known."
         )
 
@@ -232,8 +232,8 @@ def _stamp(frame: av.VideoFrame, index: int, facts: _Facts, label: str) -> int:
         return round(frame.pts * frame.time_base * 1_000_000_000)
     if facts.step is None:
         raise RecordingError(
-            f"{label}: the video says neither when its frames were taken nor their rate. Put a table of stamps beside "
-            f"it, {Path(label).stem}.csv, with a row for each frame."
+            f"{label}: the video says neither when its frames were taken nor their rate. Put a table of timestamps "
+            f"beside it, {Path(label).stem}.csv, with a row for each frame."
         )
     return round(index * facts.step * 1_000_000_000)
 

@@ -92,7 +92,7 @@ def camera_frames(
     Parameters
     ----------
     table : its corners
-    all_stamps : (n,) int64 stamps of all its frames [ns], or None where only frames with corners are known
+    all_stamps : (n,) int64 timestamps of all its frames [ns], or None where only frames with corners are known
     known : lens, intrinsics and guesses
     target : the board
     notes : where sentences on what was left out are appended
@@ -206,7 +206,7 @@ def _inside(table: CornerTable, pixels: Floats, resolution: tuple[int, int], not
 
 
 def _frame_stamps(table: CornerTable, t_ns: Integers, all_stamps: Integers | None, notes: list[str]) -> Integers:
-    """Return the stamps of all frames in order."""
+    """Return the timestamps of all frames in order."""
     if (table.t_ns[1:] < table.t_ns[:-1]).any():
         notes.append(f"{table.file.name}: the rows are not in the order of time; they were sorted.")
     with_corners = np.unique(t_ns)
@@ -234,8 +234,8 @@ def _each_once(table: CornerTable, key: Integers, pixels: Floats, notes: list[st
     apart = np.linalg.norm(pixels[order[1:]] - pixels[order[:-1]], axis=1)[same[1:]]
     if count > 0.5 * len(key) and float(np.median(apart)) > _SAME_PX:
         raise RecordingError(
-            f"{table.file.name}: most corners stand several times at one stamp, at different places "
-            f"({count} of {len(key)} rows). The stamps are too coarse to tell the frames apart; write them in "
+            f"{table.file.name}: most corners stand several times at one timestamp, at different places "
+            f"({count} of {len(key)} rows). The timestamps are too coarse to tell the frames apart; write them in "
             "nanoseconds."
         )
     notes.append(_left_out(table, count, "the same corner is in the frame already"))

@@ -34,7 +34,7 @@ class CornerColumns:
 
     Attributes
     ----------
-    time : columns of the stamp and their units, one, or two to be added (seconds and nanoseconds)
+    time : columns of the timestamp and their units, one, or two to be added (seconds and nanoseconds)
     tag : of the tag's number, or None where corners are numbered on the whole target
     corner : of the corner's number
     u, v : of the coordinates
@@ -82,7 +82,7 @@ def read_corner_table(path: Path, time_unit: str | None = None) -> CornerTable:
     Parameters
     ----------
     path : text, gzipped or not
-    time_unit : unit of the stamps where the header does not tell it; guessed if None
+    time_unit : unit of the timestamps where the header does not tell it; guessed if None
 
     Raises
     ------
@@ -114,11 +114,11 @@ def read_corner_table(path: Path, time_unit: str | None = None) -> CornerTable:
 
 
 def read_frame_stamps(path: Path, time_unit: str | None = None) -> tuple[Integers, Source, str]:
-    """Read the stamps of all frames of a camera, from a table with one row a frame.
+    """Read the timestamps of all frames of a camera, from a table with one row a frame.
 
     Returns
     -------
-    stamps (n,) int64 [ns], name and hash of the file, and what was assumed about the unit
+    timestamps (n,) int64 [ns], name and hash of the file, and what was assumed about the unit
 
     Raises
     ------
@@ -243,7 +243,7 @@ def _stamps(
     try:
         unit, reason = guess_time_unit(each) if len(each) > 1 else ("ns", "nothing tells otherwise")
     except ValueError:
-        raise RecordingError(f"{where}: the stamps are not numbers.") from None
+        raise RecordingError(f"{where}: the timestamps are not numbers.") from None
     return to_ns(values, unit, where), f"{where}: time in {unit} ({reason})."
 
 
@@ -251,7 +251,7 @@ def _refuse_strayed(t_ns: Integers, file: TextFile, layout: Layout) -> None:
     row = strayed(t_ns)
     if row is not None:
         raise RecordingError(
-            f"{file.name}, line {line_number(file, layout, row)}: the stamp {t_ns[row]} ns is more than half a day "
+            f"{file.name}, line {line_number(file, layout, row)}: the timestamp {t_ns[row]} ns is more than half a day "
             f"from the middle of the others, {int(np.median(t_ns))} ns. Mend or remove this line."
         )
 

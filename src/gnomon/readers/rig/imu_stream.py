@@ -107,7 +107,7 @@ def _si(samples: TriadSamples, sensor: str, file: str, notes: list[str]) -> Tria
 
 
 def in_order(samples: TriadSamples, name: str, notes: list[str]) -> TriadSamples:
-    """Return samples in the order of time; of those that share a stamp the order of the file stays.
+    """Return samples in the order of time; of those that share a timestamp the order of the file stays.
 
     Parameters
     ----------
@@ -118,13 +118,13 @@ def in_order(samples: TriadSamples, name: str, notes: list[str]) -> TriadSamples
     Raises
     ------
     RecordingError
-        If a stamp is far from all others, or the clock was set anew.
+        If a timestamp is far from all others, or the clock was set anew.
     """
     far = strayed(samples.t_ns)
     if far is not None:
         raise RecordingError(
-            f"{name}: the stamp of sample {far}, {samples.t_ns[far]} ns, is more than half a day from the middle of "
-            f"the others, {int(np.median(samples.t_ns))} ns. Mend or remove this sample."
+            f"{name}: the timestamp of sample {far}, {samples.t_ns[far]} ns, is more than half a day from the middle "
+            f"of the others, {int(np.median(samples.t_ns))} ns. Mend or remove this sample."
         )
     steps = np.diff(samples.t_ns)
     backward = np.flatnonzero(steps < 0)
@@ -135,10 +135,10 @@ def in_order(samples: TriadSamples, name: str, notes: list[str]) -> TriadSamples
     if np.count_nonzero(np.diff(order) != 1) > 3 * len(backward):
         first = int(backward[0])
         raise RecordingError(
-            f"{name}: the stamps jump back by {-steps[first] * 1e-9:.6g} s after sample {first} and then run through "
-            "times that were there before. The clock was set anew: cut the recording there."
+            f"{name}: the timestamps jump back by {-steps[first] * 1e-9:.6g} s after sample {first} and then run "
+            "through times that were there before. The clock was set anew: cut the recording there."
         )
-    note = f"{name}: the stamps go back at {len(backward)} of {len(samples)} samples, which were sorted."
-    if note not in notes:  # both triads mostly share their stamps
+    note = f"{name}: the timestamps go back at {len(backward)} of {len(samples)} samples, which were sorted."
+    if note not in notes:  # both triads mostly share their timestamps
         notes.append(note)
     return replace(samples, t_ns=samples.t_ns[order], values=samples.values[order])

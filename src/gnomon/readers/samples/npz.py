@@ -3,9 +3,9 @@
     accelerometer          (n, 3)  as measured; may be missing where there is a magnetometer
     gyroscope              (m, 3)  as measured; may be missing
     magnetometer           (k, 3)  as measured; may be missing
-    t_ns or t_s            (n,)    stamps of all triads [ns, integer] or [s]
-    t_accelerometer_ns, t_gyroscope_ns, t_magnetometer_ns (or _s)    where the triads have stamps of their own
-    rate_hz                ()      instead of stamps
+    t_ns or t_s            (n,)    timestamps of all triads [ns, integer] or [s]
+    t_accelerometer_ns, t_gyroscope_ns, t_magnetometer_ns (or _s)    where the triads have timestamps of their own
+    rate_hz                ()      instead of timestamps
     unit_accelerometer     "m/s^2", "g", "mg" or "count"; recognised where it is missing
     unit_gyroscope         "rad/s", "deg/s", "mdeg/s" or "count"; recognised where it is missing
     unit_magnetometer      "uT", "nT", "T", "gauss", "mgauss" or "count"; recognised where it is missing
@@ -122,7 +122,7 @@ def _read_named(
     values = _values(archive[array.key], f"{where}, {array.key}")
     note = f"{where}: {array.key} is the {quantity} (by its name"
     if array.stamps is None and rate_hz is None:
-        raise RecordingError(f"{where}: no stamps for {array.key} (such as t_{array.key}). State --rate.")
+        raise RecordingError(f"{where}: no timestamps for {array.key} (such as t_{array.key}). State --rate.")
     if array.stamps is None or rate_hz is not None:
         t_ns = uniform_stamps(len(values), 0.0 if rate_hz is None else rate_hz)
         note += f"); {rate_hz:g} Hz as stated."
@@ -130,12 +130,12 @@ def _read_named(
         stamps = np.squeeze(archive[array.stamps])
         if stamps.ndim != 1 or stamps.dtype.kind not in "fiu" or len(stamps) != len(values):
             raise RecordingError(
-                f"{where}: {len(values)} samples in {array.key}, but stamps {array.stamps} of shape {stamps.shape} and "
-                f"type {stamps.dtype}."
+                f"{where}: {len(values)} samples in {array.key}, but timestamps {array.stamps} of shape {stamps.shape} "
+                f"and type {stamps.dtype}."
             )
         unit, reason = guess_time_unit(stamps)
         t_ns = to_ns(stamps, unit, where)
-        note += f"), with the stamps {array.stamps} in {unit} ({reason})."
+        note += f"), with the timestamps {array.stamps} in {unit} ({reason})."
     t_ns.flags.writeable = False
     return Table(t_ns=t_ns, triads=(Triad(quantity=quantity, values=values, unit=array.unit),), notes=(note,))
 
@@ -166,11 +166,13 @@ def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float |
         if t_ns is None:
             rate = rate_hz if rate_hz is not None else get("rate_hz")
             if rate is None:
-                raise RecordingError(f"{where}: no stamps (t_ns, t_s) for the {quantity} and no rate_hz. State --rate.")
+                raise RecordingError(
+                    f"{where}: no timestamps (t_ns, t_s) for the {quantity} and no rate_hz. State --rate."
+                )
             t_ns = uniform_stamps(len(values), float(rate))
-            notes.append(f"{where}: no stamps for the {quantity}; {float(rate):g} Hz as stated.")
+            notes.append(f"{where}: no timestamps for the {quantity}; {float(rate):g} Hz as stated.")
         if len(t_ns) != len(values):
-            raise RecordingError(f"{where}: {len(values)} samples of the {quantity}, but {len(t_ns)} stamps.")
+            raise RecordingError(f"{where}: {len(values)} samples of the {quantity}, but {len(t_ns)} timestamps.")
         t_ns.flags.writeable = False
         shared[len(values)] = t_ns
         triad = Triad(quantity=quantity, values=values, unit=None if unit is None else str(unit))
@@ -199,5 +201,5 @@ def _stamps(ns: NDArray[Any] | None, seconds: NDArray[Any] | None, where: str) -
     if stamps is None:
         return None
     if stamps.ndim != 1 or stamps.dtype.kind not in "fiu":
-        raise RecordingError(f"{where}: stamps must be numbers (n,), found {stamps.dtype} of shape {stamps.shape}.")
+        raise RecordingError(f"{where}: timestamps must be numbers (n,), found {stamps.dtype} of shape {stamps.shape}.")
     return to_ns(stamps, unit, where)

@@ -91,12 +91,12 @@ def _files(names: list[str], total: int) -> str:
 
 
 def _one_clock(stamps: list[Integers]) -> tuple[list[int], Integers, str]:
-    """Return the order of the files in time, their stamps on one clock [ns], and what was assumed."""
+    """Return the order of the files in time, their timestamps on one clock [ns], and what was assumed."""
     order = sorted(range(len(stamps)), key=lambda k: int(stamps[k][0]))
     ordered = [stamps[k] for k in order]
     follow = all(int(a[-1]) < int(b[0]) for a, b in pairwise(ordered))
     if follow and int(ordered[-1][-1]) - int(ordered[0][0]) < _LONGEST_NS:
-        return order, np.concatenate(ordered), f"{len(stamps)} files, one pose each, in the order of their stamps."
+        return order, np.concatenate(ordered), f"{len(stamps)} files, one pose each, in the order of their timestamps."
     shifted: list[Integers] = []
     begin = 0
     for t_ns in stamps:

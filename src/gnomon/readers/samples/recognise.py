@@ -78,7 +78,8 @@ def gyroscope_unit(values: Floats, t_ns: Integers, accelerometer: Floats | None)
     ----------
     values : (n, 3)
     t_ns : (n,) [ns]
-    accelerometer : (n, 3) at the same stamps, in a unit that has its zero at zero; None where there is no such thing
+    accelerometer : (n, 3) at the same timestamps, in a unit that has its zero at zero; None where there is no such
+        thing
     """
     if _whole_numbers(values):
         return Unit(unit="count", reason="whole numbers")
@@ -168,7 +169,7 @@ def _radius(values: Floats) -> float | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recogniser:
-    """What tells the units from the values: of the accelerometer, and of the gyroscope given its stamps and force."""
+    """What tells the units from the values: of the accelerometer, and of the gyroscope given timestamps and force."""
 
     accelerometer: Callable[[Floats], Unit]
     gyroscope: Callable[[Floats, Integers, Floats | None], Unit]

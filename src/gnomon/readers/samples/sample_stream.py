@@ -16,7 +16,7 @@ TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SampleStream:
-    """One IMU's samples in consecutive blocks; the blocks of its triads need not have the same stamps or lengths.
+    """One IMU's samples in consecutive blocks; the blocks of its triads need not have the same timestamps or lengths.
 
     Attributes
     ----------

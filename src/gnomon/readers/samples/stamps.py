@@ -1,4 +1,4 @@
-"""Stamps of samples: text or numbers in any unit -> nanoseconds, exactly where the numbers allow it."""
+"""Timestamps of samples: text or numbers in any unit -> nanoseconds, exactly where the numbers allow it."""
 
 import re
 from typing import Any
@@ -20,7 +20,7 @@ TYPICAL_FRAMES_HZ = 20.0
 
 
 def stamp_kind(tokens: list[str]) -> str:
-    """Return the NumPy dtype that holds stamps like these without loss.
+    """Return the NumPy dtype that holds timestamps like these without loss.
 
     Whole numbers are int64. Long decimal numbers (epoch seconds with a fraction) stay text, because float64 resolves
     only 238 ns there.
@@ -33,9 +33,9 @@ def stamp_kind(tokens: list[str]) -> str:
 
 
 def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) -> tuple[str, str]:
-    """Return the unit of stamps and why it must be that one.
+    """Return the unit of timestamps and why it must be that one.
 
-    Stamps that lie between 1989 and 2099 in some unit since 1970, at a possible sample rate, are in that unit.
+    Timestamps that lie between 1989 and 2099 in some unit since 1970, at a possible sample rate, are in that unit.
     Otherwise the unit is the one that gives a usual rate: units are a factor of 1000 apart, so that one always does.
     """
     if len(stamps) < 2:
@@ -58,16 +58,16 @@ def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) 
 
 
 def strayed(t_ns: Integers) -> int | None:
-    """Return the index of the first stamp that is more than half a day from the middle one, (n,) [ns]; None if none is.
+    """Return the index of the first timestamp (n,) [ns] more than half a day from the middle one; None if none is.
 
-    No recording is so long; a stamp that was written wrong would make it last for years.
+    No recording is so long; a timestamp that was written wrong would make it last for years.
     """
     far = np.abs(t_ns - np.median(t_ns)) > _HALF_A_DAY_NS if len(t_ns) else np.empty(0, bool)
     return int(np.argmax(far)) if far.any() else None
 
 
 def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
-    """Return stamps in nanoseconds, (n,) int64.
+    """Return timestamps in nanoseconds, (n,) int64.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
     Raises
     ------
     RecordingError
-        If a stamp is no number, or does not fit into 64 bits of nanoseconds.
+        If a timestamp is no number, or does not fit into 64 bits of nanoseconds.
     """
     if stamps.dtype.kind == "S":
         exact = _text_to_ns(stamps, _DECIMALS[unit])
@@ -87,10 +87,10 @@ def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
     factor = TIME_UNITS_NS[unit]
     numbers = _numbers(stamps, where)
     if not np.isfinite(numbers).all():
-        raise RecordingError(f"{where}: stamp {int(np.argmin(np.isfinite(numbers))) + 1} is not a finite number.")
+        raise RecordingError(f"{where}: timestamp {int(np.argmin(np.isfinite(numbers))) + 1} is not a finite number.")
     if len(numbers) and float(np.abs(numbers).max()) * factor > _LARGEST_NS:
         raise RecordingError(
-            f"{where}: stamps of {float(np.abs(numbers).max()):g} {unit} are more than 292 years. "
+            f"{where}: timestamps of {float(np.abs(numbers).max()):g} {unit} are more than 292 years. "
             'State their unit, for example --units "ns".'
         )
     if stamps.dtype.kind in "iu":
@@ -108,7 +108,7 @@ def _numbers(stamps: NDArray[Any], where: str) -> Floats:
             except ValueError:
                 found = bytes(stamp).decode("latin-1")[:40]
                 raise RecordingError(
-                    f'{where}: stamp {row + 1} is "{found}", which is no number. Mend or remove its line.'
+                    f'{where}: timestamp {row + 1} is "{found}", which is no number. Mend or remove its line.'
                 ) from None
         raise
 

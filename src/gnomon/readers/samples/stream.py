@@ -79,7 +79,7 @@ class Rows:
     Parameters
     ----------
     blocks, transform : the blocks, and what is made of each
-    what, onto : the sensor, and the one to whose stamps it is brought, for messages
+    what, onto : the sensor, and the one to whose timestamps it is brought, for messages
     """
 
     def __init__(self, blocks: Blocks, transform: Callable[[TriadSamples], TriadSamples], what: str, onto: str) -> None:
@@ -108,15 +108,15 @@ class Rows:
         Raises
         ------
         RecordingError
-            If the stamps go backwards, so that nothing can be interpolated.
+            If the timestamps go backwards, so that nothing can be interpolated.
         """
         checked = 0
         while True:
             back = np.flatnonzero(np.diff(self.t_ns[max(checked - 1, 0) :]) < 0)
             if len(back):
                 raise RecordingError(
-                    f"the {self.what}'s stamps go backwards, so that its samples cannot be brought to the "
-                    f"{self.onto}'s stamps. `gnomon check` says where; sort or cut the recording."
+                    f"the {self.what}'s timestamps go backwards, so that its samples cannot be brought to the "
+                    f"{self.onto}'s timestamps. `gnomon check` says where; sort or cut the recording."
                 )
             checked = len(self.t_ns)
             if (checked and self.t_ns[-1] > t_ns) or not self._pull():

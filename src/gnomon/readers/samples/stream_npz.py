@@ -71,7 +71,7 @@ def _arrays(archive: zipfile.ZipFile, keys: set[str], imu: str) -> dict[str, Sen
     own = {name: key for name in TRIADS if (key := _key(keys, imu, name)) is not None}
     if not own:
         return sensor_arrays(sorted(keys)) if imu == "imu0" else {}
-    clocks: dict[int, str] = {}  # arrays of one length share their stamps where they have none of their own
+    clocks: dict[int, str] = {}  # arrays of one length share their timestamps where they have none of their own
     found: dict[str, SensorArray] = {}
     for name, key in own.items():
         length = (_shape(archive, key) or (0,))[0]
@@ -84,7 +84,7 @@ def _arrays(archive: zipfile.ZipFile, keys: set[str], imu: str) -> dict[str, Sen
 
 
 def _clock_unit(archive: zipfile.ZipFile, array: SensorArray) -> str:
-    """Return the unit of the stamps: as their key says, else by their size."""
+    """Return the unit of the timestamps: as their key says, else by their size."""
     if array.stamps is None or array.stamps.endswith(("_ns", "_s")):
         return "ns" if str(array.stamps).endswith("_ns") else "s"
     return guess_time_unit(next(_array(archive, array.stamps, _FIRST_ROWS), np.empty(0)))[0]
@@ -98,7 +98,7 @@ def _chosen(archive: zipfile.ZipFile, choice: UnitChoice, name: str, array: Sens
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Triad:
-    """One triad of an NPZ file; clock and clock_unit are key and unit of its stamps, rows the length of a block."""
+    """One triad of an NPZ file; clock and clock_unit are key and unit of its timestamps, rows the length of a block."""
 
     path: Path
     key: str
@@ -111,7 +111,7 @@ class _Triad:
     def __post_init__(self) -> None:
         if self.clock is None and self.rate_hz is None:
             name = self.path.name
-            raise RecordingError(f"{name}: no stamps (t_ns, t_s) for {self.key} and no rate_hz. State --rate.")
+            raise RecordingError(f"{name}: no timestamps (t_ns, t_s) for {self.key} and no rate_hz. State --rate.")
 
     def blocks(self) -> Blocks:
         """Yield the samples; the file stays open as long."""
@@ -127,7 +127,9 @@ class _Triad:
             raise RecordingError(f"{self.path.name}: {self.key} has shape {shape}, expected (n, 3).")
         if self.clock is not None and _shape(archive, self.clock) != shape[:1]:
             stamps = _shape(archive, self.clock)
-            raise RecordingError(f"{self.path.name}: {shape[0]} samples of {self.key}, but stamps of shape {stamps}.")
+            raise RecordingError(
+                f"{self.path.name}: {shape[0]} samples of {self.key}, but timestamps of shape {stamps}."
+            )
         clock = None if self.clock is None else _array(archive, self.clock, self.rows)
         done = 0
         for raw in _array(archive, self.key, self.rows):
@@ -162,7 +164,7 @@ def _array(archive: zipfile.ZipFile, key: str, rows: int) -> Iterator[NDArray[An
         columns = prod(shape[1:])
         if columns not in {1, 3}:
             raise RecordingError(
-                f"{archive.filename}: {key} has the shape {shape}, expected (n, 3), or (n,) of stamps."
+                f"{archive.filename}: {key} has the shape {shape}, expected (n, 3), or (n,) of timestamps."
             )
         members = [member]
         if fortran and columns > 1:

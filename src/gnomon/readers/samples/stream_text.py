@@ -40,8 +40,8 @@ class _Plan:
     ----------
     triads : for each of `TRIADS` its index among the triads of the table; None where it is not there or not wanted
     units : of each of `TRIADS`
-    time_unit : of a single column of stamps
-    rate_hz : where there are no stamps
+    time_unit : of a single column of timestamps
+    rate_hz : where there are no timestamps
     """
 
     path: Path
@@ -159,12 +159,12 @@ def _parsed(file: TextFile, layout: Layout, stamps: list[int], values: list[int]
     except RecordingError:
         if not any(kinds[i] == "i8" for i in stamps):
             raise
-        # Stamps that begin as whole numbers need not stay so.
+        # Timestamps that begin as whole numbers need not stay so.
         return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
 
 
 def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
-    """Return the stamps of a block that begins after `count` rows [ns]."""
+    """Return the timestamps of a block that begins after `count` rows [ns]."""
     name = plan.path.name
     if not plan.used.time:
         return uniform_stamps(len(data[0]), 0.0 if plan.rate_hz is None else plan.rate_hz, count)

@@ -53,7 +53,7 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """What is in a table: stamps (n,) [ns], its triads (see `Roles.triads`), and what was assumed."""
+    """What is in a table: timestamps (n,) [ns], its triads (see `Roles.triads`), and what was assumed."""
 
     t_ns: Integers
     triads: tuple[Triad, ...]
@@ -79,7 +79,7 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
     if used.time:
         t_ns, note = _stamps(file, used, data, units.time)
         if rate_hz is not None:
-            note += f" The rate of {rate_hz:g} Hz was not needed: the file has stamps."
+            note += f" The rate of {rate_hz:g} Hz was not needed: the file has timestamps."
     else:
         t_ns, note = _made_stamps(file, layout, count, rate_hz)
     triads: list[Triad] = []
@@ -105,25 +105,25 @@ def _parse(file: TextFile, layout: Layout, used: Roles) -> tuple[list[Column], s
     except RecordingError:
         if not any(kinds[i] == "i8" for i in stamps):
             raise
-        # Stamps that begin as whole numbers need not stay so.
+        # Timestamps that begin as whole numbers need not stay so.
         return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])
 
 
 def _made_stamps(file: TextFile, layout: Layout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
-    """Return stamps at a stated rate [ns], and what was assumed."""
+    """Return timestamps at a stated rate [ns], and what was assumed."""
     origin = "as stated"
     if rate_hz is None:
         rate_hz, origin = preamble_rate(layout.preamble), "as its preamble says"
     if rate_hz is None:
         raise RecordingError(f"{file.name}: no column holds the time, and nothing tells the sample rate. {RATE_HELP}")
-    return uniform_stamps(count, rate_hz), f"{file.name}: no stamps; {rate_hz:g} Hz {origin}."
+    return uniform_stamps(count, rate_hz), f"{file.name}: no timestamps; {rate_hz:g} Hz {origin}."
 
 
 def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None) -> tuple[Integers, str]:
-    """Return the stamps in the table [ns], and what was assumed."""
+    """Return the timestamps in the table [ns], and what was assumed."""
     if len(used.time) == 2:
         both = [to_ns(data[i], unit or "ns", file.name) for i, unit in used.time]
-        return both[0] + both[1], f"{file.name}: stamps are seconds and nanoseconds, from the header."
+        return both[0] + both[1], f"{file.name}: timestamps are seconds and nanoseconds, from the header."
     ((column, named),) = used.time
     if stated is not None:
         unit, reason = stated, "as stated"
@@ -133,17 +133,17 @@ def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None)
         try:
             unit, reason = guess_time_unit(data[column])
         except ValueError:
-            raise RecordingError(f"{file.name}: the stamps are not numbers. {HELP}") from None
+            raise RecordingError(f"{file.name}: the timestamps are not numbers. {HELP}") from None
     return to_ns(data[column], unit, file.name), f"{file.name}: time in {unit} ({reason})."
 
 
 def uniform_stamps(count: int, rate_hz: float, first: int = 0) -> Integers:
-    """Return stamps k / rate_hz, k = first .. first + count - 1, (count,) int64 [ns].
+    """Return timestamps k / rate_hz, k = first .. first + count - 1, (count,) int64 [ns].
 
     Raises
     ------
     RecordingError
-        If no sensor has such a rate, or the stamps do not fit into 64 bits.
+        If no sensor has such a rate, or the timestamps do not fit into 64 bits.
     """
     least, most = option_range("rate")
     if not least <= rate_hz <= most or (first + count) * (1e9 / rate_hz) > np.iinfo(np.int64).max:
