@@ -14,7 +14,6 @@ from ..errors import OptionError
 from .command import Command, Json, Seed, output_option
 from .output_folder import result_folder
 from .results import USABLE
-from .study_journal import FileJournal, study_journal
 from .terminal import Terminal
 
 if TYPE_CHECKING:
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from ..report.page import Page
     from ..study.runs import Progress, Workers
     from ..study.tables import Claim, StudyTable
+    from .study_journal import FileJournal
 
 
 class Found(Protocol):
@@ -190,6 +190,8 @@ class Study(Command):
 
         A claim that does not hold is a result like any other: the exit code is that of work which was finished.
         """
+        from .study_journal import study_journal
+
         if self.name is None:
             return _list_studies(terminal)
         entry = STUDIES[self.name]
@@ -215,7 +217,7 @@ class Study(Command):
         return USABLE
 
 
-def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: FileJournal, terminal: Terminal) -> Found:
+def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: "FileJournal", terminal: Terminal) -> Found:
     from ..study.runs import Workers
 
     count = StudyCount(terminal, entry.stages)
