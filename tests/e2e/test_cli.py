@@ -76,7 +76,8 @@ def test_check_says_what_a_recording_holds(recording, run, good_table):
     assert f"{len(good_table)} samples" in out
     document = json.loads(run("check", recording, "--json")[1])
     assert document["imus"]["imu0"]["gyroscope"]["rate_hz"] == pytest.approx(50.0)
-    assert {"severity", "code", "message", "consequence", "cure"} == set(document["findings"][0])
+    wanted = {"severity", "code", "message", "consequence", "cure", "subject", "follows_from"}
+    assert set(document["findings"][0]) == wanted
 
 
 @pytest.mark.parametrize("form", ["sensitivity", "kalibr", "tedaldi", "krebs", "angrisano"])
