@@ -14,14 +14,14 @@ from .recording_file import save_recording
 TRAJECTORY_FILE = "trajectory.txt"
 
 _HEADER = """\
-# Pose of imu0 in the target's frame at the stamps of the IMU, made by gnomon: p_target = R(q) p_imu + t.
+# Pose of imu0 in the target's frame at the timestamps of the IMU, made by gnomon: p_target = R(q) p_imu + t.
 # timestamp [s] tx ty tz [m] qx qy qz qw (Hamilton)
 """
 _S_NS = 1_000_000_000
 
 
 def trajectory_text(track: TrajectoryTrack) -> str:
-    """Return the text of a trajectory; stamps are exact to the nanosecond, positions to 1 nm, quaternions to 1e-12."""
+    """Return the text of a trajectory; timestamps are exact to 1 ns, positions to 1 nm, quaternions to 1e-12."""
     q_xyzw = np.asarray(track.q_target_imu_wxyz)[:, [1, 2, 3, 0]]
     numbers = np.column_stack([track.p_target_imu, q_xyzw]).tolist()
     form = " ".join(["%s", *["%.9f"] * 3, *["%.12f"] * 4, ""]).rstrip() + "\n"
@@ -30,7 +30,7 @@ def trajectory_text(track: TrajectoryTrack) -> str:
 
 
 def seconds_texts(t_ns: Integers) -> list[str]:
-    """Return stamps (n,) [ns] as seconds with nine decimals, without a detour over floats.
+    """Return timestamps (n,) [ns] as seconds with nine decimals, without a detour over floats.
 
     Examples
     --------

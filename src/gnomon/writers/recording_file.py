@@ -132,7 +132,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same samples give the same bytes
 def save_blocks(
     path: str | PathLike[str], sensors: Mapping[str, tuple[str, Iterable[Floats]]], *, samples: int, rate_hz: float
 ) -> None:
-    """Write sensors with one sample rate and no stamps, as numbers of single precision.
+    """Write sensors with one sample rate and no timestamps, as numbers of single precision.
 
     Parameters
     ----------

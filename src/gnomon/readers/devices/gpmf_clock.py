@@ -162,7 +162,7 @@ _STABILISED_RAD = np.radians(0.2)
 
 
 def notes_on_clock(clock: Clock, blocks: tuple[Block, ...], sensor: str, name: str, *, timed: bool) -> list[str]:
-    """Say where the stamps of a triad come from, how well they are known, and how warm the sensor was.
+    """Say where the timestamps of a triad come from, how well they are known, and how warm the sensor was.
 
     Parameters
     ----------
@@ -173,9 +173,9 @@ def notes_on_clock(clock: Clock, blocks: tuple[Block, ...], sensor: str, name: s
     count = len(blocks)
     stray = f" (largest deviation {1e3 * clock.stray_s:.2g} ms)" if count > 2 else ""
     if clock.stamped and count > 1:
-        how = f"an even clock through the camera's stamps of {count} payloads{stray}"
+        how = f"an even clock through the camera's timestamps of {count} payloads{stray}"
     elif timed:
-        how = f"spread evenly over {count} payloads of the video, whose samples have no stamps{stray}"
+        how = f"spread evenly over {count} payloads of the video, whose samples have no timestamps{stray}"
     else:
         how = f"as if each payload took {NOMINAL_PAYLOAD_S:g} s, which nothing states: off by 1 % or so{stray}"
     notes = [f"{name}: {sensor} at {clock.rate_hz:.5g} Hz, {how}."]

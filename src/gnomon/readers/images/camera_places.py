@@ -199,7 +199,7 @@ def _matching(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
 
 
 def folder_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
-    """Return the stream of the images in a folder, in the order of their stamps.
+    """Return the stream of the images in a folder, in the order of their timestamps.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def folder_stream(name: str, place: CameraPlace, log: ReadLog) -> ImageStream:
     Raises
     ------
     RecordingError
-        If nothing tells when the images were taken, none of those that are listed is there, or stamps are damaged.
+        If nothing tells when the images were taken, none of those that are listed is there, or timestamps are damaged.
     """
     folder = place.folder
     assert folder is not None
@@ -248,15 +248,16 @@ def _where(label: str, file: str) -> str:
 
 
 def _listed(table: FrameTable, files: list[str], place: CameraPlace, log: ReadLog) -> tuple[list[str], Integers]:
-    """Return the images that are both listed and there, in the order of the table, and their stamps."""
+    """Return the images that are both listed and there, in the order of the table, and their timestamps."""
     where = table.source.name
     if table.names is None:
         if len(table.t_ns) != len(files):
             raise RecordingError(
-                f"{where}: found {len(table.t_ns)} stamps and {len(files)} images in {place.label}; without names of "
+                f"{where}: found {len(table.t_ns)} timestamps and {len(files)} images in {place.label}; without names "
+                "of "
                 'files there must be one for each, in the order of their names. Add a column "filename".'
             )
-        log.note(f"{where}: its stamps were given to the images of {place.label} in the order of their names.")
+        log.note(f"{where}: its timestamps were given to the images of {place.label} in the order of their names.")
         return files, table.t_ns
     there = {stem_of(file): file for file in files} | {file: file for file in files}
     found = [there.get(name) or there.get(stem_of(name)) for name in table.names]
@@ -277,7 +278,7 @@ def _listed(table: FrameTable, files: list[str], place: CameraPlace, log: ReadLo
 
 
 def _in_order(files: list[str], t_ns: Integers, place: CameraPlace, log: ReadLog) -> tuple[list[str], Integers]:
-    """Return images in the order of time, one for each stamp."""
+    """Return images in the order of time, one for each timestamp."""
     order = np.argsort(t_ns, kind="stable")
     if place.table is not None and (np.diff(t_ns) < 0).any():
         log.note(f"{place.table.name}: the rows are not in the order of time; they were sorted.")
@@ -285,10 +286,10 @@ def _in_order(files: list[str], t_ns: Integers, place: CameraPlace, log: ReadLog
     twice = len(order) - int(np.count_nonzero(new))
     if twice > 0.5 * len(order):
         raise RecordingError(
-            f"{place.label}: {twice} of {len(order)} images have the same stamp as another one; the first is "
-            f"{t_ns[order[0]]} ns. The stamps are too coarse, or were not recorded; write them in nanoseconds."
+            f"{place.label}: {twice} of {len(order)} images have the same timestamp as another one; the first is "
+            f"{t_ns[order[0]]} ns. The timestamps are too coarse, or were not recorded; write them in nanoseconds."
         )
     if twice:
-        log.note(f"{place.label}: {twice} of {len(order)} images have the stamp of another one and were left out.")
+        log.note(f"{place.label}: {twice} of {len(order)} images have the timestamp of another one and were left out.")
     kept = order[new]
     return [files[i] for i in kept], frozen_array(t_ns[kept], np.int64)

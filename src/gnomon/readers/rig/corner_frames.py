@@ -1,4 +1,4 @@
-"""The stamps of a folder with corners, where neither the cameras nor the board are described."""
+"""The timestamps of a folder with corners, where neither the cameras nor the board are described."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class CornerStamps:
     Attributes
     ----------
     imus : "imu0", ... -> samples
-    frames : "cam0", ... -> (n,) stamps of its frames, ascending [ns]
+    frames : "cam0", ... -> (n,) timestamps of its frames, ascending [ns]
     corners : "cam0", ... -> number of rows with corners
     assumptions : sentences on what was assumed
     """
@@ -37,7 +37,7 @@ class CornerStamps:
 
 
 def read_corner_stamps(path: str | PathLike[str], units: str | Units | None = None) -> CornerStamps:
-    """Read samples and stamps of a folder with corners.
+    """Read samples and timestamps of a folder with corners.
 
     Raises
     ------

@@ -40,7 +40,7 @@ _PREFIXES = ("t", "time", "timestamp", "ts")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorArray:
-    """One array of samples: its key, its unit where the name tells it, and the key of its stamps, or None."""
+    """One array of samples: its key, its unit where the name tells it, and the key of its timestamps, or None."""
 
     key: str
     unit: str | None
