@@ -172,12 +172,12 @@ BAD = {
     "tilted": (tilted, "accelerometer was moved at 999 s"),
     "turned": (turned_slowly, "gyroscope was moved"),
     "too short": (too_short, "are too few. At least 60 s"),
-    "backward": (backward, "stamps go backwards at sample 4000"),
+    "backward": (backward, "timestamps go backwards at sample 4000"),
     "not a number": (not_a_number, "sample 777 is NaN"),
     "constant axis": (constant_axis, "axis z never changes"),
     "all zero": (all_zero, ""),
     "missing": (mostly_missing, "samples are missing"),
-    "same stamps": (same_stamps, "stamps are the same"),
+    "same timestamps": (same_stamps, "timestamps are the same"),
 }
 
 

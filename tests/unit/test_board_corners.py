@@ -92,7 +92,7 @@ def test_workers_change_nothing_and_order_next_to_nothing(views):
     sorted_again = detect_corners(camera([images[3], *images[:3], *images[4:]]), BOARD, workers=2)
     assert np.array_equal(one.frames.point, sorted_again.frames.point)
     assert np.abs(one.frames.pixels - sorted_again.frames.pixels).max() < 0.02
-    assert sorted_again.notes == ("cam0: the stamps go back at 1 of 20 images, which were sorted.",)
+    assert sorted_again.notes == ("cam0: the timestamps go back at 1 of 20 images, which were sorted.",)
 
 
 def test_progress_counts_the_images(views):
@@ -127,12 +127,12 @@ def test_no_images_are_refused():
 def test_a_stamp_that_was_there_before_is_left_out(views):
     found = detect_corners(camera(frames(views[:4], [1000, 2000, 2000, 3000])), BOARD)
     np.testing.assert_array_equal(found.frames.t_ns, [1000, 2000, 3000])
-    assert found.notes == ("cam0: left out 1 of 4 images, whose stamps were there before.",)
+    assert found.notes == ("cam0: left out 1 of 4 images, whose timestamps were there before.",)
 
 
 def test_stamps_that_stand_still_are_refused(views):
     with pytest.raises(
-        RecordingError, match=r"cam0: all 4 images have the same stamp, 7 ns. Record them with the time"
+        RecordingError, match=r"cam0: all 4 images have the same timestamp, 7 ns. Record them with the time"
     ):
         detect_corners(camera(frames(views[:4], [7] * 4)), BOARD)
 

@@ -63,12 +63,12 @@ def beside(camera: str, cameras: Iterable[str], imus: Iterable[str]) -> list[str
 
 
 def all_stamps(recording: Recording) -> dict[str, Integers]:
-    """Return the stamps of all streams, "cam0", ..., "imu0", ..., (n,) each [ns]."""
+    """Return the timestamps of all streams, "cam0", ..., "imu0", ..., (n,) each [ns]."""
     return {name: frames.t_ns for name, frames in recording.cameras.items()} | imu_stamps(recording.imus)
 
 
 def imu_stamps(imus: Mapping[str, ImuSamples]) -> dict[str, Integers]:
-    """Return the stamps of IMUs: of the gyroscope, where it has any, else of the accelerometer."""
+    """Return the timestamps of IMUs: of the gyroscope, where it has any, else of the accelerometer."""
     triads = {name: imu.gyroscope if len(imu.gyroscope) else imu.accelerometer for name, imu in imus.items()}
     return {name: samples.t_ns for name, samples in triads.items()}
 
@@ -188,7 +188,7 @@ def _useless(name: str, seen: Views) -> list[Finding]:
 
 
 def check_rhythm(name: str, t_ns: Integers) -> list[Finding]:
-    """Return findings on the frame rate, lost frames and irregular stamps; `t_ns` (n,) ascending, two or more."""
+    """Return findings on the frame rate, lost frames and irregular timestamps; `t_ns` (n,) ascending, two or more."""
     steps = np.diff(t_ns)
     period = float(np.median(steps))
     findings: list[Finding] = []
@@ -281,7 +281,7 @@ def check_common_time(
 
     Parameters
     ----------
-    t_ns : (n,) stamps of the camera, ascending
+    t_ns : (n,) timestamps of the camera, ascending
     time_shift_s : t_imu - t_cam as it was stated
     """
     samples = imu.gyroscope

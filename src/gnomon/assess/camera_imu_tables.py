@@ -73,7 +73,7 @@ class CameraImuEvidence:
 
     @property
     def origin_ns(self) -> int:
-        """Stamp at which the seconds of the first IMU, and of the cameras, start [ns]."""
+        """Timestamp at which the seconds of the first IMU, and of the cameras, start [ns]."""
         return self.imus[0].origin_ns
 
 

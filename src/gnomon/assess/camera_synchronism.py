@@ -1,4 +1,4 @@
-"""Whether cameras took the images of one stamp at one instant: the board moves on in between, and residuals show it."""
+"""Whether cameras took the images of one timestamp at one instant: else the board moves on, and residuals show it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class JointResiduals:
 def check_synchronism(
     cameras: Mapping[str, CameraFrames], residuals: Mapping[str, JointResiduals], sigma_px: Mapping[str, float]
 ) -> list[Finding]:
-    """Say that a camera exposes its images earlier or later than the first one those of the same stamps.
+    """Say that a camera exposes its images earlier or later than the first one those of the same timestamps.
 
     Where a corner moves by v [px/s] and the camera is late by d, detected = predicted + v d. The pose of the view gives
     way to both cameras: residuals, predicted minus detected, are a d v in the first and (a - 1) d v in the other. Their

@@ -75,7 +75,7 @@ class Views:
 
     Attributes
     ----------
-    frame : (k,) index into the stamps of the camera
+    frame : (k,) index into the timestamps of the camera
     corners : (k,) number of corners
     extent_px : (k,) diagonal of the rectangle around the corners [px]
     usable : (k,) whether they tell a pose: at least four corners, not all on a line of the board

@@ -38,7 +38,7 @@ _UNITS = {"rotation": "rad", "translation": "m", "focal": "px", "principal": "px
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensOpinion:
-    """A model that predicts unseen views of a camera better than the stated one does.
+    """A model that predicts hold-out views of a camera better than the stated one does.
 
     Attributes
     ----------

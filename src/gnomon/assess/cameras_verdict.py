@@ -164,7 +164,7 @@ def lens_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) ->
 
 
 def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Finding:
-    """Say that another model than the stated one predicts unseen views better."""
+    """Say that another model than the stated one predicts hold-out views better."""
     px = {trial.model: trial.holdout_rms_px for trial in diagnostics.trials if trial.camera == opinion.camera}
     stated, better = px[opinion.stated], px[opinion.better]
     severity = grade("lens model", stated / better)

@@ -1,6 +1,6 @@
 """Calibrations that are compared, whatever program made them: what each states, in one frame, one form and SI units.
 
-All are brought into body frame "accel-x", and the sensors into the form of document B, whose tables of repeatability
+All are brought into body frame "accel-x", and the sensors into the form of Krebs, whose tables of repeatability
 B.3 to B.9 this follows: scale S and misalignment M of each triad (measured = S M R x + b), the rotation R from the body
 to the triad, and the g-sensitivity. Scale and misalignment are the same in every body frame. Covariances go along by
 the derivatives of all of it.

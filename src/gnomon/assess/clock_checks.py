@@ -1,8 +1,8 @@
 """The data doctor's look at the clocks of several streams: one unit, one epoch, one rate, no jump.
 
 A recorder that notes when each message arrived lends all streams one clock to be compared with. A message arrives after
-it was stamped, by a delay that never falls below some least one: the lower envelope of arrival less stamp is a straight
-line whose slope is the drift between both clocks, however late single messages are.
+it was stamped, by a delay that never falls below some least one: the lower envelope of arrival less timestamp is a
+straight line whose slope is the drift between both clocks, however late single messages are.
 """
 
 import itertools
@@ -21,7 +21,7 @@ DRIFT_PPM, SIGMAS = 20.0, 3.0
 _FEWEST = 20
 _SHORTEST_S = 5.0
 _BINS = 40
-_LEAST_SIGMA_S = 1e-6  # stamps are no better
+_LEAST_SIGMA_S = 1e-6  # timestamps are no better
 _JUMP_S = 0.02
 _JUMP_SIGMAS = 10.0
 _JUMP_REACH_S = 2.0  # a queue that held messages is empty again after this time
@@ -53,7 +53,7 @@ class ClockFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Jump:
-    """A step of arrival less stamp: when on the recorder's clock [s from `origin`], and by how much [s]."""
+    """A step of arrival less timestamp: when on the recorder's clock [s from `origin`], and by how much [s]."""
 
     at_s: float
     size_s: float
@@ -66,7 +66,7 @@ def check_clocks(arrivals: Mapping[str, Arrivals]) -> tuple[Finding, ...]:
 
     Parameters
     ----------
-    arrivals : "cam0", "imu0", ... -> stamps and arrivals
+    arrivals : "cam0", "imu0", ... -> timestamps and arrivals
     """
     findings: list[Finding] = []
     fits: dict[str, ClockFit] = {}
@@ -87,7 +87,7 @@ def check_clocks(arrivals: Mapping[str, Arrivals]) -> tuple[Finding, ...]:
 
 
 def _usable(stream: Arrivals) -> bool:
-    """Tell whether a stream is long enough, and its stamps are not the arrivals themselves."""
+    """Tell whether a stream is long enough, and its timestamps are not the arrivals themselves."""
     if len(stream.t_ns) < _FEWEST or _is_copied(stream):
         return False
     return float(np.ptp(stream.received_ns)) * 1e-9 >= _SHORTEST_S and float(np.ptp(stream.t_ns)) > 0
@@ -98,14 +98,14 @@ def _is_copied(stream: Arrivals) -> bool:
 
 
 def _copied(names: list[str]) -> list[Finding]:
-    """Say whose stamps are those of arrival."""
+    """Say whose timestamps are those of arrival."""
     if not names:
         return []
     return [make_finding("clock-copied", names=", ".join(names))]
 
 
 def _wrong_stamps(name: str, stream: Arrivals) -> Finding | None:
-    """Return what is wrong with stamps as such."""
+    """Return what is wrong with timestamps as such."""
     count = len(stream.t_ns)
     zero = zero_stamps(name, stream.t_ns)
     if zero is not None or count < _FEWEST or _is_copied(stream):
@@ -118,7 +118,7 @@ def _wrong_stamps(name: str, stream: Arrivals) -> Finding | None:
 
 
 def zero_stamps(name: str, t_ns: Integers) -> Finding | None:
-    """Return a problem where stamps are zero: a driver left them out."""
+    """Return a problem where timestamps are zero: a driver left them out."""
     zero = int(np.count_nonzero(t_ns == 0))
     if zero < 2:  # time may start at zero
         return None
@@ -126,7 +126,7 @@ def zero_stamps(name: str, t_ns: Integers) -> Finding | None:
 
 
 def _factor(ratio: float) -> float | None:
-    """Return by which unit the stamps are off, 1e3 where microseconds were taken for nanoseconds; None where fine."""
+    """Return by which unit timestamps are off, 1e3 where microseconds were taken for nanoseconds; None where fine."""
     near = [f for f in _FACTORS if abs(ratio * f - 1) < _NEAR_FACTOR]
     return near[0] if near else None
 
@@ -157,7 +157,7 @@ def fit_clock(stream: Arrivals) -> ClockFit:
 
 
 def _delays(stream: Arrivals) -> tuple[Floats, Floats]:
-    """Return stamps and arrival less stamp, both from their first value, in the order of arrival [s]."""
+    """Return timestamps and arrival less timestamp, both from their first value, in the order of arrival [s]."""
     order = np.argsort(stream.received_ns, kind="stable")
     stamped, received = stream.t_ns[order], stream.received_ns[order]
     delay = received - stamped  # integers: unix nanoseconds do not fit into floats
@@ -299,7 +299,7 @@ def drift_finding(camera: str, imu: str, *, drift: float, sigma: float, length_s
 
 
 def check_epochs(stamps: Mapping[str, Integers]) -> tuple[Finding, ...]:
-    """Look at the stamps of all streams together: one unit, one epoch.
+    """Look at the timestamps of all streams together: one unit, one epoch.
 
     Codes: stamps-zero, stamps-unit, stamps-epoch.
 

@@ -80,7 +80,7 @@ def clock_drift(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> Cl
 
     Parameters
     ----------
-    poses : of the target in the camera's frame, at the camera's stamps
+    poses : of the target in the camera's frame, at the camera's timestamps
     stream : of the IMU
     time_shift_s : t_imu = t_cam + time_shift_s, to some milliseconds
     """

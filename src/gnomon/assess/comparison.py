@@ -205,7 +205,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Repeatability:
-    """All calibrations on one block, as in tables B.3 to B.9 of document B.
+    """All calibrations on one block, as in tables B.3 to B.9 of Krebs.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ _SHARE_WARN = 1e-3
 
 
 def check_lost_samples(samples: TriadSamples, label: str) -> list[Finding]:
-    """Look for samples that were lost where stamps are a mere count of samples.
+    """Look for samples that were lost where timestamps are a mere count of samples.
 
     In smooth motion a value is as far from the next one as its neighbours are from theirs; over a sample that was lost
     it is twice as far. Motion that is not smooth makes steps of half and of no length as often as of twice, and tells
@@ -64,7 +64,9 @@ _LONGEST_S = 10.0
 _APART_S, _FAR_S = 0.1, 0.3
 _ALIKE, _GAINED = 0.5, 0.1
 _LONG_S = 20.0
-_FEWEST_IN_WIDTH = 2  # samples, about: fewer show nothing stirred, and stamps far too slow would need an endless grid
+_FEWEST_IN_WIDTH = (
+    2  # samples, about: fewer show nothing stirred, and timestamps far too slow would need an endless grid
+)
 _LONGEST_GAP_NS = 1_000_000_000  # nothing is stirred in it
 
 
@@ -73,7 +75,7 @@ def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
 
     Parameters
     ----------
-    imu : samples of both, stamps not falling
+    imu : samples of both, timestamps not falling
     name : of the IMU
     """
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
@@ -151,7 +153,7 @@ def check_magnetometers(recording: Recording) -> list[Finding]:
 
 
 def check_field_samples(samples: TriadSamples, label: str) -> list[Finding]:
-    """Return findings on stamps and values of a triad of which only the strength counts, which needs no time."""
+    """Return findings on timestamps and values of a triad of which only the strength counts, which needs no time."""
     found: list[Finding] = []
     for finding in (*check_stamps(samples, label), *check_signal(samples, label)):
         if finding.severity == "warning" and finding.code == "saturation":
@@ -184,7 +186,7 @@ def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | No
 
     Returns
     -------
-    Findings in the order stamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
+    Findings in the order timestamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
     """
     return check_by_rests(recording, partial(find_imu_rests, window_s=window_s, multiplier=multiplier))
 

@@ -44,7 +44,7 @@ class Sight:
 
     Attributes
     ----------
-    t_ns : (n,) stamps of the frames that were looked at, ascending
+    t_ns : (n,) timestamps of the frames that were looked at, ascending
     seen : (n,) whether the board was found
     box_px : (n, 4) left, top, right and bottom of the corners that were found; nan where none were
     blur_px : (n,) blur at the corners; nan where it is not known
@@ -68,7 +68,7 @@ def check_images(name: str, frames: CameraFrames, usable: Integers) -> list[Find
 
     Parameters
     ----------
-    usable : frames that tell a pose, as indices into the stamps
+    usable : frames that tell a pose, as indices into the timestamps
     """
     quality = frames.quality
     if quality is None:

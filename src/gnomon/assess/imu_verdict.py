@@ -309,7 +309,7 @@ def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit
             others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
             fits = f" Its values look like {others[0]}." if others else ""
             if triad == "gyroscope" and not others:
-                fits = f" So they would be if the sample rate were {ratio:.3g} times what the stamps say."
+                fits = f" So they would be if the sample rate were {ratio:.3g} times what the timestamps say."
             findings.append(
                 make_finding(
                     "unit/far",

@@ -21,10 +21,13 @@ _RETOLD = {
     "gaps": ("There the trajectory rests on the other sensors alone.", "Record with a faster link or a lower rate."),
     "time-constant": ("Nothing can be integrated.", "Write the time of each sample, in nanoseconds."),
     "time-repeated": (
-        "Only the first sample of each stamp tells its time.",
+        "Only the first sample of each timestamp tells its time.",
         "Write every sample once, in nanoseconds.",
     ),
-    "time-rounded": ("Rounded stamps act like noise.", "Write the stamps with all their digits, in nanoseconds."),
+    "time-rounded": (
+        "Rounded timestamps act like noise.",
+        "Write the timestamps with all their digits, in nanoseconds.",
+    ),
     "signal-constant": ("The sensor measured nothing.", "Check that it is switched on, and what the header names."),
     "axis-constant": ("The sensor did not measure this axis.", "Check its configuration, and what the header names."),
     "saturation": ("They are masked.", "Turn more slowly, or set a wider range."),
@@ -37,7 +40,7 @@ def check_moving_imu(name: str, imu: ImuSamples) -> list[Finding]:
     """Return findings on the samples of an IMU that moved in front of a board; linear time.
 
     Codes: samples-missing, samples-lost, unit, imu-rate, stream-short, gravity-magnitude, rate-magnitude,
-    gyroscope-silent, imu-still, and those of the stamps and the signals.
+    gyroscope-silent, imu-still, and those of the timestamps and the signals.
     """
     unusable = _unusable(name, imu)
     if unusable:

@@ -43,12 +43,12 @@ def check_length(table: RestTable, sensor: str) -> None:
     Raises
     ------
     RecordingError
-        If it is too short, its stamps do not tell a rate, or an axis never changes.
+        If it is too short, its timestamps do not tell a rate, or an axis never changes.
     """
     if not np.isfinite(table.rate_hz):
         raise RecordingError(
-            f"{sensor}: all {table.samples} stamps are the same, so that the sample rate is not known. Read the "
-            "recording without its stamps and state the rate (--rate)."
+            f"{sensor}: all {table.samples} timestamps are the same, so that the sample rate is not known. Read the "
+            "recording without its timestamps and state the rate (--rate)."
         )
     lasts_s = table.duration_s + 1 / table.rate_hz
     if lasts_s < _NEARLY * SHORTEST_S or table.samples < _FEWEST:

@@ -74,7 +74,7 @@ def assess_published(
     diagnostics: TriadDiagnostics,
     gravity: Gravity,
 ) -> Assessment:
-    """Judge what document C's iteration came to."""
+    """Judge what Angrisano's iteration came to."""
     table = diagnostics.triads["accelerometer"].poses
     holdout = Holdout(accelerometer_rms=_holdout(table))
     findings = [
@@ -282,12 +282,12 @@ def _convergence(evidence: PoseEvidence) -> list[Finding]:
 
 
 def _iteration_finding(fit: AngrisanoFit) -> Finding:
-    """Say how document C's iteration ended."""
+    """Say how Angrisano's iteration ended."""
     angles, bias, scale = fit.group_sigma
     if fit.converged:
         return make_finding("iteration", iterations=fit.iterations, angles=angles, bias=bias, scale=scale)
     ends = {
-        "mirrored": "an axis reversed; its sign was mended",
+        "mirrored": "an axis reversed; its sign was fixed",
         "wrong": f"a wrong minimum, which leaves {fit.residual_rms:.2g} m/s^2 unexplained in each pose",
         "diverged": "nowhere: the equations became singular",
         "not finished": "nowhere: the allowed number of steps is used up",

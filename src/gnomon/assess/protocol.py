@@ -134,7 +134,7 @@ def find_imu_rests(
     imu : as recorded
     window_s, multiplier, gravity_m_s2 : see `detect_rests`
     accelerometer_range : what the accelerometer can measure [unit], where it is known
-    counted : whether the samples are on a uniform time base whatever their stamps
+    counted : whether the samples are on a uniform time base whatever their timestamps
     """
     accelerometer, gyroscope = (repaired(triad, counted=counted) for triad in (imu.accelerometer, imu.gyroscope))
     times = [

@@ -235,8 +235,8 @@ class FrameTimes:
 
     Attributes
     ----------
-    t_s : (n,) stamps [s]
-    late_s : (n,) by which each stamp is late, less the median [s]
+    t_s : (n,) timestamps [s]
+    late_s : (n,) by which each timestamp is late, less the median [s]
     alone_s : (n,) the same, less that of its neighbours [s]
     sigma_s : (n,) its standard deviation; large where the camera hardly turned [s]
     turns : of the board, about each frame
@@ -268,7 +268,7 @@ class FrameTimes:
 def frame_times(
     poses: BoardPoses, stream: ImuStream, time_shift_s: float, axes: AxesFit, unusable: Booleans | None = None
 ) -> FrameTimes | None:
-    """Return what the gyroscope says of the frames' stamps; None where too few follow each other closely.
+    """Return what the gyroscope says of the frames' timestamps; None where too few follow each other closely.
 
     Parameters
     ----------
@@ -328,7 +328,7 @@ def _broken(stream: ImuStream, unusable: Booleans | None, t_s: Floats) -> Boolea
 
 
 def _noise(differs: Floats, rate: Floats) -> float:
-    """Return the standard deviation per axis of what differs across the axis of rotation, where stamps do nothing."""
+    """Return the standard deviation per axis across the axis of rotation, where timestamps do nothing."""
     speed = np.linalg.norm(rate, axis=1)
     turning = speed > _TURNING_RAD_S
     chosen, along = (differs[turning], rate[turning]) if turning.sum() > _RIG_FRAMES_FEWEST else (differs, rate)

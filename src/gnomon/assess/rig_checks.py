@@ -1,4 +1,4 @@
-"""What camera and IMU say of each other before anything is estimated: axes, clocks, stamps, board and lens."""
+"""What camera and IMU say of each other before anything is estimated: axes, clocks, timestamps, board and lens."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -92,7 +92,7 @@ def _beside(
 
 
 def _stream(samples: ImuSamples) -> tuple[ImuStream | None, Booleans | None]:
-    """Return the readings on the gyroscope's stamps, and which of those are clipped; None for counts."""
+    """Return the readings on the gyroscope's timestamps, and which of those are clipped; None for counts."""
     turn, push = GYROSCOPE_UNITS_RAD_S[samples.gyroscope.unit], ACCELEROMETER_UNITS_M_S2[samples.accelerometer.unit]
     if turn is None or push is None:
         return None, None
@@ -207,7 +207,7 @@ def _late(name: str, times: FrameTimes) -> list[Finding]:
 
 
 def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
-    """Look for one step in the time shift: two levels must explain the stamps far better than a straight line."""
+    """Look for one step in the time shift: two levels must explain the timestamps far better than a straight line."""
     certain = times.sigma_s < _CERTAIN_S
     if certain.sum() < _FEWEST_FRAMES:
         return []

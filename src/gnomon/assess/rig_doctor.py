@@ -1,6 +1,6 @@
-"""The data doctor's look at cameras beside IMUs, before anything is estimated: as images, as corners, or their stamps.
+"""The data doctor's look at cameras beside IMUs before anything is estimated: as images, corners, or timestamps.
 
-Of images all stamps are looked at, and the pictures of some frames, evenly spread.
+Of images all timestamps are looked at, and the pictures of some frames, evenly spread.
 """
 
 from collections import Counter
@@ -41,8 +41,8 @@ class StreamLook:
     Attributes
     ----------
     topic : of a bag, else ""
-    t_ns : (n,) stamps of all frames, in the order of the recording [ns]
-    looked_ns : (k,) stamps of the frames whose pictures were looked at [ns]
+    t_ns : (n,) timestamps of all frames, in the order of the recording [ns]
+    looked_ns : (k,) timestamps of the frames whose pictures were looked at [ns]
     looks : (k,) what they are like
     views : (k,) what they show of the board; empty where no board was stated
     damaged : sentences on pictures that cannot be decoded
@@ -141,7 +141,7 @@ def check_imus(imus: Mapping[str, ImuSamples]) -> list[Finding]:
 def check_stamps_together(
     stamps: Mapping[str, Integers], imus: Mapping[str, ImuSamples], shifts: Mapping[str, float]
 ) -> list[Finding]:
-    """Return findings on the stamps of cameras, each for itself and all against the IMUs'.
+    """Return findings on the timestamps of cameras, each for itself and all against the IMUs'.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def check_stamps_together(
     epochs = check_epochs({**stamps, **imu_stamps(imus)})
     findings = list(epochs)
     if any(finding.severity == "problem" for finding in epochs):
-        return findings  # all that follows would be about wrong stamps
+        return findings  # all that follows would be about wrong timestamps
     for name, t_ns in stamps.items():
         ordered = np.unique(t_ns)
         findings += _order(name, t_ns)
@@ -163,7 +163,7 @@ def check_stamps_together(
 
 
 def _each_once(findings: list[Finding]) -> tuple[Finding, ...]:
-    """Return findings without those that another look at the same stamps found as well."""
+    """Return findings without those that another look at the same timestamps found as well."""
     return tuple(dict.fromkeys(findings))
 
 

@@ -22,7 +22,7 @@ _FINE = 100.0  # steps of the clock in a period
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Steps:
-    """Differences of stamps [ns] and what is usual among them."""
+    """Differences of timestamps [ns] and what is usual among them."""
 
     dt: Integers
     period: float
@@ -30,7 +30,7 @@ class _Steps:
 
 
 def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
-    """Return findings on the stamps of one sensor, or of both where they share stamps; linear time.
+    """Return findings on the timestamps of one sensor, or of both where they share timestamps; linear time.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
 
 
 def _rounded(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
-    """Find the step of the clock; text often keeps few digits of late stamps, so blocks are looked at apart."""
+    """Find the step of the clock; text often keeps few digits of late timestamps, so blocks are looked at apart."""
     starts = np.linspace(0, max(0, len(steps.dt) - _BLOCK), 8).astype(np.int64)
     blocks = [np.unique(steps.dt[a : a + _BLOCK]) for a in starts]
     # Steps that are all equal say nothing about the clock.
@@ -172,7 +172,7 @@ def check_vibration(accelerometer: TriadSamples, gyroscope: TriadSamples, name: 
 
     Parameters
     ----------
-    accelerometer, gyroscope : of one IMU, stamps not falling
+    accelerometer, gyroscope : of one IMU, timestamps not falling
     name : of the IMU
     """
     found = (

@@ -1,4 +1,4 @@
-"""The threshold of the static detector, chosen by what the calibration gains from it (document A, Algorithm 1).
+"""The threshold of the static detector, chosen by what the calibration gains from it (Tedaldi 2014, Algorithm 1).
 
 The summed residual of Algorithm 1 favours thresholds that find few data. Here each threshold is judged by the
 uncertainty that the accelerometer's parameters would have with its intervals, at the noise that leaving each interval

@@ -70,7 +70,7 @@ def camera_imu_weak(
         place = [known.names.index(f"{name}.T_cam_imu.translation[{k}]") for k in range(3)]
         focal = camera.camera.intrinsics[-4:-2]
         if held is None or len(held.names) < len(camera.camera.intrinsics):
-            continue  # estimated along, at least in part
+            continue  # estimated jointly, at least in part
         moved = published.jacobian[place] @ held.by_unit[-4:-2].T @ focal * _USUAL_FOCAL_ERROR
         sigma = np.sqrt(np.diag(published.covariance)[place])
         one = through_stated_focal(name, moved, sigma)
@@ -98,7 +98,7 @@ def through_stated_focal(camera: str, moved: Floats, sigma: Floats) -> WeakDirec
         words=f"The translation of {camera} along its {axis_words(along, of_camera=True)} is known only through the "
         f"focal length that was stated: an error of {100 * _USUAL_FOCAL_ERROR:.1f} % moves it by {1e3 * size:.2g} mm, "
         "which its standard deviation does not hold.",
-        cure=f"Come nearer to the board, or let the lens be estimated along: --prior {camera}.intrinsics=5.",
+        cure=f"Come nearer to the board, or let the lens be estimated jointly: --prior {camera}.intrinsics=5.",
         held=False,
     )
 

@@ -271,22 +271,24 @@ def _what_they_show(stream: ImageStream, count: int, target: Target) -> str:
 
 
 def _in_order(name: str, seen: list[_Seen], notes: list[str]) -> list[_Seen]:
-    """Return the frames in the order of time; of those with one stamp the first."""
+    """Return the frames in the order of time; of those with one timestamp the first."""
     stamps = np.array([item.t_ns for item in seen], dtype=np.int64)
     if (np.diff(stamps) > 0).all():
         return seen
     if len(seen) > 1 and (stamps == stamps[0]).all():
         raise RecordingError(
-            f"{name}: all {len(seen)} images have the same stamp, {stamps[0]} ns. Record them with the time at which "
-            "they were taken."
+            f"{name}: all {len(seen)} images have the same timestamp, {stamps[0]} ns. Record them with the time at "
+            "which they were taken."
         )
     backward = int(np.count_nonzero(np.diff(stamps) < 0))
     if backward:
-        notes.append(f"{name}: the stamps go back at {backward} of {len(seen)} images, which were sorted.")
+        notes.append(f"{name}: the timestamps go back at {backward} of {len(seen)} images, which were sorted.")
     order = np.argsort(stamps, kind="stable")
     once = np.concatenate([[True], np.diff(stamps[order]) > 0])
     if not once.all():
-        notes.append(f"{name}: left out {int((~once).sum())} of {len(seen)} images, whose stamps were there before.")
+        notes.append(
+            f"{name}: left out {int((~once).sum())} of {len(seen)} images, whose timestamps were there before."
+        )
     return [seen[i] for i in order[once]]
 
 

@@ -41,7 +41,7 @@ def numbered_alike(
     ----------
     cameras : by name
     target : the board
-    origin_ns : where the seconds of all stamps start [ns]
+    origin_ns : where the seconds of all timestamps start [ns]
     stream : of the IMU
     """
     if len(ambiguous_turns(target)) == 1:
@@ -138,7 +138,7 @@ def _apart(first: Look, second: Look, R_start_imu: Floats, stream: ImuStream) ->
 
 
 def _integrated(alignment: Alignment, stream: ImuStream) -> Floats:
-    """Return the attitude of the IMU at its stamps relative to that at the first, (n, 3, 3)."""
+    """Return the attitude of the IMU at its timestamps relative to that at the first, (n, 3, 3)."""
     rate = (stream.rate - alignment.gyroscope_bias) / alignment.rate_scale
     steps = rk4n_steps(rate[:-1], rate[1:], np.diff(stream.t_s))
     products = running_products(steps, np.array([len(steps)]))

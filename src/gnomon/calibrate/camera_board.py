@@ -1,4 +1,4 @@
-"""What of the board is estimated along: nothing, its aspect, its bow, or the place of every corner, by evidence.
+"""What of the board is estimated jointly: nothing, its aspect, its bow, or the place of every corner, by evidence.
 
 Aspect and bow are judged by what they bring to views that an estimate has not seen, the places of single corners by
 residuals that stay with a corner from view to view (B16, as in a camera-IMU calibration).

@@ -1,4 +1,4 @@
-"""Cameras and an IMU that were waved together in front of a board (document B).
+"""Cameras and an IMU that were waved together in front of a board (Krebs).
 
 prepare -> find the board's poses -> align clocks and axes -> first trajectory -> batch estimation -> assess -> Result
 """
@@ -64,7 +64,7 @@ def calibrate_camera_imu(
     Parameters
     ----------
     recording : of one or more IMUs and cameras that saw the board; the first IMU is the body, and with several the
-        poses and the clocks of the others to it are estimated along
+        poses and the clocks of the others to it are estimated jointly
     target : the board
     options : see CameraImuOptions
     progress : called with a sentence at each step

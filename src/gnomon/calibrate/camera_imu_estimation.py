@@ -126,7 +126,7 @@ def _first_parameters(
 
 
 def _delay(rig: Rig, number: int) -> float:
-    """Return the first guess of the delay of an accelerometer with stamps of its own [s]."""
+    """Return the first guess of the delay of an accelerometer with timestamps of its own [s]."""
     guide = max(rig.looks, key=lambda look: int(look.alignment.consistent.sum()))
     look, alignment = guide, guide.alignment
     if number:
@@ -190,7 +190,7 @@ def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dic
 def basic_model(
     start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress
 ) -> tuple[State | None, list[Finding]]:
-    """Return the basic model's estimate on the same measurements (Figs. 5.6 and 5.7 of document B).
+    """Return the basic model's estimate on the same measurements (Figs. 5.6 and 5.7 of Krebs).
 
     It is there for comparison alone: where it cannot be made, None and a finding that says so.
     """

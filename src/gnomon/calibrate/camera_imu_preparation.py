@@ -184,12 +184,12 @@ class PreparedCameraImu:
 
     @property
     def origin_ns(self) -> int:
-        """Stamp at which the seconds of the first IMU, and of the cameras, start [ns]."""
+        """Timestamp at which the seconds of the first IMU, and of the cameras, start [ns]."""
         return self.imus[0].origin_ns
 
     @property
     def epochs_s(self) -> tuple[float, ...]:
-        """For each IMU, start of the body's seconds less the start of its own, as stamps of their clocks [s]."""
+        """For each IMU, start of the body's seconds less the start of its own, as timestamps of their clocks [s]."""
         return tuple((self.origin_ns - imu.origin_ns) * 1e-9 for imu in self.imus)
 
     def first_noise(self, pixel_sigma: tuple[float, ...], huber: float) -> Noise:

@@ -1,4 +1,4 @@
-"""Which lens model each camera has: as stated, or the simplest that predicts unseen views as well as any.
+"""Which lens model each camera has: as stated, or the simplest that predicts hold-out views as well as any.
 
 Every candidate is estimated from the views of its camera. What it says of a view that it has not seen follows from the
 sums of the views (`estimate.trust.clusters`): the estimate without the view, which then takes the best pose of its own.
@@ -60,7 +60,8 @@ class LensChoice:
     camera : its name
     lens : of the model that is taken, as these views tell it
     trials : all that were tried, the one that is taken first
-    better : a model that predicts unseen views better than the stated one, by more than chance; "" where there is none
+    better : a model that predicts hold-out views better than the stated one, by more than chance; "" where there is
+        none
     gain, gain_sigma : by how much the held-out log-likelihood of `better` is larger, and its standard deviation
     """
 
@@ -73,7 +74,7 @@ class LensChoice:
 
     @property
     def fits(self) -> bool:
-        """Whether no other model predicts unseen views better by so much that it matters."""
+        """Whether no other model predicts hold-out views better by so much that it matters."""
         px = {trial.model: trial.holdout_rms_px for trial in self.trials}
         return not self.better or px[self.lens.model] < _MATTERS * px[self.better]
 
@@ -132,7 +133,7 @@ def chosen_lenses(
     views : "cam0", ... -> views of this camera alone
     stated : its model, where one was stated; the others are tried nevertheless
     among : models to choose from; others are tried, too. Empty for the usual ones, of which one that every program
-        reads (`lens_programs.read_everywhere`) is taken where its error on unseen views is within 3 % of the best
+        reads (`lens_programs.read_everywhere`) is taken where its hold-out error is within 3 % of the best
     robust, most_iterations : of the estimation
 
     Raises
@@ -171,7 +172,7 @@ class _Tried:
     costs: Mapping[str, Floats]
 
     def holdout_ratio(self, model: str) -> float:
-        """Return the error of a model on unseen views over that of the best."""
+        """Return the error of a model on hold-out views over that of the best."""
         px = {one: rms_px(fit, self.name)[1] for one, fit in self.fits.items() if isinstance(fit, RigSolution)}
         return px[model] / min(px[one] for one in self.costs)
 
@@ -254,7 +255,7 @@ def _agreed(one: _Tried, tried: Sequence[_Tried], among: Sequence[str]) -> str:
 
 
 def _read_by_all(model: str, alike: Sequence[_Tried], costs: Mapping[str, Floats]) -> str:
-    """Return a model that every program reads, where it predicts unseen views of each camera about as well as any."""
+    """Return a model that every program reads, where it predicts hold-out views of each camera about as well as any."""
     known = read_everywhere()
     near = [one for one in known if one in costs and all(other.holdout_ratio(one) < _MATTERS for other in alike)]
     if model in known or not near:

@@ -58,7 +58,7 @@ def read_camera_views(
     cam : Kalibr's camchain.yaml or another project's file of the cameras, where their topics, line delays or image
         sizes are to be taken from it; the lenses are not needed, and not used
     resolution : (width, height) of the images [px], for tables of corners; images tell it themselves
-    units : of stamps in tables, such as "us"; recognised where not given
+    units : of timestamps in tables, such as "us"; recognised where not given
     topics : "cam0", ... -> topic of a bag; guessed where it is clear
     workers : how many look for the board at once; as many as there are cores where not given
     cache : folder in which the corners are kept, so that the same images need not be looked at again

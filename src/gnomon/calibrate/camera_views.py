@@ -60,7 +60,7 @@ def views_of(views: Views, name: str, most: int) -> Views:
 
 
 def started(views: Views, lenses: Mapping[str, Camera], most: int | None) -> Start:
-    """Return a first rig with lenses that are known about, and the views that tell most of them.
+    """Return a first rig with lenses that are known about, and the most informative views for them.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class Unseen:
 
     Attributes
     ----------
-    rms_px, rms_used_px : "cam0" -> rms of the corners of unseen views, and of those used, per axis [px]
+    rms_px, rms_used_px : "cam0" -> rms of the corners of hold-out views, and of those used, per axis [px]
     """
 
     rms_px: Mapping[str, float]

@@ -25,7 +25,7 @@ def compare(
     """Compare calibrations of one rig, made by any program.
 
     Frames, signs and forms are reconciled: all are stated in body frame "accel-x", in SI units and in the form of
-    document B (scale, misalignment, rotation from body to gyroscope, g-sensitivity), with their covariances. Sensors
+    Krebs (scale, misalignment, rotation from body to gyroscope, g-sensitivity), with their covariances. Sensors
     are matched by name.
 
     Parameters

@@ -1,4 +1,4 @@
-"""An IMU from a hand-held multi-position recording (document A), the gnomon way.
+"""An IMU from a hand-held multi-position recording (Tedaldi 2014), the gnomon way.
 
 prepare -> static intervals -> problem -> fit -> choose the model -> hold out -> assess -> Result
 """

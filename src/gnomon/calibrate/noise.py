@@ -45,7 +45,7 @@ Progress = Callable[[str], None]
 _FACTORS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
 _BLOCK_BYTES = 4 << 20
 _FILTERED_S = 2.0  # shorter averaging times may show the sensor's filter or vibration instead of its noise
-_T_INIT_S = (1.0, 225.0)  # averaging times of Fig. 3.2 of document A
+_T_INIT_S = (1.0, 225.0)  # averaging times of Fig. 3.2 of Tedaldi
 
 
 def identify_noise(
@@ -168,8 +168,9 @@ class _Triad:
         self.watch.add(TriadSamples(t_ns=block.t_ns[kept], values=values, unit=SENSOR_UNITS[self.name]))
         if self.watch.backward is not None:
             raise RecordingError(
-                f"{self.name}: the stamps go backwards at sample {self.watch.backward}, so that the order of the "
-                "samples is not known. Sort them by their stamps, or cut the recording where the clock was set anew."
+                f"{self.name}: the timestamps go backwards at sample {self.watch.backward}, so that the order of the "
+                "samples is not known. Sort them by their timestamps, or cut the recording where the clock was set "
+                "anew."
             )
         self.sums.add(values)
         self.repeats.add(values, t_s[kept])
@@ -289,7 +290,7 @@ def _table(curve: AllanVariance, noise: TriadNoise, fits: tuple[AxisFit, ...]) -
 
 
 def _t_init(curve: AllanVariance) -> float:
-    """Return how long a gyroscope should rest before a calibration by hand (document A, Eq. 3.17, Fig. 3.2) [s]."""
+    """Return how long a gyroscope should rest before a calibration by hand (Tedaldi 2014, Eq. 3.17, Fig. 3.2) [s]."""
     tau_s = curve.tau_s
     used = (tau_s >= _T_INIT_S[0]) & (tau_s <= min(_T_INIT_S[1], curve.samples / curve.rate_hz / 9))
     return averaging_time(tau_s[used], np.sqrt(curve.variance[used])) if used.any() else nan

@@ -26,7 +26,7 @@ def rate_from_video(
 
     Parameters
     ----------
-    path : a video that PyAV opens, with a table of stamps beside it where there is one; a folder of images; a bag
+    path : a video that PyAV opens, with a table of timestamps beside it where there is one; a folder of images; a bag
     nominal_rad_s : what the rate should be, within 10 %; needed only where the picture leaves several rates open
     progress : called with a sentence from time to time
 
@@ -47,7 +47,7 @@ def rate_from_video(
 
 
 def _stream(place: Path) -> ImageStream:
-    """Return the images; of a video without what lies beside it, but for a table of its stamps."""
+    """Return the images; of a video without what lies beside it, but for a table of its timestamps."""
     from ..readers.images.video import video_stream  # PyAV takes its time
     from ..readers.images.video_kind import is_video
 

@@ -1,4 +1,4 @@
-"""The gyroscope's part of a static experiment (document B, section 5.2): bias and g-sensitivity from rests.
+"""The gyroscope's part of a static experiment (Krebs, section 5.2): bias and g-sensitivity from rests.
 
 Rests do not show the gyroscope's sensitivity. It is that of a prior calibration, or what its unit says give or take
 what data sheets allow; of counts without prior nothing is known, and the g-sensitivity stays a number in counts.

@@ -87,7 +87,7 @@ def prepare_poses(recording: Recording, options: ImuOptions) -> PreparedPoses:
 
 
 def _without_gaps(samples: TriadSamples) -> TriadSamples:
-    """Return the samples with stamps that leave out the time between poses that was not recorded.
+    """Return the samples with timestamps that leave out the time between poses that was not recorded.
 
     Only then do they tell the rate. A step from one attitude to the next looks like the motion that it was.
     """

@@ -1,4 +1,4 @@
-"""An accelerometer by gravity's magnitude in many attitudes (document C), and a gyroscope at rest (document B, 5.2).
+"""An accelerometer by gravity's magnitude in many attitudes (Angrisano), and a gyroscope at rest (Krebs, 5.2).
 
 prepare -> means of the rests -> known attitudes -> fit the accelerometer -> g-sensitivity -> assess -> Result
 """

@@ -1,4 +1,4 @@
-"""Preset angrisano: an accelerometer by the iteration of document C, Eqs. (8)-(12), as its authors carry it out.
+"""Preset angrisano: an accelerometer by the iteration of Angrisano, Eqs. (8)-(12), as its authors carry it out.
 
 Kept to reproduce the document and to compare with; `calibrate_poses` needs no start and finds the same minimum. The
 sigmas are those of the document (C11): ordinary least squares, with gravity taken as exact.
@@ -36,7 +36,7 @@ _ALONE = "Preset angrisano calibrates the accelerometer alone; the gyroscope's s
 def calibrate_poses_as_published(
     recording: Recording, prepared: PreparedPoses, gravity: Gravity, options: ImuOptions
 ) -> Result:
-    """Calibrate an accelerometer as document C does: by magnitudes, or by components where they are known.
+    """Calibrate an accelerometer as Angrisano does: by magnitudes, or by components where they are known.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def _start(poses: Poses, options: ImuOptions) -> tuple[Floats, str]:
         )
     if options.bits is None or options.full_scale is None:
         raise OptionError(
-            "preset angrisano starts from the data sheet (document C, Eq. 12): for counts give the converter's bits "
+            "preset angrisano starts from the data sheet (Angrisano, Eq. 12): for counts give the converter's bits "
             "and the full scale in m/s^2, such as --bits 16 --full-scale 50. The default preset needs no start."
         )
     start = datasheet_start(options.bits, options.full_scale)
@@ -119,7 +119,7 @@ def _sensor(fit: AngrisanoFit, poses: Poses) -> tuple[AccelerometerCalibration, 
         sensitivity, covariance = np.full((3, 3), np.nan), np.full((12, 12), np.nan)
     if not (np.isfinite(sensitivity).all() and np.isfinite(covariance).all() and np.isfinite(fit.bias).all()):
         raise SolveError(
-            f"the iteration of document C diverged: after {fit.iterations} steps from its start there is no sensor. "
+            f"the iteration of Angrisano diverged: after {fit.iterations} steps from its start there is no sensor. "
             "Check --bits and --full-scale, or use the default preset, which needs no start."
         )
     sensor = AccelerometerCalibration(sensitivity=sensitivity, bias=fit.bias, unit=poses.accelerometer_unit)

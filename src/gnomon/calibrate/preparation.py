@@ -338,7 +338,7 @@ def _on_time_base(
 
 
 def _uniform_despite_gaps(accelerometer: TimeBase, gyroscope: TimeBase) -> list[Finding]:
-    """Warn where a uniform time base was stated although the stamps show that samples are missing."""
+    """Warn where a uniform time base was stated although the timestamps show that samples are missing."""
     missing, longest = max((base.missing, len(base.t_s)) for base in (accelerometer, gyroscope))
     if not missing:
         return []

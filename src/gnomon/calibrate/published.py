@@ -1,4 +1,4 @@
-"""Document A as published: Algorithm 1 as printed, the authors' script, and the program imu_tk.
+"""Tedaldi as published: Algorithm 1 as printed, the authors' script, and the program imu_tk.
 
     T_init -> for every threshold: static intervals, Eq. (3.4) -> smallest residual -> Eq. (3.8) -> Result
 
@@ -141,7 +141,7 @@ def _rotation_table(prepared: PreparedImu, search: Search, turned: Turned) -> Ro
 def calibrate_as_published(
     recording: Recording, prepared: PreparedImu, options: ImuOptions, tell: Callable[[str], None]
 ) -> Result:
-    """Calibrate an IMU as one of the published forms of document A does.
+    """Calibrate an IMU as one of the published forms of Tedaldi does.
 
     Raises
     ------

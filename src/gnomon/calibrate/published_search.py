@@ -1,4 +1,4 @@
-"""Algorithm 1 of document A: the threshold with the smallest residual, and the rotations between its rests."""
+"""Algorithm 1 of Tedaldi: the threshold with the smallest residual, and the rotations between its rests."""
 
 from dataclasses import dataclass
 
@@ -164,7 +164,7 @@ def _relative_variance(samples: TriadSamples, rules: TedaldiRules, t_init_s: flo
 
 
 def _t_init_samples(t_s: Floats, rate_hz: float, rules: TedaldiRules, t_init_s: float) -> int:
-    """Return the number of samples of T_init, by count or by stamps as the published form does."""
+    """Return the number of samples of T_init, by count or by timestamps as the published form does."""
     if rules.uniform_dt:
         return round(t_init_s * rate_hz)
     return int(np.searchsorted(t_s, t_init_s, "right")) + rules.t_init_extra

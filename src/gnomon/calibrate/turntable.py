@@ -1,4 +1,4 @@
-"""A gyroscope on a turntable (document C, sections "Procedures" and "Results").
+"""A gyroscope on a turntable (Angrisano, sections "Procedures" and "Results").
 
 prepare: steady parts, their speeds, whole turns, attitudes -> accelerometer by gravity -> gyroscope by the speeds
 -> choose the model -> hold out -> assess -> Result

@@ -29,7 +29,7 @@ class PlatterStream:
     name : its file, or "recording 1"
     gyroscope, accelerometer : samples; of the accelerometer none where it was not recorded
     saturated : (n,) clipped samples of the gyroscope
-    t_s, force_t_s : (n,), (m,) stamps [s from its start]
+    t_s, force_t_s : (n,), (m,) timestamps [s from its start]
     begin_s : when it began [s from the start of the session]
     intervals : steady parts
     clipped : (k,) bool, those at the end of the range
@@ -88,7 +88,7 @@ class _Cut:
 
     @property
     def spans_s(self) -> tuple[Floats, Floats]:
-        """First and last stamp of each part [s from the start of its recording]."""
+        """First and last timestamp of each part [s from the start of its recording]."""
         first = [self.stream(i).t_s[self.start[i]] for i in range(len(self.of))]
         last = [self.stream(i).t_s[self.stop[i] - 1] for i in range(len(self.of))]
         return np.array(first), np.array(last)
