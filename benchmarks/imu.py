@@ -1,11 +1,11 @@
 """How long a multi-position calibration takes.
 
-    python benchmarks/imu.py                   on the recording of document A (in $GNOMON_DATA)
+    python benchmarks/imu.py                   on the recording of Tedaldi (in $GNOMON_DATA)
     python benchmarks/imu.py --long 1 3 10     simulated recordings of so many hours at 200 Hz, too
     python benchmarks/imu.py --write           keep the tables in benchmarks/results-imu.md
 
 All numbers are CPU time (user and system) of one process, medians over several runs; ratios are to the method of
-document A as its authors' program does it (preset imu_tk) in the same run, so that another machine's tables compare.
+Tedaldi as its authors' program does it (preset imu_tk) in the same run, so that another machine's tables compare.
 """
 
 import argparse
@@ -34,7 +34,7 @@ DATA = Path(os.environ.get("GNOMON_DATA", HERE.parent.parent / "shared" / "data"
 RUNS = 9
 PROCESS_RUNS = 5
 LONG_RATE_HZ = 200.0
-BASELINE = "document A's method (preset imu_tk)"
+BASELINE = "Tedaldi's method (preset imu_tk)"
 
 
 @dataclass
@@ -99,7 +99,7 @@ def child(arguments: list[str]) -> tuple[float, float, int]:
 
 def in_memory(recording: gnomon.Recording) -> Table:
     table = Table(
-        "In memory, the recording of document A (51 175 samples a triad, 37 rotations)",
+        "In memory, the recording of Tedaldi (51 175 samples a triad, 37 rotations)",
         ("", "CPU [ms]", f"of {BASELINE}"),
     )
     default = gnomon.ImuOptions()

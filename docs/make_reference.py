@@ -49,7 +49,8 @@ _CLI_HEAD = """\
 # Command line
 
 `gnomon COMMAND --help` says the same. `python -m gnomon` is the same program; `gnomon --version` prints its version.
-Results go to standard output, progress and errors to standard error.
+Results go to standard output, progress and errors to standard error. Tedaldi 2014, Krebs and Angrisano are in the
+[bibliography](theory.md#bibliography).
 
 | exit code | meaning |
 |---|---|
