@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._version import __version__
+from ..assess.protocol import find_imu_rests
 from ..calibration import (
     AccelerometerCalibration,
     Assessment,
@@ -18,6 +19,7 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
+from ..detect.samples.rests import Rests
 from ..errors import SolveError
 from ..estimate.multiposition.drift import walk_precision, with_drift
 from ..estimate.multiposition.fit import weak_prior_sigma
@@ -37,19 +39,16 @@ from ..estimate.multiposition.model import (
 from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_variance, whitened_rest
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem
 from ..estimate.multiposition.scaling import unscaled
-from ..intervals import Booleans, StaticIntervals, interval_means
+from ..intervals import Booleans, interval_means
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
 from ..options import ImuOptions
-from ..recording import Floats
+from ..recording import Floats, ImuSamples, TriadSamples
 from ..simulate.planned import planned_rests
 from ..simulate.plans import ImuPlan
 from ..simulate.truth import changed_options
 from ..solve.arrow import solve_arrow
 from .preparation import local_gravity
-
-_BESIDE_MOTION_S = 0.35
-"""What the static detector leaves out of a rest beside a motion: a part of its window."""
 
 
 def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
@@ -67,7 +66,7 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
         If such attitudes determine no calibration.
     """
     gravity = local_gravity(ImuOptions(gravity=plan.gravity, latitude=plan.latitude))
-    problem, up = _planned_problem(plan, noise, gravity.value, seed)
+    problem, up, rests = _planned_problem(plan, noise, gravity.value, seed)
     walk = (noise.gyroscope_random_walk / problem.gyroscope.spread) ** 2
     fit = _at_the_truth(problem, up, walk, g_sensitivity=plan.model == "g-sensitivity")
     estimate = unscaled(
@@ -94,10 +93,10 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
             verdict="pass",
             findings=(),
             model=plan.model,
-            intervals_found=plan.intervals,
-            intervals_used=plan.intervals,
-            rotations_found=plan.intervals - 1,
-            rotations_used=plan.intervals - 1,
+            intervals_found=len(rests),
+            intervals_used=len(up),
+            rotations_found=len(rests) - 1,
+            rotations_used=len(up) - 1,
         ),
         provenance=Provenance(gnomon_version=__version__, method="plan", options=changed_options(plan), seed=seed),
     )
@@ -105,15 +104,26 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
 
 def _planned_problem(
     plan: ImuPlan, noise: ImuNoise, gravity_m_s2: float, seed: int
-) -> tuple[MultiPositionProblem, Floats]:
-    """Return the problem of exact samples with the stated noise, and the specific force (n, 3) of each rest."""
+) -> tuple[MultiPositionProblem, Floats, Rests]:
+    """Return the problem of exact samples with the stated noise, the specific force (n, 3) of each rest, and the rests.
+
+    The rests are those that a calibration would find in the samples with their noise.
+    """
     planned = planned_rests(plan, gravity_m_s2, seed)
-    margin = np.full(len(planned.start_s), min(_BESIDE_MOTION_S, 0.2 * plan.hold_s))
-    starts = planned.start_s + margin * (planned.start_s > 0)
-    stops = planned.stop_s - margin * (planned.stop_s < planned.stop_s[-1])
-    still = StaticIntervals(
-        start=np.searchsorted(planned.t_s, starts), stop=np.searchsorted(planned.t_s, stops, side="right")
+    rng = np.random.default_rng(seed)
+    t_ns = np.rint(1e9 * planned.t_s).astype(np.int64)
+    noisy = (
+        TriadSamples(t_ns=t_ns, values=exact + density * plan.rate_hz**0.5 * rng.normal(size=exact.shape), unit=unit)
+        for exact, density, unit in (
+            (planned.f_imu, noise.accelerometer_noise_density, "m/s^2"),
+            (planned.omega_imu, noise.gyroscope_noise_density, "rad/s"),
+        )
     )
+    found = find_imu_rests(ImuSamples(accelerometer=next(noisy), gyroscope=next(noisy)), gravity_m_s2=gravity_m_s2)
+    rests = Rests.none() if found is None else found.chosen.rests
+    still = rests.intervals
+    if len(still) < 2:
+        raise SolveError(f"{len(still)} of {plan.intervals} rests would be found. Plan longer ones (--hold-s).")
 
     def stream(values: Floats, density: float) -> TriadStream:
         """Return exact samples (n, 3) with white noise of a density."""
@@ -134,7 +144,7 @@ def _planned_problem(
         stream(planned.omega_imu, noise.gyroscope_noise_density),
         EARTH_RATE_RAD_S**2 * cosine_squared / 2,
     )
-    return problem, interval_means(planned.f_imu, still)
+    return problem, interval_means(planned.f_imu, still), rests
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -26,7 +26,7 @@ from .noise_levels import whitened_rest
 _MOST_PLACES = 40
 _BESIDE = (0.7, 0.84, 1.19, 1.41)  # times the time constant that was taken
 _SCATTER = (1.0, 0.3, 0.0)  # of the extra variance that was taken
-_RARE = 1.5  # logarithm of how many recordings there are to one in which a bias changed unseen
+_RARE = 4.6  # logarithm of how many recordings there are to one in which a bias changed unseen: a hundred
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
