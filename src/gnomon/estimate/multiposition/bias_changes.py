@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...errors import InitialisationError
-from ...geometry.so3 import inverse
 from ...recording import Floats, Integers
 from .magnitude import fit_magnitude
 
@@ -156,22 +155,21 @@ def accelerometer_changes(rests: RestMeans) -> BiasChanges:
         start = fit_magnitude(means, 1.0)
     except InitialisationError:
         return BiasChanges()
-    sensitivity = inverse(start.correction)
+    # In units of gravity, so that the scales of the raw axes decide nothing.
+    forces, variance = (means - start.bias) @ start.correction.T, variance @ (start.correction**2).T
 
     def magnitudes(moved: Floats) -> _Series:
         """Return |f| - 1 about the bias (n, 3) of each rest as far as it is known."""
-        correction = inverse(sensitivity)
-        force = (means - start.bias - moved) @ correction.T
+        force = forces - moved
         length = np.linalg.norm(force, axis=1)
         u = force / length[:, None]
-        pull = u @ correction
-        rows = (pull[:, :, None] * u[:, None, :]).reshape(n, 9)[:, [0, 3, 4, 6, 7, 8]]
-        total = np.einsum("ni,ni->n", pull, moved)  # what was taken off goes to the columns of the steps again
+        rows = (u[:, :, None] * u[:, None, :]).reshape(n, 9)[:, [0, 3, 4, 6, 7, 8]]
+        total = np.einsum("ni,ni->n", u, moved)  # what was taken off goes to the columns of the steps again
         return _Series(
             y=(length - 1 + total)[:, None],
-            design=np.concatenate([rows, pull], axis=1),
-            variance=np.sum(pull**2 * variance, axis=1)[:, None],
-            pull=pull,
+            design=np.concatenate([rows, u], axis=1),
+            variance=np.sum(u**2 * variance, axis=1)[:, None],
+            pull=u,
         )
 
     return _search(rests, magnitudes, shortest=4)
