@@ -17,11 +17,12 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test test-lowest check lint types examples study bench fuzz install dev clean
+.PHONY: help demo test test-all durations test-lowest check lint types examples study bench fuzz install dev clean
 
 help:
 	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
-	@echo "make test         run the tests, from nothing"
+	@echo "make test         run the quick tests, from nothing: the main jobs, and what is cheap of every part"
+	@echo "make test-all     run all tests and checks"
 	@echo "make test-lowest  the same with the lowest version of each dependency, in $(LOWEST)"
 	@echo "make check        lint, format, types, import contract, examples in docstrings"
 	@echo "make study        run the tests that take minutes"
@@ -33,7 +34,15 @@ demo: install
 	@$(BIN)/gnomon demo
 
 test: dev
-	$(BIN)/python $(TESTS)
+	$(BIN)/python $(TESTS) --quick
+
+test-all: test
+	$(BIN)/python $(TESTS) --costly
+	$(MAKE) --jobs 2 --output-sync check
+
+# Which tests are quick: by CPU time, as tests/tiers.py says. After large changes, on a machine that does nothing else.
+durations: dev
+	$(BIN)/python $(TESTS) --record-durations
 
 test-lowest: $(LOWEST)/installed
 	$(LOWEST)/bin/python $(TESTS)

@@ -1,9 +1,9 @@
 """The quick tier of the tests: what a newcomer needs to believe the tool works, and what is run after each change.
 
 `pytest --quick` leaves out what durations.json says is costly, and keeps what is marked `main`: one job of each kind,
-from a recording to the report. `pytest --record-durations` (`make durations`) writes that file: CPU seconds of each
-test over 0.1 s, and of the fixtures of each file over 0.5 s. CPU times on one machine tell costly from cheap well
-enough on all; no test fails by the clock.
+from a recording to the report; `pytest --costly` runs the others. `pytest --record-durations` (`make durations`) writes
+that file: CPU seconds of each test over 0.1 s, and of the fixtures of each file over 0.5 s. CPU times on one machine
+tell costly from cheap well enough on all; no test fails by the clock.
 """
 
 import json
@@ -23,6 +23,7 @@ LONG_S = 3.0
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("tiers")
     group.addoption("--quick", action="store_true", help="leave out what tests/durations.json says is costly")
+    group.addoption("--costly", action="store_true", help="only what --quick leaves out")
     group.addoption("--record-durations", action="store_true", help="write tests/durations.json; run all tests")
 
 
@@ -39,11 +40,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         raise pytest.UsageError(
             f"over {LONG_S:g} s and not marked `long`: {', '.join(unmarked)}. Make them shorter, or mark them."
         )
-    if config.getoption("--quick"):
-        costly = [item for item in items if _is_costly(item, known)]
-        if costly:
-            config.hook.pytest_deselected(items=costly)
-            items[:] = [item for item in items if not _is_costly(item, known)]
+    if config.getoption("--quick") or config.getoption("--costly"):
+        wanted = config.getoption("--costly")
+        others = [item for item in items if _is_costly(item, known) != wanted]
+        if others:
+            config.hook.pytest_deselected(items=others)
+            items[:] = [item for item in items if _is_costly(item, known) == wanted]
 
 
 def _is_costly(item: pytest.Item, known: dict[str, dict[str, float]]) -> bool:
