@@ -306,10 +306,17 @@ def test_the_model_reads_what_was_simulated():
 
 
 def test_golden_file():
-    """A file of two IMUs as version 1.5 of the schema wrote it; it stays readable, and is written as it was."""
+    """A file of two IMUs as version 1.5 of the schema wrote it; it stays readable, and is written as it was.
+
+    The words of its comments may change.
+    """
+
+    def data(text):
+        return [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+
     golden = Path(__file__).parents[1] / "golden" / "calibration-gnomon-1.5.yaml"
     calibration = load(golden)
-    assert calibration_text(calibration) == golden.read_text(encoding="utf-8")
+    assert data(calibration_text(calibration)) == data(golden.read_text(encoding="utf-8"))
     second = calibration.imus["imu1"]
     assert second.time_shift_s == pytest.approx(3.986e-3, abs=1e-6)
     assert second.accelerometer.time_shift_s == 0.0021
