@@ -12,6 +12,7 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,7 @@ def tried(
 # ---- magnetometers
 
 _FIELD_UT = 48.0
+_STATED = gnomon.MagnetometerOptions(field=_FIELD_UT)
 
 
 def _with_magnetometer(recording: Recording, values: Floats, unit: str | None = None) -> Recording:
@@ -89,7 +91,10 @@ def _with_magnetometer(recording: Recording, values: Floats, unit: str | None = 
 
 
 def _field_outcome(
-    seed: int, scenario: FieldScenario, edit: Callable[[Floats, np.random.Generator], Floats], **options
+    seed: int,
+    scenario: FieldScenario,
+    edit: Callable[[Floats, np.random.Generator], Floats],
+    wanted: gnomon.MagnetometerOptions = _STATED,
 ) -> Outcome:
     recording, truth = simulate_magnetometer(scenario, seed)
     imu = recording.imus["imu0"]
@@ -104,7 +109,6 @@ def _field_outcome(
             off[0] = np.diag(off[0] - truth.parameter(names[0]) @ truth.parameter(names[0]).T) * np.eye(3) / 2
         return off, [found.sigma(name) for name in names], [np.full((3, 3), 0.02), np.full(3, 0.02 * _FIELD_UT)]
 
-    wanted = gnomon.MagnetometerOptions(field=_FIELD_UT, **options)
     return tried(lambda: gnomon.calibrate_magnetometer(edited, wanted), error)
 
 
@@ -136,16 +140,22 @@ def magnetometer_cases() -> Iterator[tuple[str, Case]]:
         yield f"soft iron {soft}, auto", lambda seed, s=scenario: _field_outcome(seed, s, _same)
         yield (
             f"soft iron {soft}, hard-iron",
-            lambda seed, s=scenario: _field_outcome(seed, s, _same, model="hard-iron"),
+            lambda seed, s=scenario: _field_outcome(seed, s, _same, replace(_STATED, model="hard-iron")),
         )
     north = FieldScenario(rests=8, inhomogeneity=0.2)
-    yield "axis mirrored, --latitude", lambda seed: _field_outcome(seed, north, _mirrored, latitude=48.0)
+    yield (
+        "axis mirrored, --latitude",
+        lambda seed: _field_outcome(seed, north, _mirrored, replace(_STATED, latitude=48.0)),
+    )
     south = replace(north, dip_deg=-50.0)
-    yield "axis mirrored, south, --dip", lambda seed: _field_outcome(seed, south, _mirrored, dip=-50.0)
+    yield (
+        "axis mirrored, south, --dip",
+        lambda seed: _field_outcome(seed, south, _mirrored, replace(_STATED, dip=-50.0)),
+    )
     yield "axis mirrored, nothing stated", lambda seed: _field_outcome(seed, north, _mirrored)
     for size in (1.0, 5.0):
         yield f"hard iron changes by {size} uT", lambda seed, size=size: _field_outcome(seed, north, _stepped(size))
-    yield "healthy: south, --dip", lambda seed: _field_outcome(seed, south, _same, dip=-50.0)
+    yield "healthy: south, --dip", lambda seed: _field_outcome(seed, south, _same, replace(_STATED, dip=-50.0))
     yield "healthy: with accelerometer", lambda seed: _field_outcome(seed, north, _same)
     alone = FieldScenario(accelerometer=False, inhomogeneity=0.3)
     yield "healthy: alone", lambda seed: _field_outcome(seed, alone, _same)
@@ -202,8 +212,8 @@ def _filtered(values: Floats, b: list[float], a: list[float]) -> Floats:
 def _low_pass(hz: float, order: int) -> NoiseEdit:
     from scipy.signal import butter
 
-    b, a = butter(order, hz, fs=_AT_REST.rate_hz)
-    return lambda values, _: _filtered(values, list(b), list(a))
+    b, a = cast("tuple[Floats, Floats]", butter(order, hz, fs=_AT_REST.rate_hz))
+    return lambda values, _: _filtered(values, b.tolist(), a.tolist())
 
 
 def _high_pass(hz: float) -> NoiseEdit:

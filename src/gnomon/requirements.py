@@ -269,11 +269,13 @@ BETWEEN_RECORDINGS: Mapping[str, float] = FrozenMapping(
         "accelerometer_scale": stated("accelerometer_scale", "0.015 %"),
         "accelerometer_misalignment": stated("accelerometer_misalignment", "0.0002 rad"),
         "gyroscope_g_sensitivity": stated("gyroscope_g_sensitivity", "0.0000055 rad/s/(m/s^2)"),
-        # There the gyroscope's axes changed by less than could be told: as the accelerometer's. Its scale: data sheets
-        # of consumer sensors state 0.01 to 0.03 % a kelvin, over the 3 K between two days in one room.
+        # There the gyroscope's axes changed by less than could be told: as the accelerometer's. Its scale is typical of
+        # consumer sensors, from memory of data sheets and not from one source: 0.01 to 0.03 % a kelvin, over the 3 K
+        # between two days in one room.
         "gyroscope_scale": stated("gyroscope_scale", "0.05 %"),
         "gyroscope_misalignment": stated("gyroscope_misalignment", "0.0002 rad"),
-        # Data sheets of consumer sensors: 1 mg and 0.05 deg/s a kelvin, over 5 K. MIMU4444: 28 mm/s^2, 0.10 deg/s.
+        # Typical values again, from memory of data sheets: 1 mg and 0.05 deg/s a kelvin, over 5 K. MIMU4444 measured
+        # 28 mm/s^2 and 0.10 deg/s.
         "accelerometer_bias": stated("accelerometer_bias", "50 mm/s^2"),
         "gyroscope_bias": stated("gyroscope_bias", "0.25 deg/s"),
     }
