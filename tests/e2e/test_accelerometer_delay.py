@@ -51,6 +51,7 @@ def test_a_delay_is_found_and_taken_up(delay_s):
     assert status["imu0.accelerometer_shift"] == "estimated"
 
 
+@pytest.mark.long
 def test_by_evidence_it_comes_out_as_where_it_was_asked_for():
     _, by_evidence = case(3e-3, 2)
     _, asked = case(3e-3, 2, replace(OPTIONS, free=("imu0.accelerometer_shift",)))
@@ -77,6 +78,7 @@ def test_a_stated_model_says_that_it_lacks_the_delay():
     assert delay_of(held) is None
 
 
+@pytest.mark.long
 def test_each_imu_has_a_delay_of_its_own():
     simulation = simulate_camera_imu(
         replace(SCENARIO, duration_s=12.0, target_cols=3, imus=2, further_accelerometer_delay_s=4e-3), 4

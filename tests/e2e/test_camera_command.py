@@ -102,6 +102,7 @@ def test_the_screen(views, made):
     assert max(map(len, out.replace(str(views.parent), "").splitlines())) < 200
 
 
+@pytest.mark.main
 def test_the_document(views, capsys, tmp_path):
     arguments = ("camera", views, "--resolution", 752, 480, *QUICK, "--no-report", "-o", tmp_path / "out")
     code, document, _ = run(capsys, *arguments)

@@ -289,6 +289,7 @@ def test_what_cannot_be_calibrated_is_named_and_leaves_nothing(case, calibrated,
     assert names(folder.parent) == ["walk"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", SUSPECT.values(), ids=SUSPECT)
 def test_what_is_suspicious_is_named(case, calibrated, names):
     code, document, err, folder = calibrated(case)
@@ -350,6 +351,7 @@ TAKEN_UP = {
 """Errors of the lens that the recording proves, and the model takes up."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", TAKEN_UP.values(), ids=TAKEN_UP)
 def test_a_lens_that_is_off_is_taken_up_and_said(case, calibrated):
     _, document, _, folder = calibrated(case)

@@ -41,6 +41,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.long
 def test_board_and_lens_are_found_along():
     simulation = simulate_camera_imu(scenario(), seed=3)
     options = {"compare": False}

@@ -88,6 +88,8 @@ def euroc(euroc_recording):
     return cache(lambda **options: calibrate_camera_imu(*euroc_recording, CameraImuOptions(**options)))
 
 
+@pytest.mark.main
+@pytest.mark.long
 def test_euroc_beside_what_was_published(euroc):
     """With lens and board as published, as those who published it had them."""
     result = euroc(model="full")
@@ -102,6 +104,7 @@ def test_euroc_beside_what_was_published(euroc):
     assert all(used > 0.75 * fit.frames_found[name] for name, used in fit.frames_used.items())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options", [{"model": "full"}, {"model": "full", **KALIBRS_WEIGHTS}], ids=["estimated noise", "Kalibr's weights"]
 )
@@ -113,6 +116,7 @@ def test_euroc_baseline(euroc, options):
     assert degrees_between(published[:3, :3], baseline[:3, :3]) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("camera", ["cam0", "cam1"])
 def test_parts_of_euroc_agree_as_the_sigmas_say(euroc_recording, camera):
     """Halves and thirds, pooled over all blocks; errors are correlated here, and ordinary sigmas far too small."""

@@ -77,6 +77,7 @@ def test_distance_from_the_truth(rendered, name):
     assert {key: found[key] for key, limit in LIMITS[name].items() if not found[key] < limit} == {}
 
 
+@pytest.mark.long
 @RECORDINGS
 def test_the_default_model_holds_a_lens_that_only_a_detectors_bias_contradicts(rendered, name):
     """The stated lens is the true one; Kalibr's corners ask for another, certain beyond doubt, and explain nothing."""
@@ -115,6 +116,7 @@ def kalibr(folder, run):
     return Rig.from_files(camera["cam0"], imu["imu0"])
 
 
+@pytest.mark.long
 @RECORDINGS
 def test_with_kalibrs_weights_kalibrs_result_comes_out(rendered, name):
     """Corners of 1 px that all count alike, nominal noise and 100 knots a second: two programs, one minimum."""

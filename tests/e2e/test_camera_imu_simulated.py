@@ -92,6 +92,7 @@ def test_without_noise_the_truth_is_found(options):
     np.testing.assert_allclose(result.diagnostics.gravity_target, simulation.gravity_target, atol=1e-5)
 
 
+@pytest.mark.main
 def test_errors_and_sigmas_of_a_noisy_recording():
     simulation, result, found = usual()
     assert_right(result, found)
@@ -414,6 +415,7 @@ def test_frames_before_and_after_the_imu_are_left_out():
     assert not fit.frame_used[outside].any()
 
 
+@pytest.mark.long
 def test_streams_of_different_recordings_never_pass():
     a, b = simulated(1), simulated(2)
     verdict = "fail"

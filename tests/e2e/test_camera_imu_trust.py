@@ -40,6 +40,7 @@ def some():
     return tuple(trusted(CameraImuScenario(duration_s=30.0), OPTIONS, seed) for seed in range(6))
 
 
+@pytest.mark.long
 def test_white_noise_leaves_the_sigmas_as_they_are():
     found = some()
     ratio = np.array([one.sigma / one.ordinary for one in found])

@@ -59,6 +59,7 @@ def baseline_error_mm(simulation, calibration):
     return 1e3 * float(np.linalg.norm(found) - np.linalg.norm(true)), 1e3 * float(np.linalg.norm(found - true))
 
 
+@pytest.mark.long
 def test_a_lens_from_images_is_the_true_one():
     simulation, result = calibrated(seed=3)
     value, degrees = nees(simulation, result.calibration)
@@ -68,6 +69,7 @@ def test_a_lens_from_images_is_the_true_one():
     assert result.calibration.assessment.cameras.reprojection_rms_px["cam0"] < 0.05
 
 
+@pytest.mark.long
 def test_a_stereo_baseline_is_exact_to_a_twentieth_of_a_millimetre():
     simulation, result = calibrated(seed=2, cameras=2, views=14)
     length, place = baseline_error_mm(simulation, result.calibration)

@@ -65,6 +65,7 @@ def test_repeated_recordings_scatter_as_predicted():
     assert np.all(scale.scatter < 0.1 * scale.predicted)
 
 
+@pytest.mark.long
 def test_repeated_recordings_of_a_rig():
     scenario = gnomon.CameraImuScenario(duration_s=15.0, camera_rate_hz=10.0, cameras=2, sensor_seed=3)
     calibrations: list[gnomon.Calibration] = []

@@ -74,6 +74,7 @@ def test_faults_of_a_rig_are_noticed_before_anything_is_estimated(name):
     assert names_cause(fault, findings), [str(finding) for finding in findings]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["board-smaller", "noise-understated"])
 def test_faults_of_a_rig_are_named_by_its_calibration(name):
     found = diagnosed((name, 1))

@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import av
 import numpy as np
+import pytest
 
 import gnomon
 import gpmf_files
@@ -11,6 +12,7 @@ import recorded
 from gnomon.readers.images.image_recording import open_images
 
 
+@pytest.mark.long
 def test_one_mp4_is_calibrated_like_the_folder_it_was_made_of(run, walks, tmp_path):
     """Video and samples have one clock, so that even the time shift is the same."""
     source, path = walks.rendered(), tmp_path / "GX010001.MP4"

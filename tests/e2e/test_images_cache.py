@@ -81,6 +81,7 @@ def test_without_cache_nothing_is_read_nor_written(first, again, tmp_path):
     assert file.stat().st_mtime_ns == written
 
 
+@pytest.mark.long
 def test_other_images_or_another_board_are_looked_at(first, walks, again, tmp_path):
     """Of one camera only the last corners are kept; a lens or a noise that changes does not matter."""
     (before,) = corners_in(first[1])

@@ -38,6 +38,7 @@ def document(out):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_every_layout_gives_the_same_calibration_to_the_last_digit(calibrated, layout):
     expected, found = calibrated("simulated"), calibrated(layout)
@@ -101,6 +102,7 @@ def frames(recording):
     assert notes == []
 
 
+@pytest.mark.main
 def test_convert_writes_a_video_as_a_bag(run, walks, tmp_path):
     """Frames of a video without loss, in a container that ROS knows."""
     code, _, err = run("convert", walks.written("video"), "--to", "mcap", "-o", tmp_path / "x.mcap")

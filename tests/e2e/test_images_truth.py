@@ -38,6 +38,7 @@ def calibrated(run, walks, tmp_path_factory):
     return result
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_aprilgrid(calibrated, seed):
     result, truth, _, _ = calibrated(seed=seed)
@@ -54,11 +55,13 @@ def test_uncertainties_are_neither_too_small_nor_too_large(calibrated):
     assert 0.7 < np.sqrt(np.mean(together**2)) < 1.3
 
 
+@pytest.mark.long
 def test_a_checkerboard(calibrated):
     result, truth, _, _ = calibrated(**recorded.CHECKERBOARD)
     assert recorded.most_sigmas(result, truth) < MOST_SIGMAS
 
 
+@pytest.mark.long
 def test_two_cameras(calibrated):
     """The camera chain is known far better than either camera from the IMU."""
     result, truth, document, _ = calibrated(cameras=2)

@@ -17,6 +17,7 @@ def simulated(run, tmp_path_factory):
     return folder
 
 
+@pytest.mark.main
 def test_simulate_calibrate_and_compare(run, simulated, tmp_path) -> None:
     code, out, err = run("magnetometer", simulated / "rec.npz", "-o", tmp_path / "out", "--field", 48)
     assert code == 0, err

@@ -68,6 +68,7 @@ def assert_consistent(nees, scaled, widest):
     assert bias.max() < 4.5  # none of thirty is systematically off
 
 
+@pytest.mark.long
 def test_covariance_is_honest():
     # Three elements of 24 recordings leave a ratio of sigmas open by 8 %; the band is four times that.
     assert_consistent(*study(range(24)), widest=0.33)

@@ -42,6 +42,7 @@ def write_npz(path, table, **more):
     return path
 
 
+@pytest.mark.main
 def test_the_whole_way(simulated, run, names):
     code, out, _ = run("noise", simulated)
     folder = simulated.with_name("rest-noise")

@@ -31,6 +31,7 @@ def failed(capfd, *arguments):
     return code, said.err
 
 
+@pytest.mark.main
 def test_a_video(video, capfd):
     assert main(["rate", str(video), "--json"]) == 0
     found = json.loads(capfd.readouterr().out)

@@ -64,6 +64,7 @@ def given(request, simulation, tmp_path):
     return [tmp_path] if request.param == "folder" else files
 
 
+@pytest.mark.main
 def test_every_form_gives_the_accelerometer(given, simulation, run, tmp_path):
     code, out, err = run("imu", *given, "--gravity", 9.80665, "--json", "-o", tmp_path / "result")
     assert code == 0, err

@@ -51,6 +51,7 @@ def test_a_global_shutter_stays_one(motion):
     assert np.isclose(float(found.sigma("cam0.line_delay")), 0)
 
 
+@pytest.mark.long
 def test_a_line_delay_that_is_stated_rightly_is_not_warned_of():
     simulation, found = calibrated(25e-6, line_delay=25e-6)
     assert not shutters(found)
@@ -59,6 +60,7 @@ def test_a_line_delay_that_is_stated_rightly_is_not_warned_of():
     assert abs(found.cameras["cam0"].time_shift_cam_imu - shift) < 5 * float(found.sigma("cam0.time_shift_cam_imu"))
 
 
+@pytest.mark.long
 def test_a_line_delay_that_is_stated_of_a_global_shutter_is_warned_of():
     _, found = calibrated(0.0, line_delay=10e-6)
     (finding,) = shutters(found)

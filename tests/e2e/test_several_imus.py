@@ -109,6 +109,7 @@ def check(name, scenario, seeds):
     return runs
 
 
+@pytest.mark.long
 def test_the_truth_lies_inside_the_joint_covariance():
     names, _, covariance = check("ten seconds", SHORT, range(3))[0]
     sigma = np.sqrt(np.diag(covariance))

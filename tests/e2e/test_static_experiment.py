@@ -184,6 +184,7 @@ def test_rotations_that_cannot_be_used_leave_the_rests(hand_held):
     assert np.abs(error).max() < 4
 
 
+@pytest.mark.long
 def test_eight_real_sensors_repeat_as_foretold(real_data):
     """Rests of the icosahedron's 20 attitudes, six occasions: the scatter of B_g is what its sigma says.
 

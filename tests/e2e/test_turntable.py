@@ -78,6 +78,7 @@ def normalised(scenario, seed):
     return float(z @ np.linalg.solve(correlation, z)) / free.sum(), z
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["record player", "tilted, drifting, in counts", "two speeds, g-sensitivity"])
 def test_errors_are_what_the_covariance_says_in_a_few(name):
     found = [normalised(SCENARIOS[name], seed) for seed in range(4)]
@@ -134,6 +135,7 @@ def folder(run, tmp_path_factory):
     return place
 
 
+@pytest.mark.main
 def test_the_command_calibrates(run, names, folder):
     code, out, _ = run("turntable", folder / "recording.npz", "--rate", "16rpm", "--no-report")
     assert code == 0

@@ -66,6 +66,7 @@ def as_printed(misalignment):
     return np.linalg.inv(about_z @ about_y @ about_x @ misalignment)
 
 
+@pytest.mark.main
 def test_recording(recording):
     imu = recording.imus["imu0"]
     assert len(imu.accelerometer) == len(imu.gyroscope) == 51175

@@ -58,6 +58,7 @@ def test_damaged_files_are_read_or_refused_in_words(workshop, name):
     damage()
 
 
+@pytest.mark.long
 def test_every_module_of_the_readers_is_reached(workshop):
     """A reader that comes later has to become a target: something of each module runs while valid files are read."""
     ran: set[str] = set()

@@ -264,6 +264,7 @@ def test_simulated_recordings_have_the_noise_that_was_asked_for():
     assert not np.array_equal(values["gyroscope"], np.concatenate(list(noise_blocks(scenario, "gyroscope", seed=4))))
 
 
+@pytest.mark.long
 def test_a_real_sensor_against_its_published_numbers(real_data):
     """N at an averaging time of 1 s, and the floors, as the README of the recordings states them."""
     stated = {

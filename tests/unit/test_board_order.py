@@ -65,6 +65,7 @@ def test_the_gyroscope_joins_what_gaps_parted(simulation):
     assert same(found["cam0"], true) or same(found["cam0"], other)
 
 
+@pytest.mark.long
 def test_mixed_ends_do_not_change_the_calibration(simulation):
     recording, target = simulation.recording, simulation.target
     mixed = flipped(recording.cameras["cam0"], target, 1)

@@ -57,6 +57,7 @@ def test_finding(simulated) -> None:
     assert fast[0].cure
 
 
+@pytest.mark.long
 def test_a_calibration_says_it(simulated) -> None:
     options = gnomon.CameraImuOptions(model="basic", compare=False)
     drifts = drifting(simulated.recording, 300.0)

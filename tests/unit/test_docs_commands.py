@@ -37,6 +37,7 @@ def run(arguments, *, may_fail=False):
     assert code in expected, f"gnomon {shlex.join(arguments)}: exit code {code}: {errors.getvalue()}"
 
 
+@pytest.mark.long
 def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = list(shell_commands(DOCS / "tutorial.md"))
@@ -61,6 +62,7 @@ def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
     assert gnomon.read("mine.csv").imus["imu0"].gyroscope.rate_hz == pytest.approx(100)
 
 
+@pytest.mark.long
 def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, seed in (("log.csv", 1), ("flight.csv", 2)):
@@ -98,6 +100,7 @@ def make_single_sensors():
     run(["simulate-magnetometer", "-o", "turned.npz", "--rests", "12"])
 
 
+@pytest.mark.long
 def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     section = text("how-to.md").split("## By task: one sensor at a time")[1].split("\n## ")[0]
@@ -128,6 +131,7 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
             run(words if words[0] in shown else [*words, "--no-report"])
 
 
+@pytest.mark.long
 def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
@@ -159,6 +163,7 @@ def make_two_imus(folder):
     path.write_text(kalibr_yaml(stated), encoding="utf-8")
 
 
+@pytest.mark.long
 def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     section = text("how-to.md").split("## By task: cameras alone")[1].split("\n## ")[0]
@@ -182,6 +187,7 @@ def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
         run(words + fewer + elsewhere * (words[0] in {"camera", "camera-imu"}), may_fail=words[0] == "camera")
 
 
+@pytest.mark.long
 def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     section = text("how-to.md").split("## By task: trusting a result, and taking it elsewhere")[1]

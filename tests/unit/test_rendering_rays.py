@@ -126,6 +126,7 @@ CASES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_images_are_those_of_many_rays(case):
     name, pose, exposure_s, line_delay_s, place = CASES[case]

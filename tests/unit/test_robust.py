@@ -56,6 +56,7 @@ def z_rms(rng, count, **options):
     return [float(np.sqrt(np.mean((np.array(off) / np.array(s)) ** 2))) for s in (robust_sigma, ordinary_sigma)]
 
 
+@pytest.mark.long
 def test_independent_errors_keep_their_sigmas():
     ours, ordinary = z_rms(np.random.default_rng(0), 150)
     assert 0.93 < ordinary < 1.07

@@ -53,6 +53,7 @@ def codes(result):
     return {finding.code for finding in result.calibration.assessment.findings}
 
 
+@pytest.mark.long
 def test_full_turns_in_six_attitudes_give_the_scales():
     z = []
     for seed in range(6):
