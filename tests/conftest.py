@@ -36,10 +36,10 @@ from gnomon.diagnostics import (
 )
 from gnomon.findings import Finding
 from gnomon.recording import Source
-from tiers import pytest_addoption, pytest_collection_modifyitems, pytest_configure
+from tiers import pytest_addoption, pytest_collection_modifyitems, pytest_configure, pytest_runtest_setup
 from trust_example import example_trust
 
-__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure"]
+__all__ = ["pytest_addoption", "pytest_collection_modifyitems", "pytest_configure", "pytest_runtest_setup"]
 
 # The same examples on every run, and no limits by the clock, which a busy machine exceeds: what fails here fails for
 # everyone.

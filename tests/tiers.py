@@ -9,13 +9,14 @@ tell costly from cheap well enough on all; no test fails by the clock.
 import json
 import os
 from collections.abc import Generator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 DURATIONS = Path(__file__).with_name("durations.json")
-QUICK_CALL_S, QUICK_FIXTURES_S = 0.25, 1.5
+QUICK_CALL_S, QUICK_FIXTURES_S = 0.17, 1.5
 LONG_S = 3.0
 """A test that takes longer is marked `long`, by somebody who has asked himself why."""
 
@@ -27,29 +28,30 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--record-durations", action="store_true", help="write tests/durations.json; run all tests")
 
 
+@cache
+def _known() -> dict[str, dict[str, float]]:
+    return json.loads(DURATIONS.read_text(encoding="utf-8")) if DURATIONS.exists() else {"calls": {}, "fixtures": {}}
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out costly tests where that is asked for; refuse a long one that is not marked as such."""
-    known = json.loads(DURATIONS.read_text()) if DURATIONS.exists() else {"calls": {}, "fixtures": {}}
-    unmarked = [
-        item.nodeid
-        for item in items
-        if known["calls"].get(item.nodeid, 0.0) > LONG_S
-        and not any(item.get_closest_marker(name) for name in ("long", "slow"))
-    ]
-    if unmarked and not config.getoption("--record-durations"):
-        raise pytest.UsageError(
-            f"over {LONG_S:g} s and not marked `long`: {', '.join(unmarked)}. Make them shorter, or mark them."
-        )
+    """Leave out costly tests, or cheap ones, where that is asked for."""
     if config.getoption("--quick") or config.getoption("--costly"):
         wanted = config.getoption("--costly")
-        others = [item for item in items if _is_costly(item, known) != wanted]
+        others = [item for item in items if _is_costly(item) != wanted]
         if others:
             config.hook.pytest_deselected(items=others)
-            items[:] = [item for item in items if _is_costly(item, known) == wanted]
+            items[:] = [item for item in items if _is_costly(item) == wanted]
 
 
-def _is_costly(item: pytest.Item, known: dict[str, dict[str, float]]) -> bool:
-    call, fixtures = known["calls"].get(item.nodeid, 0.0), known["fixtures"].get(item.nodeid.split("::")[0], 0.0)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Fail where a test takes long and is not marked as such."""
+    marked = any(item.get_closest_marker(name) for name in ("long", "slow"))
+    if _known()["calls"].get(item.nodeid, 0.0) > LONG_S and not marked:
+        pytest.fail(f"takes more than {LONG_S:g} s and is not marked `long`: make it shorter, or mark it")
+
+
+def _is_costly(item: pytest.Item) -> bool:
+    call, fixtures = _known()["calls"].get(item.nodeid, 0.0), _known()["fixtures"].get(item.nodeid.split("::")[0], 0.0)
     return not item.get_closest_marker("main") and (call > QUICK_CALL_S or fixtures > QUICK_FIXTURES_S)
 
 

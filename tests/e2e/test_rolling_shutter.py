@@ -20,6 +20,7 @@ def shutters(calibration):
     return [finding for finding in calibration.assessment.findings if finding.code == "rolling-shutter"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("motion", ["normal", pytest.param("shaky", marks=pytest.mark.slow)])
 def test_an_unstated_line_delay_is_found_and_said(motion):
     simulation, found = calibrated(25e-6, motion)
