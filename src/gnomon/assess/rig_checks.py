@@ -7,7 +7,7 @@ import numpy as np
 
 from ..detect.samples.saturation import saturated
 from ..errors import InitialisationError
-from ..estimate.camera_imu.alignment import Alignment, align, gyroscope_integral
+from ..estimate.camera_imu.alignment import Alignment, GyroscopeIntegral, align, clock_steps, gyroscope_integral
 from ..estimate.camera_imu.board_poses import BoardPoses, board_poses
 from ..estimate.camera_imu.first_guess import ImuStream
 from ..findings import Finding, make_finding
@@ -30,6 +30,7 @@ _DELAY_S, _SIGMAS = 0.5e-3, 5.0
 _CERTAIN_S, _LATE_S, _LATE_SIGMAS = 3e-3, 4e-3, 5.0
 _LATE_SHARE, _FEWEST_LATE, _FEWEST_FRAMES = 0.04, 8, 60
 _JUMP_S, _JUMP_GAIN = 4e-3, 0.5
+_NEAR_GAP_S, _GAP_SHARE = 0.5, 0.05
 _SHIFT_S = 0.1
 _CORNERS = 12
 _SCATTERED = 3.0  # times the usual scatter of a frame's corners about its pose
@@ -80,7 +81,11 @@ def _beside(
         try:
             alignment = align(poses, integral, name)
         except InitialisationError as error:
-            findings.append(make_finding("not-aligned", reason=str(error)))
+            jumps = check_clock_steps(name, poses, integral, None, imu)
+            findings += jumps or [make_finding("not-aligned", reason=str(error))]
+            continue
+        if jumps := check_clock_steps(name, poses, integral, alignment, imu):
+            findings += jumps  # all that follows would be about a time shift that does not hold
             continue
         camera = frames.camera if lens else None
         found, seen = check_look(name, poses, alignment, camera, target, stream=stream, imu=imu, unusable=clipped)
@@ -206,6 +211,46 @@ def _late(name: str, times: FrameTimes) -> list[Finding]:
     return [make_finding("frames-late", name=name, share=share, median_off=np.median(off[late]), largest_off=off.max())]
 
 
+def check_clock_steps(
+    name: str, poses: BoardPoses, integral: GyroscopeIntegral, alignment: Alignment | None, imu: str
+) -> list[Finding]:
+    """Return a problem for each jump of a clock that is too large for one time shift to begin with (code clock-jump).
+
+    Parameters
+    ----------
+    name, poses : of the camera
+    integral, imu : of the gyroscope, and the IMU's name
+    alignment : of the whole recording; None where it failed
+    """
+    findings: list[Finding] = []
+    for step in clock_steps(poses, integral, alignment):
+        ahead_s = step.before_s - step.after_s  # of the camera's clock against the IMU's
+        # A clock that was set forward leaves a gap of that length in its own stream.
+        if ahead_s > 0:
+            which = name if _gap(poses.t_s, step.at_s, ahead_s) else ""
+        else:
+            which = imu if _gap(integral.t_s, step.at_s + step.before_s, -ahead_s) else ""
+        at_s = step.at_s - float(poses.t_s[0])
+        findings.append(
+            _jumped(imu, name, -ahead_s, at_s, which) if which == imu else _jumped(name, imu, ahead_s, at_s, which)
+        )
+    return findings
+
+
+def _gap(t_s: Floats, at_s: float, length_s: float) -> bool:
+    """Tell whether a stream has a gap of that length about an instant."""
+    near = (t_s[1:] > at_s - _NEAR_GAP_S) & (t_s[:-1] < at_s + _NEAR_GAP_S)
+    steps = np.diff(t_s)
+    usual = float(np.median(steps))
+    return bool((np.abs(steps[near] - usual - length_s) < 0.5 * usual + _GAP_SHARE * length_s).any())
+
+
+def _jumped(name: str, other: str, step_s: float, at_s: float, which: str = "") -> Finding:
+    size = f"{step_s * 1e3:+.3g} ms" if abs(step_s) < 1 else f"{step_s:+.4g} s"
+    cause = f" Its timestamps have a gap of that length there: it is {which} that jumped." if which else ""
+    return make_finding("clock-jump/rotation", name=name, size=size, other=other, at_s=at_s, cause=cause)
+
+
 def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
     """Look for one step in the time shift: two levels must explain the timestamps far better than a straight line."""
     certain = times.sigma_s < _CERTAIN_S
@@ -223,7 +268,7 @@ def _jump(name: str, imu: str, times: FrameTimes) -> list[Finding]:
     step_s = times.level(at_s, float("inf")) - times.level(0.0, at_s)
     if abs(step_s) < _JUMP_S:
         return []
-    return [make_finding("clock-jump/rotation", name=name, step_s=step_s, imu=imu, at_s=at_s)]
+    return [_jumped(name, imu, step_s, at_s)]
 
 
 def _two_levels(late: Floats, k: int) -> float:

@@ -46,7 +46,15 @@ from .camera_imu_model import (
     with_line_delays,
     with_stated_shutters,
 )
-from .camera_imu_preparation import cameras_moved, evidence_of_imu, known_imu, prepare_camera_imu, suspected, with_looks
+from .camera_imu_preparation import (
+    cameras_moved,
+    evidence_of_imu,
+    known_imu,
+    prepare_camera_imu,
+    refuse_clock_jumps,
+    suspected,
+    with_looks,
+)
 from .preparation import check_arguments, local_gravity, stated_options
 
 Progress = Callable[[str], None]
@@ -106,9 +114,10 @@ def _calibrated(
     prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *ends))
     try:
         found = looks(recording.cameras, target, prepared.origin_ns, streams[0])
+        beside = aligned_beside(found, streams, list(recording.imus.items()), prepared.epochs_s)
     except InitialisationError as error:
+        refuse_clock_jumps(prepared, recording.cameras, target, streams)
         raise InitialisationError(f"{error}{suspected(prepared.findings)}") from error
-    beside = aligned_beside(found, streams, list(recording.imus.items()), prepared.epochs_s)
     prepared = with_looks(prepared, found, target, streams, beside)
     stated = options
     options, rolling = with_line_delays(options, found, prepared.findings)
@@ -148,9 +157,12 @@ def _calibrated(
     trust = replace(recording_trust(result, certain), weak=weak, models=chosen.steps)
     diagnostics = replace(described, trust=trust)
     likely = unmodelled_effects(solution, described.signals) if incomplete(trust) else []
-    found_arms = options.model == "auto" and chosen.arms_told
     took_up = added_findings(
-        chosen.added, start, solution.state.parameters, board_told=chosen.board_told, arms_told=found_arms
+        chosen.added,
+        start,
+        solution.state.parameters,
+        board_told=chosen.board_told,
+        arms_told=options.model == "auto" and chosen.arms_told,
     )
     doubts = (
         *cameras_moved(solution, certain),

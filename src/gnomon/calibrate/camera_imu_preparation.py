@@ -1,6 +1,6 @@
 """Before anything is estimated from cameras and IMU: checked, in SI units, on one time base."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,13 +8,15 @@ import numpy as np
 from ..assess.board_turn import BoardMove, BoardTurns, board_move, moved_finding
 from ..assess.camera_checks import check_cameras
 from ..assess.prior_findings import cameras_disagree
-from ..assess.rig_checks import about, check_look
+from ..assess.rig_checks import about, check_clock_steps, check_look
 from ..calibration import Calibration, Covariance, Gravity
 from ..detect.samples.repair import repaired
 from ..detect.samples.saturation import saturated
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, RecordingError
+from ..estimate.camera_imu.alignment import Alignment, gyroscope_integral
 from ..estimate.camera_imu.batch import Noise
+from ..estimate.camera_imu.board_poses import BoardPoses, board_poses
 from ..estimate.camera_imu.first_guess import ImuStream, Look
 from ..estimate.camera_imu.inertial_data import ImuBeforehand, InertialData, TriadData
 from ..estimate.camera_imu.other_imus import Beside
@@ -30,7 +32,7 @@ from ..models.noise import CONSUMER_MEMS
 from ..models.pattern import LOWER
 from ..models.target import Target
 from ..options import CameraImuOptions
-from ..recording import Floats, Recording, TriadSamples
+from ..recording import CameraFrames, Floats, Recording, TriadSamples
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 _SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
@@ -159,8 +161,18 @@ def _derivative(letters: Callable[[Floats], Floats], x: Floats) -> Floats:
 
 _CONTRADICTIONS = {"axes-differ", "axes-mirrored"}
 _OF_ONE_IMU = "triads-apart"  # of all that is noticed beside an IMU, what the others do not share
-_SUSPECTS = ("saturation", "rate-magnitude", "board-small", "corners-few", "gaps", "frame-rate", "frames-few")
+_SUSPECTS = (
+    "clock-jump",
+    "saturation",
+    "rate-magnitude",
+    "board-small",
+    "corners-few",
+    "gaps",
+    "frame-rate",
+    "frames-few",
+)
 """What keeps camera and gyroscope from showing the same rotation, the surest first."""
+_GRAVE = ("warning", "problem")
 
 _FEW_CODES = {"frames-few", "corners-few", "stream-short"}
 
@@ -243,8 +255,29 @@ def suspected(findings: Sequence[Finding], move: BoardMove | None = None) -> str
     """Return, as a sentence, what was noticed that most likely keeps the same rotation from being seen; or nothing."""
     if move is not None:
         return f" Noticed: {moved_finding(move).message}"
-    found = [one.message for code in _SUSPECTS for one in findings if one.code == code and one.severity == "warning"]
+    found = [one.message for code in _SUSPECTS for one in findings if one.code == code and one.severity in _GRAVE]
     return f" Noticed: {found[0]}" if found else ""
+
+
+def refuse_clock_jumps(
+    prepared: PreparedCameraImu, cameras: Mapping[str, CameraFrames], target: Target, streams: Sequence[ImuStream]
+) -> None:
+    """Say which clock jumped, where that is why nothing could be aligned; the first camera tells of the other IMUs.
+
+    Raises
+    ------
+    RecordingError
+        If one did.
+    """
+    for number, stream in enumerate(streams):
+        for name, frames in list(cameras.items())[: 1 if number else None]:
+            t_s = np.asarray((frames.t_ns - prepared.origin_ns) * 1e-9, dtype=np.float64)
+            _refuse_clock_steps(name, board_poses(frames, target, t_s), None, stream, prepared.imus[number].name)
+
+
+def _refuse_clock_steps(name: str, poses: BoardPoses, alignment: Alignment | None, stream: ImuStream, imu: str) -> None:
+    for finding in check_clock_steps(name, poses, gyroscope_integral(stream.t_s, stream.rate), alignment, imu):
+        raise RecordingError(str(finding))
 
 
 def with_looks(
@@ -259,7 +292,7 @@ def with_looks(
     Raises
     ------
     RecordingError
-        If their axes contradict each other, so that nothing could be estimated.
+        If their axes contradict each other, or a clock jumped so far that one time shift means nothing.
     """
     findings: list[Finding] = []
     turns: dict[str, BoardTurns] = {}
@@ -284,6 +317,7 @@ def _looked(
     """Return what a camera and an IMU say of each other."""
     if look.alignment.score == 0:
         return [], None  # taken as stated, since nothing tells it
+    _refuse_clock_steps(look.name, look.poses, look.alignment, stream, prepared.imus[number].name)
     gyroscope = next(data.gyroscope for data in prepared.inertial if data.imu == number and data.gyroscope is not None)
     return check_look(
         look.name,

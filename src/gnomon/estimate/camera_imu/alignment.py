@@ -27,6 +27,11 @@ _EXPLAINED, _PROPER = 0.3, 0.9
 _SCALE = 0.5
 _FILLED_S, _SPARSEST, _LONGEST_S = 1.0, 20.0, 600.0  # a longer step is a gap; times of what is filled, and beside it
 
+_WINDOW_S, _MOST_WINDOWS, _WINDOW_FEWEST = 3.0, 40, 20  # windows aligned by themselves: their length, number, turns
+_WINDOW_RAD_S, _TWO_AXES = 0.1, 0.2  # of the second axis, rms; and of the first one's rate
+_SAME_AXES_RAD = 0.1
+_LEAST_STEP_S, _STEP_TIMES = 0.02, 8.0  # a step, and times the usual change between windows
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GyroscopeIntegral:
@@ -79,6 +84,15 @@ class _Turns:
     rotvec: Floats
     first: np.ndarray
     second: np.ndarray
+
+    def where(self, kept: np.ndarray) -> "_Turns":
+        return _Turns(
+            start_s=self.start_s[kept],
+            stop_s=self.stop_s[kept],
+            rotvec=self.rotvec[kept],
+            first=self.first[kept],
+            second=self.second[kept],
+        )
 
 
 def gyroscope_integral(t_s: Floats, rate: Floats) -> GyroscopeIntegral:
@@ -135,6 +149,113 @@ def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignmen
     return found
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClockStep:
+    """A step of the time shift between a camera and the IMU.
+
+    Attributes
+    ----------
+    at_s : timestamp of the camera's last frames before it [s]
+    before_s, after_s : t_imu - t_cam before and after it [s]
+    """
+
+    at_s: float
+    before_s: float
+    after_s: float
+
+
+def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Alignment | None) -> tuple[ClockStep, ...]:
+    """Return where the time shift steps by so much that the rotation cannot be explained with a single one.
+
+    Each window of the recording is aligned by itself, at any time shift. Windows count where the gyroscope explains the
+    camera's rotation about two axes at least, by the same rotation between their axes as in most of the others: a
+    shift found by chance would need another one. Gaps by themselves change nothing.
+
+    Parameters
+    ----------
+    poses, integral : as of `align`
+    alignment : of the whole recording, None where it failed; where it explains every window nothing is sought
+    """
+    if len(poses) < _WINDOW_FEWEST or _mostly_gaps(poses.t_s) or _mostly_gaps(integral.t_s):
+        return ()
+    turns = _turns(poses)
+    windows = _windows(turns)
+    if alignment is not None and all(_explains(poses, window, integral, alignment.time_shift_s) for window in windows):
+        return ()
+    found = [(window, one) for window in windows if (one := _window_alignment(poses, window, integral)) is not None]
+    if len(found) < 2:
+        return ()
+    R = np.array([one.R_cam_imu for _, one in found])
+    alike = np.trace(np.swapaxes(R, 1, 2)[:, None] @ R[None], axis1=2, axis2=3) > 1 + 2 * np.cos(_SAME_AXES_RAD)
+    most = alike[int(alike.sum(axis=1).argmax())]
+    kept = [one for one, same in zip(found, most.tolist(), strict=True) if same]
+    shifts = np.array([one.time_shift_s for _, one in kept])
+    changes = np.diff(shifts)
+    least = max(_LEAST_STEP_S, _STEP_TIMES * float(np.median(np.abs(changes)))) if len(changes) > 2 else _LEAST_STEP_S
+    steps = np.flatnonzero(np.abs(changes) > least)
+    # A step within a window gives that a shift between those of its neighbours, and then looks like two.
+    spans = [(run[0], run[-1] + 1) for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1) if len(run)]
+    edges = [0, *(edge for span in spans for edge in (span[0] + 1, span[1])), len(kept)]
+    levels = [float(np.median(shifts[a:b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return tuple(
+        _located(turns, integral, kept[first], kept[last], (levels[k], levels[k + 1]))
+        for k, (first, last) in enumerate(spans)
+    )
+
+
+def _windows(turns: "_Turns") -> list["_Turns"]:
+    """Return the turns in windows of equal time, without those that are too few."""
+    if not len(turns.first):
+        return []
+    filled = float(np.minimum(np.diff(turns.start_s), _FILLED_S).sum())
+    number = ((turns.start_s - turns.start_s[0]) // max(_WINDOW_S, filled / _MOST_WINDOWS)).astype(np.int64)
+    edges = np.flatnonzero(np.diff(number)) + 1
+    parts = np.split(np.arange(len(number)), edges)
+    return [turns.where(part) for part in parts if len(part) >= _WINDOW_FEWEST]
+
+
+def _explains(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral, shift: float) -> bool:
+    """Tell whether a window's rotation is explained best about a shift, or is too slow to be asked."""
+    spread = _principal_rates(window, np.ones(len(window.first), dtype=bool))
+    if spread[1] < _WINDOW_RAD_S:
+        return True
+    found = _refined(poses, window, integral, shift)
+    return found is not None and found.score > _PROPER and abs(found.time_shift_s - shift) < _LEAST_STEP_S / 2
+
+
+def _window_alignment(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral) -> Alignment | None:
+    """Return the alignment of a window by itself; None where nothing certain is found."""
+    spread = _principal_rates(window, np.ones(len(window.first), dtype=bool))
+    if spread[1] < max(_WINDOW_RAD_S, _TWO_AXES * spread[0]):
+        return None
+    try:
+        coarse = _coarse_shift(window, integral, "", limited=False)
+    except InitialisationError:
+        return None
+    found = _refined(poses, window, integral, coarse)
+    return found if found is not None and found.score > _PROPER else None
+
+
+def _located(
+    turns: "_Turns",
+    integral: GyroscopeIntegral,
+    before: tuple["_Turns", Alignment],
+    after: tuple["_Turns", Alignment],
+    shifts: tuple[float, float],
+) -> ClockStep:
+    """Return the step between two windows, at the instant that explains the turns from one to the other best."""
+    inside = (turns.start_s >= before[0].start_s[0]) & (turns.stop_s <= after[0].stop_s[-1])
+    between = turns.where(np.flatnonzero(inside))
+    length = (between.stop_s - between.start_s)[:, None]
+    errors: list[Floats] = []
+    for shift, (_, found) in zip(shifts, (before, after), strict=True):
+        read = (integral(between.stop_s + shift) - integral(between.start_s + shift)) / length - found.gyroscope_bias
+        errors.append(np.linalg.norm(read - between.rotvec / length @ found.R_cam_imu, axis=1))
+    worse = np.concatenate([[0.0], np.cumsum(errors[0] - errors[1])])
+    k = max(int(worse.argmin()), 1)
+    return ClockStep(at_s=float(between.stop_s[k - 1]), before_s=shifts[0], after_s=shifts[1])
+
+
 def _refuse_jump(t_s: Floats, name: str) -> None:
     """Refuse timestamps that are mostly gaps, as a clock that jumps leaves them: grids over them would know no bound.
 
@@ -145,13 +266,18 @@ def _refuse_jump(t_s: Floats, name: str) -> None:
     """
     steps = np.diff(t_s)
     filled = float(np.minimum(steps, _FILLED_S).sum())
-    if len(steps) and t_s[-1] - t_s[0] > _LONGEST_S + _SPARSEST * filled:
+    if _mostly_gaps(t_s):
         at = int(np.argmax(steps))
         raise InitialisationError(
             f"{name}: for {steps[at]:.6g} s, from {t_s[at] - t_s[0]:.6g} s after its beginning on, nothing was "
             f"recorded, and all else lasts {filled:.6g} s. Its clock jumped, or recordings of different times are in "
             "one: cut it there."
         )
+
+
+def _mostly_gaps(t_s: Floats) -> bool:
+    filled = float(np.minimum(np.diff(t_s), _FILLED_S).sum())
+    return len(t_s) > 1 and bool(t_s[-1] - t_s[0] > _LONGEST_S + _SPARSEST * filled)
 
 
 def _aligned(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, name: str) -> Alignment:

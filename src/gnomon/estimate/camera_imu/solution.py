@@ -240,9 +240,9 @@ def _step(lin: Linearisation, similar: Factor | None = None) -> Step:
         return gauss_newton_step(lin)
     except np.linalg.LinAlgError as error:
         raise SolveError(
-            f"the normal equations of the batch estimation are singular ({error}). Something in the recording "
-            "determines nothing at all, or contradicts the rest: check for long gaps and for corners with wrong ids, "
-            "or let fewer parameters be estimated."
+            "the recording does not determine all that is estimated, or a part of it contradicts the rest (the normal "
+            f"equations are singular: {error}). `gnomon check` on it says what it looks like; else look for long "
+            "gaps and corners with wrong ids, or let fewer parameters be estimated."
         ) from error
 
 
