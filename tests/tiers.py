@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 DURATIONS = Path(__file__).with_name("durations.json")
-QUICK_CALL_S, QUICK_FIXTURES_S = 0.17, 1.5
+QUICK_CALL_S, QUICK_FIXTURES_S = 0.1, 1.0
 LONG_S = 3.0
 """A test that takes longer is marked `long`, by somebody who has asked himself why."""
 

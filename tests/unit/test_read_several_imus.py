@@ -146,11 +146,14 @@ def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
         return [Finding(severity="warning", code=code, message=message) for code, message in told], None
 
     monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.check_look", look_at)
+    monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.check_clock_steps", lambda *_: [])
+    monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.gyroscope_integral", lambda *_: None)
     aligned = SimpleNamespace(score=1.0)
     frames = simulation.recording.cameras["cam0"]
     look = Look(name="cam0", frames=frames, poses=None, alignment=aligned, target=simulation.target)
     beside = Beside(name="imu1", look=look, alignment=aligned, R_imu_body=np.eye(3), time_shift_s=0.0)
-    found = with_looks(prepared, [look], simulation.target, [None, None], [beside]).findings
+    stream = SimpleNamespace(t_s=None, rate=None)
+    found = with_looks(prepared, [look], simulation.target, [stream, stream], [beside]).findings
     told = [finding.message for finding in found if finding.code in {"triads-apart", "frames-late"}]
     assert told == ["accelerometer of imu0 late", "cam0: frames late", "accelerometer of imu1 late"]
     assert lenses == [frames.camera, None]
