@@ -179,6 +179,8 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
     if len(poses) < _WINDOW_FEWEST or _mostly_gaps(poses.t_s) or _mostly_gaps(integral.t_s):
         return ()
     turns = _turns(poses)
+    if not _alike_in_size(turns, integral):  # another unit or another recording is what is to be said
+        return ()
     windows = _windows(turns)
     if alignment is not None and all(_explains(poses, window, integral, alignment.time_shift_s) for window in windows):
         return ()
@@ -201,6 +203,17 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
         _located(turns, integral, kept[first], kept[last], (levels[k], levels[k + 1]))
         for k, (first, last) in enumerate(spans)
     )
+
+
+def _alike_in_size(turns: "_Turns", integral: GyroscopeIntegral) -> bool:
+    """Whether camera and gyroscope turned by about as much in all, whatever their clocks."""
+    seen = (
+        float(np.median(np.linalg.norm(turns.rotvec, axis=1) / (turns.stop_s - turns.start_s)))
+        if len(turns.first)
+        else 0.0
+    )
+    step = np.linalg.norm(np.diff(integral.angle, axis=0), axis=1) / np.maximum(np.diff(integral.t_s), 1e-9)
+    return bool(0.4 * seen < float(np.median(step)) < 2.5 * seen)
 
 
 def _windows(turns: "_Turns") -> list["_Turns"]:
