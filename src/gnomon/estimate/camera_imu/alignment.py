@@ -6,7 +6,8 @@ unknown rotation between the axes nor a bias can change, the sum of the singular
 taken, at every shift of the whole overlap.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +32,7 @@ _WINDOW_S, _MOST_WINDOWS, _WINDOW_FEWEST = 3.0, 40, 20  # windows aligned by the
 _WINDOW_RAD_S, _TWO_AXES = 0.1, 0.2  # of the second axis, rms; and of the first one's rate
 _SAME_AXES_RAD = 0.1
 _LEAST_STEP_S, _STEP_TIMES = 0.02, 8.0  # a step, and times the usual change between windows
+_WORSE, _SURE = 1.2, 30.0  # a single shift leaves so many times the variance in a part; its log-likelihood, at least
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -198,7 +200,10 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
     # A step within a window gives that a shift between those of its neighbours, and then looks like two.
     spans = [(run[0], run[-1] + 1) for run in np.split(steps, np.flatnonzero(np.diff(steps) > 1) + 1) if len(run)]
     edges = [0, *(edge for span in spans for edge in (span[0] + 1, span[1])), len(kept)]
-    levels = [float(np.median(shifts[a:b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    segments = list(zip(edges[::2], edges[1::2], strict=True))
+    levels = [float(np.median(shifts[a:b])) for a, b in segments]
+    if alignment is not None and not any(_is_worse(kept[a:b], integral, alignment) for a, b in segments):
+        return ()  # such as of a rolling shutter, or few frames: windows alone tell their shifts badly
     return tuple(
         _located(turns, integral, kept[first], kept[last], (levels[k], levels[k + 1]))
         for k, (first, last) in enumerate(spans)
@@ -207,11 +212,9 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
 
 def _alike_in_size(turns: "_Turns", integral: GyroscopeIntegral) -> bool:
     """Whether camera and gyroscope turned by about as much in all, whatever their clocks."""
-    seen = (
-        float(np.median(np.linalg.norm(turns.rotvec, axis=1) / (turns.stop_s - turns.start_s)))
-        if len(turns.first)
-        else 0.0
-    )
+    if not len(turns.first):
+        return False
+    seen = float(np.median(np.linalg.norm(turns.rotvec, axis=1) / (turns.stop_s - turns.start_s)))
     step = np.linalg.norm(np.diff(integral.angle, axis=0), axis=1) / np.maximum(np.diff(integral.t_s), 1e-9)
     return bool(0.4 * seen < float(np.median(step)) < 2.5 * seen)
 
@@ -249,6 +252,23 @@ def _window_alignment(poses: BoardPoses, window: "_Turns", integral: GyroscopeIn
     return found if found is not None and found.score > _PROPER else None
 
 
+def _is_worse(windows: Sequence[tuple["_Turns", Alignment]], integral: GyroscopeIntegral, alignment: Alignment) -> bool:
+    """Tell whether the alignment of a whole recording explains some windows surely worse than their own do."""
+    logs = [
+        float(np.log(np.mean(_errors(turns, integral, alignment) ** 2) / np.mean(_errors(turns, integral, own) ** 2)))
+        for turns, own in windows
+    ]
+    gained = 1.5 * sum(log * len(turns.first) for log, (turns, _) in zip(logs, windows, strict=True))  # three axes
+    return bool(np.mean(logs) > np.log(_WORSE) and gained > _SURE)
+
+
+def _errors(turns: "_Turns", integral: GyroscopeIntegral, found: Alignment) -> Floats:
+    """Return how far gyroscope and camera disagree in each turn, (n,) [rad/s]."""
+    length_s = (turns.stop_s - turns.start_s)[:, None]
+    read = (integral(turns.stop_s + found.time_shift_s) - integral(turns.start_s + found.time_shift_s)) / length_s
+    return np.linalg.norm(read - found.gyroscope_bias - turns.rotvec / length_s @ found.R_cam_imu, axis=1)
+
+
 def _located(
     turns: "_Turns",
     integral: GyroscopeIntegral,
@@ -259,11 +279,10 @@ def _located(
     """Return the step between two windows, at the instant that explains the turns from one to the other best."""
     inside = (turns.start_s >= before[0].start_s[0]) & (turns.stop_s <= after[0].stop_s[-1])
     between = turns.where(np.flatnonzero(inside))
-    length = (between.stop_s - between.start_s)[:, None]
-    errors: list[Floats] = []
-    for shift, (_, found) in zip(shifts, (before, after), strict=True):
-        read = (integral(between.stop_s + shift) - integral(between.start_s + shift)) / length - found.gyroscope_bias
-        errors.append(np.linalg.norm(read - between.rotvec / length @ found.R_cam_imu, axis=1))
+    errors = [
+        _errors(between, integral, replace(found, time_shift_s=shift))
+        for shift, (_, found) in zip(shifts, (before, after), strict=True)
+    ]
     worse = np.concatenate([[0.0], np.cumsum(errors[0] - errors[1])])
     k = max(int(worse.argmin()), 1)
     return ClockStep(at_s=float(between.stop_s[k - 1]), before_s=shifts[0], after_s=shifts[1])
