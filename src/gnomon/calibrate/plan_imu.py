@@ -112,14 +112,17 @@ def _planned_problem(
     planned = planned_rests(plan, gravity_m_s2, seed)
     rng = np.random.default_rng(seed)
     t_ns = np.rint(1e9 * planned.t_s).astype(np.int64)
-    noisy = (
-        TriadSamples(t_ns=t_ns, values=exact + density * plan.rate_hz**0.5 * rng.normal(size=exact.shape), unit=unit)
-        for exact, density, unit in (
-            (planned.f_imu, noise.accelerometer_noise_density, "m/s^2"),
-            (planned.omega_imu, noise.gyroscope_noise_density, "rad/s"),
-        )
+
+    def noisy(exact: Floats, density: float, unit: str) -> TriadSamples:
+        """Return samples (n, 3) with white noise of a density."""
+        drawn = density * plan.rate_hz**0.5 * rng.normal(size=exact.shape)
+        return TriadSamples(t_ns=t_ns, values=exact + drawn, unit=unit)
+
+    samples = ImuSamples(
+        accelerometer=noisy(planned.f_imu, noise.accelerometer_noise_density, "m/s^2"),
+        gyroscope=noisy(planned.omega_imu, noise.gyroscope_noise_density, "rad/s"),
     )
-    found = find_imu_rests(ImuSamples(accelerometer=next(noisy), gyroscope=next(noisy)), gravity_m_s2=gravity_m_s2)
+    found = find_imu_rests(samples, gravity_m_s2=gravity_m_s2)
     rests = Rests.none() if found is None else found.chosen.rests
     still = rests.intervals
     if len(still) < 2:
