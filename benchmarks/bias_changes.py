@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import gnomon
-from gnomon.diagnostics import ImuDiagnostics, Result
 from gnomon.recording import Floats, ImuSamples, Recording
+from gnomon.results.imu_diagnostics import ImuDiagnostics
+from gnomon.results.result import Result
 
 KINDS = ("gyroscope step", "accelerometer step", "gyroscope warm-up", "accelerometer warm-up", "appended", "tremor")
 NEW = frozenset({"bias-step", "warm-up", "sensor-changed", "rates-left-out", "intervals-left-out"})

@@ -25,9 +25,9 @@ from gnomon.detect.boards.board import BoardView  # noqa: E402
 from gnomon.detect.boards.charuco import detect_charuco  # noqa: E402
 from gnomon.detect.boards.checkerboard_order import ambiguous_turns, renumbered  # noqa: E402
 from gnomon.detect.boards.circlegrid import detect_circlegrid  # noqa: E402
-from gnomon.images import Grey  # noqa: E402
 from gnomon.models.target import Target  # noqa: E402
 from gnomon.recording import Floats  # noqa: E402
+from gnomon.recording.images import Grey  # noqa: E402
 from rendered import Ranges, rendered_views  # noqa: E402
 
 Detector = Callable[[Grey, Target], BoardView]

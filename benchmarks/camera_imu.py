@@ -30,7 +30,7 @@ from imu import DATA, HERE, Table, child, machine
 
 import gnomon
 from gnomon.calibrate import camera_imu as recipe
-from gnomon.calibrate import camera_imu_model as model_choice
+from gnomon.calibrate.steps import camera_imu_model as model_choice
 
 RUNS = 5
 PROCESS_RUNS = 3

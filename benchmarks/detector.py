@@ -34,8 +34,8 @@ from detection import Score, Truth, with_truth
 from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.detect.boards.board import BoardView
 from gnomon.detect.boards.checkerboard import detect_checkerboard
-from gnomon.images import Grey
 from gnomon.models.target import Target
+from gnomon.recording.images import Grey
 from rendered import Ranges, rendered_views
 
 Detector = Callable[[Grey, Target], BoardView]

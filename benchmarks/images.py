@@ -29,12 +29,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems
 import cv2
 from imu import HERE, Table, child, machine
 
-from gnomon.calibrate.board_corners import CameraImages, detect_corners, detector
+from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners, detector
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras
-from gnomon.images import Frame, ImageRecording
 from gnomon.models.target import Target
 from gnomon.readers.images.image_recording import open_images
+from gnomon.recording.images import Frame, ImageRecording
 
 RUNS = 3
 RATE_HZ = 20.0
@@ -155,7 +155,7 @@ recording, folder, output = map(Path, sys.argv[1:])
 mark("starting")
 import gnomon, scipy.linalg, scipy.optimize, cv2, rosbags.highlevel
 from gnomon.calibrate import calibrate_camera_imu
-from gnomon.calibrate.board_corners import CameraImages, detect_corners
+from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
 from gnomon.readers.images.image_recording import open_images
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras, read_imus

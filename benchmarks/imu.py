@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems
 import numpy as np
 
 import gnomon
-from gnomon.calibrate.preparation import prepare
+from gnomon.calibrate.steps.preparation import prepare
 from gnomon.detect.samples.static import static_statistic, window_samples
 
 HERE = Path(__file__).resolve().parent

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from gnomon.detect.boards.board import BoardView, nothing_seen
-from gnomon.images import Grey
 from gnomon.models.target import Target
 from gnomon.recording import Floats
+from gnomon.recording.images import Grey
 
 Detector = Callable[[Grey, Target], BoardView]
 

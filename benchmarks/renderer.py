@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems
 from imu import HERE, Table, machine
 
 from gnomon import CameraImuScenario, simulate_camera_imu
-from gnomon.simulate.board_images import simulated_images
+from gnomon.simulate.images.board_images import simulated_images
 
 LIMIT = 20.0  # images a second on two cores
 BASE = CameraImuScenario(

@@ -21,7 +21,7 @@ import gnomon
 from gnomon.errors import GnomonError
 from gnomon.options import StatedRate
 from gnomon.recording import ImuSamples, Poses, Recording, TriadSamples
-from gnomon.sensor_noise import Coefficient
+from gnomon.results.sensor_noise import Coefficient
 from gnomon.simulate import (
     FieldScenario,
     PoseScenario,

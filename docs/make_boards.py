@@ -122,7 +122,7 @@ def sizes(views: int = 12) -> None:
     """Print which share of the points is found in images of 752 x 480 px, tilted by up to 40 degrees."""
     from gnomon.detect.boards.worker import detector
     from gnomon.geometry.rotation_vector import rotation_from_rotvec
-    from gnomon.simulate.rendering import Optics, render
+    from gnomon.simulate.images.rendering import Optics, render
 
     focal = 460.0
     camera = Camera(

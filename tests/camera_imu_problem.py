@@ -8,14 +8,14 @@ import numpy as np
 from camera_imu_reference import Problem
 from gnomon.estimate.camera_imu.batch import Measurements, Noise, State
 from gnomon.estimate.camera_imu.blocks import blocks
-from gnomon.estimate.camera_imu.board import Board
-from gnomon.estimate.camera_imu.corner_sums import Exposures
-from gnomon.estimate.camera_imu.first_guess import per_corner
-from gnomon.estimate.camera_imu.inertial_data import InertialData, InertialNoise, TriadData
 from gnomon.estimate.camera_imu.layout import layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.start.first_guess import per_corner
+from gnomon.estimate.camera_imu.terms.board import Board
+from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
+from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
+from gnomon.estimate.camera_imu.terms.visual_terms import VisualData, board_in_camera, instants
 from gnomon.estimate.camera_imu.trajectory import Bases, Grid, Segment, Trajectory
-from gnomon.estimate.camera_imu.visual_terms import VisualData, board_in_camera, instants
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.origin import Origin, single_point_weights

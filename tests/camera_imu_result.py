@@ -8,7 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnomon.calibration import (
+from gnomon.findings import Finding
+from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.models.camera import Camera
+from gnomon.recording import FrameQuality, Source
+from gnomon.results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -20,22 +24,18 @@ from gnomon.calibration import (
     ImuCalibration,
     Provenance,
 )
-from gnomon.diagnostics import (
+from gnomon.results.camera_diagnostics import (
     BiasTrack,
     CameraImuDiagnostics,
     CornerFit,
     EstimatedParameter,
     NoiseLevel,
-    Result,
     SignalFit,
     SolverStep,
     TrajectoryTrack,
 )
-from gnomon.findings import Finding
-from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.models.camera import Camera
-from gnomon.parameters import covariance_names
-from gnomon.recording import FrameQuality, Source
+from gnomon.results.parameters import covariance_names
+from gnomon.results.result import Result
 
 FINDINGS = (
     Finding(

@@ -59,7 +59,7 @@ def judged(result, truth, seed=0) -> Trusted:
             name = path.partition(".")[0]
             rotations = [one.cameras[name].T_cam_imu[:3, :3] for one in (truth, calibration)]
             difference = rotvec_from_rotation(rotations[0].T @ rotations[1])
-        names = gnomon.calibration.element_names(path, found.shape)
+        names = gnomon.results.calibration.element_names(path, found.shape)
         error += [value for value, name in zip(difference, names, strict=True) if name in trust.names]
     return Trusted(
         seed=seed,

@@ -6,17 +6,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import gnomon
-from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu
+from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu
 from gnomon.estimate.camera_imu.batch import Measurements, Noise, State, linearised
 from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.first_guess import imu_stream, looks
 from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
-from gnomon.estimate.camera_imu.inertial_data import InertialNoise
-from gnomon.estimate.camera_imu.initial_trajectory import ImuPath, initial_trajectory
 from gnomon.estimate.camera_imu.layout import layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
+from gnomon.estimate.camera_imu.start.first_guess import imu_stream, looks
+from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
+from gnomon.estimate.camera_imu.terms.inertial_data import InertialNoise
+from gnomon.estimate.camera_imu.terms.visual_terms import VisualData
 from gnomon.estimate.camera_imu.trajectory import POSE
-from gnomon.estimate.camera_imu.visual_terms import VisualData
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 
 

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from gnomon.calibration import UNSTATED_GRAVITY, Assessment, Calibration, CamerasFit, Covariance, Provenance
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
-from gnomon.parameters import covariance_names
 from gnomon.recording import Source
-from gnomon.sensors import CameraCalibration
-from gnomon.trust import TrustNote
+from gnomon.results.calibration import UNSTATED_GRAVITY, Assessment, Calibration, CamerasFit, Covariance, Provenance
+from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import CameraCalibration
+from gnomon.results.trust import TrustNote
 
 LENSES = {
     "cam0": Camera(

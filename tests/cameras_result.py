@@ -8,27 +8,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnomon.assess.cameras_tables import MISFIT, NOT_CHOSEN
-from gnomon.calibration import Assessment, Calibration, CamerasFit, Covariance, Gravity, Provenance
-from gnomon.diagnostics import (
-    CamerasDiagnostics,
-    CornerFit,
-    EstimatedParameter,
-    LensTrial,
-    NoiseLevel,
-    Result,
-    SolverStep,
-    ViewPose,
-)
+from gnomon.assess.cameras.cameras_tables import MISFIT, NOT_CHOSEN
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.geometry.so3 import skew
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.parameters import covariance_names
 from gnomon.recording import Source
-from gnomon.sensors import CameraCalibration
-from gnomon.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust, TrustNote
+from gnomon.results.calibration import Assessment, Calibration, CamerasFit, Covariance, Gravity, Provenance
+from gnomon.results.camera_diagnostics import (
+    CamerasDiagnostics,
+    CornerFit,
+    EstimatedParameter,
+    LensTrial,
+    NoiseLevel,
+    SolverStep,
+    ViewPose,
+)
+from gnomon.results.parameters import covariance_names
+from gnomon.results.result import Result
+from gnomon.results.sensors import CameraCalibration
+from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust, TrustNote
 
 PIXEL_SIGMA = 0.15
 ROBUST = 1.3

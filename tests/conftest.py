@@ -11,7 +11,9 @@ import hypothesis
 import numpy as np
 import pytest
 
-from gnomon.calibration import (
+from gnomon.findings import Finding
+from gnomon.recording import Source
+from gnomon.results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -24,18 +26,16 @@ from gnomon.calibration import (
     covariance_names,
     parameters,
 )
-from gnomon.diagnostics import (
+from gnomon.results.imu_diagnostics import (
     AllanCurve,
     DetectorTrace,
     ImuDiagnostics,
     IntervalTable,
     ModelTrial,
-    Result,
     RotationTable,
     SignalEnvelope,
 )
-from gnomon.findings import Finding
-from gnomon.recording import Source
+from gnomon.results.result import Result
 from tiers import pytest_addoption, pytest_collection_modifyitems, pytest_configure, pytest_runtest_setup
 from trust_example import example_trust
 

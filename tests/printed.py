@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.simulate.board_outlines import coverage
+from gnomon.simulate.images.board_outlines import coverage
 from rendered import FACING
 
 SVG = "{http://www.w3.org/2000/svg}"

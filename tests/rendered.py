@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.images import Grey
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Floats, Integers
-from gnomon.simulate.clutter import cluttered_wall
-from gnomon.simulate.rendering import Optics, render
+from gnomon.recording.images import Grey
+from gnomon.simulate.images.clutter import cluttered_wall
+from gnomon.simulate.images.rendering import Optics, render
 
 Range = tuple[float, float]
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from gnomon.calibration import (
+from gnomon.findings import Finding
+from gnomon.recording import Source
+from gnomon.results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -15,20 +17,18 @@ from gnomon.calibration import (
     Provenance,
     covariance_names,
 )
-from gnomon.diagnostics import (
+from gnomon.results.result import Result
+from gnomon.results.triad_diagnostics import (
     DipTable,
     GyroscopeAtRest,
     IterationHistory,
     PeriodCurve,
     PoseTable,
-    Result,
     TriadDiagnostics,
     TriadRecord,
     TriadTrial,
     TurntableRate,
 )
-from gnomon.findings import Finding
-from gnomon.recording import Source
 
 RPM16 = 16 * 2 * np.pi / 60
 

@@ -4,7 +4,9 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from gnomon.calibration import (
+from gnomon.findings import Finding
+from gnomon.recording import ImuSamples, TriadSamples
+from gnomon.results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -18,8 +20,6 @@ from gnomon.calibration import (
     covariance_names,
     parameters,
 )
-from gnomon.findings import Finding
-from gnomon.recording import ImuSamples, TriadSamples
 
 TRIADS = ("accelerometer", "gyroscope", "magnetometer")
 SUBSETS = tuple(chain.from_iterable(combinations(TRIADS, count) for count in (1, 2, 3)))

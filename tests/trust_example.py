@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gnomon.trust import (
+from gnomon.results.trust import (
     BlockAgreement,
     BlockChange,
     Clusters,

@@ -32,8 +32,8 @@ from .simulate import (
 )
 
 if TYPE_CHECKING:
-    from .assess.comparison import Comparison
-    from .assess.doctor import check
+    from .assess.checks.doctor import check
+    from .assess.comparison.comparison import Comparison
     from .calibrate import (
         calibrate_camera_imu,
         calibrate_cameras,
@@ -50,26 +50,16 @@ if TYPE_CHECKING:
     )
     from .calibrate.comparison import compare
     from .calibrate.planning import PlanResult
-    from .calibration import (
-        AccelerometerCalibration,
-        Calibration,
-        CameraCalibration,
-        Covariance,
-        GyroscopeCalibration,
-        ImuCalibration,
-        MagnetometerCalibration,
-    )
     from .detect.platter.rate import PlatterRate
-    from .diagnostics import Result
     from .findings import Finding
     from .formats.conversion import convert
     from .formats.foreign import ForeignCalibration
     from .formats.foreign_files import load_foreign
     from .formats.kalibr.cam_results import save_camera_files
-    from .formats.losses import Loss
     from .formats.own.calibration_file import load
     from .formats.own.calibration_text import save
     from .formats.own.noise_file import load_noise, save_noise
+    from .formats.shared.losses import Loss
     from .models.camera import Camera
     from .models.noise import ImuNoise
     from .models.target import Target
@@ -82,14 +72,24 @@ if TYPE_CHECKING:
         StatedRate,
         TurntableOptions,
     )
+    from .options.requirements import Use
     from .readers.recordings import read
     from .readers.samples.turntable_files import read_turntable
     from .recording import CameraFrames, ImuSamples, Poses, Recording, TriadSamples
     from .report import write_report
     from .report.comparison import write_comparison_report
     from .report.noise import write_noise_report
-    from .requirements import Use
-    from .sensor_noise import NoiseResult, SensorNoise
+    from .results.calibration import (
+        AccelerometerCalibration,
+        Calibration,
+        CameraCalibration,
+        Covariance,
+        GyroscopeCalibration,
+        ImuCalibration,
+        MagnetometerCalibration,
+    )
+    from .results.result import Result
+    from .results.sensor_noise import NoiseResult, SensorNoise
     from .simulate import (
         simulate_camera_imu,
         simulate_cameras,
@@ -101,13 +101,13 @@ if TYPE_CHECKING:
     from .writers.camera_imu_files import save_camera_imu_files
 
 _HOMES = {
-    "AccelerometerCalibration": "calibration",
-    "Calibration": "calibration",
-    "CameraCalibration": "calibration",
-    "Covariance": "calibration",
+    "AccelerometerCalibration": "results.calibration",
+    "Calibration": "results.calibration",
+    "CameraCalibration": "results.calibration",
+    "Covariance": "results.calibration",
     "Finding": "findings",
-    "GyroscopeCalibration": "calibration",
-    "ImuCalibration": "calibration",
+    "GyroscopeCalibration": "results.calibration",
+    "ImuCalibration": "results.calibration",
     "Camera": "models.camera",
     "CameraFrames": "recording",
     "CameraImuOptions": "options",
@@ -116,22 +116,22 @@ _HOMES = {
     "ImuNoise": "models.noise",
     "ImuOptions": "options",
     "ImuSamples": "recording",
-    "Loss": "formats.losses",
+    "Loss": "formats.shared.losses",
     "Recording": "recording",
-    "Result": "diagnostics",
+    "Result": "results.result",
     "Target": "models.target",
     "TriadSamples": "recording",
     "Units": "units",
     "calibrate_camera_imu": "calibrate",
     "calibrate_cameras": "calibrate",
     "calibrate_imu": "calibrate",
-    "Comparison": "assess.comparison",
+    "Comparison": "assess.comparison.comparison",
     "PlanResult": "calibrate.planning",
-    "Use": "requirements",
+    "Use": "options.requirements",
     "judge": "calibrate",
     "plan": "calibrate",
     "read_hardware": "calibrate",
-    "check": "assess.doctor",
+    "check": "assess.checks.doctor",
     "compare": "calibrate.comparison",
     "simulate_camera_imu": "simulate",
     "simulate_cameras": "simulate",
@@ -149,7 +149,7 @@ _HOMES = {
     "save_camera_files": "formats.kalibr.cam_results",
     "save_camera_imu_files": "writers.camera_imu_files",
     "write_report": "report",
-    "MagnetometerCalibration": "calibration",
+    "MagnetometerCalibration": "results.calibration",
     "Poses": "recording",
     "StatedRate": "options",
     "TurntableOptions": "options",
@@ -160,8 +160,8 @@ _HOMES = {
     "rate_from_video": "calibrate",
     "load_noise": "formats.own.noise_file",
     "NoiseOptions": "options",
-    "NoiseResult": "sensor_noise",
-    "SensorNoise": "sensor_noise",
+    "NoiseResult": "results.sensor_noise",
+    "SensorNoise": "results.sensor_noise",
     "PlatterRate": "detect.platter.rate",
     "read_turntable": "readers.samples.turntable_files",
     "write_noise_report": "report.noise",

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import ImuCalibration, rotated
 from gnomon.models.frames import frame_rotation
+from gnomon.results.calibration import ImuCalibration, rotated
 
 OPTIONS = gnomon.ImuOptions(gravity=9.81)
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.assess.board_turn import BoardMove, BoardTurns, board_move
-from gnomon.assess.early_findings import judged_again
-from gnomon.assess.rig_doctor import check_corners
-from gnomon.diagnostics import SignalFit
+from gnomon.assess.checks.board_turn import BoardMove, BoardTurns, board_move
+from gnomon.assess.checks.early_findings import judged_again
+from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
+from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.simulate.camera_imu_frames import View
 
 MOVED_AT_S = 9.0

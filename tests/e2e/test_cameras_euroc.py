@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gnomon.calibrate.camera_reading import read_camera_views
-from gnomon.calibrate.camera_views import rms_of
 from gnomon.calibrate.cameras import calibrate_cameras
+from gnomon.calibrate.steps.camera_reading import read_camera_views
+from gnomon.calibrate.steps.camera_views import rms_of
 from gnomon.estimate.cameras.board_shape import stated
 from gnomon.estimate.cameras.holdout import posed
 from gnomon.estimate.cameras.rig import Rig

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from gnomon.calibrate.board_corners import CameraImages, detect_corners
 from gnomon.calibrate.cameras import calibrate_cameras
+from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
 from gnomon.formats.kalibr.camchain import CameraInput
 from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
 from gnomon.recording import Recording
-from gnomon.simulate.board_images import rendered_cameras
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES
+from gnomon.simulate.images.board_images import rendered_cameras
 
 SEEDS = 4
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from gnomon.calibrate.camera_lenses import CANDIDATES
 from gnomon.calibrate.cameras import calibrate_cameras
+from gnomon.calibrate.steps.camera_lenses import CANDIDATES
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraOptions
 from gnomon.simulate.cameras import simulate_cameras

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import recorded
-from gnomon.calibrate import board_corners
+from gnomon.calibrate.steps import board_corners
 from gnomon.cli.output_folder import CAMERA_IMU_FILES
 
 KEPT = "the corners are those that an earlier run found in the same images"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.joined_recordings import refuse_other_sensors, standing_out_findings
+from gnomon.assess.imu.joined_recordings import refuse_other_sensors, standing_out_findings
 from gnomon.calibrate.several_recordings import scalars_of
 from gnomon.errors import RecordingError
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import parameters
 from gnomon.geometry.quaternion import multiply, normalised, rk4n_steps, rotation_from_quaternion, running_products
+from gnomon.results.calibration import parameters
 
 GRAVITY = 9.80665
 STATED = gnomon.ImuOptions(gravity=GRAVITY)

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 import gnomon
-from gnomon.calibration import parameters
+from gnomon.results.calibration import parameters
 
 SCENARIO = gnomon.Scenario(g_sensitivity=1e-4, earth_rate_latitude=45.0)
 OPTIONS = gnomon.ImuOptions(gravity=9.80665, latitude=45.0, model="g-sensitivity")

@@ -10,8 +10,8 @@ from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.cli import main
 from gnomon.detect.boards.worker import detector
 from gnomon.readers.images.image_recording import open_images
-from gnomon.simulate.board_images import rendered_cameras, simulated_images
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
+from gnomon.simulate.images.board_images import rendered_cameras, simulated_images
 
 FORMS = {"folder": ".", "euroc": ".", "ros1": "recording.bag", "ros2": "recording", "mcap": "recording.mcap"}
 LENS = {"resolution": (320, 240), "intrinsics": (195.0, 194.0, 161.2, 118.5)}

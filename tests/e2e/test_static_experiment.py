@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import Covariance, covariance_names
 from gnomon.cli.poses import averages, joined
 from gnomon.recording import Recording
+from gnomon.results.calibration import Covariance, covariance_names
 from gnomon.simulate import PoseScenario, simulate_poses
 from gnomon.writers.pose_files import save_pose_files, save_poses
 from gnomon.writers.recording_file import save_recording
@@ -47,7 +47,7 @@ def known_sensor(truth, *, scale=1e-4):
 
 
 def _paths(calibration):
-    return [path for path, _ in gnomon.calibration.parameters(calibration.imus)]
+    return [path for path, _ in gnomon.results.calibration.parameters(calibration.imus)]
 
 
 def runs(count, *, prior, scenario=SIX):

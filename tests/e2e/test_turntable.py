@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gnomon.calibrate.steps.turntable_preparation import prepare_turntable
 from gnomon.calibrate.turntable import calibrate_turntable
-from gnomon.calibrate.turntable_preparation import prepare_turntable
-from gnomon.calibration import parameters
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.turntable.fit import magnitude_poses
 from gnomon.options import StatedRate, TurntableOptions
+from gnomon.results.calibration import parameters
 from gnomon.simulate import TurntableScenario, simulate_turntable
 
 DEFAULT = TurntableScenario()

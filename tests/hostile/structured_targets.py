@@ -15,8 +15,7 @@ import gnomon
 from camera_imu_result import make_camera_imu_result
 from cameras_example import cameras_calibration
 from cameras_result import make_cameras_result
-from gnomon.calibrate.board_reading import kept_corners
-from gnomon.calibration import Calibration, Provenance
+from gnomon.calibrate.steps.board_reading import kept_corners
 from gnomon.cli.inputs import read_priors
 from gnomon.findings import Finding
 from gnomon.formats.conversion import exported
@@ -26,15 +25,16 @@ from gnomon.formats.kalibr.cam_results import camera_texts
 from gnomon.formats.kalibr.camchain import read_camchain
 from gnomon.formats.kalibr.imu import read_imu_input
 from gnomon.formats.kalibr.target import read_target
-from gnomon.formats.losses import StatedImu
 from gnomon.formats.own.noise_file import load_noise, noise_text
 from gnomon.formats.own.options_file import options_text, read_options, read_use
 from gnomon.formats.sensor_inputs import read_cameras, read_imu_noise, read_imus, read_rig
+from gnomon.formats.shared.losses import StatedImu
 from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target as Board
 from gnomon.readers.rig.sensor_yaml import read_sensor
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
-from gnomon.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
+from gnomon.results.calibration import Calibration, Provenance
+from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.cameras_scenario import CamerasScenario
 from gnomon.writers.camera_imu_files import camera_imu_texts

@@ -11,16 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gnomon
-from gnomon.calibration import (
-    AccelerometerCalibration,
-    Assessment,
-    Calibration,
-    Covariance,
-    Gravity,
-    GyroscopeCalibration,
-    ImuCalibration,
-    Provenance,
-)
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import is_own, load_foreign
 from gnomon.models.diagonal_forms import DiagonalTriad
@@ -41,7 +31,17 @@ from gnomon.models.project_forms import (
     KalibrAccelerometer,
     KalibrGyroscope,
 )
-from gnomon.parameters import covariance_names, parameters
+from gnomon.results.calibration import (
+    AccelerometerCalibration,
+    Assessment,
+    Calibration,
+    Covariance,
+    Gravity,
+    GyroscopeCalibration,
+    ImuCalibration,
+    Provenance,
+)
+from gnomon.results.parameters import covariance_names, parameters
 
 entry = st.floats(-0.2, 0.2)
 matrices = st.lists(entry, min_size=9, max_size=9).map(lambda x: np.eye(3) + np.reshape(x, (3, 3)))

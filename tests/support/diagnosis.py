@@ -7,14 +7,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gnomon.assess.doctor import check
-from gnomon.assess.rig_doctor import check_corners
+from gnomon.assess.checks.doctor import check
+from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.calibrate.imu import calibrate_imu
-from gnomon.calibration import Assessment, Verdict
 from gnomon.errors import GnomonError
 from gnomon.findings import Finding
 from gnomon.options import CameraImuOptions
+from gnomon.results.calibration import Assessment, Verdict
 from gnomon.study.runs import HERE, Progress, Workers, carry_out
 
 from .fault_recordings import faulty_recording, sound_recording

@@ -17,9 +17,9 @@ from gnomon.simulate.scenarios import Scenario
 if TYPE_CHECKING:
     import numpy as np
 
-    from gnomon.calibration import Calibration
     from gnomon.models.target import Target
     from gnomon.recording import Recording
+    from gnomon.results.calibration import Calibration
 
 FaultKind = Literal["imu", "camera-imu"]
 

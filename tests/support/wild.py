@@ -11,9 +11,9 @@ import numpy as np
 
 from gnomon.models.target import Target
 from gnomon.options import CameraImuOptions, ImuOptions
-from gnomon.parameters import moved_into_frame
 from gnomon.recording import Floats, Recording
-from gnomon.sensors import CameraCalibration, ImuCalibration
+from gnomon.results.parameters import moved_into_frame
+from gnomon.results.sensors import CameraCalibration, ImuCalibration
 
 WildKind = Literal["imu", "camera-imu"]
 

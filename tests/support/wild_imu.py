@@ -9,7 +9,7 @@ from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec
 from gnomon.models.gravity import EARTH_RATE_RAD_S, normal_gravity_m_s2
 from gnomon.options import ImuOptions
 from gnomon.recording import Floats, ImuSamples, Recording, TriadSamples
-from gnomon.sensors import ImuCalibration
+from gnomon.results.sensors import ImuCalibration
 from gnomon.simulate.imu import simulate_imu
 from gnomon.simulate.scenarios import Scenario
 from gnomon.simulate.sensor import Converter, converters

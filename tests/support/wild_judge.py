@@ -18,13 +18,13 @@ from scipy.stats import chi2, f
 
 from gnomon.calibrate.camera_imu import calibrate_camera_imu
 from gnomon.calibrate.imu import calibrate_imu
-from gnomon.calibration import Calibration, Verdict
 from gnomon.errors import GnomonError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.options import CameraImuOptions, ImuOptions
-from gnomon.parameters import element_names, moved_to_origin, parameters
 from gnomon.recording import Floats
+from gnomon.results.calibration import Calibration, Verdict
+from gnomon.results.parameters import element_names, moved_to_origin, parameters
 from gnomon.study.runs import HERE, Progress, Workers, carry_out
 
 from .wild import WildCase, WildKind

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibrate.preparation import stream
-from gnomon.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
+from gnomon.calibrate.steps.preparation import stream
 from gnomon.detect.samples.static import runs_below, static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.models.target import Target
-from gnomon.parameters import covariance_names
 from gnomon.recording import CameraFrames, ImuSamples, Recording, TriadSamples
+from gnomon.results.calibration import Calibration, CameraCalibration, CameraImuFit, Covariance, Holdout, Provenance
+from gnomon.results.parameters import covariance_names
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import interpolate_triad
 from gnomon.errors import FormatError, OutputError, RecordingError
 from gnomon.readers.samples import stream_text
 from gnomon.readers.samples.stream import open_stream, stream_of
 from gnomon.recording import ImuSamples, TriadSamples
+from gnomon.results.calibration import interpolate_triad
 from gnomon.units import Units
 from gnomon.writers import apply as module
 from gnomon.writers.apply import apply_files, apply_recording, write_calibrated

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import interpolate_triad
 from gnomon.errors import FormatError, RecordingError
 from gnomon.readers.samples import stream_text
 from gnomon.readers.samples.stream import open_stream, stream_of
 from gnomon.recording import Recording
+from gnomon.results.calibration import interpolate_triad
 from gnomon.writers import apply
 from gnomon.writers.apply import apply_files, apply_recording, write_calibrated
 from triad_subsets import SUBSETS, TRIADS, recorded, subset_calibration

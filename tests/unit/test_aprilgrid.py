@@ -13,7 +13,7 @@ from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render
 from rendered import FACING, Ranges, rendered_views
 
 KALIBR = Target.aprilgrid(tag_cols=6, tag_rows=6, tag_size_m=0.088, tag_spacing=0.3)

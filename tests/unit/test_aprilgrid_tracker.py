@@ -10,7 +10,7 @@ from gnomon.detect.boards.plane_map import plane_map
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render
 from rendered import FACING
 
 BOARD = Target.aprilgrid(tag_cols=5, tag_rows=4, tag_size_m=0.08, tag_spacing=0.3)

@@ -8,10 +8,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from gnomon.errors import OutputError, RecordingError
-from gnomon.images import Arrivals, Frame, ImageRecording, ImageStream
 from gnomon.readers.bags.bag import open_bag
 from gnomon.readers.bags.salvage import Outcome, records
 from gnomon.recording import ImuSamples, TriadSamples
+from gnomon.recording.images import Arrivals, Frame, ImageRecording, ImageStream
 from gnomon.writers.bag_recording import save_bag
 
 T0 = 1_403_636_579_758_555_393

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.calibrate.board_corners import BoardCorners, CameraImages, detect_corners
-from gnomon.calibrate.board_reading import cache_file, keep_corners, kept_corners
+from gnomon.calibrate.steps.board_corners import BoardCorners, CameraImages, detect_corners
+from gnomon.calibrate.steps.board_reading import cache_file, keep_corners, kept_corners
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.formats.kalibr.camchain import CameraInput
-from gnomon.images import Frame, Grey, ImageStream
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Source
-from gnomon.simulate.rendering import render
+from gnomon.recording.images import Frame, Grey, ImageStream
+from gnomon.simulate.images.rendering import render
 from rendered import FACING
 
 BOARD = Target.aprilgrid(tag_cols=3, tag_rows=3, tag_size_m=0.08, tag_spacing=0.3)
@@ -219,9 +219,9 @@ def test_corners_of_other_images_are_not_kept_for_ever(views, tmp_path):
 
 def test_a_camera_clock_that_drifts_is_found_when_a_bag_is_read(views, monkeypatch, tmp_path):
     """Where the recorder's clock is known: the camera's clock is 500 ppm slow, the IMU's is right."""
-    from gnomon.calibrate import camera_imu_reading
-    from gnomon.images import Arrivals, ImageRecording
+    from gnomon.calibrate.steps import camera_imu_reading
     from gnomon.recording import ImuSamples, TriadSamples
+    from gnomon.recording.images import Arrivals, ImageRecording
 
     t_ns = np.arange(0, 60_000_000_000, 50_000_000)
     late = np.random.default_rng(0).exponential(1e6, len(t_ns)).astype(np.int64)

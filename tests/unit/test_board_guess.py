@@ -7,8 +7,8 @@ import pytest
 
 from gnomon.detect.boards.board_guess import guess_board
 from gnomon.models.target import Target
-from gnomon.simulate.clutter import cluttered_wall
-from gnomon.simulate.rendering import Optics, render
+from gnomon.simulate.images.clutter import cluttered_wall
+from gnomon.simulate.images.rendering import Optics, render
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibrate.board_order import numbered_alike, views_of, with_views
-from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu
+from gnomon.calibrate.steps.board_order import numbered_alike, views_of, with_views
+from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu
 from gnomon.detect.boards.checkerboard_order import consistent_order, renumbered
-from gnomon.estimate.camera_imu.first_guess import imu_stream
+from gnomon.estimate.camera_imu.start.first_guess import imu_stream
 from gnomon.options import CameraImuOptions
 
 SCENARIO = gnomon.CameraImuScenario(

@@ -8,7 +8,7 @@ from gnomon import OptionError
 from gnomon.models.board_pattern import board_pattern, tag_cells
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render
 from rendered import FACING, euroc_camera
 
 APRILGRID = Target.aprilgrid(tag_cols=6, tag_rows=6, tag_size_m=0.088, tag_spacing=0.3)

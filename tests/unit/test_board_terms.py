@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.board_terms import multiplied, spread_out
+from gnomon.estimate.camera_imu.terms.board_terms import multiplied, spread_out
 
 
 @pytest.mark.parametrize("seen", [0.1, 1.0], ids=["sparse", "dense"])

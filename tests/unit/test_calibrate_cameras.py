@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gnomon.calibrate.camera_lenses import CANDIDATES, stated_models
 from gnomon.calibrate.cameras import calibrate_cameras
+from gnomon.calibrate.steps.camera_lenses import CANDIDATES, stated_models
 from gnomon.errors import OptionError
 from gnomon.options import CameraOptions
-from gnomon.parameters import covariance_names
+from gnomon.results.parameters import covariance_names
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import USUAL_LENSES, CamerasScenario
 

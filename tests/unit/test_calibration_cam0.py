@@ -10,13 +10,13 @@ import yaml
 import gnomon
 from cameras_example import LENSES, cameras_calibration
 from gnomon.errors import FormatError, OptionError, OutputError
-from gnomon.formats.baselines import baseline_of
 from gnomon.formats.conversion import FORMATS, exported
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.sensor_inputs import read_cameras, read_rig
+from gnomon.formats.shared.baselines import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.parameters import covariance_names
-from gnomon.trust import TrustNote
+from gnomon.results.parameters import covariance_names
+from gnomon.results.trust import TrustNote
 from gnomon.writers.tables import form_tables, summary_table
 
 GOLDEN = Path(__file__).parents[1] / "golden"

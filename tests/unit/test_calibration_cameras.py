@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import CameraCalibration
 from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
-from gnomon.parameters import covariance_names, element_names, moved_into_frame, parameters
+from gnomon.results.calibration import CameraCalibration
+from gnomon.results.parameters import covariance_names, element_names, moved_into_frame, parameters
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 CAMERA_PATHS = (

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.camera_checks import check_cameras
-from gnomon.assess.camera_views import image_coverage, views
+from gnomon.assess.cameras.camera_views import image_coverage, views
+from gnomon.assess.checks.camera_checks import check_cameras
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, ImuSamples, Recording, TriadSamples

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, InitialisationError, simulate_camera_imu
-from gnomon.assess.rig_checks import check_recording_rig
-from gnomon.estimate.camera_imu.alignment import align, gyroscope_integral
-from gnomon.estimate.camera_imu.board_poses import board_poses, gathered
-from gnomon.estimate.camera_imu.corner_sums import CornerSums, frame_scatter
-from gnomon.estimate.camera_imu.first_guess import ImuStream, looks
-from gnomon.estimate.camera_imu.first_place import first_place
+from gnomon.assess.checks.rig_checks import check_recording_rig
+from gnomon.estimate.camera_imu.start.alignment import align, gyroscope_integral
+from gnomon.estimate.camera_imu.start.board_poses import board_poses, gathered
+from gnomon.estimate.camera_imu.start.first_guess import ImuStream, looks
+from gnomon.estimate.camera_imu.start.first_place import first_place
+from gnomon.estimate.camera_imu.terms.corner_sums import CornerSums, frame_scatter
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames

@@ -10,8 +10,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_problem import problem
 from gnomon.estimate.camera_imu.batch import linearised
-from gnomon.estimate.camera_imu.cluster_sums import bias_sides, cluster_sums
 from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
+from gnomon.estimate.camera_imu.result.cluster_sums import bias_sides, cluster_sums
 from gnomon.estimate.camera_imu.solution import Solution
 from gnomon.estimate.camera_imu.trajectory import POSE
 

@@ -22,8 +22,8 @@ from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step, moved
 from gnomon.estimate.camera_imu.layout import layout
 from gnomon.estimate.camera_imu.noise_found import estimated_noise
 from gnomon.estimate.camera_imu.parameters import ImuParameters, gravity_axes
+from gnomon.estimate.camera_imu.result.uncertainty import uncertainty
 from gnomon.estimate.camera_imu.solution import Solution
-from gnomon.estimate.camera_imu.uncertainty import uncertainty
 from gnomon.estimate.camera_imu.walk_noise import PROBES
 
 LENGTHS = [0.0, 1e-9, 1e-4, 3.0, 5.2]

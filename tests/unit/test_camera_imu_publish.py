@@ -9,12 +9,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_problem import problem
-from gnomon.estimate.camera_imu.publish import published
-from gnomon.estimate.camera_imu.uncertainty import Held, Uncertainty
+from gnomon.estimate.camera_imu.result.publish import published
+from gnomon.estimate.camera_imu.result.uncertainty import Held, Uncertainty
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import KrebsAccelerometer, KrebsGyroscope
 from gnomon.models.pattern import LOWER
-from gnomon.parameters import covariance_names, parameters
+from gnomon.results.parameters import covariance_names, parameters
 
 MODELS = (("pinhole", "fov"), ("ds", "none"), ("eucm", "radtan"))
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.camera_checks import check_views
-from gnomon.assess.camera_synchronism import JointResiduals, check_synchronism
-from gnomon.assess.camera_views import without_copies
+from gnomon.assess.cameras.camera_synchronism import JointResiduals, check_synchronism
+from gnomon.assess.cameras.camera_views import without_copies
+from gnomon.assess.checks.camera_checks import check_views
 from gnomon.simulate.cameras_scenario import CamerasScenario
 
 OPTIONS = gnomon.CameraOptions(model=("pinhole-radtan",), board="stated")

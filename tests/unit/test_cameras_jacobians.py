@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from board_views import BOARD, MODELS, lens, pose, seen
-from gnomon.estimate.camera_imu.corner_sums import CornerNoise
+from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise
 from gnomon.estimate.cameras.board_shape import offsets_information, stated
 from gnomon.estimate.cameras.first_rig import posed_rig
 from gnomon.estimate.cameras.layout import POSE, Layout

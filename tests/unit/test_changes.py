@@ -11,8 +11,8 @@ from gnomon.estimate.trust.changes import parameter_changes
 from gnomon.estimate.trust.clusters import ClusterSums
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text
-from gnomon.requirements import USES
-from gnomon.trust import ParameterChange, QuantityChange, Trust
+from gnomon.options.requirements import USES
+from gnomon.results.trust import ParameterChange, QuantityChange, Trust
 
 SIZES = {"imu0.gyroscope.sensitivity": 4, "imu0.gyroscope.bias": 3, "imu0.accelerometer.sensitivity": 3}
 NAMES = [f"{path}[{k}]" for path, size in SIZES.items() for k in range(size)]

@@ -12,8 +12,8 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.clutter import cluttered_wall
-from gnomon.simulate.rendering import Optics, render
+from gnomon.simulate.images.clutter import cluttered_wall
+from gnomon.simulate.images.rendering import Optics, render
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 BOARD = Target.charuco(cols=8, rows=6, square_size_m=0.06, marker_size_m=0.045)

@@ -353,7 +353,7 @@ def test_show_refuses_other_files(tmp_path):
 
 
 def test_camera_entries_by_hand(camera_calibration):
-    from gnomon.formats.entries import camera_entries
+    from gnomon.formats.shared.entries import camera_entries
 
     calibration = camera_calibration(6)
     found = {entry.name: (entry.value, sigma) for entry, sigma in camera_entries(calibration, "cam1")}

@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 
 import gnomon
-from gnomon.calibration import Provenance
 from gnomon.cli import main
 from gnomon.formats.conversion import WITH_NOISE
 from gnomon.formats.foreign_files import load_foreign
-from gnomon.formats.losses import StatedImu
 from gnomon.formats.own.noise_file import save_noise
+from gnomon.formats.shared.losses import StatedImu
 from gnomon.models.noise import ImuNoise
-from gnomon.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
+from gnomon.results.calibration import Provenance
+from gnomon.results.sensor_noise import COEFFICIENTS, AxisNoise, Coefficient, SensorNoise, TriadNoise
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.clock_drift import check_drift, clock_drift
-from gnomon.assess.rig_checks import check_recording_rig
-from gnomon.estimate.camera_imu.board_poses import board_poses
-from gnomon.estimate.camera_imu.first_guess import ImuStream
+from gnomon.assess.checks.clock_drift import check_drift, clock_drift
+from gnomon.assess.checks.rig_checks import check_recording_rig
+from gnomon.estimate.camera_imu.start.board_poses import board_poses
+from gnomon.estimate.camera_imu.start.first_guess import ImuStream
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
-from gnomon.assess.rig_doctor import check_corners
+from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.errors import RecordingError
 
 SCENARIO = CameraImuScenario(duration_s=20.0, target_cols=4, target_rows=4, random_extrinsics=True)

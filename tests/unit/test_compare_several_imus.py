@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, simulate_camera_imu
-from gnomon.assess.candidates import Candidate
-from gnomon.assess.comparing import compared
+from gnomon.assess.comparison.candidates import Candidate
+from gnomon.assess.comparison.comparing import compared
 from gnomon.assess.observability import known_of, weak_directions
 from gnomon.assess.weak_findings import weak_findings
-from gnomon.calibration import Covariance, Provenance
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.geometry.so3 import inverse
+from gnomon.results.calibration import Covariance, Provenance
 
 SIGMA = 1e-4
 

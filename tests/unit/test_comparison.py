@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.candidates import Candidate, in_common_frame
-from gnomon.assess.comparison import lens_difference
-from gnomon.assess.quantities import statement_of
+from gnomon.assess.comparison.candidates import Candidate, in_common_frame
+from gnomon.assess.comparison.comparison import lens_difference
+from gnomon.assess.comparison.quantities import statement_of
 from gnomon.calibrate.comparison import compare
-from gnomon.calibration import Calibration, Covariance, Gravity
 from gnomon.errors import FormatError, OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
-from gnomon.parameters import parameters
 from gnomon.recording import Source
+from gnomon.results.calibration import Calibration, Covariance, Gravity
+from gnomon.results.parameters import parameters
 
 SI = ("m/s^2", "rad/s")
 
@@ -86,7 +86,7 @@ def test_written_in_another_format_and_compared(camera_calibration, tmp_path, fo
         name: replace(camera, camera=lens)
         for (name, camera), lens in zip(calibration.cameras.items(), lenses, strict=True)
     }
-    names = gnomon.calibration.covariance_names(calibration.imus, cameras)
+    names = gnomon.results.calibration.covariance_names(calibration.imus, cameras)
     calibration = replace(
         calibration, cameras=cameras, uncertainty=Covariance(names=names, matrix=1e-8 * np.eye(len(names)))
     )
@@ -283,7 +283,7 @@ def test_nothing_in_common(random_calibration, tmp_path):
     first = random_calibration(1, units=SI, gyroscope=False)
     gyroscope = random_calibration(1, units=SI)
     imu = replace(gyroscope.imus["imu0"], accelerometer=None)
-    names = gnomon.calibration.covariance_names({"imu0": imu})
+    names = gnomon.results.calibration.covariance_names({"imu0": imu})
     alone = replace(
         gyroscope, imus={"imu0": imu}, frame="gyro-x", uncertainty=Covariance(names=names, matrix=np.eye(len(names)))
     )

@@ -7,13 +7,13 @@ import pytest
 
 from camera_imu_result import make_camera_imu_result
 from cameras_result import make_cameras_result
-from gnomon.assess.candidates import Candidate
-from gnomon.assess.comparing import compared
-from gnomon.assess.quantities import statement_of
-from gnomon.calibration import Covariance
+from gnomon.assess.comparison.candidates import Candidate
+from gnomon.assess.comparison.comparing import compared
+from gnomon.assess.comparison.quantities import statement_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.geometry.so3 import inverse
 from gnomon.report.comparison import comparison_page, write_comparison_report
+from gnomon.results.calibration import Covariance
 from html_page import Page
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.comparison import Scatter, largest_z_limit, standing_out, z_rms_limit
+from gnomon.assess.comparison.comparison import Scatter, largest_z_limit, standing_out, z_rms_limit
 
 RUNS = 4000
 

@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 import gnomon
-from gnomon.calibration import ImuCalibration
 from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.formats.conversion import FORMATS, exported
 from gnomon.formats.foreign_files import load_foreign
@@ -20,6 +19,7 @@ from gnomon.formats.imucal import read_imucal
 from gnomon.formats.kalibr.imu import read_kalibr
 from gnomon.formats.own.parameter_csv import read_parameter_csv
 from gnomon.recording import Recording
+from gnomon.results.calibration import ImuCalibration
 
 
 def said(losses):

@@ -9,16 +9,16 @@ import pytest
 import yaml
 
 import gnomon
-from gnomon.calibration import Assessment, Calibration, Covariance, Gravity, Provenance
 from gnomon.formats.basalt import basalt_text
 from gnomon.formats.conversion import exported
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.kalibr.imu import StatedImu
-from gnomon.formats.losses import formats_of
 from gnomon.formats.openvins import imu_chain_text
+from gnomon.formats.shared.losses import formats_of
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
-from gnomon.parameters import covariance_names
+from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, Provenance
+from gnomon.results.parameters import covariance_names
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

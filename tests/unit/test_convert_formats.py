@@ -9,17 +9,17 @@ import pytest
 import yaml
 
 import gnomon
-from gnomon.calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance
 from gnomon.errors import FormatError, OptionError
 from gnomon.findings import Finding
 from gnomon.formats import orb_slam3
 from gnomon.formats.conversion import FORMATS, WITH_NOISE, exported
 from gnomon.formats.foreign_files import load_foreign
-from gnomon.formats.losses import Context, StatedImu
 from gnomon.formats.own.calibration_text import calibration_text
+from gnomon.formats.shared.losses import Context, StatedImu
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
-from gnomon.parameters import covariance_names, parameters
+from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance
+from gnomon.results.parameters import covariance_names, parameters
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,

@@ -10,7 +10,7 @@ import gnomon
 from gnomon.cli import main
 from gnomon.errors import OptionError
 from gnomon.formats.conversion import exported
-from gnomon.formats.si_units import with_full_scale
+from gnomon.formats.shared.si_units import with_full_scale
 
 FLIGHT = ("px4", "ardupilot")
 PER_G, PER_DEG_S = 16384.0, 131.0

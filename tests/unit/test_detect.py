@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.threshold import choose_threshold, detect_rests, disturbed
+from gnomon.assess.imu.threshold import choose_threshold, detect_rests, disturbed
 from gnomon.detect.samples import static
 from gnomon.detect.samples.noise import allan_deviation, averaging_time, resting_noise
 from gnomon.detect.samples.rests import Motion, find_rests
@@ -23,8 +23,8 @@ from gnomon.detect.samples.static import (
 )
 from gnomon.detect.samples.time_base import time_base
 from gnomon.detect.samples.turning import RateMarks, mark_rates
-from gnomon.intervals import StaticIntervals, interval_means
 from gnomon.recording import TriadSamples
+from gnomon.results.intervals import StaticIntervals, interval_means
 
 
 def triad(values, rate_hz=100.0, unit="m/s^2"):

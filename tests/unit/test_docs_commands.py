@@ -14,7 +14,7 @@ import yaml
 import gnomon
 from docs_pages import DOCS, ROOT, shell_commands, text
 from gnomon.cli import main
-from gnomon.formats.yaml_text import kalibr_yaml
+from gnomon.formats.shared.yaml_text import kalibr_yaml
 
 PYTHON = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 RIG = shlex.split("--duration-s 10 --camera-rate-hz 5 --imu-rate-hz 100 --target-cols 3 --target-rows 3")

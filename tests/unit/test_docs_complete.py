@@ -15,8 +15,7 @@ import gnomon
 import triad_result
 from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, shell_commands, text
-from gnomon.calibrate import board_reading
-from gnomon.calibration import parameters
+from gnomon.calibrate.steps import board_reading
 from gnomon.cli.commands import COMMANDS, parse
 from gnomon.cli.convert import RecordingForm
 from gnomon.cli.study import PAGE, STUDIES
@@ -27,13 +26,14 @@ from gnomon.formats.own.calibration_file import SIGMAS
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.own.noise_file import allan_text, noise_document
 from gnomon.formats.own.options_file import read_use
+from gnomon.options.requirements import QUANTITIES, USES, stated
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.samples.npz import __doc__ as npz_keys
 from gnomon.readers.samples.pose_table import pose_column
 from gnomon.recording import FrameQuality
-from gnomon.requirements import QUANTITIES, USES, stated
-from gnomon.trust import ParameterChange, WeakDirection
+from gnomon.results.calibration import parameters
+from gnomon.results.trust import ParameterChange, WeakDirection
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.diagnostics_file import diagnostic_arrays
 from support.faults import fault_named, faults

@@ -8,12 +8,12 @@ import pytest
 from gnomon import CameraImuOptions, ImuOptions, Recording, calibrate_camera_imu, calibrate_imu, simulate_camera_imu
 from gnomon import simulate as simulated
 from gnomon.assess.prior_findings import prior_findings
-from gnomon.calibrate.camera_imu_preparation import evidence_of_imu, known_imu
-from gnomon.calibration import Calibration, Covariance
+from gnomon.assess.priors import NAMES, TRIADS, known_beforehand
+from gnomon.calibrate.steps.camera_imu_preparation import evidence_of_imu, known_imu
 from gnomon.errors import OptionError
-from gnomon.evidence import NAMES, TRIADS, known_beforehand
 from gnomon.models.frames import frame_rotation
-from gnomon.sensors import ImuCalibration, rotated
+from gnomon.results.calibration import Calibration, Covariance
+from gnomon.results.sensors import ImuCalibration, rotated
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.scenarios import Scenario
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gnomon.errors import FormatError
-from gnomon.formats.foreign_yaml import matrix, read_foreign_yaml, rigid, rotation, unwrapped
 from gnomon.formats.kalibr.camchain import read_camchain
 from gnomon.formats.kalibr.imu import read_imu_input
-from gnomon.formats.structured import read_yaml
+from gnomon.formats.shared.foreign_yaml import matrix, read_foreign_yaml, rigid, rotation, unwrapped
+from gnomon.formats.shared.structured import read_yaml
 
 CAMERA = """\
 cam0:

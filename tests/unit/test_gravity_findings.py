@@ -3,7 +3,7 @@
 import pytest
 
 from gnomon.assess.verdict import gravity_findings
-from gnomon.calibration import UNSTATED_GRAVITY, Gravity
+from gnomon.results.calibration import UNSTATED_GRAVITY, Gravity
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import Gravity
 from gnomon.cli import main
 from gnomon.formats.conversion import exported
 from gnomon.models.camera import Camera
+from gnomon.results.calibration import Gravity
 
 WIDE = Camera(
     projection="pinhole", intrinsics=[300.0, 301, 320, 240], distortion="equidistant",
@@ -25,7 +25,7 @@ def rig(camera_calibration):
             name: replace(camera, camera=lens)
             for (name, camera), lens in zip(made.cameras.items(), lenses, strict=False)
         }
-        names = gnomon.calibration.covariance_names(made.imus, cameras)
+        names = gnomon.results.calibration.covariance_names(made.imus, cameras)
         zero = gnomon.Covariance(names=names, matrix=np.zeros((len(names),) * 2))
         return replace(
             made, cameras=cameras, uncertainty=zero, gravity=Gravity(value=gravity, sigma=0.0, source="given")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.camera_checks import check_cameras
-from gnomon.assess.image_checks import BLURRED_PX, Sight, boxes, check_images, check_quality, check_sight
+from gnomon.assess.checks.camera_checks import check_cameras
+from gnomon.assess.checks.image_checks import BLURRED_PX, Sight, boxes, check_images, check_quality, check_sight
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, FrameQuality, Recording

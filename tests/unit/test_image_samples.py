@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.assess.image_checks import check_looks, check_sizes, edge_blur, look_at
+from gnomon.assess.checks.image_checks import check_looks, check_sizes, edge_blur, look_at
 from gnomon.models.camera import Camera
 
 

@@ -9,7 +9,6 @@ import pytest
 import yaml
 
 import gnomon
-from gnomon.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance
 from gnomon.formats.conversion import exported
 from gnomon.formats.foreign import Residuals, Statistics
 from gnomon.formats.kalibr.camchain import camchain_text, read_camchain
@@ -20,7 +19,8 @@ from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.quaternion import rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.parameters import covariance_names
+from gnomon.results.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance
+from gnomon.results.parameters import covariance_names
 from gnomon.writers.camera_imu_files import camera_imu_texts, residuals, save_camera_imu_files
 
 SAMPLES = [

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from gnomon.report.figures import TEXT, LabelPlaces, half_size
-from gnomon.report.rig import rig_drawing
+from gnomon.report.drawing.figures import TEXT, LabelPlaces, half_size
+from gnomon.report.drawing.rig import rig_drawing
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 
 

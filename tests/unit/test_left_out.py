@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.protocol import cluster, left_out_findings
+from gnomon.assess.checks.protocol import cluster, left_out_findings
 
 
 @pytest.mark.parametrize(

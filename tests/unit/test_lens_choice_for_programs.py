@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibrate.camera_lenses import chosen_lenses
+from gnomon.calibrate.steps.camera_lenses import chosen_lenses
 from gnomon.cli import main
 from gnomon.errors import OptionError
 from gnomon.estimate.cameras.views import gathered_views

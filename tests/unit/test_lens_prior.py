@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.camera_imu.board_poses import board_poses
 from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.corner_sums import CornerNoise, Exposures, corner_sums
 from gnomon.estimate.camera_imu.layout import layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.start.board_poses import board_poses
+from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise, Exposures, corner_sums
 from gnomon.options import CameraImuOptions
 from gnomon.recording import Recording
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import Covariance
 from gnomon.errors import OptionError
 from gnomon.formats.conversion import exported
 from gnomon.formats.foreign_files import load_foreign
-from gnomon.formats.lens_refit import with_known_lenses
+from gnomon.formats.shared.lens_refit import with_known_lenses
 from gnomon.models.camera import Camera
 from gnomon.models.lens_programs import PROGRAMS, knows, models_of, refit_models
-from gnomon.parameters import covariance_names
+from gnomon.results.calibration import Covariance
+from gnomon.results.parameters import covariance_names
 
 EUCM = Camera(
     projection="eucm", intrinsics=[0.62, 1.08, 458.0, 456.5, 362.2, 246.1], distortion="none", distortion_coeffs=[],

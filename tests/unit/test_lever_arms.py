@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import Covariance
 from gnomon.cli.camera_summary import imu_pose_lines
 from gnomon.errors import FormatError, OptionError
 from gnomon.formats.kalibr.imu import read_kalibr
@@ -17,11 +16,12 @@ from gnomon.geometry.rigid_body import acceleration_by_place
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
-from gnomon.parameters import covariance_names, parameters
-from gnomon.report.rig import origin_figure
+from gnomon.report.drawing.rig import origin_figure
+from gnomon.results.calibration import Covariance
+from gnomon.results.parameters import covariance_names, parameters
+from gnomon.results.trust import Need, TrustNote
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
-from gnomon.trust import Need, TrustNote
 from gnomon.writers.tables import summary_table
 
 ARMS = (0.0075, -0.0116, 0.0006, 0.0074, -0.0112, 0.0015)

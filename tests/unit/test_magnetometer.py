@@ -198,7 +198,7 @@ def test_a_prior_in_another_frame_ends_in_the_own_one_without_accelerometer(tmp_
 
 def _exact(truth):
     imu = truth.imus["imu0"]
-    names = gnomon.calibration.covariance_names({"imu0": replace(imu, magnetometer=None, gyroscope=None)})
+    names = gnomon.results.calibration.covariance_names({"imu0": replace(imu, magnetometer=None, gyroscope=None)})
     return replace(
         truth,
         imus={"imu0": replace(imu, magnetometer=None, gyroscope=None)},

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.calibration import ImuCalibration, parameters, rotated
 from gnomon.errors import InitialisationError
 from gnomon.estimate.multiposition.drift import walk_density, walk_precision, with_drift
 from gnomon.estimate.multiposition.fit import fit_multiposition, start_state
@@ -24,6 +23,7 @@ from gnomon.estimate.multiposition.scaling import Scaling, unscaled
 from gnomon.geometry.so3 import tangent_basis
 from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S
+from gnomon.results.calibration import ImuCalibration, parameters, rotated
 from gnomon.solve.arrow import solve_arrow
 
 SMALL = {"intervals": 16, "t_init_s": 5.0, "hold_s": (2.5, 3.5)}

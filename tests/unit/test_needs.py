@@ -8,9 +8,9 @@ import pytest
 
 import gnomon
 from gnomon.assess.needs import needs, number_words, offers
-from gnomon.calibration import Covariance, Gravity
 from gnomon.errors import OptionError
-from gnomon.requirements import GENERAL_IMU, USES, Use
+from gnomon.options.requirements import GENERAL_IMU, USES, Use
+from gnomon.results.calibration import Covariance, Gravity
 
 
 @pytest.fixture(scope="module")

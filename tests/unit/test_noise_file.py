@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.calibration import Provenance
 from gnomon.errors import FormatError, OptionError
 from gnomon.findings import Finding
 from gnomon.formats.kalibr.imu import read_imu_input
 from gnomon.formats.own.noise_file import allan_text, load_noise, noise_text, save_noise, save_noise_files
 from gnomon.recording import Source
 from gnomon.report.noise import write_noise_report
-from gnomon.sensor_noise import (
+from gnomon.results.calibration import Provenance
+from gnomon.results.sensor_noise import (
     COEFFICIENTS,
     AllanTable,
     AxisNoise,

@@ -12,8 +12,8 @@ from gnomon.detect.platter.period import read_pictures
 from gnomon.detect.platter.rate import platter_rate
 from gnomon.detect.platter.steady import Blocks, PhaseLine, even_rate, longest_run, steady_blocks
 from gnomon.errors import DetectionError, OptionError, RecordingError
-from gnomon.images import Frame, ImageStream
-from gnomon.simulate.platter_video import simulate_platter_video
+from gnomon.recording.images import Frame, ImageStream
+from gnomon.simulate.images.platter_video import simulate_platter_video
 from gnomon.writers.video import save_video
 from platter_videos import HARD, HOPELESS, RPM, scenario
 

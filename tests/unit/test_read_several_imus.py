@@ -8,14 +8,14 @@ import pytest
 
 import gnomon
 from gnomon import CameraImuScenario, FormatError, OptionError, Recording, read_camera_imu, simulate_camera_imu
-from gnomon.assess import rig_lens
-from gnomon.assess.rig_doctor import check_corners
-from gnomon.calibrate.camera_imu_preparation import prepare_camera_imu, with_looks
-from gnomon.estimate.camera_imu.first_guess import Look
-from gnomon.estimate.camera_imu.other_imus import Beside
+from gnomon.assess.checks import rig_lens
+from gnomon.assess.checks.rig_doctor import check_corners
+from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu, with_looks
+from gnomon.estimate.camera_imu.start.first_guess import Look
+from gnomon.estimate.camera_imu.start.imu_alignment import Beside
 from gnomon.findings import Finding
 from gnomon.formats.sensor_inputs import read_imus
-from gnomon.formats.yaml_text import kalibr_yaml
+from gnomon.formats.shared.yaml_text import kalibr_yaml
 from gnomon.options import CameraImuOptions
 from gnomon.readers.images.image_recording import open_images
 from gnomon.readers.rig.corner_frames import read_corner_stamps
@@ -145,9 +145,9 @@ def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
         told = [("triads-apart", f"accelerometer of {imu} late"), ("frames-late", f"{name}: frames late")]
         return [Finding(severity="warning", code=code, message=message) for code, message in told], None
 
-    monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.check_look", look_at)
-    monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.check_clock_steps", lambda *_: [])
-    monkeypatch.setattr("gnomon.calibrate.camera_imu_preparation.gyroscope_integral", lambda *_: None)
+    monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.check_look", look_at)
+    monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.check_clock_steps", lambda *_: [])
+    monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.gyroscope_integral", lambda *_: None)
     aligned = SimpleNamespace(score=1.0)
     frames = simulation.recording.cameras["cam0"]
     look = Look(name="cam0", frames=frames, poses=None, alignment=aligned, target=simulation.target)

@@ -13,9 +13,9 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, tag_codes
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.board_outlines import coverage
-from gnomon.simulate.clutter import cluttered_wall
-from gnomon.simulate.rendering import Optics, render, render_moving
+from gnomon.simulate.images.board_outlines import coverage
+from gnomon.simulate.images.clutter import cluttered_wall
+from gnomon.simulate.images.rendering import Optics, render, render_moving
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 SIZE, GAP = 0.088, 0.0264

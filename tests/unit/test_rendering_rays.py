@@ -8,8 +8,8 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, marker_cells
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.board_outlines import TrueBoard
-from gnomon.simulate.rendering import Optics, render_moving
+from gnomon.simulate.images.board_outlines import TrueBoard
+from gnomon.simulate.images.rendering import Optics, render_moving
 from rendered import FACING
 
 RAYS, INSTANTS = 16, 24

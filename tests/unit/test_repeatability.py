@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from gnomon.calibrate.comparison import compare
-from gnomon.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from gnomon.formats.foreign import ForeignCalibration
 from gnomon.geometry.quaternion import normalised, rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.report.comparison import comparison_page
 from gnomon.report.page import render
+from gnomon.results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from gnomon.writers.tables import comparison_csv
 from html_page import Page
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.signals import check_signal
+from gnomon.assess.checks.signals import check_signal
 from gnomon.detect.samples.repeats import RepeatWatch, repeated_stretches
 from gnomon.errors import OptionError, RecordingError
-from gnomon.fingerprint import alike, fingerprint
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
+from gnomon.recording.fingerprint import alike, fingerprint
 
 OPTIONS = gnomon.ImuOptions(gravity=9.80665)
 

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.diagnostics import DetectorTrace, Result
 from gnomon.errors import OutputError
 from gnomon.findings import Finding
 from gnomon.report import write_report
-from gnomon.report.figures import Sheet, coarser, dots, thinned
+from gnomon.report.drawing.figures import Sheet, coarser, dots, thinned
 from gnomon.report.imu_parameters import parameter_groups
 from gnomon.report.numbers import fixed, number, prefixed, quantity, with_sigma
+from gnomon.results.imu_diagnostics import DetectorTrace
+from gnomon.results.result import Result
 from html_page import Page
 
 

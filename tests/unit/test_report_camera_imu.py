@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from camera_imu_result import C_GYRO_IMU, G_SENSITIVITY, GYRO_SENSITIVITY, T_CAM_IMU, make_camera_imu_result
-from gnomon.calibration import Covariance
 from gnomon.cli.summary import held_lines
-from gnomon.diagnostics import SignalFit
 from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report import write_report
@@ -20,6 +18,8 @@ from gnomon.report.camera_parameters import baseline_groups, camera_groups, moun
 from gnomon.report.corners import corner_view, field_magnification
 from gnomon.report.estimation import every_parameter
 from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
+from gnomon.results.calibration import Covariance
+from gnomon.results.camera_diagnostics import SignalFit
 from html_page import Page
 
 

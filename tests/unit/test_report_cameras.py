@@ -9,8 +9,6 @@ import pytest
 
 from cameras_result import BOARD, LENSES, PIXEL_SIGMA, make_cameras_result, without_lens_covariance
 from gnomon.calibrate.cameras import calibrate_cameras
-from gnomon.calibration import Covariance
-from gnomon.diagnostics import ViewPose
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
@@ -27,6 +25,8 @@ from gnomon.report.cameras_lens import (
 from gnomon.report.cameras_sections import board_section
 from gnomon.report.cameras_views import epipolar_errors, views_around
 from gnomon.report.corner_figures import unseen_places, view_groups
+from gnomon.results.calibration import Covariance
+from gnomon.results.camera_diagnostics import ViewPose
 from gnomon.simulate.cameras import simulate_cameras
 from gnomon.simulate.cameras_scenario import CamerasScenario
 from html_page import Page

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.cameras_tables import CELLS
+from gnomon.assess.cameras.cameras_tables import CELLS
 from gnomon.models.camera import Camera
 from gnomon.readers.samples.stamps import guess_time_unit
 from gnomon.recording import TriadSamples

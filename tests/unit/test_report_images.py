@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from camera_imu_result import make_camera_imu_result
-from gnomon.diagnostics import Result
 from gnomon.report import write_report
 from gnomon.report.camera_images import images_section
+from gnomon.results.result import Result
 from gnomon.writers.diagnostics_file import save_diagnostics
 
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gnomon.report import svg
-from gnomon.report.figures import Sheet, log_limits
-from gnomon.report.panel import DASHED, Panel, Scale, decades, round_numbers
+from gnomon.report.drawing import svg
+from gnomon.report.drawing.figures import Sheet, log_limits
+from gnomon.report.drawing.panel import DASHED, Panel, Scale, decades, round_numbers
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gnomon.calibration import Assessment
 from gnomon.cli.summary import trust_lines
 from gnomon.report.page import Figure, Prose, Table
 from gnomon.report.trust_section import trust_section
-from gnomon.trust import Clusters, Trust, TrustNote
+from gnomon.results.calibration import Assessment
+from gnomon.results.trust import Clusters, Trust, TrustNote
 from gnomon.writers.diagnostics_file import diagnostic_arrays
 from trust_example import NEED, example_trust
 

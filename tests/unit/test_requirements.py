@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.errors import FormatError, OptionError
 from gnomon.formats.own.options_file import read_use
-from gnomon.requirements import QUANTITIES, USES, stated
+from gnomon.options.requirements import QUANTITIES, USES, stated
 
 
 def test_units_are_those_that_people_use():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gnomon.estimate.camera_imu.board import Board
-from gnomon.estimate.camera_imu.residual_patterns import _neighbours, _pattern, along_board
+from gnomon.estimate.camera_imu.result.residual_patterns import _neighbours, _pattern, along_board
+from gnomon.estimate.camera_imu.terms.board import Board
 from gnomon.models.target import Target
 
 LABELS, RATE_HZ = 40, 10.0

@@ -10,14 +10,14 @@ from cameras_example import cameras_calibration
 from gnomon.estimate.camera_imu.choices import choices
 from gnomon.estimate.camera_imu.layout import layout
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
-from gnomon.estimate.camera_imu.prior_terms import border_priors
 from gnomon.estimate.camera_imu.rig_prior import from_known, pose_residual
-from gnomon.formats.baselines import baseline_of
+from gnomon.estimate.camera_imu.terms.prior_terms import border_priors
+from gnomon.formats.shared.baselines import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.options import CameraImuOptions
-from gnomon.parameters import covariance_names
 from gnomon.recording import KnownRig
-from gnomon.sensors import CameraCalibration
+from gnomon.results.parameters import covariance_names
+from gnomon.results.sensors import CameraCalibration
 from gnomon.writers.camera_imu_recording import save_camera_imu_recording
 
 SCENARIO = gnomon.CameraImuScenario(duration_s=12.0, cameras=2)

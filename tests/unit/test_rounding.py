@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibration import parameters
 from gnomon.detect.samples.noise import averaging_time
 from gnomon.detect.samples.rounding import rounding_variance, smallest_steps
-from gnomon.intervals import StaticIntervals
+from gnomon.results.calibration import parameters
+from gnomon.results.intervals import StaticIntervals
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.25, 0.5, 1.0])

@@ -10,23 +10,23 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_problem import problem
-from gnomon.assess.rig_residuals import cut_findings
-from gnomon.calibration import Calibration, Covariance
+from gnomon.assess.cameras.rig_residuals import cut_findings
 from gnomon.errors import FormatError, OptionError
 from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.felt import predicted_readings
-from gnomon.estimate.camera_imu.inertial_data import InertialData, TriadData, apart, well_inside
-from gnomon.estimate.camera_imu.initial_trajectory import ImuPath, initial_trajectory
-from gnomon.estimate.camera_imu.other_imus import with_stated_pose
 from gnomon.estimate.camera_imu.parameters import ImuParameters
+from gnomon.estimate.camera_imu.start.imu_alignment import with_stated_pose
+from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
+from gnomon.estimate.camera_imu.terms.imu_prediction import predicted_readings
+from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, TriadData, apart, well_inside
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import in_frame
 from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
-from gnomon.parameters import covariance_names, moved_into_frame, moved_to_origin, parameters
 from gnomon.recording import ImuSamples, TriadSamples
+from gnomon.results.calibration import Calibration, Covariance
+from gnomon.results.parameters import covariance_names, moved_into_frame, moved_to_origin, parameters
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, convert, simulate_camera_imu
-from gnomon.calibration import Covariance
 from gnomon.formats.conversion import FORMATS, exported
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.kalibr.results import KalibrResults
-from gnomon.formats.losses import StatedImu
+from gnomon.formats.shared.losses import StatedImu
+from gnomon.results.calibration import Covariance
 from gnomon.writers.tables import form_tables
 
 SCENARIO = CameraImuScenario(duration_s=1.0, imus=3, cameras=2, accelerometer_delay_s=0.002, imu_clock_offset_s=-7.0)

@@ -11,10 +11,10 @@ from gnomon.errors import OptionError, RecordingError
 from gnomon.estimate.trust.between_recordings import Block, join_estimates
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import save
+from gnomon.options.requirements import BETWEEN_RECORDINGS, USES
 from gnomon.readers.recordings import read_several
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
 from gnomon.report import write_report
-from gnomon.requirements import BETWEEN_RECORDINGS, USES
 from gnomon.writers.diagnostics_file import save_diagnostics
 from html_page import Page
 

@@ -15,7 +15,7 @@ from gnomon.estimate.triads.angrisano import fit_magnitudes
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.models.angrisano import AngrisanoTriad
 from gnomon.report.page import render
-from gnomon.report.study_angrisano import angrisano_page
+from gnomon.report.studies.angrisano import angrisano_page
 from gnomon.simulate import PoseScenario, simulate_poses
 from gnomon.study.angrisano import SETTINGS, claims, group_rms, study_angrisano, tables
 from gnomon.study.angrisano_trial import (

@@ -13,7 +13,7 @@ from gnomon.cli.study import STUDIES, Parts, StudyCount, StudyEntry
 from gnomon.cli.study_journal import JOURNAL
 from gnomon.cli.terminal import Terminal
 from gnomon.report.page import KeyNumber, render
-from gnomon.report.study_page import study_page
+from gnomon.report.studies.page import study_page
 from gnomon.study.runs import carry_out, scatter_bounds, seeds
 from gnomon.study.tables import Claim, StudyTable, claims_table, told
 from study_work import Task, drawn

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gnomon.report.page import render
-from gnomon.report.study_krebs import krebs_page
+from gnomon.report.studies.krebs import krebs_page
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.study.krebs import SERIES, SETTINGS, Independence, KrebsStudy, Sample, group_mean, study_krebs
 from gnomon.study.krebs_claims import claims, tables

@@ -9,7 +9,7 @@ import pytest
 
 from gnomon.models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from gnomon.report.page import render
-from gnomon.report.study_tedaldi import tedaldi_page
+from gnomon.report.studies.tedaldi import tedaldi_page
 from gnomon.simulate.imu import simulate_imu, true_signals
 from gnomon.simulate.scenarios import Scenario
 from gnomon.study import tedaldi

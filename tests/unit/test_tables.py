@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration, parameters
 from gnomon.errors import OptionError
 from gnomon.models.forms import TedaldiAccelerometer, inverse
+from gnomon.results.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration, parameters
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 from gnomon.writers import tables
 from gnomon.writers.tables import entries_with_sigmas, form_tables, summary_table, value_text

@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gnomon
-from gnomon.calibration import Covariance, parameters
 from gnomon.cli.summary import parameter_lines, summary_lines
 from gnomon.errors import FormatError, OptionError
 from gnomon.formats.conversion import FORMATS, exported
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
+from gnomon.results.calibration import Covariance, parameters
 from gnomon.writers.tables import form_tables, summary_table
 from triad_subsets import FRAMES, SUBSETS, TRIADS, recorded, subset_calibration
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnomon.assess.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
+from gnomon.assess.imu.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
 from gnomon.assess.verdict import graded
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.triads.triad_poses import TriadPoses

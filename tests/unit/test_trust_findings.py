@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.early_findings import neighbours
+from gnomon.assess.checks.early_findings import neighbours
 from gnomon.assess.verdict import model_incomplete, parts_disagree, trust_note
-from gnomon.diagnostics import SignalFit
-from gnomon.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
+from gnomon.results.camera_diagnostics import SignalFit
+from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
 
 
 def trust(*ratios, clusters=True, splits=None):

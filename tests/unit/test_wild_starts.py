@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gnomon.assess.doctor import check_triad_clocks
+from gnomon.assess.checks.doctor import check_triad_clocks
 from gnomon.errors import InitialisationError
-from gnomon.estimate.camera_imu.alignment import Alignment
 from gnomon.estimate.camera_imu.blocks import blocks
-from gnomon.estimate.camera_imu.board_poses import BoardPoses
 from gnomon.estimate.camera_imu.choices import lens_prior
-from gnomon.estimate.camera_imu.first_guess import ImuStream, upright
 from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
+from gnomon.estimate.camera_imu.start.alignment import Alignment
+from gnomon.estimate.camera_imu.start.board_poses import BoardPoses
+from gnomon.estimate.camera_imu.start.first_guess import ImuStream, upright
 from gnomon.estimate.multiposition.drift import walk_precision
 from gnomon.estimate.trust.robust import Robust
 from gnomon.geometry.rotation_vector import rotation_from_rotvec

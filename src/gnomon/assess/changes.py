@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import Calibration
 from ..findings import Finding, make_finding
 from ..geometry.so3 import inverse
 from ..models.camera import Camera
+from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
 from ..recording import Floats
-from ..requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
-from ..trust import ParameterChange, QuantityChange, Trust
+from ..results.calibration import Calibration
+from ..results.trust import ParameterChange, QuantityChange, Trust
 from .verdict import graded, merge_by_cause, verdict_of
 
 CHANGED = "parameter-changed"

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..parameters import covariance_names, parameters
 from ..recording import Floats, Integers
-from ..sensors import CameraCalibration, ImuCalibration
+from ..results.parameters import covariance_names, parameters
+from ..results.sensors import CameraCalibration, ImuCalibration
 
 Kind = Literal["rotation", "translation", "time_shift", "gyroscope", "g_sensitivity", "accelerometer"]
 

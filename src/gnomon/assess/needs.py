@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration
 from ..findings import Finding, Severity, make_finding
-from ..recording import Floats
-from ..requirements import (
+from ..options.requirements import (
     BETWEEN_RECORDINGS,
     FIELD_UT,
     GENERAL,
@@ -18,7 +16,9 @@ from ..requirements import (
     TURN_ON,
     Use,
 )
-from ..trust import Need
+from ..recording import Floats
+from ..results.calibration import Assessment, Calibration
+from ..results.trust import Need
 from .changes import CHANGED, change_findings
 from .directions import Kind, Part, amount, cure, one_direction, parts, relative
 from .observability import LIMITS

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..recording import Floats
-from ..sensors import CameraCalibration, ImuCalibration
-from ..trust import WeakDirection
+from ..results.sensors import CameraCalibration, ImuCalibration
+from ..results.trust import WeakDirection
 from .directions import (
     Kind,
     Part,

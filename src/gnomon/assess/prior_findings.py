@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..evidence import NAMES, Evidence, Known
 from ..findings import Finding, make_finding
 from ..recording import Floats
+from .priors import NAMES, Evidence, Known
 
 _TELLS = 0.1  # information of the recording against that of the prior, from which on it can contradict it
 _SURE = 3.7  # sigmas of a normal variable: one healthy recording of ten thousand

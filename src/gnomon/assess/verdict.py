@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import radians
 
-from ..calibration import Gravity, Verdict
 from ..estimate.trust.cluster_trust import Instability
 from ..findings import Finding, Severity, make_finding
-from ..trust import SigmaRatio, Splits, Trust, TrustNote
+from ..results.calibration import Gravity, Verdict
+from ..results.trust import SigmaRatio, Splits, Trust, TrustNote
 from ..units import STANDARD_GRAVITY_M_S2
 
 SEVERITIES: dict[Severity, int] = {"problem": 0, "warning": 1, "info": 2, "good": 3}

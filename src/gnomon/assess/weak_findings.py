@@ -5,19 +5,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
-from ..diagnostics import EstimatedParameter
 from ..estimate.multiposition.scaling import ImuEstimate
 from ..findings import Finding, make_finding
+from ..options.requirements import GENERAL_RIG
 from ..recording import Floats
-from ..requirements import GENERAL_RIG
-from ..trust import WeakDirection
+from ..results.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
+from ..results.camera_diagnostics import EstimatedParameter
+from ..results.trust import WeakDirection
 from .directions import axis_words
 from .observability import known_of, weak_directions
 
 if TYPE_CHECKING:  # an IMU alone needs no SciPy
-    from ..estimate.camera_imu.publish import Published
-    from ..estimate.camera_imu.uncertainty import Uncertainty
+    from ..estimate.camera_imu.result.publish import Published
+    from ..estimate.camera_imu.result.uncertainty import Uncertainty
 
 _PUBLISHED = {
     "S_a": "accelerometer.sensitivity",

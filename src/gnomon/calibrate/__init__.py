@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .camera_imu import calibrate_camera_imu
-    from .camera_imu_reading import read_camera_imu
-    from .camera_reading import read_camera_views
     from .cameras import calibrate_cameras
     from .imu import calibrate_imu
     from .judging import judge
@@ -14,6 +12,8 @@ if TYPE_CHECKING:
     from .noise import identify_noise
     from .planning import plan, read_hardware
     from .platter_rate import rate_from_video
+    from .steps.camera_imu_reading import read_camera_imu
+    from .steps.camera_reading import read_camera_views
     from .turntable import calibrate_turntable
 
 _HOMES = {
@@ -26,8 +26,8 @@ _HOMES = {
     "judge": "judging",
     "plan": "planning",
     "rate_from_video": "platter_rate",
-    "read_camera_imu": "camera_imu_reading",
-    "read_camera_views": "camera_reading",
+    "read_camera_imu": "steps.camera_imu_reading",
+    "read_camera_views": "steps.camera_reading",
     "read_hardware": "planning",
 }
 

@@ -11,34 +11,34 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.added_findings import added_findings, delays_found, out_of_order, steps_left_out
-from ..assess.camera_imu_tables import CameraImuEvidence, describe
-from ..assess.camera_imu_verdict import assess
-from ..assess.camera_views import without_copies
+from ..assess.cameras.camera_imu_tables import CameraImuEvidence, describe
+from ..assess.cameras.camera_imu_verdict import assess
+from ..assess.cameras.camera_views import without_copies
 from ..assess.changes import with_changes
-from ..assess.early_findings import judged_again, unmodelled_effects
+from ..assess.checks.early_findings import judged_again, unmodelled_effects
 from ..assess.prior_findings import prior_used
+from ..assess.priors import Priors, refuse_own_data
 from ..assess.verdict import incomplete, model_incomplete, parts_disagree, trust_note
 from ..assess.weak_findings import camera_imu_weak
-from ..calibration import Calibration, Covariance, Provenance, covariance_names
-from ..diagnostics import Result
 from ..errors import InitialisationError, SolveError
 from ..estimate.camera_imu.choices import choices
-from ..estimate.camera_imu.first_guess import imu_stream, looks
 from ..estimate.camera_imu.layout import Status
-from ..estimate.camera_imu.origin import moved_to_origins, single_place_origins
-from ..estimate.camera_imu.other_imus import aligned_beside
-from ..estimate.camera_imu.publish import published
-from ..estimate.camera_imu.recording_trust import recording_trust
+from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
+from ..estimate.camera_imu.result.publish import published
+from ..estimate.camera_imu.result.recording_trust import recording_trust
+from ..estimate.camera_imu.result.uncertainty import Uncertainty, uncertainty, with_detector_scale
 from ..estimate.camera_imu.solution import Solution
-from ..estimate.camera_imu.uncertainty import Uncertainty, uncertainty, with_detector_scale
-from ..evidence import Priors, refuse_own_data
+from ..estimate.camera_imu.start.first_guess import imu_stream, looks
+from ..estimate.camera_imu.start.imu_alignment import aligned_beside
 from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
-from .board_order import numbered_alike
-from .camera_imu_estimation import Rig, basic_model, estimated
-from .camera_imu_model import (
+from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
+from ..results.result import Result
+from .steps.board_order import numbered_alike
+from .steps.camera_imu_estimation import Rig, basic_model, estimated
+from .steps.camera_imu_model import (
     LINE_DELAY,
     chosen_model,
     considered,
@@ -46,7 +46,7 @@ from .camera_imu_model import (
     with_line_delays,
     with_stated_shutters,
 )
-from .camera_imu_preparation import (
+from .steps.camera_imu_preparation import (
     cameras_moved,
     evidence_of_imu,
     known_imu,
@@ -55,7 +55,7 @@ from .camera_imu_preparation import (
     suspected,
     with_looks,
 )
-from .preparation import check_arguments, local_gravity, stated_options
+from .steps.preparation import check_arguments, local_gravity, stated_options
 
 Progress = Callable[[str], None]
 

@@ -11,15 +11,13 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
-from ..assess.camera_checks import check_views
-from ..assess.camera_synchronism import JointResiduals, check_synchronism
-from ..assess.camera_views import without_copies
-from ..assess.cameras_tables import CamerasEvidence, LensOpinion, describe
-from ..assess.cameras_verdict import assess
+from ..assess.cameras.camera_synchronism import JointResiduals, check_synchronism
+from ..assess.cameras.camera_views import without_copies
+from ..assess.cameras.cameras_tables import CamerasEvidence, LensOpinion, describe
+from ..assess.cameras.cameras_verdict import assess
 from ..assess.changes import with_changes
+from ..assess.checks.camera_checks import check_views
 from ..assess.verdict import trust_note
-from ..calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
-from ..diagnostics import Result
 from ..errors import DetectionError, GnomonError, RecordingError
 from ..estimate.cameras.holdout import posed
 from ..estimate.cameras.rig import Views
@@ -29,11 +27,13 @@ from ..findings import Finding
 from ..models.target import Target
 from ..options import CameraOptions
 from ..recording import Recording
-from .camera_board import BoardChoice, with_board
-from .camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
-from .camera_views import Unseen, misfits, other_size, rms_of, started, unseen, unused, views_of
-from .cameras_published import check_baseline, published
-from .preparation import assumed, check_arguments, stated_options
+from ..results.calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
+from ..results.result import Result
+from .steps.camera_board import BoardChoice, with_board
+from .steps.camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
+from .steps.camera_views import Unseen, misfits, other_size, rms_of, started, unseen, unused, views_of
+from .steps.cameras_published import check_baseline, published
+from .steps.preparation import assumed, check_arguments, stated_options
 
 Progress = Callable[[str], None]
 

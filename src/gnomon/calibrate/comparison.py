@@ -4,14 +4,14 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
-from ..assess.candidates import Candidate
-from ..assess.comparing import compared
-from ..assess.comparison import Comparison
-from ..calibration import Calibration
-from ..diagnostics import Result
+from ..assess.comparison.candidates import Candidate
+from ..assess.comparison.comparing import compared
+from ..assess.comparison.comparison import Comparison
 from ..errors import OptionError
 from ..formats.foreign import ForeignCalibration
 from ..formats.foreign_files import load_any, source_names
+from ..results.calibration import Calibration
+from ..results.result import Result
 
 CalibrationSource = Calibration | ForeignCalibration | Result | str | PathLike[str] | Sequence[str | PathLike[str]]
 """A calibration, a result, a file or folder, or the files of one calibration."""

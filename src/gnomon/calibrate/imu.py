@@ -11,24 +11,12 @@ import numpy as np
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
 from ..assess.changes import with_changes
-from ..assess.imu_tables import ImuEvidence, describe
-from ..assess.imu_verdict import assess
+from ..assess.imu.imu_tables import ImuEvidence, describe
+from ..assess.imu.imu_verdict import assess
+from ..assess.imu.threshold import FEWEST_INTERVALS, RestDetection, accelerometer_course, disturbed
 from ..assess.prior_findings import prior_findings
-from ..assess.threshold import (
-    FEWEST_INTERVALS,
-    RestDetection,
-    accelerometer_course,
-    disturbed,
-)
+from ..assess.priors import Evidence, Priors, known_beforehand, refuse_own_data
 from ..assess.weak_findings import imu_weak
-from ..calibration import (
-    Calibration,
-    Covariance,
-    Gravity,
-    Provenance,
-    covariance_names,
-)
-from ..diagnostics import Result
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
@@ -36,16 +24,19 @@ from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscal
 from ..estimate.multiposition.sums import free_jacobian, stretch_sums, with_runs
 from ..estimate.multiposition.unseen_changes import unseen_changes
 from ..estimate.trust.cluster_trust import Trusted, trusted
-from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding
-from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
 from ..recording import Floats, Recording
+from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
+from ..results.intervals import Booleans
+from ..results.result import Result
 from ..units import GYROSCOPE_UNITS_RAD_S
-from .imu_model import choose_model, refuse_evidence, with_fixed
 from .poses import FEWEST_ROTATIONS, LEFT_TO_RESTS, by_rests, calibrate_poses, left_to_rests
-from .preparation import (
+from .published.tedaldi import calibrate_as_published
+from .several_recordings import calibrate_several
+from .steps.imu_model import choose_model, refuse_evidence, with_fixed
+from .steps.preparation import (
     PreparedImu,
     check_arguments,
     imu_calibration,
@@ -55,8 +46,6 @@ from .preparation import (
     stated_options,
     stream,
 )
-from .published import calibrate_as_published
-from .several_recordings import calibrate_several
 
 Progress = Callable[[str], None]
 

@@ -3,10 +3,10 @@
 from os import PathLike
 
 from ..assess.needs import judged
-from ..calibration import Calibration
 from ..errors import OptionError
 from ..formats.own.options_file import read_use
-from ..requirements import GENERAL, Use
+from ..options.requirements import GENERAL, Use
+from ..results.calibration import Calibration
 
 
 def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibration:

@@ -10,22 +10,13 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.changes import with_changes
-from ..assess.doctor import check_field_samples
-from ..assess.magnetometer_tables import FieldEvidence, describe_field
-from ..assess.magnetometer_verdict import assess_field
-from ..calibration import (
-    AccelerometerCalibration,
-    Calibration,
-    Covariance,
-    ImuCalibration,
-    MagnetometerCalibration,
-    Provenance,
-    covariance_names,
-)
+from ..assess.checks.doctor import check_field_samples
+from ..assess.imu.magnetometer_tables import FieldEvidence, describe_field
+from ..assess.imu.magnetometer_verdict import assess_field
+from ..assess.priors import Evidence, Priors, known_beforehand, refuse_own_data
 from ..detect.samples.repair import repaired
 from ..detect.samples.saturation import saturated
 from ..detect.samples.time_base import time_base
-from ..diagnostics import Result
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
 from ..estimate.triads.blocks import Blocks, block_covariance, left_out, memory_s
 from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
@@ -39,13 +30,22 @@ from ..estimate.triads.magnetometer import (
     with_soft_iron_unknown,
 )
 from ..estimate.triads.triad_start import Ellipsoid
-from ..evidence import Evidence, Priors, known_beforehand, refuse_own_data
 from ..findings import Finding, make_finding
-from ..intervals import Booleans
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions, MagnetometerOptions
 from ..recording import Floats, Recording, TriadSamples
-from .preparation import check_arguments, local_gravity, stated_options
+from ..results.calibration import (
+    AccelerometerCalibration,
+    Calibration,
+    Covariance,
+    ImuCalibration,
+    MagnetometerCalibration,
+    Provenance,
+    covariance_names,
+)
+from ..results.intervals import Booleans
+from ..results.result import Result
+from .steps.preparation import check_arguments, local_gravity, stated_options
 
 _FIELDS_UT = (10.0, 200.0)
 _FEWEST, _SHORTEST_S = 100, 5.0

@@ -12,12 +12,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..assess.imu_tables import envelope
-from ..assess.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
-from ..assess.noise_verdict import assess_noise, check_length, check_samples, check_still
-from ..assess.signals import copied_stretches
+from ..assess.checks.signals import copied_stretches
+from ..assess.imu.imu_tables import envelope
+from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
+from ..assess.imu.noise_verdict import assess_noise, check_length, check_samples, check_still
 from ..assess.verdict import merge_by_cause, verdict_of
-from ..calibration import Provenance
 from ..detect.samples.noise import averaging_time
 from ..detect.samples.repeats import RepeatWatch
 from ..detect.samples.rest import RestTable, RestWatch
@@ -37,7 +36,16 @@ from ..readers.samples.recognise import gyroscope_unit
 from ..readers.samples.sample_stream import SampleStream
 from ..readers.samples.stream import open_stream, stream_of
 from ..recording import Floats, Recording, Source, TriadSamples
-from ..sensor_noise import SENSOR_UNITS, AllanTable, AxisNoise, Coefficient, NoiseResult, SensorNoise, TriadNoise
+from ..results.calibration import Provenance
+from ..results.sensor_noise import (
+    SENSOR_UNITS,
+    AllanTable,
+    AxisNoise,
+    Coefficient,
+    NoiseResult,
+    SensorNoise,
+    TriadNoise,
+)
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 
 Progress = Callable[[str], None]

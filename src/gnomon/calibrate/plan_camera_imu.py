@@ -7,31 +7,39 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._version import __version__
-from ..calibration import Assessment, Calibration, CameraImuFit, Covariance, Gravity, Provenance, covariance_names
 from ..errors import OptionError
 from ..estimate.camera_imu.batch import Measurements, Noise, State, linearised
-from ..estimate.camera_imu.board_poses import gathered
 from ..estimate.camera_imu.choices import choices
-from ..estimate.camera_imu.first_guess import per_corner
 from ..estimate.camera_imu.gauss_newton import gauss_newton_step
-from ..estimate.camera_imu.inertial_data import InertialData, InertialNoise, TriadData
-from ..estimate.camera_imu.initial_trajectory import ImuPath, initial_trajectory
 from ..estimate.camera_imu.knots import DEFAULT_PER_S, KNOTS_PER_PERIOD, LARGEST_SHARE
 from ..estimate.camera_imu.layout import layout
 from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
-from ..estimate.camera_imu.publish import published
+from ..estimate.camera_imu.result.publish import published
+from ..estimate.camera_imu.result.uncertainty import uncertainty
 from ..estimate.camera_imu.solution import Solution
+from ..estimate.camera_imu.start.board_poses import gathered
+from ..estimate.camera_imu.start.first_guess import per_corner
+from ..estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
+from ..estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
+from ..estimate.camera_imu.terms.visual_terms import VisualData
 from ..estimate.camera_imu.trajectory import Trajectory
-from ..estimate.camera_imu.uncertainty import uncertainty
-from ..estimate.camera_imu.visual_terms import VisualData
 from ..models.noise import ImuNoise
 from ..options import CameraImuOptions
 from ..recording import CameraFrames
+from ..results.calibration import (
+    Assessment,
+    Calibration,
+    CameraImuFit,
+    Covariance,
+    Gravity,
+    Provenance,
+    covariance_names,
+)
 from ..simulate.camera_imu_frames import START_NS
 from ..simulate.planned import PlannedRecording, PlannedRig, planned_recording
 from ..simulate.plans import CameraImuPlan
 from ..simulate.truth import changed_options
-from .preparation import local_gravity
+from .steps.preparation import local_gravity
 
 _FEWEST_FRAMES = 10
 _GRAVITY = "gravity.magnitude"

@@ -8,17 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .._version import __version__
-from ..assess.protocol import find_imu_rests
-from ..calibration import (
-    AccelerometerCalibration,
-    Assessment,
-    Calibration,
-    Covariance,
-    GyroscopeCalibration,
-    ImuCalibration,
-    Provenance,
-    covariance_names,
-)
+from ..assess.checks.protocol import find_imu_rests
 from ..detect.samples.rests import Rests
 from ..errors import SolveError
 from ..estimate.multiposition.drift import walk_precision, with_drift
@@ -39,16 +29,26 @@ from ..estimate.multiposition.model import (
 from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_variance, whitened_rest
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem
 from ..estimate.multiposition.scaling import unscaled
-from ..intervals import Booleans, interval_means
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
 from ..options import ImuOptions
 from ..recording import Floats, ImuSamples, TriadSamples
+from ..results.calibration import (
+    AccelerometerCalibration,
+    Assessment,
+    Calibration,
+    Covariance,
+    GyroscopeCalibration,
+    ImuCalibration,
+    Provenance,
+    covariance_names,
+)
+from ..results.intervals import Booleans, interval_means
 from ..simulate.planned import planned_rests
 from ..simulate.plans import ImuPlan
 from ..simulate.truth import changed_options
 from ..solve.arrow import solve_arrow
-from .preparation import local_gravity
+from .steps.preparation import local_gravity
 
 
 def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:

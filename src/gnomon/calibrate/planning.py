@@ -13,19 +13,19 @@ from ..assess.needs import judged, needs
 from ..assess.observability import HELD, known_of, weak_directions
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..assess.weak_findings import weak_findings
-from ..calibration import Calibration
 from ..errors import GnomonError
 from ..formats.kalibr.camchain import CameraInput
 from ..formats.kalibr.target import read_target
 from ..formats.sensor_inputs import read_cameras, read_imus
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
+from ..options.requirements import GENERAL_IMU, GENERAL_RIG, Use
 from ..recording import Floats
-from ..requirements import GENERAL_IMU, GENERAL_RIG, Use
-from ..sensors import CameraCalibration
+from ..results.calibration import Calibration
+from ..results.sensors import CameraCalibration
+from ..results.trust import Need, WeakDirection
 from ..simulate.planned import PlannedRig, usual_rig
 from ..simulate.plans import CameraImuPlan, ImuPlan
-from ..trust import Need, WeakDirection
 from .judging import stated_use
 from .plan_camera_imu import planned_camera_imu
 from .plan_imu import planned_imu

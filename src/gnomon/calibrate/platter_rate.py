@@ -9,10 +9,10 @@ from pathlib import Path
 
 from ..detect.platter.rate import PlatterRate, platter_rate
 from ..errors import DetectionError, RecordingError
-from ..images import ImageStream
 from ..readers.images.camera_places import video_place
 from ..readers.images.image_recording import holds_images, open_images
 from ..readers.recordings import ReadLog
+from ..recording.images import ImageStream
 from ..units import Units
 
 

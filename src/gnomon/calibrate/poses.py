@@ -9,10 +9,21 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.changes import with_changes
-from ..assess.pose_tables import PoseEvidence, RestingGyroscope, describe_poses
-from ..assess.poses_verdict import assess_poses
+from ..assess.imu.pose_tables import PoseEvidence, RestingGyroscope, describe_poses
+from ..assess.imu.poses_verdict import assess_poses
 from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
-from ..calibration import (
+from ..assess.priors import NOTHING, Evidence, Priors, known_beforehand
+from ..errors import DetectionError, InitialisationError, OptionError
+from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
+from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
+from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
+from ..estimate.triads.triad import TriadFit, fit_triad
+from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
+from ..estimate.triads.triad_trust import robust_triad
+from ..findings import Finding
+from ..options import ImuOptions
+from ..recording import Floats, Poses, Recording
+from ..results.calibration import (
     AccelerometerCalibration,
     Calibration,
     Covariance,
@@ -22,25 +33,14 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..diagnostics import Result
-from ..errors import DetectionError, InitialisationError, OptionError
-from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
-from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
-from ..estimate.triads.static_g_sensitivity import FEWEST_POSES
-from ..estimate.triads.triad import TriadFit, fit_triad
-from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
-from ..estimate.triads.triad_trust import robust_triad
-from ..evidence import NOTHING, Evidence, Priors, known_beforehand
-from ..findings import Finding
-from ..options import ImuOptions
-from ..parameters import parameters
-from ..recording import Floats, Poses, Recording
+from ..results.parameters import parameters
+from ..results.result import Result
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
-from .imu_model import refuse_evidence
-from .pose_gyroscope import fit_gyroscope_at_rest
-from .pose_preparation import PreparedPoses, prepare_poses, recording_gaps
-from .poses_as_published import calibrate_poses_as_published
-from .preparation import PreparedImu, in_stated_frame, local_gravity, stated_options
+from .published.angrisano import calibrate_poses_as_published
+from .steps.imu_model import refuse_evidence
+from .steps.pose_gyroscope import fit_gyroscope_at_rest
+from .steps.pose_preparation import PreparedPoses, prepare_poses, recording_gaps
+from .steps.preparation import PreparedImu, in_stated_frame, local_gravity, stated_options
 
 Progress = Callable[[str], None]
 

@@ -9,17 +9,19 @@ from dataclasses import replace
 import numpy as np
 
 from .._version import __version__
-from ..assess.joined_recordings import Scalars, joined_assessment, quantities_of, refuse_other_sensors
-from ..calibration import Calibration, Covariance, Provenance
-from ..diagnostics import ImuDiagnostics, JoinedDiagnostics, JoinedRecording, Result, TriadDiagnostics
+from ..assess.imu.joined_recordings import Scalars, joined_assessment, quantities_of, refuse_other_sensors
+from ..assess.priors import Priors, gravity_part
 from ..errors import GnomonError, OptionError, RecordingError
 from ..estimate.trust.between_recordings import join_estimates
-from ..evidence import Priors, gravity_part
 from ..options import ImuOptions
-from ..parameters import parameters
 from ..recording import Floats, Recording
-from ..sensors import ImuCalibration
-from .preparation import recording_names, refuse_same_data, stated_options
+from ..results.calibration import Calibration, Covariance, Provenance
+from ..results.imu_diagnostics import ImuDiagnostics
+from ..results.parameters import parameters
+from ..results.result import JoinedDiagnostics, JoinedRecording, Result
+from ..results.sensors import ImuCalibration
+from ..results.triad_diagnostics import TriadDiagnostics
+from .steps.preparation import recording_names, refuse_same_data, stated_options
 
 Progress = Callable[[str], None]
 CalibrateOne = Callable[[Recording, ImuOptions, Progress], Result]

@@ -11,10 +11,18 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.changes import with_changes
+from ..assess.imu.turntable_tables import TurntableEvidence, describe_turntable
+from ..assess.imu.turntable_verdict import assess_turntable
 from ..assess.prior_findings import prior_findings, prior_used
-from ..assess.turntable_tables import TurntableEvidence, describe_turntable
-from ..assess.turntable_verdict import assess_turntable
-from ..calibration import (
+from ..assess.priors import NOTHING, Evidence, Priors, known_beforehand, refuse_own_data
+from ..errors import DetectionError, InitialisationError, OptionError, SolveError
+from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
+from ..estimate.turntable.parts import TurntableParts
+from ..estimate.turntable.speeds import NO_SPEED, reassign
+from ..findings import Finding
+from ..options import StatedRate, TurntableOptions
+from ..recording import Recording
+from ..results.calibration import (
     AccelerometerCalibration,
     Calibration,
     Covariance,
@@ -24,18 +32,11 @@ from ..calibration import (
     Provenance,
     covariance_names,
 )
-from ..diagnostics import PeriodCurve, Result
-from ..errors import DetectionError, InitialisationError, OptionError, SolveError
-from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
-from ..estimate.turntable.parts import TurntableParts
-from ..estimate.turntable.speeds import NO_SPEED, reassign
-from ..evidence import NOTHING, Evidence, Priors, known_beforehand, refuse_own_data
-from ..findings import Finding
-from ..options import StatedRate, TurntableOptions
-from ..recording import Recording
+from ..results.result import Result
+from ..results.triad_diagnostics import PeriodCurve
 from ..units import GYROSCOPE_UNITS_RAD_S
-from .preparation import check_arguments, local_gravity, recording_names, refuse_same_data, stated_options
-from .turntable_preparation import prepare_turntable
+from .steps.preparation import check_arguments, local_gravity, recording_names, refuse_same_data, stated_options
+from .steps.turntable_preparation import prepare_turntable
 
 Progress = Callable[[str], None]
 

@@ -32,7 +32,7 @@ from .simulated import OF_IMUS, check_form, folder_document, print_folder, repla
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..diagnostics import Result
+    from ..results.result import Result
 
 
 ImagesAs = Literal["folder", "euroc", "ros1", "ros2", "mcap"]
@@ -95,8 +95,8 @@ class CameraCommand(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Calibrate, write the folder of the result, and return the exit code."""
-        from ..calibrate.camera_reading import read_camera_views
         from ..calibrate.cameras import calibrate_cameras
+        from ..calibrate.steps.camera_reading import read_camera_views
         from ..formats.kalibr.cam_results import save_camera_files
         from ..readers.images.image_recording import holds_imu
 
@@ -154,7 +154,7 @@ def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
 
 
 def _lenses(result: "Result") -> dict[str, Any]:
-    from ..diagnostics import CamerasDiagnostics
+    from ..results.camera_diagnostics import CamerasDiagnostics
     from .camera_summary import programs_reading
 
     diagnostics = result.diagnostics

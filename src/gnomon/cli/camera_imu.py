@@ -35,7 +35,7 @@ from .simulated import check_form, folder_document, print_folder, replaces_simul
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..diagnostics import Result
+    from ..results.result import Result
 
 
 _NO_CAM = (
@@ -173,7 +173,7 @@ def _print_result(result: "Result", folder: Path, terminal: Terminal) -> None:
 
 
 def _findings_of_the_solution(result: "Result") -> dict[str, Any]:
-    from ..diagnostics import CameraImuDiagnostics
+    from ..results.camera_diagnostics import CameraImuDiagnostics
 
     diagnostics = result.diagnostics
     assert isinstance(diagnostics, CameraImuDiagnostics)

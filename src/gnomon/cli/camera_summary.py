@@ -7,13 +7,14 @@ from math import degrees, hypot, isclose, isfinite
 import numpy as np
 from rich.table import Table
 
-from ..calibration import Calibration, CamerasFit
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, Result
-from ..formats.baselines import baseline_of
-from ..formats.entries import camera_entries
+from ..formats.shared.baselines import baseline_of
+from ..formats.shared.entries import camera_entries
 from ..models.lens_programs import PROGRAMS, knows
 from ..models.origin import AXES
 from ..recording import Floats
+from ..results.calibration import Calibration, CamerasFit
+from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
+from ..results.result import Result
 from ..units import share_words
 from ..writers.tables import value_text
 from .summary import common_decimals

@@ -12,10 +12,10 @@ from .results import UNUSABLE, USABLE, print_assumptions
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..assess.rig_doctor import RigLook
+    from ..assess.checks.rig_doctor import RigLook
     from ..findings import Finding
-    from ..images import ImageRecording
     from ..recording import ImuSamples, Integers, Recording, TriadSamples
+    from ..recording.images import ImageRecording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class Check(Command):
 
 
 def _check_imu(command: Check, terminal: Terminal) -> int:
-    from ..assess.doctor import check, check_magnetometers
+    from ..assess.checks.doctor import check, check_magnetometers
     from ..readers.recordings import read
 
     source = command.recording
@@ -93,7 +93,7 @@ def _check_corners(command: Check, terminal: Terminal) -> int:
         recording, target = read_camera_imu(path, **files, units=units)
     else:
         recording, target = read_camera_views(path, cam=files["cam"], target=files["target"], units=units)
-    from ..assess.rig_doctor import check_corners
+    from ..assess.checks.rig_doctor import check_corners
 
     findings = check_corners(recording, target)
     return _print_check(
@@ -102,7 +102,7 @@ def _check_corners(command: Check, terminal: Terminal) -> int:
 
 
 def _check_corner_stamps(command: Check, files: Mapping[str, Any], taken: tuple[str, ...], terminal: Terminal) -> int:
-    from ..assess.rig_doctor import check_imus, check_stamps_together
+    from ..assess.checks.rig_doctor import check_imus, check_stamps_together
     from ..readers.rig.corner_frames import read_corner_stamps
 
     found = read_corner_stamps(command.recording.path, command.recording.units)
@@ -122,7 +122,7 @@ def _corner_entries(recording: "Recording") -> dict[str, dict[str, Any]]:
 
 
 def _check_images(command: Check, terminal: Terminal) -> int:
-    from ..assess.rig_doctor import check_rig
+    from ..assess.checks.rig_doctor import check_rig
     from ..formats.kalibr.target import read_target
     from ..formats.sensor_inputs import read_cameras, read_imus
     from ..readers.images.image_recording import open_images

@@ -16,8 +16,8 @@ from .results import USABLE, print_assumptions
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..formats.losses import StatedImu
-    from ..images import ImageRecording
+    from ..formats.shared.losses import StatedImu
+    from ..recording.images import ImageRecording
 
 
 CalibrationForm = Literal[

@@ -83,7 +83,7 @@ class Imu(Command):
 
 def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
     """Return what had to be assumed; of several recordings each once, with those of which it was."""
-    from ..calibrate.preparation import recording_names
+    from ..calibrate.steps.preparation import recording_names
 
     if len(recordings) == 1:
         return list(recordings[0].assumptions)

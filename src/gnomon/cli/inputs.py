@@ -9,11 +9,11 @@ from ..errors import OptionError
 from ..models.lens_programs import PROGRAMS
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
-    from ..diagnostics import Result
     from ..models.noise import ImuNoise
+    from ..options.requirements import Use
     from ..recording import Recording, Source
-    from ..requirements import Use
+    from ..results.calibration import Calibration
+    from ..results.result import Result
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from .results import UNUSABLE, USABLE, print_assumptions, print_files, print_fin
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..sensor_noise import Coefficient, SensorNoise, TriadNoise
+    from ..results.sensor_noise import Coefficient, SensorNoise, TriadNoise
 
 
 _LEGEND = """\
@@ -100,7 +100,7 @@ def _lines(sensor: str, triad: "TriadNoise") -> Iterator[str]:
     """Yield the coefficients of a sensor, a line for each kind of noise, 80 columns wide."""
     import numpy as np
 
-    from ..sensor_noise import COEFFICIENTS, SYMBOLS, UNITS
+    from ..results.sensor_noise import COEFFICIENTS, SYMBOLS, UNITS
     from .summary import common_decimals, common_power
 
     yield f"\n{sensor:<15}{'x':<18}{'y':<18}z"
@@ -133,7 +133,7 @@ class SimulateNoise(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Write a recording of simulated noise, say where, and return the exit code."""
-        from ..sensor_noise import SENSOR_UNITS
+        from ..results.sensor_noise import SENSOR_UNITS
         from ..simulate.noise import noise_blocks
         from ..writers.recording_file import save_blocks
 

@@ -83,7 +83,7 @@ def _plan(command: Plan | PlanImu, terminal: Terminal) -> int:
 
 def _print(result: "PlanResult", terminal: Terminal) -> None:
     from ..assess.needs import number_words, offers
-    from ..requirements import QUANTITIES
+    from ..options.requirements import QUANTITIES
 
     calibration = result.calibration
     use = calibration.assessment.trust.use
@@ -107,7 +107,7 @@ def _print(result: "PlanResult", terminal: Terminal) -> None:
 
 
 def _document(result: "PlanResult") -> dict[str, Any]:
-    from ..calibration import parameters
+    from ..results.calibration import parameters
 
     calibration = result.calibration
     return {

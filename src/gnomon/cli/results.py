@@ -9,9 +9,9 @@ from .output_folder import RESULT_FILES
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
-    from ..diagnostics import Result
     from ..findings import Finding
+    from ..results.calibration import Calibration
+    from ..results.result import Result
 
 
 USABLE, UNUSABLE = 0, 4

@@ -9,8 +9,8 @@ from .results import USABLE
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
     from ..recording import Recording
+    from ..results.calibration import Calibration
 
 
 OF_IMUS = ("imu.yaml", "groundtruth.txt")

@@ -89,14 +89,14 @@ class StudyEntry:
 
 
 def _angrisano() -> Parts:
-    from ..report.study_angrisano import angrisano_page
+    from ..report.studies.angrisano import angrisano_page
     from ..study.angrisano import claims, study_angrisano, tables
 
     return Parts(carry_out=study_angrisano, claims=claims, tables=tables, page=angrisano_page)
 
 
 def _krebs() -> Parts:
-    from ..report.study_krebs import krebs_page
+    from ..report.studies.krebs import krebs_page
     from ..study.krebs import study_krebs
     from ..study.krebs_claims import claims, tables
 
@@ -104,7 +104,7 @@ def _krebs() -> Parts:
 
 
 def _tedaldi() -> Parts:
-    from ..report.study_tedaldi import tedaldi_page
+    from ..report.studies.tedaldi import tedaldi_page
     from ..study.tedaldi import study_tedaldi
     from ..study.tedaldi_claims import claims, tables
 

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..calibration import Calibration, element_names, parameters
-from ..diagnostics import Result, TriadDiagnostics
 from ..findings import Finding
-from ..formats.entries import parameter_unit
-from ..formats.losses import held_names
+from ..formats.shared.entries import parameter_unit
+from ..formats.shared.losses import held_names
 from ..recording import Floats
-from ..trust import TrustNote
+from ..results.calibration import Calibration, element_names, parameters
+from ..results.result import Result
+from ..results.triad_diagnostics import TriadDiagnostics
+from ..results.trust import TrustNote
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 
 if TYPE_CHECKING:

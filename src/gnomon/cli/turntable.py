@@ -21,10 +21,11 @@ from .terminal import Terminal
 
 if TYPE_CHECKING:
     from ..detect.platter.rate import PlatterRate
-    from ..diagnostics import PeriodCurve, Result
     from ..findings import Finding
     from ..options import StatedRate
     from ..recording import Recording
+    from ..results.result import Result
+    from ..results.triad_diagnostics import PeriodCurve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +156,7 @@ def _rate(text: str, command: Turntable, terminal: Terminal) -> "tuple[StatedRat
 
 
 def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
-    from ..diagnostics import PeriodCurve
+    from ..results.triad_diagnostics import PeriodCurve
 
     return PeriodCurve(
         name=name,
@@ -168,7 +169,7 @@ def _curve(name: str, seen: "PlatterRate") -> "PeriodCurve":
 
 def _summary_lines(result: "Result") -> Iterator[str]:
     """Yield lines on what the calibration rests on, and the speeds."""
-    from ..diagnostics import TriadDiagnostics
+    from ..results.triad_diagnostics import TriadDiagnostics
     from . import summary
 
     diagnostics = result.diagnostics
@@ -229,8 +230,8 @@ class SimulateTurntable(Command):
 
 def _save_videos(command: SimulateTurntable, rates: Sequence[float], staging: Path, terminal: Terminal) -> list[str]:
     """Write a video of the platter at each speed, and return the names of the files."""
+    from ..simulate.images.platter_video import simulate_platter_video
     from ..simulate.platter_scenario import PlatterScenario
-    from ..simulate.platter_video import simulate_platter_video
     from ..writers.video import save_video
 
     names: list[str] = []
@@ -334,7 +335,7 @@ class SimulatePlatterVideo(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Draw and write a video, say its true rate, and return the exit code."""
-        from ..simulate.platter_video import simulate_platter_video as simulated
+        from ..simulate.images.platter_video import simulate_platter_video as simulated
         from ..writers.video import save_video
 
         terminal.progress("drawing the frames")

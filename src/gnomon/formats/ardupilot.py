@@ -6,9 +6,9 @@ ArduPilot corrects f = (a - OFFS) SCAL, element by element, and w = y - OFFS, in
 
 from collections.abc import Iterator, Mapping
 
-from ..calibration import Calibration
-from .flight_parameters import FlightImu, ParameterNames, flight_head, flight_losses, require_flight_imus
-from .losses import Context, Export, Loss
+from ..results.calibration import Calibration
+from .shared.flight_parameters import FlightImu, ParameterNames, flight_head, flight_losses, require_flight_imus
+from .shared.losses import Context, Export, Loss
 
 FILE = "ardupilot.param"
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, Calibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ..errors import OptionError
 from ..geometry.quaternion import quaternion_from_rotation
 from ..models.camera import Camera
@@ -19,21 +18,20 @@ from ..models.estimator_forms import BasaltTriad
 from ..models.lens_names import DistortionName, ProjectionName
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..recording import Floats
-from .baselines import inverse_pose
-from .foreign import ForeignCalibration, ForeignImu, recognised_frame
-from .foreign_yaml import passed_over, required, unit_quaternion, whole_number
-from .losses import (
-    Context,
-    Export,
-    Loss,
-    StatedImu,
-    into_frame,
-    require_triads,
-    unknown_lens,
+from ..results.calibration import (
+    AccelerometerCalibration,
+    Calibration,
+    CameraCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
 )
-from .sensor_losses import Holds, not_representable
-from .si_units import conversions, si_imu
-from .structured import Node
+from .foreign import ForeignCalibration, ForeignImu, recognised_frame
+from .shared.baselines import inverse_pose
+from .shared.foreign_yaml import passed_over, required, unit_quaternion, whole_number
+from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, unknown_lens
+from .shared.sensor_losses import Holds, not_representable
+from .shared.si_units import conversions, si_imu
+from .shared.structured import Node
 
 _NOISE = {
     "accel_noise_std": "accelerometer_noise_density",

@@ -8,12 +8,12 @@ import re
 
 import numpy as np
 
-from ..calibration import Calibration, ImuCalibration
 from ..models.forms import inverse
 from ..recording import Floats
-from .losses import Context, Export, Loss
+from ..results.calibration import Calibration, ImuCalibration
 from .own.calibration_text import FRAMES
-from .sensor_losses import Holds, not_representable
+from .shared.losses import Context, Export, Loss
+from .shared.sensor_losses import Holds, not_representable
 
 _HEAD = """\
 /* Calibration of an inertial sensor as C code, made by gnomon.

@@ -5,15 +5,15 @@ from importlib import import_module
 from os import PathLike
 from pathlib import Path
 
-from ..calibration import Calibration
 from ..errors import OptionError
 from ..models.lens_programs import PROGRAMS
 from ..output import write_together
+from ..results.calibration import Calibration
 from .foreign import ForeignCalibration, as_calibration
-from .ignored_values import ignored_values
-from .losses import Context, Export, Loss, StatedImu, origin_remarks, remark_losses, sentences
 from .sensor_inputs import read_imu_noise
-from .si_units import with_full_scale
+from .shared.ignored_values import ignored_values
+from .shared.losses import Context, Export, Loss, StatedImu, origin_remarks, remark_losses, sentences
+from .shared.si_units import with_full_scale
 
 FORMATS = {
     "imu_tk": "imu_tk",
@@ -123,7 +123,7 @@ def exported(
     module = import_module(f".{FORMATS[to]}", __package__)
     losses = tuple(remark_losses(calibration, cameras=to not in _WITHOUT_CAMERAS))
     if to in PROGRAMS:
-        from .lens_refit import with_known_lenses
+        from .shared.lens_refit import with_known_lenses
 
         calibration, refits = with_known_lenses(calibration, to)
         losses += refits

@@ -7,7 +7,13 @@ from typing import Self
 import numpy as np
 
 from .._version import __version__
-from ..calibration import (
+from ..errors import FormatError
+from ..frozen import FrozenMapping
+from ..models.camera import Camera
+from ..models.noise import ImuNoise
+from ..models.target import Target
+from ..recording import Floats, frozen_array
+from ..results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -21,13 +27,7 @@ from ..calibration import (
     covariance_names,
     parameters,
 )
-from ..errors import FormatError
-from ..frozen import FrozenMapping
-from ..models.camera import Camera
-from ..models.noise import ImuNoise
-from ..models.target import Target
-from ..parameters import element_names
-from ..recording import Floats, frozen_array
+from ..results.parameters import element_names
 from ..units import STANDARD_GRAVITY_M_S2
 
 FOREIGN_METHOD = "foreign"

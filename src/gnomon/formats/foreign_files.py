@@ -9,13 +9,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration
 from ..errors import FormatError
-from ..parameters import parameters
+from ..results.calibration import Calibration, CameraCalibration
+from ..results.parameters import parameters
 from .basalt import basalt_of, is_basalt
-from .flight_parameters import is_flight_parameters, read_flight_parameters
 from .foreign import ForeignCalibration, recognised_frame
-from .foreign_yaml import read_foreign_yaml
 from .imu_tk import is_imu_tk, read_imu_tk, stated_triad
 from .imucal import read_imucal
 from .kalibr.cam_results import is_kalibr_cam_results, read_cam_results
@@ -29,7 +27,9 @@ from .own.calibration_file import is_own, load
 from .own.noise_file import is_noise
 from .own.parameter_csv import read_parameter_csv
 from .ros2 import camera_info_of, is_camera_info, is_launch, launch_of
-from .structured import Node, read_json, read_text
+from .shared.flight_parameters import is_flight_parameters, read_flight_parameters
+from .shared.foreign_yaml import read_foreign_yaml
+from .shared.structured import Node, read_json, read_text
 from .vins_fusion import is_vins, is_vins_lens, lens_of, vins_of
 
 __all__ = ["FORMATS", "is_own", "load_foreign"]

@@ -9,22 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..errors import FormatError, OptionError
 from ..models.forms import in_frame
 from ..models.project_forms import ImuTkTriad
 from ..recording import Floats
+from ..results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .foreign import ForeignCalibration, recognised_frame
-from .losses import (
-    Context,
-    Export,
-    Loss,
-    into_frame,
-    numbers_text,
-)
-from .sensor_losses import Holds, not_representable
-from .structured import read_text
+from .shared.losses import Context, Export, Loss, into_frame, numbers_text
+from .shared.sensor_losses import Holds, not_representable
+from .shared.structured import read_text
 
 _COMMENT = re.compile(r"(?m)^[ \t]*#.*$")
 _UNITS = re.compile(r"(?m)^#.*value \[(m/s\^2|rad/s)\] = T K \(sample \[([^\]]*)\] - B\)")

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..models.project_forms import ImucalAccelerometer, ImucalGyroscope
+from ..results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .foreign import ForeignCalibration, recognised_frame
-from .losses import Context, Export, require_triads
 from .own.calibration_text import FRAMES
-from .sensor_losses import Holds, not_representable
-from .structured import Node, read_json
+from .shared.losses import Context, Export, require_triads
+from .shared.sensor_losses import Holds, not_representable
+from .shared.structured import Node, read_json
 
 _TEXTS = ("acc_unit", "gyr_unit", "from_acc_unit", "from_gyr_unit", "comment")
 _PARAMETERS = {"K_a": (3, 3), "R_a": (3, 3), "b_a": (3,), "K_g": (3, 3), "R_g": (3, 3), "K_ga": (3, 3), "b_g": (3,)}

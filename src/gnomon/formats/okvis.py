@@ -9,22 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration, ImuCalibration
 from ..models.lens_names import DistortionName
 from ..recording import Floats
-from .baselines import inverse_pose
+from ..results.calibration import Calibration, CameraCalibration, ImuCalibration
 from .foreign import ForeignCalibration, ForeignImu, ideal_imu
-from .foreign_yaml import lens, placed, required, rigid, stated_noise
-from .losses import (
-    Context,
-    Export,
-    StatedImu,
-    unknown_lens,
-)
-from .sensor_losses import Holds, not_representable, require_cameras
-from .si_units import conversions
-from .structured import Node
-from .yaml_text import opencv_lines
+from .shared.baselines import inverse_pose
+from .shared.foreign_yaml import lens, placed, required, rigid, stated_noise
+from .shared.losses import Context, Export, StatedImu, unknown_lens
+from .shared.sensor_losses import Holds, not_representable, require_cameras
+from .shared.si_units import conversions
+from .shared.structured import Node
+from .shared.yaml_text import opencv_lines
 
 _NOISE = {
     "sigma_a_c": "accelerometer_noise_density",

@@ -10,28 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, Calibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
 from ..models.forms import inverse
 from ..models.noise import ImuNoise
 from ..recording import Floats
-from .foreign_yaml import file_name, matrix, rotation
-from .kalibr.camchain import camera_chain
-from .lenses import without_k3
-from .losses import (
-    Context,
-    Export,
-    Loss,
-    StatedImu,
-    into_frame,
-    require_triads,
-    stated_entry,
-    unknown_lens,
+from ..results.calibration import (
+    AccelerometerCalibration,
+    Calibration,
+    CameraCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
 )
-from .sensor_losses import Holds, not_representable
-from .si_units import conversions, si_imu
-from .structured import Node
-from .yaml_text import kalibr_yaml
+from .kalibr.camchain import camera_chain
+from .shared.foreign_yaml import file_name, matrix, rotation
+from .shared.lenses import without_k3
+from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, unknown_lens
+from .shared.sensor_losses import Holds, not_representable
+from .shared.si_units import conversions, si_imu
+from .shared.structured import Node
+from .shared.yaml_text import kalibr_yaml
 
 OPENVINS_KEYS = ("Tw", "Ta", "Tg", "R_IMUtoGYRO", "R_IMUtoACC")
 _MODELS = ("kalibr", "calibrated", "rpng")

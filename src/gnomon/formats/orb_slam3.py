@@ -9,23 +9,18 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration
 from ..errors import OptionError
 from ..models.camera import Camera
-from .baselines import inverse_pose
+from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
-from .foreign_yaml import lens, placed, required, rigid, stated_noise, whole_number
 from .kalibr.camchain import baseline
-from .losses import (
-    Context,
-    Export,
-    StatedImu,
-    unknown_lens,
-)
-from .sensor_losses import Holds, not_representable, require_cameras
-from .si_units import conversions
-from .structured import Node
-from .yaml_text import opencv_lines, opencv_matrix
+from .shared.baselines import inverse_pose
+from .shared.foreign_yaml import lens, placed, required, rigid, stated_noise, whole_number
+from .shared.losses import Context, Export, StatedImu, unknown_lens
+from .shared.sensor_losses import Holds, not_representable, require_cameras
+from .shared.si_units import conversions
+from .shared.structured import Node
+from .shared.yaml_text import opencv_lines, opencv_matrix
 
 _NOISE = {
     "IMU.NoiseAcc": "accelerometer_noise_density",

@@ -4,9 +4,9 @@ PX4 corrects f = (a - OFF) SCALE, element by element, and w = y - OFF, before it
 the vehicle's. Read back by `formats.flight_parameters`.
 """
 
-from ..calibration import Calibration
-from .flight_parameters import ParameterNames, flight_head, flight_losses, require_flight_imus
-from .losses import Context, Export, Loss
+from ..results.calibration import Calibration
+from .shared.flight_parameters import ParameterNames, flight_head, flight_losses, require_flight_imus
+from .shared.losses import Context, Export, Loss
 
 FILE = "px4.params"
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration
 from ..geometry.quaternion import quaternion_from_rotation
 from ..geometry.so3 import inverse
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats
-from .baselines import inverse_pose
+from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
-from .foreign_yaml import (
+from .shared.baselines import inverse_pose
+from .shared.foreign_yaml import (
     lens,
     matrix,
     placed,
@@ -30,10 +30,10 @@ from .foreign_yaml import (
     unwrapped,
     whole_number,
 )
-from .losses import Context, Export, Loss, uncertainty_loss, unknown_lens
-from .sensor_losses import Holds, not_representable, require_cameras
-from .structured import Node
-from .yaml_text import flow
+from .shared.losses import Context, Export, Loss, uncertainty_loss, unknown_lens
+from .shared.sensor_losses import Holds, not_representable, require_cameras
+from .shared.structured import Node
+from .shared.yaml_text import flow
 
 _CAMERA = re.compile(r"cam(?:era)?_?(\d+)")
 _IMU = re.compile(r"imu|base_link|body", re.IGNORECASE)

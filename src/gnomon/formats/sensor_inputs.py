@@ -11,13 +11,13 @@ from ..errors import FormatError
 from ..recording import KnownRig, Source, frozen_array, shared_sources
 from .basalt import basalt_of, is_basalt
 from .foreign import ForeignCalibration
-from .foreign_yaml import read_foreign_yaml
 from .kalibr.cam_results import is_kalibr_cam_results, read_cam_results
 from .kalibr.camchain import CameraInput, cameras_of
 from .kalibr.imu import ImuInput, read_imu_input
 from .own.calibration_file import is_own, load
 from .own.noise_file import is_noise, load_noise
-from .structured import read_json, read_text
+from .shared.foreign_yaml import read_foreign_yaml
+from .shared.structured import read_json, read_text
 
 ImuFiles = str | PathLike[str] | Sequence[str | PathLike[str]]
 """One file of all IMUs, or one of each."""

@@ -13,24 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from ..calibration import Calibration, CameraCalibration
 from ..errors import FormatError
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
-from .baselines import inverse_pose
+from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
-from .foreign_yaml import lens, numbers, placed, read_foreign_yaml, required, rigid, stated_noise, text_of, whole_number
-from .lenses import cameras_without_k3
-from .losses import (
-    Context,
-    Export,
-    StatedImu,
-    unknown_lens,
+from .shared.baselines import inverse_pose
+from .shared.foreign_yaml import (
+    lens,
+    numbers,
+    placed,
+    read_foreign_yaml,
+    required,
+    rigid,
+    stated_noise,
+    text_of,
+    whole_number,
 )
-from .sensor_losses import Holds, not_representable, require_cameras
-from .si_units import conversions
-from .structured import Node
-from .yaml_text import FIRST_LINE, opencv_lines, opencv_matrix
+from .shared.lenses import cameras_without_k3
+from .shared.losses import Context, Export, StatedImu, unknown_lens
+from .shared.sensor_losses import Holds, not_representable, require_cameras
+from .shared.si_units import conversions
+from .shared.structured import Node
+from .shared.yaml_text import FIRST_LINE, opencv_lines, opencv_matrix
 
 _NOISE_KEYS = {
     "acc_n": "accelerometer_noise_density",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import RecordingError
-from ..formats.structured import refuse_special
+from ..formats.shared.structured import refuse_special
 from ..recording import Source
 
 _GZIP = b"\x1f\x8b"

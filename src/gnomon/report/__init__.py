@@ -6,8 +6,9 @@ it, camera_imu.py what a camera-IMU calibration does, cameras.py what one of cam
 
 from pathlib import Path
 
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, Result
 from ..output import write_whole
+from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
+from ..results.result import Result
 
 
 def write_report(result: Result, path: str | Path) -> None:

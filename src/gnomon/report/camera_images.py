@@ -4,12 +4,12 @@ from math import isfinite
 
 import numpy as np
 
-from ..diagnostics import CornerFit
 from ..recording import Floats, FrameQuality
-from .figures import WIDTH, Sheet, coarser, dots, half_panel, limits, thinned, zigzag
+from ..results.camera_diagnostics import CornerFit
+from .drawing.figures import WIDTH, Sheet, coarser, dots, half_panel, limits, thinned, zigzag
+from .drawing.panel import DASHED, Panel
 from .numbers import finite, fixed, highest, number, positive
 from .page import Figure, Legend, Section, Table
-from .panel import DASHED, Panel
 
 _BLURRED_PX, _BRIGHT = 1.5, 250.0  # as assess.image_checks has them, and says why
 _GROUPS = 8

@@ -4,8 +4,8 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..calibration import Calibration, CameraImuFit
-from ..diagnostics import CameraImuDiagnostics
+from ..results.calibration import Calibration, CameraImuFit
+from ..results.camera_diagnostics import CameraImuDiagnostics
 from . import camera_imu_evidence as evidence
 from . import camera_imu_sections as sections
 from .camera_images import images_section

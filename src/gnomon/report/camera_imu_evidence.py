@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..diagnostics import CameraImuDiagnostics, SignalFit
+from ..results.camera_diagnostics import CameraImuDiagnostics, SignalFit
 from . import camera_imu_signals
 from .camera_imu_signals import signal_name
 from .corner_figures import density

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..diagnostics import BiasTrack, SignalFit, TrajectoryTrack
 from ..geometry.quaternion import rotation_from_quaternion
 from ..recording import Floats, Integers
+from ..results.camera_diagnostics import BiasTrack, SignalFit, TrajectoryTrack
 from .corner_figures import TIMES, time_spans
-from .figures import (
+from .drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
     WIDTH,
@@ -22,8 +22,8 @@ from .figures import (
     limits,
     zigzag,
 )
+from .drawing.panel import DASHED, Panel
 from .numbers import finite, highest, positive, prefixed, readable_unit, rms
-from .panel import DASHED, Panel
 
 ZOOM_S = 2.0
 _FINEST = 400

@@ -9,11 +9,11 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..calibration import Calibration
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..recording import Floats
+from ..results.calibration import Calibration
 from .cameras_lens import field_of_view, focal_at_axis
-from .figures import AXES
+from .drawing.figures import AXES
 from .imu_parameters import sigmas_of, triple
 from .numbers import fixed, number
 from .page import Parameter, ParameterGroup, parameter

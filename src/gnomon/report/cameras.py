@@ -5,10 +5,10 @@ from math import isfinite
 
 import numpy as np
 
-from ..calibration import Calibration, CamerasFit
-from ..diagnostics import CamerasDiagnostics
 from ..models.camera import Camera
 from ..recording import Floats
+from ..results.calibration import Calibration, CamerasFit
+from ..results.camera_diagnostics import CamerasDiagnostics
 from . import cameras_sections as sections
 from .camera_images import images_section
 from .camera_parameters import pose_numbers

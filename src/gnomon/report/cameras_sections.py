@@ -4,19 +4,19 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..calibration import Calibration, CamerasFit
-from ..diagnostics import CamerasDiagnostics, LensTrial
 from ..recording import Floats
+from ..results.calibration import Calibration, CamerasFit
+from ..results.camera_diagnostics import CamerasDiagnostics, LensTrial
 from . import cameras_lens, cameras_views
 from .camera_parameters import lens_groups, pose_groups
 from .cameras_lens import ProjectionSpread, RadialCurve
 from .cameras_views import epipolar_errors
 from .corner_figures import arrows, coverage, unseen_places
 from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
-from .figures import WIDTH, Sheet, dots
+from .drawing.figures import WIDTH, Sheet, dots
+from .drawing.rig import rig_drawing
 from .numbers import MISSING, estimate, finite, fixed, largest, number, positive, share
 from .page import Block, Code, Figure, Legend, Parameters, Section, Table
-from .rig import rig_drawing
 from .sections import matrix_text
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..diagnostics import CornerFit, ViewPose
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..geometry.so3 import skew
 from ..models.camera import Camera
 from ..recording import Floats, Integers
-from . import svg
-from .figures import TEXT, WIDTH, Sheet, dots, fit_to_scale, half_panel
+from ..results.calibration import Calibration
+from ..results.camera_diagnostics import CornerFit, ViewPose
+from .drawing import svg
+from .drawing.figures import TEXT, WIDTH, Sheet, dots, fit_to_scale, half_panel
+from .drawing.panel import Panel
 from .numbers import finite, number, positive
-from .panel import Panel
 
 _MOST_DRAWN = 120
 _TELLING = 5

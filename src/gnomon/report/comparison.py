@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from .._version import __version__
-from ..assess.comparison import Comparison, Difference, Repeatability
-from ..assess.comparison_words import block_words, shown_unit, typical_size
+from ..assess.comparison.comparison import Comparison, Difference, Repeatability
+from ..assess.comparison.comparison_words import block_words, shown_unit, typical_size
 from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
-from . import svg
-from .figures import RIGHT, Sheet, dots
+from .drawing import svg
+from .drawing.figures import RIGHT, Sheet, dots
+from .drawing.panel import Panel
 from .numbers import MISSING, fixed, number, readable_unit
 from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
-from .panel import Panel
 
 _MOST_PAIRS = 10  # calibrations of which all pairs are shown
 

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..assess.cameras_tables import NOT_CHOSEN
-from ..diagnostics import CornerFit
+from ..assess.cameras.cameras_tables import NOT_CHOSEN
 from ..recording import Floats
-from . import svg
+from ..results.camera_diagnostics import CornerFit
 from .corners import CornerView, field_magnification
-from .figures import (
+from .drawing import svg
+from .drawing.figures import (
     RIGHT,
     TEXT,
     WIDTH,
@@ -23,8 +23,8 @@ from .figures import (
     thinned,
     zigzag,
 )
+from .drawing.panel import DASHED, Panel
 from .numbers import finite, highest, positive
-from .panel import DASHED, Panel
 
 TIMES = ("t1", "t2", "t3", "t4", "t5")
 """Inks of five equal spans of time."""

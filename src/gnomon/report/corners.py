@@ -7,10 +7,8 @@ from math import isfinite
 
 import numpy as np
 
-from ..diagnostics import (
-    CornerFit,
-)
 from ..recording import Floats, Integers
+from ..results.camera_diagnostics import CornerFit
 from . import corner_figures as figures
 from .numbers import (
     fixed,

@@ -4,13 +4,19 @@ from functools import reduce
 
 import numpy as np
 
-from ..diagnostics import CameraImuDiagnostics, CamerasDiagnostics, EstimatedParameter, NoiseLevel, SolverStep
 from ..recording import Floats
-from . import svg
-from .figures import RIGHT, WIDTH, Sheet
+from ..results.camera_diagnostics import (
+    CameraImuDiagnostics,
+    CamerasDiagnostics,
+    EstimatedParameter,
+    NoiseLevel,
+    SolverStep,
+)
+from .drawing import svg
+from .drawing.figures import RIGHT, WIDTH, Sheet
+from .drawing.panel import Panel
 from .numbers import MISSING, fixed, highest, number, readable_unit, with_sigma
 from .page import Figure, Legend, Section, Table
-from .panel import Panel
 
 _MOST_ROWS = 60
 _MOST_PAIRS = 12

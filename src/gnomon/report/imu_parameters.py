@@ -6,16 +6,16 @@ from math import degrees, isfinite, pi
 
 import numpy as np
 
-from ..calibration import (
+from ..geometry.rotation_vector import rotvec_from_rotation
+from ..models.forms import in_own_axes
+from ..recording import Floats
+from ..results.calibration import (
     AccelerometerCalibration,
     Calibration,
     GyroscopeCalibration,
     ImuCalibration,
     MagnetometerCalibration,
 )
-from ..geometry.rotation_vector import rotvec_from_rotation
-from ..models.forms import in_own_axes
-from ..recording import Floats
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
 from .numbers import MISSING, estimate, fixed, number, readable_unit, with_sigma
 from .page import Bar, Parameter, ParameterGroup, Table, parameter

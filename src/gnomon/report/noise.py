@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnostics import SignalEnvelope
 from ..output import write_whole
 from ..recording import Floats
-from ..sensor_noise import (
+from ..results.imu_diagnostics import SignalEnvelope
+from ..results.sensor_noise import (
     COEFFICIENTS,
     SENSOR_UNITS,
     SYMBOLS,
@@ -19,10 +19,10 @@ from ..sensor_noise import (
     NoiseResult,
     TriadNoise,
 )
-from .figures import AXES, Sheet, limits, log_limits, zigzag
+from .drawing.figures import AXES, Sheet, limits, log_limits, zigzag
+from .drawing.panel import DASHED, Panel
 from .numbers import finite, highest, number, prefixed, quantity, with_sigma
 from .page import Code, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
-from .panel import DASHED, Panel
 from .sections import provenance_section
 
 _HEADLINES = {

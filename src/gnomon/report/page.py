@@ -11,8 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, SupportsFloat
 
-from ..calibration import Verdict
 from ..findings import Finding, printable
+from ..results.calibration import Verdict
 from .numbers import with_sigma
 
 if TYPE_CHECKING:

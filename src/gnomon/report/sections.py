@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Iterator
 
-from ..calibration import Calibration, Gravity, ImuCalibration, Provenance
 from ..recording import Floats
+from ..results.calibration import Calibration, Gravity, ImuCalibration, Provenance
 from .numbers import number, readable_unit
 from .page import Code, KeyNumber, Page, Prose, Section, Table, typeset
 

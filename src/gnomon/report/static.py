@@ -8,9 +8,11 @@ from math import degrees, isfinite
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..diagnostics import ImuDiagnostics, JoinedDiagnostics, TriadDiagnostics
-from ..requirements import BETWEEN_RECORDINGS, QUANTITIES
+from ..options.requirements import BETWEEN_RECORDINGS, QUANTITIES
+from ..results.calibration import Calibration
+from ..results.imu_diagnostics import ImuDiagnostics
+from ..results.result import JoinedDiagnostics
+from ..results.triad_diagnostics import TriadDiagnostics
 from ..units import STANDARD_GRAVITY_M_S2
 from .imu_parameters import parameter_groups
 from .numbers import (

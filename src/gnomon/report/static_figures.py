@@ -3,22 +3,18 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnostics import (
+from ..recording import Floats, Integers
+from ..results.imu_diagnostics import (
     AllanCurve,
     DetectorTrace,
-    DipTable,
-    GyroscopeAtRest,
     ImuDiagnostics,
     IntervalTable,
-    IterationHistory,
-    PeriodCurve,
-    PoseTable,
     RotationTable,
     SignalEnvelope,
 )
-from ..recording import Floats, Integers
-from . import svg
-from .figures import (
+from ..results.triad_diagnostics import DipTable, GyroscopeAtRest, IterationHistory, PeriodCurve, PoseTable
+from .drawing import svg
+from .drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
     Sheet,
@@ -32,8 +28,8 @@ from .figures import (
     thinned,
     zigzag,
 )
+from .drawing.panel import Panel
 from .numbers import finite, highest, largest, magnitude_unit, prefixed, readable_unit
-from .panel import Panel
 
 
 def signals(diagnostics: ImuDiagnostics) -> str:

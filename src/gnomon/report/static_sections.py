@@ -6,9 +6,10 @@ from math import asin, degrees, isfinite, pi
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..diagnostics import ImuDiagnostics, IntervalTable, PoseTable, RotationTable, TriadDiagnostics, TriadRecord
 from ..recording import Floats
+from ..results.calibration import Calibration
+from ..results.imu_diagnostics import ImuDiagnostics, IntervalTable, RotationTable
+from ..results.triad_diagnostics import PoseTable, TriadDiagnostics, TriadRecord
 from ..units import STANDARD_GRAVITY_M_S2
 from . import static_figures as figures
 from .numbers import (

@@ -4,12 +4,12 @@ from math import isfinite
 
 import numpy as np
 
-from ..calibration import Assessment
-from ..trust import BlockChange, ModelStep, Need, Splits, Trust, WeakDirection
-from .figures import Sheet, dots
+from ..results.calibration import Assessment
+from ..results.trust import BlockChange, ModelStep, Need, Splits, Trust, WeakDirection
+from .drawing.figures import Sheet, dots
+from .drawing.panel import DASHED
 from .numbers import MISSING, finite, highest, number
 from .page import Block, Figure, Legend, Prose, Section, Table
-from .panel import DASHED
 
 _OPEN = 2.0
 """Sigmas that are larger than the ordinary ones by more than this say that the model is incomplete."""

@@ -9,8 +9,8 @@ from .plans import CameraImuPlan, ImuPlan
 from .scenarios import FieldScenario, PoseScenario, Scenario, TurntableScenario
 
 if TYPE_CHECKING:
-    from ..calibration import Calibration
     from ..recording import Recording
+    from ..results.calibration import Calibration
     from .camera_imu import simulate_camera_imu
     from .cameras import simulate_cameras
     from .magnetometer import simulate_magnetometer

@@ -5,12 +5,12 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, ImuCalibration
 from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.origin import Origin, single_point_weights
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Recording
+from ..results.calibration import Assessment, Calibration, CameraCalibration, CameraImuFit, ImuCalibration
 from .camera_imu_frames import CameraTruth, FrameStreams, View, simulated_frames
 from .camera_imu_path import CameraPath, drawn_path
 from .camera_imu_rig import (

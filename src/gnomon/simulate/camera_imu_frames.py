@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..calibration import CameraCalibration
 from ..models.camera import Booleans, Camera
 from ..recording import CameraFrames, Floats, Integers
+from ..results.calibration import CameraCalibration
 from .camera_imu_path import CameraPath
 from .camera_imu_scenario import CameraImuScenario
 

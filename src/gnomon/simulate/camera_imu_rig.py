@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from ..geometry.quaternion import Floats, rotation_from_quaternion
 from ..geometry.rotation_vector import rotation_from_rotvec
 from ..models.camera import Camera
@@ -17,6 +16,7 @@ from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, FULL, LOWER
 from ..models.target import Target
+from ..results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from .camera_imu_scenario import CameraImuScenario, ImuPreset
 
 THESIS_NOISE = ImuNoise(

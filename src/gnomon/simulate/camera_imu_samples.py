@@ -5,11 +5,11 @@ from typing import Self
 
 import numpy as np
 
-from ..calibration import ImuCalibration
 from ..geometry.rigid_body import acceleration_by_place, along_axes
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.camera import Booleans
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
+from ..results.calibration import ImuCalibration
 from .camera_imu_frames import START_NS, outside
 from .camera_imu_path import CameraPath, RigidMotion
 from .camera_imu_rig import ImuTruth, earth_rate_target, gravity_target

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration, CameraCalibration, CamerasFit
 from ..errors import OptionError
 from ..frozen import FrozenMapping
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.camera import Booleans, Camera
 from ..models.target import Target
 from ..recording import CameraFrames, Floats, Integers, Recording
+from ..results.calibration import Assessment, Calibration, CameraCalibration, CamerasFit
 from ..units import STANDARD_GRAVITY_M_S2
 from .camera_imu_frames import BORDER_PX, START_NS
 from .camera_imu_rig import beside_the_whole

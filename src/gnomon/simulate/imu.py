@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration, ImuCalibration
-from ..intervals import Booleans
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
+from ..results.calibration import Assessment, Calibration, ImuCalibration
+from ..results.intervals import Booleans
 from .scenarios import Scenario
 from .sensor import Converter, converters, drawn_imu
 from .trajectory import TOLERANCE_S, Motions, ThesisMotions, hand_motions, thesis_motions

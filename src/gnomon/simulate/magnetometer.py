@@ -4,7 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import (
+from ..geometry.rotation_vector import rotation_from_rotvec
+from ..models.frames import frame_rotation
+from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
@@ -12,10 +15,7 @@ from ..calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
-from ..geometry.rotation_vector import rotation_from_rotvec
-from ..models.frames import frame_rotation
-from ..recording import Floats, ImuSamples, Recording, TriadSamples
-from ..sensors import rotated
+from ..results.sensors import rotated
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
 from .scenarios import FieldScenario, Scenario
 from .sensor import Converter, converters, drawn_imu

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import CameraCalibration
 from ..models.target import Target
 from ..recording import CameraFrames, Floats
+from ..results.calibration import CameraCalibration
 from .camera_imu_frames import START_NS, View
 from .camera_imu_path import CameraPath, RigidMotion, drawn_path
 from .camera_imu_rig import drawn_cameras, gravity_target, nominal_extrinsics

@@ -5,17 +5,17 @@ from itertools import product
 
 import numpy as np
 
-from ..calibration import (
+from ..geometry.rotation_vector import rotation_from_rotvec
+from ..models.angrisano import AngrisanoTriad
+from ..models.gravity import EARTH_RATE_RAD_S
+from ..recording import Floats, ImuSamples, TriadSamples
+from ..results.calibration import (
     AccelerometerCalibration,
     Assessment,
     Calibration,
     GyroscopeCalibration,
     ImuCalibration,
 )
-from ..geometry.rotation_vector import rotation_from_rotvec
-from ..models.angrisano import AngrisanoTriad
-from ..models.gravity import EARTH_RATE_RAD_S
-from ..recording import Floats, ImuSamples, TriadSamples
 from .scenarios import PoseScenario, Scenario
 from .sensor import Converter, converters, drawn_imu
 from .truth import true_calibration

@@ -5,8 +5,8 @@ from typing import Self
 
 import numpy as np
 
-from ..calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..recording import Floats
+from ..results.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from .scenarios import RecordedSensor, Scenario
 

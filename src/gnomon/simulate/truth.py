@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._version import __version__
-from ..calibration import (
+from ..results.calibration import (
     Assessment,
     Calibration,
     CameraCalibration,

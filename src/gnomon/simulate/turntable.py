@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..calibration import Assessment, Calibration, ImuCalibration
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.frames import frame_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
-from ..sensors import rotated
+from ..results.calibration import Assessment, Calibration, ImuCalibration
+from ..results.sensors import rotated
 from .poses import directions
 from .scenarios import PoseScenario, Scenario, TurntableScenario
 from .sensor import converters, drawn_imu

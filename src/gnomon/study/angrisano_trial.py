@@ -16,10 +16,10 @@ from ..estimate.triads.angrisano import (
     sensor_jacobian,
 )
 from ..estimate.triads.triad import TriadFit, TriadPoses, fit_triad
-from ..intervals import Booleans
 from ..models.angrisano import AngrisanoTriad
 from ..models.frames import fixed_entries, frame_rotation, rotation_jacobian
 from ..recording import Floats
+from ..results.intervals import Booleans
 from ..simulate.poses import TABLE_1, PoseSimulation, simulate_poses
 from ..simulate.scenarios import PoseScenario
 

@@ -6,14 +6,14 @@ from typing import Literal
 import numpy as np
 
 from ..calibrate.camera_imu import calibrate_camera_imu
-from ..calibration import Calibration
-from ..diagnostics import CameraImuDiagnostics
 from ..errors import GnomonError
 from ..geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ..models.noise import ImuNoise
 from ..models.pattern import DIAGONAL, LOWER
 from ..options import CameraImuOptions
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
+from ..results.calibration import Calibration
+from ..results.camera_diagnostics import CameraImuDiagnostics
 from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
 from ..simulate.camera_imu_rig import THESIS_NOISE, earth_rate_target
 from ..simulate.camera_imu_scenario import CameraImuScenario

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..calibrate.imu import calibrate_imu
-from ..diagnostics import ImuDiagnostics
 from ..options import ImuOptions
 from ..recording import Floats
+from ..results.imu_diagnostics import ImuDiagnostics
 from ..simulate.imu import simulate_imu
 from .runs import HERE, Progress, Workers, carry_out, seeds
 from .tedaldi_trial import (

@@ -9,14 +9,14 @@ from typing import Literal
 import numpy as np
 
 from ..calibrate.imu import calibrate_imu
-from ..calibration import Calibration, ImuCalibration
 from ..errors import GnomonError
 from ..estimate.multiposition.rotations import cut_segments, integrate, propagate, segments_between
 from ..geometry.so3 import inverse
-from ..intervals import StaticIntervals, interval_means
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
 from ..recording import Floats, Recording
+from ..results.calibration import Calibration, ImuCalibration
+from ..results.intervals import StaticIntervals, interval_means
 from ..simulate.imu import TrueSignals, simulate_imu, true_signals
 from ..simulate.scenarios import Scenario
 

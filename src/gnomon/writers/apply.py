@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import orjson
 
-from ..calibration import ImuCalibration
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
 from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
 from ..readers.samples.stream import Rows, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
+from ..results.calibration import ImuCalibration
 from ..units import Units
 
 _FORCE, _RATE = ("ax [m/s^2]", "ay [m/s^2]", "az [m/s^2]"), ("wx [rad/s]", "wy [rad/s]", "wz [rad/s]")

@@ -22,9 +22,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from ..errors import OutputError, RecordingError
-from ..images import Arrivals, Frame, Grey, ImageRecording, ImageStream
 from ..output import files_together
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
+from ..recording.images import Arrivals, Frame, Grey, ImageRecording, ImageStream
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 
 if TYPE_CHECKING:

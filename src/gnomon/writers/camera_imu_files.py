@@ -7,20 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from ..calibration import Calibration
-from ..diagnostics import CameraImuDiagnostics, NoiseLevel, Result
-from ..formats.entries import parameter_unit
 from ..formats.foreign import Residuals, Statistics
-from ..formats.ignored_values import ignored_values
 from ..formats.kalibr.camchain import CAMCHAIN_FILE, camchain_text
 from ..formats.kalibr.imu import IMU_FILE, imu_text
 from ..formats.kalibr.results import RESULTS_FILE, KalibrResults
-from ..formats.losses import Context, StatedImu, origin_remarks, remarks, sentences
+from ..formats.shared.entries import parameter_unit
+from ..formats.shared.ignored_values import ignored_values
+from ..formats.shared.losses import Context, StatedImu, origin_remarks, remarks, sentences
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..output import write_together
-from ..parameters import parameters
 from ..recording import Floats, ImuSamples, Recording
+from ..results.calibration import Calibration
+from ..results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
+from ..results.parameters import parameters
+from ..results.result import Result
 from .pose_files import TRAJECTORY_FILE, trajectory_text
 
 CAMERA_IMU_FILES = (CAMCHAIN_FILE, IMU_FILE, RESULTS_FILE, TRAJECTORY_FILE)

@@ -24,18 +24,18 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnostics import TrajectoryTrack
 from ..errors import OutputError
 from ..formats.kalibr.target import target_text
 from ..formats.own.calibration_text import calibration_text
 from ..formats.own.options_file import options_text
-from ..formats.yaml_text import kalibr_yaml
+from ..formats.shared.yaml_text import kalibr_yaml
 from ..models.camera import Camera
 from ..output import atomic_file, write_whole
 from ..recording import CameraFrames, ImuSamples, Recording
-from ..simulate.board_images import simulated_images
+from ..results.camera_diagnostics import TrajectoryTrack
 from ..simulate.camera_imu import CameraImuSimulation
 from ..simulate.camera_imu_scenario import MOST_IMUS
+from ..simulate.images.board_images import simulated_images
 from .pose_files import trajectory_text
 from .recording_file import save_recording
 from .recording_forms import PLACES, ImageForm, save_images

@@ -15,10 +15,10 @@ from pathlib import Path
 from ..formats.kalibr.target import target_text
 from ..formats.own.calibration_text import calibration_text
 from ..formats.own.options_file import options_text
-from ..formats.yaml_text import kalibr_yaml
+from ..formats.shared.yaml_text import kalibr_yaml
 from ..output import write_whole
-from ..simulate.board_images import rendered_cameras
 from ..simulate.cameras import CamerasSimulation
+from ..simulate.images.board_images import rendered_cameras
 from .camera_imu_recording import camera_node, save_frames
 from .recording_forms import PLACES, ImageForm, save_images
 

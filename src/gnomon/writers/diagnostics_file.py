@@ -16,17 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnostics import (
-    CameraImuDiagnostics,
-    CamerasDiagnostics,
-    CornerFit,
-    ImuDiagnostics,
-    JoinedDiagnostics,
-    SignalFit,
-    TrajectoryTrack,
-    TriadDiagnostics,
-)
 from ..output import atomic_file
+from ..results.camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics, CornerFit, SignalFit, TrajectoryTrack
+from ..results.imu_diagnostics import ImuDiagnostics
+from ..results.result import JoinedDiagnostics
+from ..results.triad_diagnostics import TriadDiagnostics
 
 _LEVEL = 1  # higher levels take twice the time for a twentieth of the size
 _SAMPLE = 16_384  # bytes in the middle of an array that tell whether it shrinks,

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import OptionError, RecordingError
-from ..formats.yaml_text import yaml_lines
-from ..images import ImageRecording, ImageStream
+from ..formats.shared.yaml_text import yaml_lines
 from ..output import whole_folder
 from ..recording import Floats, ImuSamples
+from ..recording.images import ImageRecording, ImageStream
 from .png_files import encoded
 
 _FRAMES = "#timestamp [ns],filename\n"

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from math import isfinite
 
-from ..calibration import Calibration
+from ..results.calibration import Calibration
 
 
 def counted_things(calibration: Calibration) -> str:

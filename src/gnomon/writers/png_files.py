@@ -6,8 +6,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from ..errors import RecordingError
-from ..images import Frame, ImageStream
 from ..output import whole_folder
+from ..recording.images import Frame, ImageStream
 
 _WORKERS, _AHEAD = 2, 8
 

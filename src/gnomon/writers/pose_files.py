@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnostics import TrajectoryTrack
 from ..errors import OptionError
 from ..output import atomic_file
 from ..recording import Floats, ImuSamples, Integers, Poses, Recording
+from ..results.camera_diagnostics import TrajectoryTrack
 from .recording_file import save_recording
 
 TRAJECTORY_FILE = "trajectory.txt"

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from ..images import Frame, Grey, ImageRecording
+from ..recording.images import Frame, Grey, ImageRecording
 from .bag_recording import save_bag
 from .euroc_folder import save_euroc
 from .png_files import save_simulated_images

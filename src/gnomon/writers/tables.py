@@ -8,12 +8,12 @@ from math import floor, isfinite, log10
 
 import numpy as np
 
-from ..assess.comparison import Comparison
-from ..calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, parameters
+from ..assess.comparison.comparison import Comparison
 from ..errors import OptionError
-from ..formats import entries
-from ..formats.entries import IMU_EQUATION, Entry, camera_entries, camera_equation, imu_entries
+from ..formats.shared import entries
+from ..formats.shared.entries import IMU_EQUATION, Entry, camera_entries, camera_equation, imu_entries
 from ..models.frames import Floats, frame_rotation
+from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, parameters
 from ..simulate.truth import TRUTH_METHOD
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity

@@ -10,9 +10,9 @@ from av.codec.codec import UnknownCodecError
 from av.error import FFmpegError
 
 from ..errors import OptionError, OutputError
-from ..images import Grey
 from ..output import atomic_file
 from ..recording import Integers
+from ..recording.images import Grey
 
 _TICK = Fraction(1, 60_000)
 """MPEG-4 has no more than 65535 ticks in a second; Matroska rounds to 1 ms."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from ..corners.corner_fit import CornerKind, fit_corners
 from ..corners.fitted_corners import CornerFits, joined
 from .board import NOT_WITH_NEIGHBOURS, BoardView, middle_of, nothing_seen

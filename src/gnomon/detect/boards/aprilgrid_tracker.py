@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats
+from ...recording.images import Grey
 from ..corners.corner_fit import CornerKind
 from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView, middle_of

@@ -8,10 +8,10 @@ from itertools import product
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from .board import DIFFERS
 from .checkerboard import board_near, reduced, search_scale
 from .checkerboard_grid import completed

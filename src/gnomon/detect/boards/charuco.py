@@ -14,11 +14,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...images import Grey
 from ...models.board_pattern import black_square, marker_cells
 from ...models.camera import Booleans
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
 from ..corners.fitted_corners import CornerFits, joined
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen

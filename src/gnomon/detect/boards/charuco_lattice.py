@@ -6,10 +6,10 @@ a marker, and the place of the lattice on the board is the one at which they are
 
 import numpy as np
 
-from ...images import Grey
 from ...models.board_pattern import black_square
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from .lattice import Lattice, find_lattices, find_saddles
 from .tags import cells_in, marker_pictures, of_unit_length, square_to_quads
 

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from ...images import Grey
 from ...models.target import Target
 from ...recording import Floats
+from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
 from .board import BoardView, middle_of, nothing_seen
 from .checkerboard_grid import Board, board_at, boards_in, completed, steps

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...recording import Floats
+from ...recording.images import Grey
 from .board import middle_of
 from .lattice import Lattice
 

@@ -14,9 +14,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .checkerboard import reduced
 from .disc_fit import DiscFits, fit_discs

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...images import Grey
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from ..corners.corner_windows import Singles, normal_distribution, packed
 from ..corners.fitted_corners import PointFits, damp
 

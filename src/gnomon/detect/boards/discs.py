@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from ...images import Grey
 from ...models.target import Target
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from .lattice import Lattice, laid_out
 from .quads import black_limits
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 
 Singles = NDArray[np.float32]
 

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from ..corners.fitted_corners import CornerFits, PointFits
 from .board import BoardView, middle_of, nothing_seen
 from .plane_map import LensGuess, corrected

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...recording import Floats
+from ...recording.images import Grey
 
 _WINDOW, _LEVELS, _STEPS, _STEP_PX = 13, 2, 15, 0.05
 

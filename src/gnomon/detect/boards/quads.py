@@ -10,8 +10,8 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...recording import Floats
+from ...recording.images import Grey
 
 LARGE_IMAGE_PX = 1.3e6
 """Images with more pixels are first looked through at half of their resolution."""

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...images import Grey
 from ...models.board_pattern import marker_cells
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 
 BITS = 6
 """Bits of a code along a side."""

@@ -12,9 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
 
-from ...images import Grey
 from ...models.target import Target
 from ...processes import python_command, python_environment
+from ...recording.images import Grey
 from .board import BoardView
 
 Detector = Callable[[Grey], BoardView]

@@ -21,8 +21,8 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from ...images import Grey
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 from .corner_windows import (
     SATURATED,
     Booleans,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...images import Grey
 from ...models.camera import Booleans
 from ...recording import Floats, Integers
+from ...recording.images import Grey
 
 Singles = NDArray[np.floating[Any]]
 SATURATED = 255

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from .period import PictureSeries, RoughPeriod
 from .phase import COARSE_HARMONICS, MOST_HARMONICS, PhaseTemplate, learn_template, place_phases, refine_phases
 from .steady import (

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...images import ImageStream
 from ...recording import Floats, frozen_array
+from ...recording.images import ImageStream
 
 Pictures = NDArray[np.float32]
 Progress = Callable[[str], None]

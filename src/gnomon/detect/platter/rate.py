@@ -8,8 +8,8 @@ import numpy as np
 
 from ...errors import DetectionError, OptionError
 from ...findings import Finding
-from ...images import ImageStream
 from ...recording import Floats, frozen_array
+from ...recording.images import ImageStream
 from .clock import (
     MEASURED_CLOCK,
     NOMINAL_CLOCK,

@@ -6,8 +6,8 @@ from typing import Self
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 
 _OUTLYING = 4.0
 _FINEST = 2e-3  # rad: no block is known better

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...intervals import Booleans, StaticIntervals
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans, StaticIntervals
 
 _PIECE_S = 0.05
 _PIECES = 5

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import TriadSamples
+from ...results.intervals import Booleans
 
 _RARE = 0.01
 

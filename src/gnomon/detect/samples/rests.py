@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...intervals import Booleans, StaticIntervals, interval_means
 from ...recording import Floats, Integers, TriadSamples
+from ...results.intervals import Booleans, StaticIntervals, interval_means
 from .static import runs_below, trimmed
 from .turning import RateMarks, mark_rates
 

@@ -13,8 +13,8 @@ from functools import cache
 
 import numpy as np
 
-from ...intervals import StaticIntervals
 from ...recording import Floats
+from ...results.intervals import StaticIntervals
 
 _SAMPLES = 65_536
 _ARITHMETIC = 1e-13  # of the largest value; what a conversion of units leaves

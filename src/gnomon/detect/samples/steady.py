@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...intervals import Booleans, StaticIntervals
 from ...recording import Floats, Integers, TriadSamples
+from ...results.intervals import Booleans, StaticIntervals
 
 BLOCK_S = 0.25
 _WINDOW = 8  # blocks, two seconds, over which the value is kept

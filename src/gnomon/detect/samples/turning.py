@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats, Integers, TriadSamples
+from ...results.intervals import Booleans
 
 _BLOCK_S = 0.125
 _TURNING = 3.0  # times the ninetieth percentile at rest: five sigma of white noise, and room for a hand's tremor

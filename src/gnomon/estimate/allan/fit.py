@@ -15,8 +15,8 @@ from typing import Self
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from .model import COLUMNS, KINDS, allan_design, estimate_covariance, line_effect
 
 _SIGNIFICANT = 3.0  # sigmas

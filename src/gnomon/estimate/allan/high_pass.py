@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 
 _SLOPES = (0.0, -0.5, -1.0, -1.5, -2.0)  # of the power spectra, as in `model.COLUMNS` without quantisation
 _ORDERS = (1, 2)  # of the filter

@@ -12,16 +12,16 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Workspace
-from .assembly import TRIAD, Columns, groups, summed_up
-from .board_terms import BoardBorder
-from .corner_sums import CornerNoise, CornerSums
-from .inertial_data import InertialData, InertialNoise, apart
-from .inertial_terms import InertialTerms
 from .layout import Layout
 from .parameters import Parameters
-from .prior_terms import add_priors, add_smoothness, add_walks
+from .terms.assembly import TRIAD, Columns, groups, summed_up
+from .terms.board_terms import BoardBorder
+from .terms.corner_sums import CornerNoise, CornerSums
+from .terms.inertial_data import InertialData, InertialNoise, apart
+from .terms.inertial_terms import InertialTerms
+from .terms.prior_terms import add_priors, add_smoothness, add_walks
+from .terms.visual_terms import VisualData, VisualTerms
 from .trajectory import BIAS, POSE, Trajectory
-from .visual_terms import VisualData, VisualTerms
 from .walk_noise import PROBES, add_walk_probes
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...recording import Floats, KnownRig
-from .board import OFFSETS
 from .parameters import Parameters
+from .terms.board import OFFSETS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,8 +13,8 @@ from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, ro
 from ...geometry.so3 import inverse
 from ...recording import Floats, Integers
 from .blocks import blocks, known_beforehand
-from .board import OFFSETS
 from .parameters import CameraParameters, ImuParameters, Parameters
+from .terms.board import OFFSETS
 
 Status = Literal["estimated", "prior", "fixed"]
 

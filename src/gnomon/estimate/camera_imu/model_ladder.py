@@ -6,7 +6,7 @@ import numpy as np
 
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats, Integers
-from ...trust import BlockChange, ModelStep
+from ...results.trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
 from ..trust.model_choice import Candidate, Step, model_steps
 from .choices import K3

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from .batch import Linearisation, Noise
-from .corner_sums import CornerSums
 from .gauss_newton import Step
-from .inertial_data import InertialNoise
+from .terms.corner_sums import CornerSums
+from .terms.inertial_data import InertialNoise
 from .trajectory import BIAS
 from .walk_noise import found_walks, walk_sums
 

@@ -9,7 +9,7 @@ from ...models.camera import Camera
 from ...models.origin import Origin
 from ...models.pattern import DIAGONAL, LOWER
 from ...recording import Floats, KnownRig
-from .board import Board
+from .terms.board import Board
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

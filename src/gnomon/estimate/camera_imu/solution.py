@@ -10,11 +10,11 @@ from ...errors import SolveError
 from ...recording import Floats
 from ...solve.bordered_band import Factor, Workspace
 from .batch import Linearisation, Measurements, Noise, State, linearised
-from .corner_sums import CornerSums, Exposures, frame_scatter
 from .gauss_newton import Iteration, Step, descended, gauss_newton_step, moved, step_by
-from .inertial_data import InertialNoise
 from .layout import Layout
 from .noise_found import estimated_noise
+from .terms.corner_sums import CornerSums, Exposures, frame_scatter
+from .terms.inertial_data import InertialNoise
 from .walk_noise import next_walk
 
 GATE = 4.0

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Factor
-from .assembly import TRIAD
-from .prior_terms import links
+from .terms.assembly import TRIAD
+from .terms.prior_terms import links
 from .trajectory import POSE, Trajectory
 
 PROBES = 4

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats
-from ..camera_imu.board import Board
+from ..camera_imu.terms.board import Board
 from .rig import BoardShape
 
 ASPECT, BOW, OFFSETS = "target.aspect", "target.bow", "target.offsets"

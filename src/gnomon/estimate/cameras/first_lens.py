@@ -18,7 +18,7 @@ from ...models.projections import PROJECTIONS
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ...solve.levenberg_marquardt import levenberg_marquardt
-from ..camera_imu.board_poses import thinned
+from ..camera_imu.start.board_poses import thinned
 from .board_shape import stated
 from .layout import bounds
 from .poses import first_poses, settled

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...recording import Floats
-from ..camera_imu.corner_sums import CornerNoise
+from ..camera_imu.terms.corner_sums import CornerNoise
 from .first_rig import posed_rig
 from .layout import Layout
 from .noise import HUBER, usual_sigma

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...recording import Floats, Integers
-from ..camera_imu.corner_sums import CornerNoise
+from ..camera_imu.terms.corner_sums import CornerNoise
 from ..trust.clusters import ClusterSums
 from .normal import view_sums
 from .problem import Problem

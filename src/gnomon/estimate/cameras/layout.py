@@ -10,7 +10,7 @@ from ...geometry.so3 import skew
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats, Integers
-from ..camera_imu.corner_sums import TWIST
+from ..camera_imu.terms.corner_sums import TWIST
 from .board_shape import ASPECT, BOW, OFFSETS, aspect_move, bow_moves
 from .rig import BoardShape, Rig
 

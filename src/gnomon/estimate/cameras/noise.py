@@ -3,8 +3,8 @@
 import numpy as np
 
 from ...recording import Floats
-from ..camera_imu.board_poses import SMALLEST_PX
-from ..camera_imu.corner_sums import CornerSums
+from ..camera_imu.start.board_poses import SMALLEST_PX
+from ..camera_imu.terms.corner_sums import CornerSums
 from .views import CameraCorners
 
 HUBER = 3.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats
-from ..camera_imu.corner_sums import CornerNoise, CornerSums, corner_sums
+from ..camera_imu.terms.corner_sums import CornerNoise, CornerSums, corner_sums
 from .board_shape import places
 from .layout import POSE, Layout
 from .rig import Rig

@@ -8,8 +8,8 @@ import numpy as np
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats
-from ..camera_imu.board_poses import homography_poses, thinned
-from ..camera_imu.corner_sums import CornerNoise
+from ..camera_imu.start.board_poses import homography_poses, thinned
+from ..camera_imu.terms.corner_sums import CornerNoise
 from .layout import Layout
 from .noise import usual_sigma
 from .normal import Linearised, inverse_poses, linearised

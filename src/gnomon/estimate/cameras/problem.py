@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...recording import Floats
-from ..camera_imu.corner_sums import CornerNoise
+from ..camera_imu.terms.corner_sums import CornerNoise
 from .board_shape import ASPECT_SIGMA, bow_sigma, offsets_information
 from .layout import Layout, bounds
 from .lens_prior import LensPrior, lens_prior

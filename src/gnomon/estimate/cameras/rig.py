@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...diagnostics import SolverStep
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
+from ...results.camera_diagnostics import SolverStep
 from ..trust.clusters import ClusterSums
 
 

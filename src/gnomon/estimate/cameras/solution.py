@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...diagnostics import SolverStep
 from ...errors import SolveError
 from ...recording import Floats
-from ..camera_imu.corner_sums import CornerNoise, Exposures
+from ...results.camera_diagnostics import SolverStep
+from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
 from ..trust.clusters import ClusterSums
 from .normal import Linearised, Reduced, reduced, view_sums
 from .problem import Problem

@@ -7,8 +7,8 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
-from ..camera_imu.board_poses import gathered
-from ..camera_imu.corner_sums import Exposures
+from ..camera_imu.start.board_poses import gathered
+from ..camera_imu.terms.corner_sums import Exposures
 from .rig import Views
 
 _APART_NS = 5_000_000  # timestamps of one instant are not further apart, however slow the cameras

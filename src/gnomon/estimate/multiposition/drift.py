@@ -11,8 +11,8 @@ from statistics import NormalDist
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from .model import BiasFunctions, MultiPositionData
 
 _MOST_KNOTS = 30

@@ -11,9 +11,9 @@ import numpy as np
 
 from ...errors import SolveError
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...models.frames import frame_rotation
 from ...recording import Floats
+from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
 from .bias_changes import BiasChanges, accelerometer_changes, gyroscope_changes
 from .bias_segments import with_bias_steps, with_warm_up, without_rates

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.so3 import inverse, tangent_basis
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
 from .fit import MultiPositionFit
 from .model import (

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution
 from .model import Linearisation, MultiPositionData, State, Whitening
 

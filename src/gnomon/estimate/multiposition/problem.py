@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...intervals import Booleans, StaticIntervals, interval_means, split_long
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans, StaticIntervals, interval_means, split_long
 from .bias_changes import RestMeans
 from .model import MultiPositionData
 from .rotations import MotionSegments, cut_segments, segments_between

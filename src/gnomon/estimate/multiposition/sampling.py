@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
+from ...results.intervals import Booleans
 from .model import MultiPositionData, State
 from .noise_levels import rotation_variance
 from .rotations import MotionSegments, integrate

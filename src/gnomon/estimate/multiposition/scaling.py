@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, frozen_array
+from ...results.intervals import Booleans
 from .model import B_, BG_, CG_, G_, LOWER, S_, State
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...recording import Floats
-from ...trust import BlockChange, ModelStep
+from ...results.trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
 from ..trust.model_choice import Candidate, Step, model_steps
 from .model import B_, BG_, CG_, G_, PARAMETERS, S_, BiasFunctions, State

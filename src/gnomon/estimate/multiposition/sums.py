@@ -8,8 +8,8 @@ Schur complement, and the pulls to zero.
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from ..trust.clusters import ClusterSums
 from .fit import MultiPositionFit
 from .noise_levels import rotation_variance

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...errors import SolveError
 from ...geometry.so3 import skew
-from ...intervals import StaticIntervals, interval_means
 from ...recording import Floats
+from ...results.intervals import StaticIntervals, interval_means
 from ...solve.levenberg_marquardt import levenberg_marquardt
 from .magnitude import MagnitudeFit, fit_magnitude
 from .rotations import MotionSegments, integrate, linear_start, propagate

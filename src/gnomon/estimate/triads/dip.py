@@ -16,8 +16,8 @@ import numpy as np
 
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...geometry.so3 import nearest_rotation, skew
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from .blocks import Stage
 
 _SAMPLE = 400  # in which the start is sought

@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from .triad_start import Ellipsoid, constrained_ellipsoid, general_ellipsoid
 
 _ANGLES_RAD = np.radians(2.0), np.radians(8.0)  # least and most in one mean

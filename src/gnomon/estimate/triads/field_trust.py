@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ...parameters import element_names
 from ...recording import Floats
-from ...trust import Clusters, SigmaRatio, Trust
+from ...results.parameters import element_names
+from ...results.trust import Clusters, SigmaRatio, Trust
 from ..trust.changes import parameter_changes
 from ..trust.cluster_trust import Comparison, Trusted
 from ..trust.clusters import ClusterSums

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from .blocks import Stage, by_direction
 from .triad import TriadFit, fit_triad
 from .triad_poses import TriadPoses, TriadPrior

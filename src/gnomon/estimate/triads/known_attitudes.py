@@ -9,8 +9,8 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 
 FEWEST = 4
 _AGREE_RAD = np.radians(8.0)  # a sensor before its calibration, and a hand that lays it down

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from .blocks import Blocks, Stage, block_covariance, by_direction, left_out, memory_s
 from .field_poses import FieldPoses
 from .triad import fit_triad

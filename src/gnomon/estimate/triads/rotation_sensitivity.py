@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.so3 import inverse, skew, tangent_basis
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from ..multiposition.rotations import MotionSegments, integrate, propagate
 
 _ROUNDS = 15

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...errors import OptionError
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
 from .triad_rows import TriadProblem, corrected, magnitudes
 from .triad_scaling import TriadScaling, scaled_problem, weak_sigma, with_weak_prior

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_
 
 _FOOT_STEPS = 2

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
 from .triad_rows import TriadProblem
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...geometry.so3 import inverse
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from .triad_ellipsoid import general_ellipsoid
 from .triad_poses import B_, PARAMETERS, S_
 from .triad_rows import TriadProblem, corrected, magnitudes, noise_at

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from ...solve.levenberg_marquardt import levenberg_marquardt
 from .triad_rows import Noise, Rows, TriadProblem, noise_at, rows
 

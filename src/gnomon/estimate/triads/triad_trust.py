@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...parameters import element_names
 from ...recording import Floats, Integers
-from ...trust import BlockAgreement, Splits, Trust
+from ...results.parameters import element_names
+from ...results.trust import BlockAgreement, Splits, Trust
 from ..trust.cluster_trust import Trusted, trusted
 from ..trust.clusters import ClusterSums
 from .triad import TriadFit

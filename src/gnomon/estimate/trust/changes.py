@@ -26,9 +26,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats, Integers
-from ...trust import ParameterChange
+from ...results.intervals import Booleans
+from ...results.trust import ParameterChange
 from .clusters import ClusterSums
 
 _CHANCE = 0.005

@@ -7,9 +7,9 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from ...intervals import Booleans
 from ...recording import Floats, Integers
-from ...trust import Clusters, SigmaRatio, Splits, Trust
+from ...results.intervals import Booleans
+from ...results.trust import Clusters, SigmaRatio, Splits, Trust
 from .changes import parameter_changes
 from .clusters import ClusterSums
 from .parts import Split, agreement, differences

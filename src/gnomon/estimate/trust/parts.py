@@ -11,9 +11,9 @@ from itertools import combinations
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats, Integers
-from ...trust import BlockAgreement, Splits
+from ...results.intervals import Booleans
+from ...results.trust import BlockAgreement, Splits
 from .clusters import ClusterSums, part_estimates
 from .robust import Robust
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...recording import Floats
+from ...results.intervals import Booleans
 from ..multiposition.drift import walk_density
 
 _SIGMAS = 3.0

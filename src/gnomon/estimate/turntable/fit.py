@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from ...intervals import Booleans
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
 from ..trust.cluster_trust import Trusted

@@ -3,9 +3,9 @@
 from dataclasses import dataclass, replace
 
 from ...findings import Finding
-from ...intervals import Booleans
 from ...options import StatedRate
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 from .axis import AxisInSensor
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import DetectionError
-from ...intervals import Booleans
 from ...recording import Floats, Integers
+from ...results.intervals import Booleans
 
 NO_SPEED = -1
 _AT_REST = 0.25  # of the slowest speed; less is no turning

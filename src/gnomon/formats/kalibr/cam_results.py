@@ -13,17 +13,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ...calibration import Calibration
-from ...diagnostics import CamerasDiagnostics, Result
 from ...errors import FormatError
 from ...geometry.quaternion import quaternion_from_rotation
 from ...models.target import Target
 from ...output import write_together
 from ...recording import Floats, frozen_array
-from ..baselines import baseline_of
-from ..lenses import without_k3
-from ..losses import Context, remarks
-from ..structured import read_text
+from ...results.calibration import Calibration
+from ...results.camera_diagnostics import CamerasDiagnostics
+from ...results.result import Result
+from ..shared.baselines import baseline_of
+from ..shared.lenses import without_k3
+from ..shared.losses import Context, remarks
+from ..shared.structured import read_text
 from .camchain import LENS_FILE, CameraInput, lens_chain_text, read_camchain
 from .results import board_lines
 

@@ -8,15 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration import Calibration, CameraCalibration
 from ...errors import OptionError
 from ...models.camera import Camera
 from ...models.lens_names import COEFFICIENTS, LINEAR, SHAPES, DistortionName, ProjectionName
 from ...recording import Floats, frozen_array
-from ..foreign_yaml import file_name, passed_over, read_foreign_yaml, required, rigid, sensors, unwrapped, whole_number
-from ..lenses import cameras_without_k3, k3_losses
-from ..structured import Node
-from ..yaml_text import kalibr_yaml
+from ...results.calibration import Calibration, CameraCalibration
+from ..shared.foreign_yaml import (
+    file_name,
+    passed_over,
+    read_foreign_yaml,
+    required,
+    rigid,
+    sensors,
+    unwrapped,
+    whole_number,
+)
+from ..shared.lenses import cameras_without_k3, k3_losses
+from ..shared.structured import Node
+from ..shared.yaml_text import kalibr_yaml
 
 _EXPECTED = "Kalibr's camchain.yaml, with the cameras under cam0, cam1, ..."
 _INTRINSICS: dict[ProjectionName, str] = {name: " ".join((*shape, *LINEAR)) for name, shape in SHAPES.items()}

@@ -7,28 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ...models.noise import ImuNoise
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...recording import Floats
+from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..foreign import ForeignCalibration, ForeignImu, ideal_imu, recognised_frame
-from ..foreign_yaml import file_name, matrix, passed_over, read_foreign_yaml, required, rigid, rotation, sensors
-from ..lenses import k3_losses
-from ..losses import (
-    Context,
-    Export,
-    Loss,
-    StatedImu,
-    into_frame,
-    require_triads,
-    stated_entry,
-    uncertainty_loss,
-)
 from ..openvins import OPENVINS_KEYS, openvins_imu
-from ..sensor_losses import Holds, not_representable
-from ..si_units import conversions
-from ..structured import Node
-from ..yaml_text import kalibr_yaml
+from ..shared.foreign_yaml import file_name, matrix, passed_over, read_foreign_yaml, required, rigid, rotation, sensors
+from ..shared.lenses import k3_losses
+from ..shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, uncertainty_loss
+from ..shared.sensor_losses import Holds, not_representable
+from ..shared.si_units import conversions
+from ..shared.structured import Node
+from ..shared.yaml_text import kalibr_yaml
 from .camchain import CAMCHAIN_FILE, LENS_FILE, camchain_text, lens_chain_text
 
 _EXPECTED = "Kalibr's imu.yaml, with the noise densities and random walks at the top or under imu0"

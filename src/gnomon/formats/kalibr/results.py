@@ -10,25 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration import (
-    AccelerometerCalibration,
-    Calibration,
-    CameraCalibration,
-    GyroscopeCalibration,
-    ImuCalibration,
-)
 from ...errors import FormatError, OptionError
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...models.target import Target
 from ...recording import Floats
-from ..baselines import inverse_pose
+from ...results.calibration import (
+    AccelerometerCalibration,
+    Calibration,
+    CameraCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
+)
 from ..foreign import ForeignCalibration, ForeignImu, Residuals, Statistics, ideal_imu, recognised_frame
-from ..foreign_yaml import rigid, rotation
-from ..lenses import without_k3
-from ..losses import StatedImu
-from ..structured import Node, read_text
+from ..shared.baselines import inverse_pose
+from ..shared.foreign_yaml import rigid, rotation
+from ..shared.lenses import without_k3
+from ..shared.losses import StatedImu
+from ..shared.structured import Node, read_text
 from .camchain import baseline, camera_of
 from .imu import KalibrModel, kalibr_model, pose_in_kalibr
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from ...errors import OptionError
 from ...models.target import Target
-from ..foreign_yaml import file_hint, file_name, passed_over, read_foreign_yaml, required, whole_number
-from ..structured import Node
-from ..yaml_text import yaml_lines
+from ..shared.foreign_yaml import file_hint, file_name, passed_over, read_foreign_yaml, required, whole_number
+from ..shared.structured import Node
+from ..shared.yaml_text import yaml_lines
 
 DICTIONARIES = (
     *(f"{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),

@@ -9,7 +9,14 @@ from typing import cast, get_args
 
 import numpy as np
 
-from ...calibration import (
+from ...errors import OptionError
+from ...findings import Finding
+from ...models.camera import Camera
+from ...models.forms import in_frame
+from ...models.lens_names import DistortionName, ProjectionName
+from ...models.origin import AXES, ORIGIN_POINTS, Origin, OriginPoint
+from ...recording import Floats, Source
+from ...results.calibration import (
     UNSTATED_GRAVITY,
     AccelerometerCalibration,
     Assessment,
@@ -27,16 +34,9 @@ from ...calibration import (
     covariance_names,
     parameters,
 )
-from ...errors import OptionError
-from ...findings import Finding
-from ...models.camera import Camera
-from ...models.forms import in_frame
-from ...models.lens_names import DistortionName, ProjectionName
-from ...models.origin import AXES, ORIGIN_POINTS, Origin, OriginPoint
-from ...recording import Floats, Source
-from ...trust import Need, QuantityChange, TrustNote
+from ...results.trust import Need, QuantityChange, TrustNote
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..structured import Node, read_json, read_text, read_yaml
+from ..shared.structured import Node, read_json, read_text, read_yaml
 
 COMMENT = "comment"
 _SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")

@@ -9,8 +9,8 @@ from typing import Any
 
 import yaml
 
-from ...calibration import Calibration
-from ..losses import Context, Export
+from ...results.calibration import Calibration
+from ..shared.losses import Context, Export
 from .calibration_text import FRAMES, calibration_text
 
 FILE = "calibration.json"

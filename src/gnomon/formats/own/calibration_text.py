@@ -11,7 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration import (
+from ...errors import OutputError
+from ...findings import Finding
+from ...models.origin import AXES, Origin
+from ...output import write_whole
+from ...recording import Source
+from ...results.calibration import (
     Assessment,
     Calibration,
     CameraCalibration,
@@ -22,13 +27,8 @@ from ...calibration import (
     Provenance,
     parameters,
 )
-from ...errors import OutputError
-from ...findings import Finding
-from ...models.origin import AXES, Origin
-from ...output import write_whole
-from ...recording import Source
-from ...trust import Need, TrustNote
-from ..yaml_text import yaml_lines
+from ...results.trust import Need, TrustNote
+from ..shared.yaml_text import yaml_lines
 from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
 
 FRAMES = {

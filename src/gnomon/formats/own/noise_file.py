@@ -6,10 +6,10 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, cast
 
-from ...calibration import Verdict
 from ...errors import FormatError
 from ...output import write_together, write_whole
-from ...sensor_noise import (
+from ...results.calibration import Verdict
+from ...results.sensor_noise import (
     COEFFICIENTS,
     SENSOR_UNITS,
     UNITS,
@@ -20,8 +20,8 @@ from ...sensor_noise import (
     TriadNoise,
 )
 from ..kalibr.imu import IMU_FILE, StatedImu, stated_entry
-from ..structured import Node, read_text, read_yaml
-from ..yaml_text import kalibr_yaml, yaml_lines
+from ..shared.structured import Node, read_text, read_yaml
+from ..shared.yaml_text import kalibr_yaml, yaml_lines
 from .calibration_file import finding_entry, provenance_entry
 from .calibration_text import finding_document, provenance_document
 

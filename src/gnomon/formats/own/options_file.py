@@ -9,9 +9,9 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 import numpy as np
 
 from ...errors import OptionError
-from ...requirements import QUANTITIES, Use, known_use, stated
-from ..structured import Node, read_yaml
-from ..yaml_text import yaml_lines
+from ...options.requirements import QUANTITIES, Use, known_use, stated
+from ..shared.structured import Node, read_yaml
+from ..shared.yaml_text import yaml_lines
 
 Options = TypeVar("Options")
 

@@ -8,7 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ...calibration import (
+from ...errors import FormatError, OptionError
+from ...geometry.rotation_vector import rotation_from_rotvec
+from ...models.camera import Camera
+from ...models.distortions import DISTORTIONS
+from ...models.projections import PROJECTIONS
+from ...recording import Floats
+from ...results.calibration import (
     AccelerometerCalibration,
     Calibration,
     CameraCalibration,
@@ -18,17 +24,11 @@ from ...calibration import (
     element_names,
     parameters,
 )
-from ...errors import FormatError, OptionError
-from ...geometry.rotation_vector import rotation_from_rotvec
-from ...models.camera import Camera
-from ...models.distortions import DISTORTIONS
-from ...models.projections import PROJECTIONS
-from ...recording import Floats
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..entries import IMU_EQUATION, camera_equation, element_units
 from ..foreign import ForeignCalibration, recognised_frame
-from ..losses import Context, Export, Loss
-from ..structured import read_text
+from ..shared.entries import IMU_EQUATION, camera_equation, element_units
+from ..shared.losses import Context, Export, Loss
+from ..shared.structured import read_text
 from .calibration_file import FIELD_UNITS
 from .calibration_text import FRAMES
 

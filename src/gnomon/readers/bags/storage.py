@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import FormatError, RecordingError
-from ...formats.structured import parse_yaml, read_text
+from ...formats.shared.structured import parse_yaml, read_text
 from ..files import first_bytes
 from .messages import Wire
 from .salvage import (

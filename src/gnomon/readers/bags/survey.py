@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import RecordingError
-from ...images import Arrivals
 from ...recording import Floats, ImuSamples, Integers, TriadSamples
+from ...recording.images import Arrivals
 from ..images.image_pixels import (
     bit_depth,
     check_compression,

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO
 
 from ...errors import RecordingError
-from ...formats.structured import shortened
+from ...formats.shared.structured import shortened
 from ...recording import Source
 from ..files import NPZ_MAGIC, TextFile, file_source, first_bytes, plain_text, read_text
 from ..zips import ZIP_DAMAGE, refuse_zip_bomb

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
-from ...images import Frame, ImageStream
 from ...recording import Integers, Source, frozen_array
+from ...recording.images import Frame, ImageStream
 from ..recordings import ReadLog
 from .frame_stamps import (
     FrameTable,

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ...errors import RecordingError
-from ...formats.structured import refuse_special
-from ...images import Grey
+from ...formats.shared.structured import refuse_special
+from ...recording.images import Grey
 from .image_pixels import bit_depth, largest_in_picture, picture
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...images import Grey
+from ...recording.images import Grey
 
 Buffer = bytes | memoryview
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from ...errors import OptionError, RecordingError
-from ...images import ImageRecording, ImageStream
 from ...recording import ImuSamples
+from ...recording.images import ImageRecording, ImageStream
 from ...units import Units
 from ..devices.device_log import is_device_log
 from ..devices.gpmf import has_gpmf

@@ -14,8 +14,8 @@ from av.container import InputContainer
 from av.error import FFmpegError
 
 from ...errors import RecordingError
-from ...images import Frame, Grey, ImageStream
 from ...recording import Integers
+from ...recording.images import Frame, Grey, ImageStream
 from ..files import file_source, is_mp4_head
 from ..recordings import ReadLog
 from .camera_places import CameraPlace

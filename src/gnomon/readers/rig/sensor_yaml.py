@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...errors import FormatError, OptionError
-from ...formats.baselines import inverse_pose
-from ...formats.foreign_yaml import read_foreign_yaml, rigid
 from ...formats.kalibr.camchain import camera_of
 from ...formats.kalibr.imu import ImuInput
-from ...formats.structured import Node
+from ...formats.shared.baselines import inverse_pose
+from ...formats.shared.foreign_yaml import read_foreign_yaml, rigid
+from ...formats.shared.structured import Node
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...recording import Floats, frozen_array

@@ -1,0 +1,1 @@
+"""Verdict, tables and findings of cameras, alone and with IMUs."""

@@ -1,0 +1,352 @@
+"""Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...estimate.camera_imu.model_ladder import LADDER
+from ...estimate.camera_imu.start.first_guess import imu_stream
+from ...findings import Finding, make_finding
+from ...geometry.rotation_vector import rotvec_from_rotation
+from ...results.calibration import Assessment, CameraImuFit
+from ...results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
+from ..checks.clock_drift import check_drift
+from ..verdict import grade, gravity_findings, merge_by_cause, most_severe, verdict_of
+from ..weak_findings import PLACES_AND_CLOCKS, weak_findings
+from .camera_imu_tables import MISFIT, CameraImuEvidence
+from .rig_residuals import cut_findings, residual_findings
+
+_HELD = 0.3
+"""Share of its weak prior's sigma from which on a parameter counts as not determined by the recording."""
+
+_SIGNIFICANT, _MODEL_SIGNIFICANT = 5.0, 8.0  # sigmas; errors of a real detector feign four in the IMU's model
+_OF_IMU = ("scale", "misalignment", "g-sensitivity", "lever arms", "accelerometer delay")
+_GUESS_RAD = np.radians(10.0)
+_NOISE_FACTOR = 3.0
+_WALK = ".walk"
+_ONE_AXIS = 0.1
+_EXPLAINED, _FITS = 0.9, 2.0
+
+
+def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    noticed : what the data doctor found; what was fine is not repeated
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    """
+    fit = _fit(evidence, diagnostics)
+    held = _held_by_prior(diagnostics)
+    findings = [
+        *(finding for finding in noticed if finding.severity != "good"),
+        *_convergence(evidence),
+        *_rotation(evidence),
+        *_observability(held, diagnostics),
+        *precision_findings(diagnostics, tuple(evidence.published.imus)[1:], tuple(evidence.published.cameras)),
+        *_residuals(evidence, diagnostics),
+        *_frames(fit, diagnostics),
+        *_board_size(evidence),
+        *_intrinsics(evidence),
+        *_model(evidence, diagnostics),
+        *_stated_guess(evidence),
+        *_noise(diagnostics),
+        *residual_findings(diagnostics),
+        *_clocks(evidence),
+        *cut_findings(diagnostics.segments, tuple(evidence.published.imus)),
+        *gravity_findings(evidence.gravity),
+    ]
+    ordered = merge_by_cause(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model=_model_name(evidence),
+        held_by_prior=held,
+        camera_imu=fit,
+    )
+
+
+def _model_name(evidence: CameraImuEvidence) -> str:
+    """Return the model of the IMU; "auto" is the full one, to which blocks are added."""
+    return "full" if evidence.options.model == "auto" else evidence.options.model
+
+
+def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> CameraImuFit:
+    corners = diagnostics.corners
+    rms: dict[str, float] = {}
+    used: dict[str, int] = {}
+    for name, fit in corners.items():
+        taken = fit.frame_used[fit.frame] & np.isfinite(fit.residual[:, 0])
+        used[name] = int(taken.sum())
+        rms[name] = float(np.sqrt(np.mean(fit.residual[taken] ** 2))) if taken.any() else float("nan")
+    return CameraImuFit(
+        frames_found={name: int((fit.frame_corners > 0).sum()) for name, fit in corners.items()},
+        frames_used={name: int(fit.frame_used.sum()) for name, fit in corners.items()},
+        corners_used=used,
+        reprojection_rms_px=rms,
+        duration_s=evidence.solution.state.trajectory.grid.duration_s,
+        converged=evidence.solution.converged,
+    )
+
+
+def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
+    if evidence.solution.converged:
+        return []
+    accepted = sum(step.accepted for step in evidence.solution.iterations)
+    return [make_finding("not-converged/rig", accepted=accepted)]
+
+
+def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
+    findings: list[Finding] = []
+    # What the poses' noise hid before the estimation is no disagreement where the gyroscope fits after it.
+    level = evidence.solution.noise_found.imus[0].gyroscope / np.sqrt(evidence.imus[0].rates_hz[0])
+    fits = evidence.solution.converged and level < _FITS * evidence.imus[0].nominal.gyroscope_noise_density
+    for look in evidence.looks:
+        axes, score = look.alignment.axes, look.alignment.score
+        if axes[1] < _ONE_AXIS * axes[0]:
+            findings.append(make_finding("rotation-one-axis", name=look.name, axis_rate=axes[0], second_rate=axes[1]))
+        if score < _EXPLAINED and not fits:
+            findings.append(make_finding("rotation-disagrees", score=max(score, 0), name=look.name))
+    return findings
+
+
+def _held_by_prior(diagnostics: CameraImuDiagnostics) -> tuple[str, ...]:
+    return tuple(
+        p.name
+        for p in diagnostics.parameters
+        if p.status == "estimated" and np.isfinite(p.prior_sigma) and p.sigma > _HELD * p.prior_sigma
+    )
+
+
+def _observability(held: tuple[str, ...], diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Say what the recording does not determine: in words of motions, and what is left over by its name."""
+    weak = () if diagnostics.trust is None else diagnostics.trust.weak
+    findings = weak_findings(weak, with_camera=True)
+    if not held or any(one.held for one in weak):
+        return findings
+    vital = [name for name in held if any(part in name for part in PLACES_AND_CLOCKS)]
+    return [
+        *findings,
+        make_finding(
+            "not-observable/rig", severity="problem" if vital else "warning", parameters=_listed(vital or list(held))
+        ),
+    ]
+
+
+def _listed(names: list[str], most: int = 6) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _residuals(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        sigma = diagnostics.corners[look.name].sigma_px
+        severity = grade("corner residual", sigma)
+        if severity != "good":
+            findings.append(make_finding("reprojection/rig", severity=severity, name=look.name, sigma=sigma))
+    return findings
+
+
+def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    findings: list[Finding] = []
+    for name, found in fit.frames_found.items():
+        left = found - fit.frames_used[name]
+        share = left / max(found, 1)
+        severity = grade("left out", share)
+        if not left:
+            continue
+        reasons = diagnostics.corners[name].frame_reason
+        counts = {reason: reasons.count(reason) for reason in dict.fromkeys(reasons) if reason}
+        counts.pop("no board found", None)
+        why = ", ".join(f"{count} {_plainly(reason)}" for reason, count in counts.items())
+        findings.append(
+            make_finding(
+                "frames-left-out",
+                severity="info" if severity == "good" else severity,
+                case="few" if severity == "good" else "",
+                name=name,
+                left=left,
+                found=found,
+                why=why,
+            )
+        )
+    return findings
+
+
+def _plainly(reason: str) -> str:
+    return {
+        MISFIT: "fit badly as a whole (blurred, late or misdetected)",
+        "outside of the trajectory": "lie outside of the trajectory",
+        "too few corners": "have too few corners",
+    }.get(reason, reason)
+
+
+def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say that the board's size contradicts gravity, which the accelerometer measures with it."""
+    held = evidence.uncertainty.held.get("target.scale")
+    if held is None:
+        return []
+    offset, sigma = float(held.wanted[0]), float(held.wanted_sigma[0])
+    severity = grade("board size", abs(offset))
+    if severity == "good" or abs(offset) < _SIGNIFICANT * sigma:
+        return []
+    scale = evidence.solution.state.parameters.target_scale + offset
+    way = "smaller" if scale < 1 else "larger"
+    return [
+        make_finding(
+            "target-scale",
+            severity=severity,
+            scale=abs(scale - 1),
+            way=way,
+            sigma=sigma,
+        )
+    ]
+
+
+def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say that the stated intrinsics contradict the corners."""
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        held = evidence.uncertainty.held.get(f"{look.name}.intrinsics")
+        if held is None or len(held.wanted) < 4:
+            continue
+        focal = look.frames.camera.intrinsics[-4:-2]
+        relative = np.abs(held.wanted[-4:-2] / focal)
+        shift = np.abs(held.wanted[-2:])
+        significant = np.abs(held.wanted[-4:]) > _SIGNIFICANT * held.wanted_sigma[-4:]
+        relative, shift = relative * significant[:2], shift * significant[2:]
+        of_focal = grade("focal length", float(relative.max()))
+        severity = most_severe(of_focal, grade("stated centre", float(shift.max())))
+        if severity == "good":
+            continue
+        findings.append(
+            make_finding(
+                "intrinsics-doubtful",
+                severity=severity,
+                name=look.name,
+                focal=relative.max(),
+                centre_px=shift.max(),
+            )
+        )
+    return findings
+
+
+def _model(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Say that the IMU has errors beyond its model: a held block would take a step, or foretells time left out."""
+    wanting: list[str] = []
+    for name, held in evidence.uncertainty.held.items():
+        if name.startswith("imu") and np.any(np.abs(held.wanted) > _MODEL_SIGNIFICANT * held.wanted_sigma):
+            wanting.append(name)
+    for step in () if diagnostics.trust is None else diagnostics.trust.models:
+        told = any(name.endswith(LADDER.get(step.name, ())) for name in wanting)
+        if step.name in _OF_IMU and not (told or step.used) and step.gain > step.needed:
+            wanting.append(step.name)
+    if not wanting:
+        return []
+    return [make_finding("model-too-simple/suggested", wanting=_listed(wanting), model=_model_name(evidence))]
+
+
+def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
+    findings: list[Finding] = []
+    for look in evidence.looks:
+        stated = look.frames.T_cam_imu
+        if stated is None:
+            continue
+        found = evidence.published.cameras[look.name].T_cam_imu
+        angle = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3].T @ found[:3, :3])))
+        inverse = float(np.linalg.norm(rotvec_from_rotation(stated[:3, :3] @ found[:3, :3])))
+        if angle > _GUESS_RAD:
+            findings.append(
+                make_finding(
+                    "extrinsics-contradicted",
+                    case="inverse" if inverse < _GUESS_RAD else "",
+                    name=look.name,
+                    angle=angle,
+                )
+            )
+    return findings
+
+
+def _noise(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    white = [level for level in diagnostics.noise if not level.name.endswith(_WALK)]
+    return [*_white_noise(white), *_walks(diagnostics)]
+
+
+def _walks(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Say where biases wander more than stated; of a weaker walk a recording says little."""
+    return [
+        make_finding(
+            "walk-differs",
+            name=level.name.removesuffix(_WALK),
+            ratio=level.estimated / level.used,
+            estimated=level.estimated,
+            used=level.used,
+            unit=level.unit,
+        )
+        for level in diagnostics.noise
+        if level.name.endswith(_WALK) and level.estimated > _NOISE_FACTOR * level.used
+    ]
+
+
+def _white_noise(levels: list[NoiseLevel]) -> list[Finding]:
+    return [
+        make_finding(
+            "noise-differs",
+            severity="warning" if level.estimated > _NOISE_FACTOR * level.used else "info",
+            case="own-noise" if level.used == level.estimated else "",
+            name=level.name,
+            ratio=level.estimated / level.nominal,
+            estimated=level.estimated,
+            nominal=level.nominal,
+            unit=level.unit,
+            use=_use(level),
+        )
+        for level in levels
+        if np.isfinite(level.nominal) and not 1 / _NOISE_FACTOR < level.estimated / level.nominal < _NOISE_FACTOR
+    ]
+
+
+def _use(level: NoiseLevel) -> str:
+    return f"Used was {level.used:.3g} {level.unit}."
+
+
+def _clocks(evidence: CameraImuEvidence) -> list[Finding]:
+    """Say where the time shift changes over the recording."""
+    stream = imu_stream(evidence.solution.measurements.inertial)
+    imu = next(iter(evidence.recording.imus))
+    entries = evidence.solution.state.parameters.cameras
+    return [
+        finding
+        for look, entry in zip(evidence.looks, entries, strict=True)
+        for finding in check_drift(look.name, look.poses, stream, entry.time_shift_s, imu)
+    ]
+
+
+_SHOWN_IN = {"rotation": (180 / np.pi, "deg"), "translation": (1e3, "mm"), "time shift": (1e3, "ms")}
+
+
+def precision_findings(
+    diagnostics: CameraImuDiagnostics, imus: tuple[str, ...], cameras: tuple[str, ...]
+) -> Iterator[Finding]:
+    """Judge the standard deviations of poses and time shifts.
+
+    Parameters
+    ----------
+    diagnostics : with the scalars of the estimation
+    imus : those beside the first
+    cameras : all of them
+    """
+    sigma = {parameter.name: parameter.sigma for parameter in diagnostics.parameters}
+    placed = [(name, "T_cam_imu", "time_shift_cam_imu", "the IMU") for name in cameras]
+    placed += [(name, "T_imu_body", "time_shift", "imu0") for name in imus]
+    for name, link, shift, body in placed:
+        turn, way = ([f"{link}.{part}[{k}]" for k in range(3)] for part in ("rotation", "translation"))
+        for word, scalars in (("rotation", turn), ("translation", way), ("time shift", [shift])):
+            largest = max(sigma[f"{name}.{scalar}"] for scalar in scalars)
+            severity = grade(word, largest)
+            if severity != "good":
+                factor, unit = _SHOWN_IN[word]
+                known = f"{factor * largest:.2g} {unit}"
+                yield make_finding("imprecise/rig", severity=severity, word=word, name=name, body=body, known=known)

@@ -1,0 +1,166 @@
+"""Views of a board: which there are, copies, and mirrored ones."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...findings import Finding, make_finding
+from ...models.target import Target
+from ...recording import CameraFrames, Floats, Integers, Recording
+
+_FEW = 0.02
+
+
+def without_copies(recording: Recording) -> tuple[Recording, tuple[Finding, ...]]:
+    """Return a recording of cameras in which every view is there once, and what there is to say of the copies.
+
+    Noise makes the corners of two images differ, also of a board that does not move: what is equal to the last digit is
+    the same image, copied or delivered again.
+    """
+    cameras: dict[str, CameraFrames] = {}
+    findings: list[Finding] = []
+    for name, frames in recording.cameras.items():
+        copies, views = _copies(frames)
+        cameras[name] = frames
+        if copies:
+            kept = ~np.isin(frames.frame, list(copies))
+            sigma = None if frames.sigma_px is None else frames.sigma_px[kept]
+            cameras[name] = replace(
+                frames, frame=frames.frame[kept], point=frames.point[kept], pixels=frames.pixels[kept], sigma_px=sigma
+            )
+            findings.append(_finding(name, copies, views))
+    return (replace(recording, cameras=cameras), tuple(findings)) if findings else (recording, ())
+
+
+def _copies(frames: CameraFrames) -> tuple[dict[int, int], int]:
+    """Return the frames whose corners are those of an earlier one -> that one, and how many frames have corners."""
+    shown, first = np.unique(frames.frame, return_index=True)
+    ends = np.append(first, len(frames.frame))
+    seen: dict[bytes, int] = {}
+    copies: dict[int, int] = {}
+    for k, frame in enumerate(shown.tolist()):
+        part = slice(ends[k], ends[k + 1])
+        order = np.argsort(frames.point[part], kind="stable")
+        key = frames.point[part][order].tobytes() + frames.pixels[part][order].tobytes()
+        if seen.setdefault(key, frame) != frame:
+            copies[frame] = seen[key]
+    return copies, len(shown)
+
+
+def _finding(name: str, copies: Mapping[int, int], views: int) -> Finding:
+    share = len(copies) / views
+    frame, original = next(iter(copies.items()))
+    return make_finding(
+        "views-copied",
+        severity="warning" if share > _FEW else "info",
+        name=name,
+        count=len(copies),
+        views=views,
+        frame=frame + 1,
+        original=original + 1,
+    )
+
+
+Booleans = NDArray[np.bool_]
+
+FEWEST_CORNERS = 6  # fewer tell no wrong detection from a right one; as the estimation asks
+_ON_A_LINE = 1e-6  # smaller over larger variance of the points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Views:
+    """The frames in which something of the board was detected.
+
+    Attributes
+    ----------
+    frame : (k,) index into the timestamps of the camera
+    corners : (k,) number of corners
+    extent_px : (k,) diagonal of the rectangle around the corners [px]
+    usable : (k,) whether they tell a pose: at least four corners, not all on a line of the board
+    """
+
+    frame: Integers
+    corners: Integers
+    extent_px: Floats
+    usable: Booleans
+
+
+def views(frames: CameraFrames, target: Target) -> Views:
+    """Return what each frame shows; linear time. All points must be on the target."""
+    if not len(frames.frame):
+        return Views(
+            frame=np.empty(0, np.int64), corners=np.empty(0, np.int64), extent_px=np.empty(0), usable=np.empty(0, bool)
+        )
+    first = np.flatnonzero(np.concatenate([[True], np.diff(frames.frame) > 0]))
+    corners = np.diff(np.append(first, len(frames.frame)))
+    extent = np.maximum.reduceat(frames.pixels, first) - np.minimum.reduceat(frames.pixels, first)
+    plane = (target.points[:, :2] - target.points[:, :2].mean(axis=0))[frames.point]
+    x, y = plane[:, 0], plane[:, 1]
+    sums = np.add.reduceat(np.stack([x, y, x * x, x * y, y * y], axis=1), first) / corners[:, None]
+    xx, xy, yy = sums[:, 2] - sums[:, 0] ** 2, sums[:, 3] - sums[:, 0] * sums[:, 1], sums[:, 4] - sums[:, 1] ** 2
+    half, root = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    return Views(
+        frame=frames.frame[first],
+        corners=corners,
+        extent_px=np.hypot(extent[:, 0], extent[:, 1]),
+        usable=(corners >= FEWEST_CORNERS) & (half - root > _ON_A_LINE * (half + root)),
+    )
+
+
+def image_coverage(pixels: Floats, resolution: tuple[int, int], cells: tuple[int, int] = (10, 8)) -> float:
+    """Return the share of the cells of a grid over the image in which there is at least one corner.
+
+    Parameters
+    ----------
+    pixels : (m, 2) [px]
+    resolution : (width, height) [px]
+    cells : number of cells along the width and along the height
+    """
+    index = np.floor((pixels + 0.5) * (np.array(cells) / np.array(resolution))).astype(np.int64)
+    column, row = index[:, 0], index[:, 1]
+    inside = (column >= 0) & (column < cells[0]) & (row >= 0) & (row < cells[1])
+    return len(np.unique(column[inside] * cells[1] + row[inside])) / (cells[0] * cells[1])
+
+
+_MIRRORED = 0.5
+_SOME = 0.02
+
+
+def check_handedness(name: str, frames: CameraFrames, usable: Integers, target: Target) -> list[Finding]:
+    """Say that points of the board run the other way round in the image, as in a mirror.
+
+    x cross y of the board points to the viewer, and v runs down in images: the determinant of the affine map from the
+    board to the image is negative in every view. A mirrored image fits as well, with a board that is seen from behind
+    and a principal point on the wrong side of the middle: no residual shows it.
+
+    Parameters
+    ----------
+    usable : (k,) frames that tell a pose
+    """
+    if target.kind == "circlegrid" and target.asymmetric:  # printed in both senses, which the detector finds out
+        return []
+    mirrored = _from_behind(frames, usable, target)
+    share = float(np.mean(mirrored)) if len(mirrored) else 0.0
+    if share <= _SOME:
+        return []
+    if share > _MIRRORED:
+        what = f"in {np.count_nonzero(mirrored)} of {len(mirrored)} views the points of the board run as in a mirror"
+        since = "the images are mirrored, or the corners are numbered the other way round than target.yaml says"
+    else:
+        what = f"in {np.count_nonzero(mirrored)} of {len(mirrored)} views alone the points run as in a mirror"
+        since = "some images are mirrored, or their corners are numbered in another way"
+    return [make_finding("board-mirrored", name=name, what=what, since=since)]
+
+
+def _from_behind(frames: CameraFrames, usable: Integers, target: Target) -> Booleans:
+    """Return of each frame whether the affine map from the board to the image keeps the sense of turning, (k,)."""
+    ends = np.searchsorted(frames.frame, np.stack([usable, usable + 1]))
+    turned = np.zeros(len(usable), dtype=np.bool_)
+    for k, (first, last) in enumerate(ends.T.tolist()):
+        board = target.points[frames.point[first:last], :2]
+        pixels = frames.pixels[first:last]
+        board, pixels = board - board.mean(axis=0), pixels - pixels.mean(axis=0)
+        turned[k] = np.linalg.det(np.linalg.lstsq(board, pixels, rcond=None)[0]) > 0
+    return turned

@@ -1,0 +1,81 @@
+"""What a camera-IMU estimation says of single faults: wrong corners, a bias that ran away, a trajectory in pieces."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...findings import Finding, make_finding
+from ...results.camera_diagnostics import BiasTrack, CameraImuDiagnostics, CornerFit
+
+_FAR = 5.0  # sigmas
+_FAR_INFO, _FAR_WARN = 0.005, 0.05
+_ENDS = 0.15  # of the recording, over which the bias of its start and its end are taken
+_WALKS, _LEAST_RAD_S = 5.0, np.radians(0.1)
+
+
+def residual_findings(diagnostics: CameraImuDiagnostics) -> list[Finding]:
+    """Return findings of codes corners-outlying and gyroscope-drift."""
+    findings = [finding for name, fit in diagnostics.corners.items() for finding in outlying_corners(name, fit)]
+    for name, track in diagnostics.biases.items():
+        if name.endswith(".gyroscope"):
+            findings += _drift(name, track)
+    return findings
+
+
+def outlying_corners(name: str, fit: CornerFit) -> list[Finding]:
+    """Return what to say where many corners lie far from where they should."""
+    used = fit.frame_used[fit.frame] & np.isfinite(fit.residual[:, 0])
+    if not used.any():
+        return []
+    size = np.linalg.norm(fit.residual[used], axis=1)
+    far = size > _FAR * fit.sigma_px
+    share = float(far.mean())
+    if share < _FAR_INFO:
+        return []
+    many = share > _FAR_WARN
+    return [
+        make_finding(
+            "corners-outlying",
+            severity="warning" if many else "info",
+            case="many" if many else "",
+            share=share,
+            name=name,
+            far=_FAR,
+            far_px=_FAR * fit.sigma_px,
+            median_size=np.median(size[far]),
+        )
+    ]
+
+
+def _drift(name: str, track: BiasTrack) -> list[Finding]:
+    """Say where a gyroscope's bias ran from one value to another, further than its random walk goes."""
+    part = max(1, round(_ENDS * len(track.t_s)))
+    change = track.value[-part:].mean(axis=0) - track.value[:part].mean(axis=0)
+    size = float(np.linalg.norm(change))
+    walked = track.random_walk * np.sqrt(3 * max(float(np.ptp(track.t_s)), 1e-9))
+    if not size > max(_WALKS * walked, _LEAST_RAD_S):
+        return []
+    return [make_finding("gyroscope-drift/rig", name=name, size=size, ratio=size / max(walked, 1e-12))]
+
+
+def cut_findings(segments: int, imus: Sequence[str]) -> list[Finding]:
+    """Say that the trajectory has several pieces, and what that costs where there are several IMUs.
+
+    Code: trajectory-cut.
+    """
+    if segments == 1:
+        return []
+    first, *others = imus
+    lost = (
+        f"In a gap of {first} neither frames nor the samples of {', '.join(others)} are used; apart from that nothing"
+    )
+    return [
+        make_finding(
+            "trajectory-cut",
+            case="others" if others else "",
+            segments=segments,
+            first=first if others else "the IMU",
+            lost=lost if others else "Nothing",
+            imu=first,
+        )
+    ]

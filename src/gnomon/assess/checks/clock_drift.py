@@ -1,0 +1,202 @@
+"""Whether the clocks of camera and IMU drift apart, from what both felt: the rotation.
+
+The recording is cut into stretches. In each the time shift is corrected so that the gyroscope explains the camera's
+rotation best, with a bias of its own; a line through these shifts is the drift, and their scatter about it tells how
+certain it is, whatever makes them scatter.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...estimate.camera_imu.start.alignment import GyroscopeIntegral, gyroscope_integral
+from ...estimate.camera_imu.start.board_poses import BoardPoses
+from ...estimate.camera_imu.start.first_guess import ImuStream
+from ...findings import Finding, make_finding
+from ...geometry.rotation_vector import rotvec_from_rotation
+from ...recording import Floats
+from .clock_checks import drift_finding
+
+_STEP_S, _LONGEST_STEP_S = 0.1, 0.35
+_STRETCHES = 20
+_FEWEST_TURNS, _FEWEST_STRETCHES = 25, 10
+_ROUNDS, _PASSES = 3, 2
+_ROBUST = 3.0
+_LARGEST_S = 0.05  # a correction beyond this is no small one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClockDrift:
+    """How the time shift of one camera changes.
+
+    Attributes
+    ----------
+    t_s : (k,) middle of the stretches [s]
+    shift_s : (k,) correction of the time shift there
+    sigma_s : (k,) its standard deviation, by the rotations of the stretch
+    drift : growth of the time shift t_imu - t_cam in a second
+    sigma : its standard deviation, by the scatter of the stretches
+    """
+
+    t_s: Floats
+    shift_s: Floats
+    sigma_s: Floats
+    drift: float
+    sigma: float
+
+
+def look_at_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Say whether a camera's clock drifts against that of the IMU (codes clock, clock-drift); as `check_drift`."""
+    drift = clock_drift(poses, stream, time_shift_s)
+    return [] if drift is None else [_warning(name, imu, poses, drift) or _steady(name, imu, drift)]
+
+
+def check_drift(name: str, poses: BoardPoses, stream: ImuStream, time_shift_s: float, imu: str) -> list[Finding]:
+    """Return a warning where a camera's clock drifts against the IMU's (code clock-drift).
+
+    Parameters
+    ----------
+    name : of the camera
+    poses, stream, time_shift_s : see `clock_drift`
+    imu : name of the IMU
+    """
+    drift = clock_drift(poses, stream, time_shift_s)
+    found = None if drift is None else _warning(name, imu, poses, drift)
+    return [] if found is None else [found]
+
+
+def _warning(name: str, imu: str, poses: BoardPoses, drift: ClockDrift) -> Finding | None:
+    length_s = float(poses.t_s[-1] - poses.t_s[0])
+    how = "by the rotation that both felt"
+    return drift_finding(name, imu, drift=drift.drift, sigma=drift.sigma, length_s=length_s, how=how)
+
+
+def _steady(name: str, imu: str, drift: ClockDrift) -> Finding:
+    return make_finding("clock/together", name=name, imu=imu, drift=drift.drift, sigma=drift.sigma)
+
+
+def clock_drift(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> ClockDrift | None:
+    """Return the drift of a camera's clock against the IMU's; None where too little turned to tell.
+
+    Parameters
+    ----------
+    poses : of the target in the camera's frame, at the camera's timestamps
+    stream : of the IMU
+    time_shift_s : t_imu = t_cam + time_shift_s, to some milliseconds
+    """
+    integral = gyroscope_integral(stream.t_s, stream.rate)
+    found: ClockDrift | None = None
+    for _ in range(_PASSES):  # what was found first is taken out, so that the rest is small and nothing counts as wrong
+        drift = 0.0 if found is None else found.drift
+        turns = _turns(poses, time_shift_s, drift, integral)
+        rest = _remaining(turns, integral, stream)
+        if rest is None:
+            return None
+        found = replace(rest, drift=rest.drift + drift, shift_s=rest.shift_s + drift * (rest.t_s - _middle(poses)))
+    return found
+
+
+def _remaining(turns: "_Turns", integral: GyroscopeIntegral, stream: ImuStream) -> ClockDrift | None:
+    if len(turns.start_s) < _FEWEST_TURNS * _FEWEST_STRETCHES:
+        return None
+    gyro = (integral(turns.stop_s) - integral(turns.start_s)) / turns.length_s
+    change = (_rate(stream, turns.stop_s) - _rate(stream, turns.start_s)) / turns.length_s
+    matrix, weight = _explained(turns.rate, gyro, change)
+    rest = gyro - turns.rate @ matrix[:3]
+    count = min(_STRETCHES, len(rest) // _FEWEST_TURNS)
+    middle = 0.5 * (turns.start_s + turns.stop_s) - turns.shift_s
+    parts = [_stretch(middle[k], rest[k], change[k], weight[k]) for k in np.array_split(np.arange(len(rest)), count)]
+    known = [part for part in parts if part is not None]
+    if len(known) < _FEWEST_STRETCHES:
+        return None
+    t, shift, sigma = np.array(known).T
+    return _line(t, shift, sigma)
+
+
+def _middle(poses: BoardPoses) -> float:
+    return 0.5 * float(poses.t_s[0] + poses.t_s[-1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Turns:
+    """Rotations of the camera: from when to when on the IMU's clock [s], the mean rate [rad/s], the shift taken [s]."""
+
+    start_s: Floats
+    stop_s: Floats
+    rate: Floats
+    shift_s: float
+
+    @property
+    def length_s(self) -> Floats:
+        return (self.stop_s - self.start_s)[:, None]
+
+
+def _turns(poses: BoardPoses, time_shift_s: float, drift: float, integral: GyroscopeIntegral) -> _Turns:
+    steps = np.diff(poses.t_s)
+    stride = max(1, round(_STEP_S / max(float(np.median(steps)), 1e-6))) if len(steps) else 1
+    t_s = poses.t_s + time_shift_s + drift * (poses.t_s - _middle(poses)) if len(poses) else poses.t_s
+    start, stop = t_s[:-stride], t_s[stride:]
+    between = poses.R_cam_target[:-stride] @ np.swapaxes(poses.R_cam_target[stride:], 1, 2)
+    rotvec = rotvec_from_rotation(between)
+    inside = (start >= integral.t_s[0]) & (stop <= integral.t_s[-1])
+    kept = inside & (stop > start) & (stop - start < _LONGEST_STEP_S) & (np.linalg.norm(rotvec, axis=1) < 2.0)
+    start, stop = start[kept], stop[kept]
+    return _Turns(start_s=start, stop_s=stop, rate=rotvec[kept] / (stop - start)[:, None], shift_s=time_shift_s)
+
+
+def _rate(stream: ImuStream, t_s: Floats) -> Floats:
+    return np.stack([np.interp(t_s, stream.t_s, stream.rate[:, i]) for i in range(3)], axis=1)
+
+
+def _explained(camera: Floats, gyro: Floats, change: Floats) -> tuple[Floats, Floats]:
+    """Return the matrix (4, 3) that explains the gyroscope, and which turns it explains (n,), 0 or 1.
+
+    It is a full matrix, so that scales and axes of the gyroscope need not be known, and a bias.
+    """
+    weight = np.ones(len(gyro))
+    base = np.concatenate([camera, np.ones((len(camera), 1))], axis=1)
+    shift = 0.0
+    matrix: Floats = np.zeros((4, 3))
+    for _ in range(_ROUNDS):
+        wanted = weight[:, None] * (gyro + shift * change)
+        matrix = np.asarray(np.linalg.lstsq(weight[:, None] * base, wanted, rcond=None)[0], dtype=np.float64)
+        rest = gyro + shift * change - base @ matrix
+        used = weight > 0
+        shift -= float((change[used] * rest[used]).sum() / max(float((change[used] ** 2).sum()), 1e-30))
+        error = np.linalg.norm(rest, axis=1)
+        weight = (error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-6).astype(np.float64)
+    return matrix, weight
+
+
+def _stretch(middle: Floats, rest: Floats, change: Floats, weight: Floats) -> tuple[float, float, float] | None:
+    """Return when, the correction of the time shift and its standard deviation, of one stretch."""
+    used = weight > 0
+    if used.sum() < _FEWEST_TURNS / 2:
+        return None
+    rest, change = rest[used] - rest[used].mean(axis=0), change[used] - change[used].mean(axis=0)
+    energy = float((change**2).sum())
+    if energy <= 0:
+        return None
+    shift = -float((change * rest).sum()) / energy
+    left = rest + shift * change
+    sigma = float(np.sqrt((left**2).mean() / energy))
+    if not (np.isfinite(shift) and 0 < sigma < _LARGEST_S and abs(shift) < _LARGEST_S):
+        return None
+    return float(middle[used].mean()), shift, sigma
+
+
+def _line(t: Floats, shift: Floats, sigma: Floats) -> ClockDrift:
+    """Return the line through the shifts, each weighed by its own sigma, with a floor that their scatter sets."""
+    weight, drift, rest = 1 / sigma**2, 0.0, shift
+    for _ in range(_ROUNDS):
+        x = t - float(weight @ t / weight.sum())
+        drift = float(weight @ (x * shift)) / float(weight @ (x * x))
+        rest = shift - float(weight @ shift / weight.sum()) - drift * x
+        floor = 1.4826 * float(np.median(np.abs(rest)))
+        weight = 1 / (sigma**2 + (0.5 * floor) ** 2)
+    # Neighbouring turns share a pose, whose error cancels in their sum: the stretches' own sigmas are too large, but
+    # the scatter about the line tells. Of so few it is itself uncertain, hence four and not two degrees of freedom.
+    excess = float(weight @ (rest * rest)) / (len(t) - 4)
+    x = t - float(weight @ t / weight.sum())
+    found = float(np.sqrt(excess / float(weight @ (x * x))))
+    return ClockDrift(t_s=t, shift_s=shift, sigma_s=sigma, drift=drift, sigma=found)

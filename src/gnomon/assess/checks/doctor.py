@@ -1,0 +1,264 @@
+"""The data doctor: what is good and bad about a recording before anything is estimated from it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from ...findings import Finding, make_finding
+from ...recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
+from ..imu.threshold import RestDetection
+from .protocol import check_protocol, find_imu_rests
+from .signals import check_signal, check_stamps, check_vibration
+
+_SIDE = 4  # samples on either side that tell how fast a signal changes
+_STEEP = 7.0  # that change from sample to sample, in units of the noise
+_ASIDE, _NEAR = 0.35, 0.3  # of that change
+_FEWEST_STEEP, _FEWEST, _TIMES = 200, 6, 4.0
+_QUIET, _PIECE = 0.1, 50
+_SHARE_WARN = 1e-3
+
+
+def check_lost_samples(samples: TriadSamples, label: str) -> list[Finding]:
+    """Look for samples that were lost where timestamps are a mere count of samples.
+
+    In smooth motion a value is as far from the next one as its neighbours are from theirs; over a sample that was lost
+    it is twice as far. Motion that is not smooth makes steps of half and of no length as often as of twice, and tells
+    nothing.
+    """
+    steps = np.diff(samples.t_ns)
+    if len(steps) < _FEWEST_STEEP or np.ptp(steps) > max(2, 1e-6 * float(np.median(steps))):
+        return []
+    extra = _extra_steps(samples.values)
+    doubled, none = (int(np.count_nonzero(np.abs(extra - size) < _NEAR)) for size in (1.0, -1.0))
+    share = (doubled - none) / max(len(extra), 1)
+    if len(extra) < _FEWEST_STEEP or doubled < _FEWEST + _TIMES * none or share < _SHARE_WARN:
+        return []
+    return [make_finding("samples-skipped", label=label, share=share, doubled=doubled, count=len(extra))]
+
+
+def _extra_steps(values: Floats) -> Floats:
+    """Return by how much steps differ from those beside them, in units of these, where they are steep and straight."""
+    n = len(values)
+    k = np.arange(_SIDE, n - 1 - _SIDE)
+    usual = ((values[k] - values[k - _SIDE]) + (values[k + 1 + _SIDE] - values[k + 1])) / (2 * _SIDE)
+    size = np.linalg.norm(usual, axis=1)
+    steep = size > max(_STEEP * _noise(values), 1e-300)
+    usual, size, step = usual[steep], size[steep], (values[k + 1] - values[k])[steep]
+    extra = np.einsum("ni,ni->n", step - usual, usual) / size**2
+    aside = np.linalg.norm(step - usual * (1 + extra)[:, None], axis=1) / size
+    return np.asarray(extra[aside < _ASIDE], dtype=np.float64)
+
+
+def _noise(values: Floats) -> float:
+    """Return the standard deviation of a sample's component where the signal is quietest [unit]."""
+    third = np.diff(values, n=3, axis=0)  # of white noise, 20 times its variance
+    count = len(third) // _PIECE
+    power = np.square(third[: count * _PIECE]).reshape(count, _PIECE * 3).mean(axis=1)
+    return float(np.sqrt(np.quantile(power, _QUIET) / 20)) if count else 0.0
+
+
+_GRID_S, _WIDTH_S = 0.02, 0.2
+_LONGEST_S = 10.0
+_APART_S, _FAR_S = 0.1, 0.3
+_ALIKE, _GAINED = 0.5, 0.1
+_LONG_S = 20.0
+_FEWEST_IN_WIDTH = (
+    2  # samples, about: fewer show nothing stirred, and timestamps far too slow would need an endless grid
+)
+_LONGEST_GAP_NS = 1_000_000_000  # nothing is stirred in it
+
+
+def check_triad_clocks(imu: ImuSamples, name: str) -> list[Finding]:
+    """Return a finding where both triads are stirred alike, but one of them later (code triads-apart).
+
+    Parameters
+    ----------
+    imu : samples of both, timestamps not falling
+    name : of the IMU
+    """
+    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
+    first = max(int(accelerometer.t_ns[0]), int(gyroscope.t_ns[0]))
+    last = min(int(accelerometer.t_ns[-1]), int(gyroscope.t_ns[-1]))
+    slower_hz = min(accelerometer.rate_hz, gyroscope.rate_hz)
+    if (last - first) * 1e-9 < _LONG_S or not slower_hz * _WIDTH_S >= _FEWEST_IN_WIDTH:
+        return []
+    both = [np.clip(samples.t_ns, first, last) for samples in (accelerometer, gyroscope)]
+    stamps = close_gaps(both, _LONGEST_GAP_NS)
+    grid = np.arange(0, (int(max(t_ns[-1] for t_ns in stamps)) - first) * 1e-9, _GRID_S)
+    pushed, turned = (
+        _stirred(samples.values, np.asarray((t_ns - first) * 1e-9, dtype=np.float64), grid)
+        for samples, t_ns in zip((accelerometer, gyroscope), stamps, strict=True)
+    )
+    lag, best, now = _lag(pushed, turned)
+    if abs(lag) < _APART_S or best < _ALIKE or best - now < _GAINED:
+        return []
+    later, earlier = ("gyroscope", "accelerometer") if lag > 0 else ("accelerometer", "gyroscope")
+    return [
+        make_finding(
+            "triads-apart/imu",
+            severity="problem" if abs(lag) > _FAR_S else "warning",
+            name=name,
+            later=later,
+            lag=abs(lag),
+            earlier=earlier,
+        )
+    ]
+
+
+def _stirred(values: Floats, t_s: Floats, grid: Floats) -> Floats:
+    """Return how much a sensor's readings vary about instants, as a logarithm without mean and of variance one."""
+    first = np.searchsorted(t_s, grid - _WIDTH_S / 2)
+    last = np.maximum(np.searchsorted(t_s, grid + _WIDTH_S / 2), first + 1)
+    last = np.minimum(last, len(t_s))
+    first = np.minimum(first, last - 1)
+    values = values - values.mean(axis=0)
+    sums = np.concatenate([np.zeros((1, 3)), np.cumsum(values, axis=0)])
+    squares = np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))])
+    count = (last - first).astype(np.float64)
+    mean = (sums[last] - sums[first]) / count[:, None]
+    variance = np.maximum((squares[last] - squares[first]) / count - (mean**2).sum(axis=1), 0.0)
+    level = np.log(variance + np.quantile(variance, 0.2) + 1e-30)
+    level = level - level.mean()
+    return level / max(float(level.std()), 1e-12)
+
+
+def _lag(pushed: Floats, turned: Floats) -> tuple[float, float, float]:
+    """Return by how much the second comes later [s], the correlation there, and without a lag."""
+    count = len(pushed)
+    size = 1 << int(np.ceil(np.log2(2 * count)))
+    cross = np.fft.irfft(np.conj(np.fft.rfft(pushed, size)) * np.fft.rfft(turned, size), size)
+    most = min(round(_LONGEST_S / _GRID_S), count // 2)
+    lags = np.arange(-most, most + 1)
+    score = cross[lags] / (count - np.abs(lags))
+    best = int(np.argmax(score))
+    return float(lags[best]) * _GRID_S, float(score[best]), float(score[most])
+
+
+_OF_VALUES = {"saturation", "samples-stuck", "samples-repeated"}
+
+
+def check_magnetometers(recording: Recording) -> list[Finding]:
+    """Look at the magnetometers of a recording; a problem of theirs spoils nothing else, and is a warning."""
+    findings: list[Finding] = []
+    for name, imu in recording.imus.items():
+        if imu.magnetometer is None or len(imu.magnetometer) < 2:
+            continue
+        alone = not len(imu.accelerometer)
+        for finding in check_field_samples(imu.magnetometer, f"{name} magnetometer"):
+            severe = finding.severity == "problem" and not alone
+            findings.append(replace(finding, severity="warning") if severe else finding)
+    return findings
+
+
+def check_field_samples(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return findings on timestamps and values of a triad of which only the strength counts, which needs no time."""
+    found: list[Finding] = []
+    for finding in (*check_stamps(samples, label), *check_signal(samples, label)):
+        if finding.severity == "warning" and finding.code == "saturation":
+            found.append(replace(finding, consequence="They are masked.", cure="Set a wider range."))
+        elif finding.severity == "warning" and finding.code not in _OF_VALUES:
+            times = "Strengths do not depend on time; how the sensors stand to each other may suffer."
+            found.append(replace(finding, severity="info", consequence=times))
+        else:
+            found.append(finding)
+    return found
+
+
+_POSES = 9
+
+
+FindRests = Callable[[ImuSamples], RestDetection | None]
+
+
+def check(recording: Recording, *, window_s: float = 1.0, multiplier: float | None = None) -> tuple[Finding, ...]:
+    """Look at a recording and say what is good or bad about it for the calibration of an IMU.
+
+    Parameters
+    ----------
+    window_s, multiplier : of the static detector, see `ImuOptions`
+
+    Every finding states its consequence and its cure. Codes: time-backward, time-constant, time-repeated, time-rounded,
+    rate, jitter, gaps; signal-constant, axis-constant, saturation, samples-stuck, samples-repeated, samples-skipped;
+    samples-missing, gyroscope-missing, gyroscope-silent; gravity-magnitude, never-static, rests-unsteady,
+    always-static, attitudes, intervals-left-out, static-start, clocks-apart, triads-apart, vibration; poses.
+
+    Returns
+    -------
+    Findings in the order timestamps, values, motion, IMU by IMU; severity "problem" means that it cannot be calibrated.
+    """
+    return check_by_rests(recording, partial(find_imu_rests, window_s=window_s, multiplier=multiplier))
+
+
+def check_by_rests(recording: Recording, find_rests: FindRests) -> tuple[Finding, ...]:
+    """Return the findings of `check`, by rests that another function finds, for a caller who uses them again."""
+    if recording.pieces or recording.poses is not None:
+        return tuple(_check_poses(recording))
+    return tuple(finding for name, imu in recording.imus.items() for finding in _check_imu(name, imu, find_rests))
+
+
+def _check_poses(recording: Recording) -> list[Finding]:
+    """Look at poses, which need neither rests between them nor one rate."""
+    count, what = len(recording.pieces), "files"
+    if recording.poses is not None:
+        count, what = len(recording.poses), "averages"
+    findings = [
+        finding
+        for name, imu in recording.imus.items()
+        for quantity, samples in (("accelerometer", imu.accelerometer), ("gyroscope", imu.gyroscope))
+        if len(samples) > 1
+        for finding in check_signal(samples, f"{name} {quantity}")
+    ]
+    enough = count >= _POSES
+    return [
+        *findings,
+        make_finding(
+            "poses", severity="good" if enough else "warning", case="enough" if enough else "", count=count, what=what
+        ),
+    ]
+
+
+def _check_imu(name: str, imu: ImuSamples, find_rests: FindRests) -> list[Finding]:
+    accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
+    if len(accelerometer) < 2 or len(gyroscope) == 1:
+        return [
+            make_finding("samples-missing/imu", name=name, accelerometer=len(accelerometer), gyroscope=len(gyroscope))
+        ]
+    findings: list[Finding] = []
+    if len(gyroscope) == 0:
+        findings.append(make_finding("gyroscope-missing/imu", name=name))
+        findings += check_stamps(accelerometer, f"{name} accelerometer")
+    elif np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
+        findings += check_stamps(accelerometer, name)
+    else:
+        findings += check_stamps(accelerometer, f"{name} accelerometer")
+        findings += check_stamps(gyroscope, f"{name} gyroscope")
+        findings += _clocks(accelerometer, gyroscope, name)
+    signals = check_signal(accelerometer, f"{name} accelerometer")
+    usable = not any(finding.code == "signal-constant" for finding in signals)
+    findings += signals
+    if len(gyroscope) > 1:
+        findings += check_signal(gyroscope, f"{name} gyroscope")
+        findings += check_vibration(accelerometer, gyroscope, name)
+        findings += check_lost_samples(gyroscope, f"{name} gyroscope")
+    usable = usable and not any(finding.code == "time-constant" for finding in findings)
+    if usable and len(gyroscope) > 1:
+        findings += check_triad_clocks(imu, name)
+    if not usable:
+        return findings
+    return findings + check_protocol(imu, name, find_rests(imu))
+
+
+def _clocks(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> list[Finding]:
+    first = max(accelerometer.t_ns[0], gyroscope.t_ns[0])
+    last = min(accelerometer.t_ns[-1], gyroscope.t_ns[-1])
+    longest = max(accelerometer.duration_s, gyroscope.duration_s)
+    common = max(0.0, float(last - first) * 1e-9)
+    if common > 0.9 * longest:
+        return []
+    return [
+        make_finding(
+            "clocks-apart", severity="problem" if common == 0 else "warning", name=name, common=common, longest=longest
+        )
+    ]

@@ -1,0 +1,376 @@
+"""Whether camera, gyroscope and accelerometer agree on their axes and clocks, before anything is estimated.
+
+The camera's poses tell how it turned and how it was accelerated. Both are compared with what the IMU read by linear
+least squares, with any 3 x 3 matrix in place of a rotation, so that a wrong sign, exchanged columns or a mirror show:
+
+    gyroscope = A_g omega_cam + b_g,      accelerometer = A_a R_cam_target (D2 (p + R_target_cam x) - g) + b_a.
+
+D2 is the second difference over about a tenth of a second, which is the acceleration averaged with a triangular
+window; the accelerometer is averaged with the same one. The products of A_a with the IMU's place x and with gravity g
+are unknowns of their own, so that all of it stays linear.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.linalg import solveh_banded
+
+from ...estimate.camera_imu.start.alignment import gyroscope_integral
+from ...estimate.camera_imu.start.board_poses import BoardPoses
+from ...estimate.camera_imu.start.first_guess import ImuStream
+from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
+from ...geometry.rotation_vector import rotvec_from_rotation
+from ...recording import Floats
+from ...results.intervals import Booleans
+from .board_turn import BoardTurns, board_turns
+
+_STEP_S = 0.1
+_TURN_S = 0.1
+_FEWEST, _FEWEST_TURNS = 60, 25
+_ROUNDS, _ROBUST = 3, 3.5
+_SEARCH_S, _TRIALS = 0.04, 17
+_WINDOW = 21
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AxesFit:
+    """A sensor's readings as a linear map of what the camera saw.
+
+    Attributes
+    ----------
+    matrix : (3, 3) from the camera's axes to the sensor's
+    offset : (3,) what the sensor reads besides
+    explained : share of the readings' variance that the map explains
+    delay_s : by which the sensor's readings come later than what the camera saw, at the time shift that was assumed
+    delay_sigma_s : its standard deviation
+    """
+
+    matrix: Floats
+    offset: Floats
+    explained: float
+    delay_s: float
+    delay_sigma_s: float
+
+    @property
+    def hand(self) -> float:
+        """1 for a rotation, -1 for a mirror image, between them where it cannot be told."""
+        singular = np.linalg.svd(self.matrix, compute_uv=False)
+        size = float(np.prod(singular)) ** (1 / 3)
+        return float(np.sign(np.linalg.det(self.matrix))) if singular[-1] > 0.3 * size > 0 else 0.0
+
+
+def gyroscope_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:
+    """Return how the gyroscope reads the camera's rotation; None where too little was seen."""
+    integral = gyroscope_integral(stream.t_s, stream.rate)
+    first, second = _pairs(poses.t_s, _TURN_S)
+    start, stop = poses.t_s[first] + time_shift_s, poses.t_s[second] + time_shift_s
+    inside = (start >= stream.t_s[0]) & (stop <= stream.t_s[-1])
+    first, second, start, stop = first[inside], second[inside], start[inside], stop[inside]
+    if len(first) < _FEWEST_TURNS:
+        return None
+    length = (stop - start)[:, None]
+    between = poses.R_cam_target[first] @ np.swapaxes(poses.R_cam_target[second], 1, 2)
+    seen = rotvec_from_rotation(between) / length
+    read = (integral(stop) - integral(start)) / length
+    design = np.column_stack([seen, np.ones(len(seen))])
+    fit = _robust(design, read)
+    change = (_rate(stream, stop) - _rate(stream, start)) / length
+    delay = fit.shift(design, change)
+    return AxesFit(
+        matrix=fit.solution[:3].T,
+        offset=fit.solution[3],
+        explained=fit.explained,
+        delay_s=delay,
+        delay_sigma_s=fit.shift_sigma(design, change),
+    )
+
+
+def accelerometer_axes(poses: BoardPoses, stream: ImuStream, time_shift_s: float) -> AxesFit | None:
+    """Return how the accelerometer reads gravity and the camera's acceleration; None where too little was seen."""
+    t_s = poses.t_s + time_shift_s
+    R = np.swapaxes(poses.R_cam_target, 1, 2)
+    p = -np.einsum("nij,nj->ni", R, poses.p_cam_target)
+    step_s = _step(t_s)
+    centre, both = _second_differences(t_s, np.concatenate([p[:, :, None], R], axis=2), step_s)
+    inside = (t_s[centre] > stream.t_s[0] + 0.2) & (t_s[centre] < stream.t_s[-1] - 0.2)
+    centre, both = centre[inside], both[inside]
+    if len(centre) < _FEWEST:
+        return None
+    R_cam_target = poses.R_cam_target[centre]
+    felt = np.einsum("nij,njk->nik", R_cam_target, both).reshape(len(centre), 12)
+    design = np.column_stack([felt, R_cam_target.reshape(len(centre), 9), np.ones(len(centre))])
+    # columns 0, 4, 8 hold the acceleration, 1-3, 5-7, 9-11 the arm's
+    at = t_s[centre]
+    fit = _robust(design, _averaged(stream, at, step_s))
+    slope = (_averaged(stream, at + 0.01, step_s) - _averaged(stream, at - 0.01, step_s)) / 0.02
+    delays = np.linspace(-_SEARCH_S, _SEARCH_S, _TRIALS)
+    costs = [_cost(design, _averaged(stream, at + delay, step_s), fit.weight) for delay in delays]
+    best = int(np.argmin(costs))
+    delay = float(delays[best])
+    refined = _robust(design, _averaged(stream, at + delay, step_s))
+    delay += refined.shift(design, slope)
+    final = _robust(design, _averaged(stream, at + delay, step_s))
+    return AxesFit(
+        matrix=_accelerometer_matrix(final.solution),
+        offset=final.solution[21],
+        explained=final.explained,
+        delay_s=delay,
+        delay_sigma_s=final.shift_sigma(design, slope),
+    )
+
+
+def _accelerometer_matrix(solution: Floats) -> Floats:
+    """Return A_a from its product with gravity, of rank one; the acceleration's own block tells the sign."""
+    product = -solution[12:21].reshape(3, 3, 3).transpose(2, 0, 1).reshape(9, 3)  # (axis, cam), gravity
+    left, size, _ = np.linalg.svd(product)
+    matrix = left[:, 0].reshape(3, 3) * size[0] / 9.81
+    own = solution[[0, 4, 8]].T
+    return matrix * (np.sign(float((matrix * own).sum())) or 1.0)
+
+
+def _averaged(stream: ImuStream, t_s: Floats, step_s: float) -> Floats:
+    """Return the specific force averaged with a triangular window about instants, (n, 3)."""
+    offsets = np.linspace(-1, 1, _WINDOW)[1:-1] * step_s
+    weights = (1 - np.abs(offsets) / step_s) / (1 - np.abs(offsets) / step_s).sum()
+    at = t_s[:, None] + offsets
+    return np.stack([np.interp(at, stream.t_s, stream.force[:, i]) @ weights for i in range(3)], axis=1)
+
+
+def _rate(stream: ImuStream, t_s: Floats) -> Floats:
+    return np.stack([np.interp(t_s, stream.t_s, stream.rate[:, i]) for i in range(3)], axis=1)
+
+
+def _pairs(t_s: Floats, length_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs of frames about that far apart."""
+    steps = np.diff(t_s)
+    stride = max(1, round(length_s / max(float(np.median(steps)), 1e-6))) if len(steps) else 1
+    first = np.arange(max(len(t_s) - stride, 0))
+    near = (t_s[first + stride] - t_s[first]) < 3 * length_s
+    return first[near], first[near] + stride
+
+
+def _step(t_s: Floats) -> float:
+    """Return the whole number of frames' periods that is nearest to a tenth of a second [s]."""
+    period = float(np.median(np.diff(t_s))) if len(t_s) > 1 else _STEP_S
+    return max(1, round(_STEP_S / max(period, 1e-6))) * period
+
+
+def _second_differences(t_s: Floats, values: Floats, step_s: float) -> tuple[np.ndarray, Floats]:
+    """Return frames (m,) with neighbours a step before and after, and the second derivatives (m, ...) there."""
+    slack = 0.2 * step_s
+    before = np.clip(np.searchsorted(t_s, t_s - step_s - slack), 0, len(t_s) - 1)
+    after = np.clip(np.searchsorted(t_s, t_s + step_s - slack), 0, len(t_s) - 1)
+    back, ahead = t_s - t_s[before], t_s[after] - t_s
+    k = np.flatnonzero((np.abs(back - step_s) < slack) & (np.abs(ahead - step_s) < slack))
+    back, ahead = (x[k].reshape(-1, *([1] * (values.ndim - 1))) for x in (back, ahead))
+    rise = (values[after[k]] - values[k]) / ahead - (values[k] - values[before[k]]) / back
+    return k, 2 * rise / (back + ahead)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Linear:
+    """A robust linear fit: solution (k, 3), weight (n,), residual (n, 3), explained share."""
+
+    solution: Floats
+    weight: Floats
+    residual: Floats
+    explained: float
+
+    def shift(self, design: Floats, slope: Floats) -> float:
+        """Return by how much later the readings should be taken, to first order."""
+        rest, free = self._free(design, slope)
+        return -float((rest * free).sum()) / max(float((free * free).sum()), 1e-30)
+
+    def shift_sigma(self, design: Floats, slope: Floats) -> float:
+        """Return the standard deviation of that; neighbouring differences share poses, hence the factor two."""
+        rest, free = self._free(design, slope)
+        energy = max(float((free * free).sum()), 1e-30)
+        return 2.0 * float(np.sqrt((rest * rest).mean() / energy))
+
+    def _free(self, design: Floats, slope: Floats) -> tuple[Floats, Floats]:
+        used = self.weight > 0
+        own = slope[used] - design[used] @ np.linalg.lstsq(design[used], slope[used], rcond=None)[0]
+        return self.residual[used], own
+
+
+def _robust(design: Floats, read: Floats) -> _Linear:
+    weight = np.ones(len(design))
+    solution = np.zeros((design.shape[1], 3))
+    rest = read
+    for _ in range(_ROUNDS):
+        used = weight > 0
+        solution = np.asarray(np.linalg.lstsq(design[used], read[used], rcond=None)[0], dtype=np.float64)
+        rest = read - design @ solution
+        error = np.linalg.norm(rest, axis=1)
+        weight = (error < _ROBUST * 1.4826 * float(np.median(error)) + 1e-9).astype(np.float64)
+    used = weight > 0
+    spread = read[used] - read[used].mean(axis=0)
+    return _Linear(
+        solution=solution,
+        weight=weight,
+        residual=rest,
+        explained=1 - float((rest[used] ** 2).sum() / max((spread**2).sum(), 1e-30)),
+    )
+
+
+def _cost(design: Floats, read: Floats, weight: Floats) -> float:
+    used = weight > 0
+    rest = read[used] - design[used] @ np.linalg.lstsq(design[used], read[used], rcond=None)[0]
+    return float((rest**2).sum())
+
+
+_LONGEST_S = 0.2
+_RIG_FRAMES_FEWEST = 60
+_PRIOR_S = 0.03
+_NEIGHBOURS = 11
+_TURNING_RAD_S = 0.3
+_ITERATIONS = 4
+_GAP_PERIODS = 3.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FrameTimes:
+    """How late each frame is stamped, and where the board moved.
+
+    Attributes
+    ----------
+    t_s : (n,) timestamps [s]
+    late_s : (n,) by which each timestamp is late, less the median [s]
+    alone_s : (n,) the same, less that of its neighbours [s]
+    sigma_s : (n,) its standard deviation; large where the camera hardly turned [s]
+    turns : of the board, about each frame
+    differs_rad : (n - 1, 3) rotation between frames that the gyroscope read and the camera did not see
+    change_rad_s : (n - 1, 3) by which the rate changed meanwhile; zero where the frames are not compared
+    """
+
+    t_s: Floats
+    late_s: Floats
+    alone_s: Floats
+    sigma_s: Floats
+    turns: BoardTurns
+    differs_rad: Floats
+    change_rad_s: Floats
+
+    def level(self, from_s: float, to_s: float) -> float:
+        """Return the mean lateness of the frames in a part of the recording [s], by one least squares over it."""
+        part = (self.t_s[:-1] >= from_s) & (self.t_s[1:] < to_s) & (self.change_rad_s != 0).any(axis=1)
+        differs, change = self.differs_rad[part], self.change_rad_s[part]
+        level = 0.0
+        for _ in range(_ITERATIONS):
+            rest = np.linalg.norm(differs - level * change, axis=1)
+            weight = rest < 4 * float(np.median(rest)) + 1e-12
+            energy = float((change[weight] ** 2).sum())
+            level = float((change[weight] * differs[weight]).sum()) / max(energy, 1e-30)
+        return level
+
+
+def frame_times(
+    poses: BoardPoses, stream: ImuStream, time_shift_s: float, axes: AxesFit, unusable: Booleans | None = None
+) -> FrameTimes | None:
+    """Return what the gyroscope says of the frames' timestamps; None where too few follow each other closely.
+
+    Parameters
+    ----------
+    poses, stream : of the board, of the IMU
+    time_shift_s : t_imu - t_cam, about
+    axes : how the gyroscope reads the camera's rotation
+    unusable : (n,) readings of the gyroscope that are clipped
+    """
+    t_s = poses.t_s + time_shift_s + axes.delay_s
+    inside = (t_s > stream.t_s[0]) & (t_s < stream.t_s[-1])
+    t_s, poses = t_s[inside], poses.where(inside)
+    R, compared = poses.R_cam_target, ~_broken(stream, unusable, t_s)
+    close = (np.diff(t_s) < _LONGEST_S) & compared
+    if close.sum() < _RIG_FRAMES_FEWEST:
+        return None
+    in_camera = (stream.rate - axes.offset) @ np.linalg.inv(axes.matrix).T
+    rate, read = _turned(stream.t_s, in_camera, t_s)
+    seen = R[:-1] @ np.swapaxes(R[1:], 1, 2)
+    apart = rotvec_from_rotation(np.swapaxes(seen, 1, 2) @ read)
+    differs = np.where(close[:, None], apart, 0.0)
+    sigma = _noise(differs[close], 0.5 * (rate[1:] + rate[:-1])[close])
+    late, sigma_s = _lateness(differs, rate, close, sigma)
+    ends = np.pad(late, _NEIGHBOURS // 2, mode="edge")
+    return FrameTimes(
+        t_s=t_s - t_s[0],
+        late_s=late - np.median(late),
+        alone_s=late - np.median(sliding_window_view(ends, _NEIGHBOURS), axis=1),
+        sigma_s=sigma_s,
+        turns=board_turns(t_s - axes.delay_s, poses, apart - _felt(stream, t_s, rate, apart, close), compared),
+        differs_rad=differs,
+        change_rad_s=np.diff(rate, axis=0) * close[:, None],
+    )
+
+
+def _turned(t_s: Floats, rate: Floats, at_s: Floats) -> tuple[Floats, Floats]:
+    """Return the rates (m, 3) at instants, and the rotations (m - 1, 3, 3) from each to the next."""
+    every = np.union1d(t_s, at_s)
+    rates = np.stack([np.interp(every, t_s, rate[:, i]) for i in range(3)], axis=1)
+    steps = rk4n_steps(rates[:-1], rates[1:], np.diff(every))
+    total = running_products(steps, np.array([len(steps)]))
+    place = np.searchsorted(every, at_s)
+    first = np.array([1.0, 0.0, 0.0, 0.0])
+    attitude = rotation_from_quaternion(np.concatenate([first[None], total])[place])
+    return rates[place], np.swapaxes(attitude[:-1], 1, 2) @ attitude[1:]
+
+
+def _broken(stream: ImuStream, unusable: Booleans | None, t_s: Floats) -> Booleans:
+    """Return between which frames, (n - 1,), samples of the gyroscope are missing or clipped."""
+    steps = np.diff(stream.t_s)
+    bad = np.concatenate([steps > _GAP_PERIODS * float(np.median(steps)), [False]])
+    if unusable is not None:
+        bad |= unusable
+    counted = np.concatenate([[0], np.cumsum(bad)])
+    first = np.maximum(np.searchsorted(stream.t_s, t_s[:-1]) - 1, 0)
+    last = np.minimum(np.searchsorted(stream.t_s, t_s[1:]) + 1, len(stream.t_s))
+    return counted[last] > counted[first]
+
+
+def _noise(differs: Floats, rate: Floats) -> float:
+    """Return the standard deviation per axis across the axis of rotation, where timestamps do nothing."""
+    speed = np.linalg.norm(rate, axis=1)
+    turning = speed > _TURNING_RAD_S
+    chosen, along = (differs[turning], rate[turning]) if turning.sum() > _RIG_FRAMES_FEWEST else (differs, rate)
+    unit = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    across = chosen - (chosen * unit).sum(axis=1, keepdims=True) * unit
+    return max(float(np.median(np.linalg.norm(across, axis=1))) / np.sqrt(2 * np.log(2)), 1e-6)
+
+
+def _lateness(differs: Floats, rate: Floats, close: np.ndarray, sigma: float) -> tuple[Floats, Floats]:
+    """Return by how much each frame is late, with its sigma, by a robust banded least squares."""
+    weight = close / sigma**2
+    late, diagonal = np.zeros(len(rate)), np.ones(len(rate))
+    square = (rate * rate).sum(axis=1)
+    cross = (rate[1:] * rate[:-1]).sum(axis=1)
+    for _ in range(_ITERATIONS):
+        diagonal = np.full(len(rate), 1 / _PRIOR_S**2)
+        diagonal[1:] += weight * square[1:]
+        diagonal[:-1] += weight * square[:-1]
+        right = np.zeros(len(rate))
+        right[1:] += weight * (rate[1:] * differs).sum(axis=1)
+        right[:-1] -= weight * (rate[:-1] * differs).sum(axis=1)
+        banded = np.zeros((2, len(rate)))
+        banded[0, 1:], banded[1] = -weight * cross, diagonal
+        late = np.asarray(solveh_banded(banded, right), dtype=np.float64)
+        rest = np.linalg.norm(differs - rate[1:] * late[1:, None] + rate[:-1] * late[:-1, None], axis=1) / sigma
+        weight = close / sigma**2 * np.minimum(1.0, 4.0 / np.maximum(rest, 1e-9)) ** 2
+    return late, 1 / np.sqrt(diagonal)
+
+
+def _felt(stream: ImuStream, t_s: Floats, rate: Floats, differs: Floats, close: Booleans) -> Floats:
+    """Return the part of what differs (n - 1, 3) that errors of the gyroscope and of the clock explain.
+
+    They are linear in the specific force, the rate, the time and the change of the rate.
+    """
+    middle, length = 0.5 * (t_s[1:] + t_s[:-1]), np.diff(t_s)
+    force = np.stack([np.interp(middle, stream.t_s, stream.force[:, i]) for i in range(3)], axis=1)
+    turned = 0.5 * (rate[1:] + rate[:-1])
+    steady = np.column_stack([force, turned, np.ones(len(force))]) * length[:, None]
+    design = np.column_stack([steady, np.diff(rate, axis=0)])
+    weight, solution = close.copy(), np.zeros((design.shape[1], 3))
+    for _ in range(_ITERATIONS):
+        solution = np.linalg.lstsq(design[weight], differs[weight], rcond=None)[0]
+        rest = np.linalg.norm(differs - design @ solution, axis=1)
+        weight = close & (rest <= 4 * float(np.median(rest[close])))
+    return design @ solution

@@ -1,0 +1,263 @@
+"""What the corners say of lens, shutter and board when every frame may have any pose of its own.
+
+The residuals of single frames' poses are explained by what would make such a pattern, all at once and to first order:
+the focal lengths and the principal point, a radial distortion beyond the stated one, the time from row to row of a
+rolling shutter, the gaps between the tags of an AprilGrid. What a pose can do is taken out of both sides first.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ...estimate.camera_imu.start.board_poses import BoardPoses, thinned
+from ...findings import Finding, make_finding
+from ...geometry.so3 import skew
+from ...models.camera import Camera
+from ...models.target import Target
+from ...recording import Floats
+from ...results.intervals import Booleans
+
+_FEWEST_FRAMES, _ENOUGH_FRAMES = 30, 250
+_LONGEST_S = 0.35
+_ROUNDS, _ROBUST = 3, 4.0
+_SIGMAS = 6.0
+_ROLLING_S = 1e-3  # from the first row to the last: lenses that are not quite their model ask for half of it
+_BORDER_PX = 1.5
+_GAINED = 0.95  # rms with a better lens over rms without
+_SPACING, _BLED = 0.004, 0.03
+_PRIOR = np.array([0.1, 0.1, 30.0, 30.0, 0.3, 0.3, 1e-4, 0.2])
+"""What is possible at all, so that what the motion does not tell stays where it is."""
+
+
+_FOCAL, _PRINCIPAL, _RADIAL, _DELAY, _GAP = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensFit:
+    """What the corners of one camera ask for, beside what was stated.
+
+    Attributes
+    ----------
+    focal : (2,) relative change of the focal lengths
+    principal_px : (2,) shift of the principal point [px]
+    border_px, border_sigma_px : by which corners at the border of what was seen of the image lie further out than the
+        lens says [px]
+    line_delay_s, line_delay_sigma_s : time from row to row, beside the stated one [s]
+    tag_spacing, tag_spacing_sigma : gap between tags over their side; the sigma is nan for other boards
+    rms_px, rms_free_px : of the residuals per axis, with what was stated and with all this
+    """
+
+    focal: Floats
+    principal_px: Floats
+    border_px: float
+    border_sigma_px: float
+    line_delay_s: float
+    line_delay_sigma_s: float
+    tag_spacing: float
+    tag_spacing_sigma: float
+    rms_px: float
+    rms_free_px: float
+
+
+def check_lens(
+    name: str, poses: BoardPoses, camera: Camera, target: Target, certain: Booleans | None = None
+) -> list[Finding]:
+    """Return findings on the lens and the board of one camera, by its corners alone.
+
+    Codes: tag-spacing, rolling-shutter, distortion.
+    """
+    fit = lens_fit(poses, camera, target, certain)
+    return [] if fit is None else [*_tag_spacing(name, fit, target), *_shutter(name, fit, camera), *_lens(name, fit)]
+
+
+def _tag_spacing(name: str, fit: LensFit, target: Target) -> list[Finding]:
+    off = fit.tag_spacing - target.tag_spacing if target.kind == "aprilgrid" else 0.0
+    if not abs(off) > max(_SPACING, _SIGMAS * fit.tag_spacing_sigma):
+        return []
+    message = (
+        f"The gaps between the tags are {fit.tag_spacing:.3f} of a tag's side by the corners of {name}; "
+        f"target.yaml states tagSpacing {target.tag_spacing:.3g}."
+    )
+    if abs(off) < _BLED:
+        return [make_finding("tag-spacing/good", message=message)]
+    return [make_finding("tag-spacing/wrong", message=message, percent=100 * abs(off) / (1 + target.tag_spacing))]
+
+
+def _shutter(name: str, fit: LensFit, camera: Camera) -> list[Finding]:
+    rows = camera.resolution[1]
+    if not abs(fit.line_delay_s) > max(_ROLLING_S / rows, _SIGMAS * fit.line_delay_sigma_s):
+        return []
+    found = camera.line_delay_s + fit.line_delay_s
+    readout = f"({1e3 * found * rows:.2g} ms from the first to the last)"
+    stated = f"{1e6 * camera.line_delay_s:.3g} us a row were stated" if camera.line_delay_s else "none was stated"
+    if abs(found) * rows > _ROLLING_S:
+        message = f"{name} has a rolling shutter: its rows are exposed {1e6 * found:.3g} us after each other {readout}"
+        consequence = (
+            "Corners of one frame are of different instants; in a turn they are off by pixels, and the time shift by "
+            "half of the time from the first row to the last."
+        )
+        cure = f"State it, --line-delay {found:.3g}, and let it be estimated: --free {name}.line_delay."
+    else:
+        message = f"{name} has a global shutter, as its corners show no line delay {readout}"
+        consequence = "In a turn corners are off by pixels, and the time shift by half of what was stated for all rows."
+        cure = f"State no line delay, or let it be estimated: --free {name}.line_delay."
+    return [
+        make_finding("rolling-shutter", message=message, stated=stated, consequence=consequence, cure=cure, name=name)
+    ]
+
+
+def _lens(name: str, fit: LensFit) -> list[Finding]:
+    if not (
+        abs(fit.border_px) > max(_BORDER_PX, _SIGMAS * fit.border_sigma_px) and fit.rms_free_px < _GAINED * fit.rms_px
+    ):
+        return []
+    way = "inwards" if fit.border_px < 0 else "outwards"
+    return [
+        make_finding(
+            "distortion",
+            severity="problem" if abs(fit.border_px) > 10 * _BORDER_PX else "warning",
+            name=name,
+            border_px=abs(fit.border_px),
+            way=way,
+            rms_free_px=fit.rms_free_px,
+            rms_px=fit.rms_px,
+        )
+    ]
+
+
+def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Booleans | None = None) -> LensFit | None:
+    """Return what the corners ask for; None where too few frames follow each other closely.
+
+    Parameters
+    ----------
+    poses : of the board
+    camera, target : as stated
+    certain : (n,) poses to be used; all where not given
+    """
+    exposures = thinned(replace(poses.exposures, spread=None))
+    count = len(poses)
+    steps = np.diff(poses.t_s)
+    middle = np.zeros(count, dtype=bool)
+    if count > 2:
+        middle[1:-1] = (steps[:-1] < _LONGEST_S) & (steps[1:] < _LONGEST_S)
+    if certain is not None:
+        middle &= certain
+    if middle.sum() < _FEWEST_FRAMES:
+        return None
+    kept = np.flatnonzero(middle)
+    middle[:] = False
+    middle[kept[:: max(1, len(kept) // _ENOUGH_FRAMES)]] = True
+    of_frame = np.repeat(np.arange(count), np.diff(exposures.start))
+    chosen = middle[of_frame]
+    frame, points, pixels = of_frame[chosen], exposures.points[chosen], exposures.pixels[chosen]
+    residual, by_pose, by_cause, seen = _linearised(poses, camera, target, _Corners(frame, points, pixels))
+    weight = seen.astype(np.float64)
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(frame) > 0]))
+    solution, covariance, free, left = np.zeros(8), np.zeros((8, 8)), residual, residual
+    for _ in range(_ROUNDS):
+        left = _without_poses(residual[:, :, None], by_pose, weight, starts, frame)[:, :, 0]
+        causes = _without_poses(by_cause, by_pose, weight, starts, frame)
+        solution, covariance = _solved(causes, left, weight)
+        free = left - causes @ solution
+        size = np.linalg.norm(free, axis=1)
+        usual = float(np.median(size[weight > 0])) / np.sqrt(2 * np.log(2))
+        weight = (seen & (size < _ROBUST * usual * np.sqrt(2))).astype(np.float64)
+    used = weight > 0
+    sigma = np.sqrt(np.diag(covariance) * (free[used] ** 2).mean())
+    border = _border(pixels[used], camera)
+    grid = target.kind == "aprilgrid"
+    return LensFit(
+        focal=solution[_FOCAL],
+        principal_px=solution[_PRINCIPAL],
+        border_px=float(border @ solution[_RADIAL]),
+        border_sigma_px=float(np.sqrt(border @ covariance[_RADIAL, _RADIAL] @ border * (free[used] ** 2).mean())),
+        line_delay_s=float(solution[_DELAY]),
+        line_delay_sigma_s=float(sigma[_DELAY]),
+        tag_spacing=(target.tag_spacing + float(solution[_GAP])) if grid else float("nan"),
+        tag_spacing_sigma=float(sigma[_GAP]) if grid else float("nan"),
+        rms_px=float(np.sqrt((left[used] ** 2).mean())),
+        rms_free_px=float(np.sqrt((free[used] ** 2).mean())),
+    )
+
+
+class _Corners(NamedTuple):
+    """Corners: index of their frames (m,), points of the board (m, 3), pixels (m, 2)."""
+
+    frame: np.ndarray
+    points: Floats
+    pixels: Floats
+
+
+def _linearised(
+    poses: BoardPoses, camera: Camera, target: Target, corners: _Corners
+) -> tuple[Floats, Floats, Floats, Booleans]:
+    """Return residuals (m, 2), their derivatives by pose (m, 2, 6) and causes (m, 2, 8), and which mean anything."""
+    frame, points, pixels = corners
+    R, p = poses.R_cam_target, poses.p_cam_target
+
+    def placed(k: np.ndarray) -> Floats:
+        return np.einsum("nij,nj->ni", R[k], points) + p[k]
+
+    turned = np.einsum("nij,nj->ni", R[frame], points)
+    here = camera.project(turned + p[frame])
+    before, after = (camera.project(placed(frame + step), point_jacobian=False) for step in (-1, 1))
+    velocity = (after.pixels - before.pixels) / (poses.t_s[frame + 1] - poses.t_s[frame - 1])[:, None]
+    assert here.by_point is not None
+    by_pose = np.concatenate([-here.by_point @ skew(turned), here.by_point], axis=2)
+    # Where corners should be, not where they were found: their noise would explain itself.
+    off = np.nan_to_num(here.pixels) - camera.intrinsics[-2:]
+    scaled = (off**2).sum(axis=1, keepdims=True) / _radius2(camera)
+    by_cause = np.zeros((len(points), 2, 8))
+    by_cause[:, 0, 0], by_cause[:, 1, 1] = off[:, 0], off[:, 1]
+    by_cause[:, 0, 2] = by_cause[:, 1, 3] = 1.0
+    by_cause[:, :, 4], by_cause[:, :, 5] = off * scaled, off * scaled**2
+    by_cause[:, :, 6] = velocity * np.nan_to_num(here.pixels[:, 1:])
+    if target.kind == "aprilgrid":
+        wider = np.floor_divide(points, target.tag_size_m * (1 + target.tag_spacing) * (1 - 1e-9)) * target.tag_size_m
+        wider[:, 2] = 0.0
+        by_cause[:, :, 7] = np.einsum("nij,njk,nk->ni", here.by_point, R[frame], wider)
+    finite = np.logical_and.reduce(np.isfinite(np.column_stack([here.pixels, velocity])), axis=1)
+    stated = here.pixels + camera.line_delay_s * by_cause[:, :, _DELAY]
+    residual = np.where(finite[:, None], pixels - stated, 0.0)
+    return (
+        residual,
+        np.where(finite[:, None, None], by_pose, 0.0),
+        np.where(finite[:, None, None], by_cause, 0.0),
+        finite,
+    )
+
+
+def _radius2(camera: Camera) -> float:
+    return float((np.array(camera.resolution) ** 2).sum()) / 4
+
+
+def _without_poses(sides: Floats, by_pose: Floats, weight: Floats, starts: np.ndarray, frame: np.ndarray) -> Floats:
+    """Return columns (m, 2, k) less what the poses of their frames can do."""
+    weighted = by_pose * weight[:, None, None]
+    gram = np.add.reduceat(np.swapaxes(weighted, 1, 2) @ by_pose, starts)
+    right = np.add.reduceat(np.swapaxes(weighted, 1, 2) @ sides, starts)
+    eased = gram + 1e-9 * np.einsum("nii->n", gram)[:, None, None] * np.eye(6) + 1e-12 * np.eye(6)
+    pose = np.linalg.solve(eased, right)
+    return sides - by_pose @ np.repeat(pose, np.diff(np.append(starts, len(frame))), axis=0)
+
+
+def _solved(causes: Floats, left: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the causes' sizes, and their covariance for a residual of one px."""
+    columns, right = causes.reshape(-1, 8), left.reshape(-1)
+    both = np.repeat(weight, 2)
+    gram = columns.T @ (both[:, None] * columns) + np.diag(1 / _PRIOR**2)  # of residuals of a px, which is lenient
+    scale = 1 / np.sqrt(np.diag(gram))
+    inverse = np.linalg.inv(gram * np.outer(scale, scale)) * np.outer(scale, scale)
+    return inverse @ (columns.T @ (both * right)), inverse
+
+
+def _border(pixels: Floats, camera: Camera) -> Floats:
+    """Return how far both radial terms (2,) move what was seen furthest out, a straight stretch taken out [px]."""
+    off = np.linalg.norm(pixels - camera.intrinsics[-2:], axis=1)
+    r = np.linspace(0, float(np.quantile(off, 0.99)), 40)
+    scaled = r**2 / _radius2(camera)
+    bent = np.stack([r * scaled, r * scaled**2])
+    inner = r < 0.6 * r[-1]
+    straight = bent[:, inner] @ r[inner] / (r[inner] @ r[inner])
+    return bent[:, -1] - straight * r[-1]

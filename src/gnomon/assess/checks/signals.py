@@ -1,0 +1,382 @@
+"""The doctor's look at each triad: values, timestamps, vibration."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...detect.samples.repeats import repeated_stretches
+from ...detect.samples.saturation import saturated
+from ...findings import Finding, make_finding
+from ...recording import Floats, Integers, TriadSamples
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
+
+_GAP_PERIODS = 1.5
+_LOST_SHARE = 0.01
+_LONG_GAP_S = 0.1
+_JITTER = 0.3  # of a period
+_BURSTS = 1.3  # mean over median step
+_BLOCK = 2048
+_JITTER_SAMPLES = 100_000
+_FINE = 100.0  # steps of the clock in a period
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Steps:
+    """Differences of timestamps [ns] and what is usual among them."""
+
+    dt: Integers
+    period: float
+    spread: float
+
+
+def check_stamps(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return findings on the timestamps of one sensor, or of both where they share timestamps; linear time.
+
+    Parameters
+    ----------
+    samples : at least two
+    label : such as "imu0 accelerometer", for messages
+    """
+    dt = np.diff(samples.t_ns)
+    period = 1e9 / samples.rate_hz
+    if not np.isfinite(period):
+        return [make_finding("time-constant", label=label, samples=len(samples))]
+    spread = 1.4826 * float(np.median(np.abs(dt - period)))
+    steps = _Steps(dt=dt, period=period, spread=spread)
+    gaps = _gaps(samples, steps, label)
+    irregular = [finding for finding in gaps if finding.code == "jitter"]
+    findings = [*_backward(samples, steps, label), *irregular, *_repeated(steps, label)]
+    findings += [] if irregular else gaps
+    findings += _rounded(samples, steps, label)
+    if not any(finding.severity in {"warning", "problem"} for finding in findings):
+        findings.insert(
+            0,
+            make_finding(
+                "rate",
+                label=label,
+                samples=len(samples),
+                duration_s=samples.duration_s,
+                rate_hz=samples.rate_hz,
+                jitter=_jitter(steps),
+            ),
+        )
+    return findings
+
+
+def _jitter(steps: _Steps) -> float:
+    """Return the root mean square of the deviations of steps from the usual one, gaps left out, in periods."""
+    stride = max(1, len(steps.dt) // _JITTER_SAMPLES)
+    off = steps.dt[::stride] / steps.period - 1
+    return float(np.sqrt(np.mean(np.square(off[np.abs(off) < 0.5])))) if len(off) else 0.0
+
+
+def _at(samples: TriadSamples, index: int) -> str:
+    return f"sample {index} ({(samples.t_ns[index] - samples.t_ns[0]) * 1e-9:.3f} s after the start)"
+
+
+def _backward(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    back = np.flatnonzero(steps.dt < 0)
+    if not len(back):
+        return []
+    first = int(back[0])
+    return [
+        make_finding(
+            "time-backward",
+            label=label,
+            count=len(back),
+            plural="s" * (len(back) > 1),
+            step_s=-steps.dt[first] * 1e-9,
+            at=_at(samples, first),
+        )
+    ]
+
+
+def _repeated(steps: _Steps, label: str) -> list[Finding]:
+    count = int(np.count_nonzero(steps.dt == 0))
+    if not count:
+        return []
+    share = count / len(steps.dt)
+    rare = share <= _LOST_SHARE
+    return [
+        make_finding(
+            "time-repeated",
+            severity="info" if rare else "warning",
+            case="rare" if rare else "",
+            label=label,
+            count=count,
+            share=share,
+        )
+    ]
+
+
+def _gaps(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    mean = (samples.t_ns[-1] - samples.t_ns[0]) / (len(samples) - 1)
+    limit = _GAP_PERIODS * steps.period + 3 * steps.spread
+    gaps = np.flatnonzero(steps.dt > limit)
+    irregular = steps.spread > _JITTER * steps.period or (
+        mean > _BURSTS * steps.period and len(gaps) > _LOST_SHARE * len(samples)
+    )
+    if irregular:
+        return [
+            make_finding(
+                "jitter",
+                label=label,
+                period_ms=steps.period * 1e-6,
+                mean_ms=mean * 1e-6,
+                longest_ms=steps.dt.max() * 1e-6,
+            )
+        ]
+    if not len(gaps):
+        return []
+    longest = int(gaps[np.argmax(steps.dt[gaps])])
+    lost = int(np.rint(steps.dt[gaps] / steps.period - 1).sum())
+    length_s = float(steps.dt[longest]) * 1e-9
+    severe = length_s > _LONG_GAP_S or lost > _LOST_SHARE * len(samples)
+    return [
+        make_finding(
+            "gaps",
+            severity="warning" if severe else "info",
+            case="severe" if severe else "",
+            label=label,
+            count=len(gaps),
+            plural="s" * (len(gaps) > 1),
+            lost=lost,
+            length_s=length_s,
+            at=_at(samples, longest),
+        )
+    ]
+
+
+def _rounded(samples: TriadSamples, steps: _Steps, label: str) -> list[Finding]:
+    """Find the step of the clock; text often keeps few digits of late timestamps, so blocks are looked at apart."""
+    starts = np.linspace(0, max(0, len(steps.dt) - _BLOCK), 8).astype(np.int64)
+    blocks = [np.unique(steps.dt[a : a + _BLOCK]) for a in starts]
+    # Steps that are all equal say nothing about the clock.
+    quantum = max((int(np.gcd.reduce(block)) for block in blocks if len(block) > 1), default=0)
+    steps_of_clock = steps.period / max(quantum, 1)
+    if quantum == 0 or steps_of_clock > _FINE:
+        return []
+    return [make_finding("time-rounded", label=label, quantum_ms=quantum * 1e-6, percent=100 / steps_of_clock)]
+
+
+_SLOWEST_HZ = 30.0  # hands tremble at up to 12 Hz, and shake at up to 20
+_PART_S = 2.0
+_AROUND = 12  # bins on each side in which a line is compared
+_ABOVE = 30.0  # times the power of what surrounds it
+_LOUD = 3.0  # times the white noise, rms
+_LEAST_M_S2, _LEAST_RAD_S = 0.1, 5e-3
+
+
+def check_vibration(accelerometer: TriadSamples, gyroscope: TriadSamples, name: str) -> list[Finding]:
+    """Return a finding on vibration (code vibration), where there is much of it.
+
+    Parameters
+    ----------
+    accelerometer, gyroscope : of one IMU, timestamps not falling
+    name : of the IMU
+    """
+    found = (
+        _line(accelerometer, ACCELEROMETER_UNITS_M_S2, _LEAST_M_S2),
+        _line(gyroscope, GYROSCOPE_UNITS_RAD_S, _LEAST_RAD_S),
+    )
+    known = [line for line in found if line is not None]
+    if not known:
+        return []
+    hz = known[0][0]
+    sizes = [
+        f"{line[1]:.2g} {unit} (rms) in the {triad}"
+        for line, unit, triad in zip(found, ("m/s^2", "rad/s"), ("accelerometer", "gyroscope"), strict=True)
+        if line is not None
+    ]
+    return [make_finding("vibration", name=name, hz=hz, sizes=" and ".join(sizes))]
+
+
+def _line(samples: TriadSamples, units: dict[str, float | None], least: float) -> tuple[float, float] | None:
+    """Return frequency [Hz] and rms [SI] of the strongest line over all axes; None where there is none."""
+    rate, factor = samples.rate_hz, units.get(samples.unit)
+    if not (np.isfinite(rate) and rate > 2.5 * _SLOWEST_HZ) or factor is None:
+        return None
+    spectrum = _spectrum(samples.values * factor, rate)
+    if spectrum is None:
+        return None
+    hz, density = spectrum  # one-sided, summed over the axes
+    fast = np.flatnonzero((hz > _SLOWEST_HZ) & (hz < 0.49 * rate))
+    if len(fast) < 3 * _AROUND:
+        return None
+    top = int(fast[np.argmax(density[fast])])
+    around = density[np.r_[max(top - _AROUND, fast[0]) : top - 2, top + 3 : min(top + _AROUND, fast[-1])]]
+    power = float(density[max(top - 2, 0) : top + 3].sum() * (hz[1] - hz[0]))
+    usual = float(np.median(density[fast]))
+    white = np.sqrt(usual * rate / 2)
+    loud = np.sqrt(power) > max(least, _LOUD * white)
+    if not loud or density[top] < _ABOVE * float(np.median(around)):
+        return None
+    return float(hz[top]), float(np.sqrt(power))
+
+
+def _spectrum(values: Floats, rate_hz: float) -> tuple[Floats, Floats] | None:
+    """Return frequencies and the power density summed over the axes, by Welch's method: medians over parts."""
+    size = round(_PART_S * rate_hz)
+    parts = len(values) // size
+    if parts < 4 or size < 64:
+        return None
+    cut = values[: parts * size].reshape(parts, size, 3)
+    window = np.hanning(size)[:, None]
+    power = np.abs(np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
+    density = 2 * np.median(power, axis=0).sum(axis=1) / (rate_hz * float((window**2).sum()))
+    return np.asarray(np.fft.rfftfreq(size, 1 / rate_hz), dtype=np.float64), np.asarray(density, dtype=np.float64)
+
+
+_STUCK_S = 0.25
+_SILENT = 8.0  # noise levels; white noise alone stays below 6 in 10 million samples
+_NOISE_SAMPLES = 10_000
+_MUCH_REPEATED = 0.02  # of all samples
+
+
+def extremes(values: Floats) -> tuple[Floats, Floats]:
+    """Return the smallest and the largest value of each axis, (3,) each; column by column, which is fast."""
+    columns = [values[:, axis] for axis in range(3)]
+    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+
+
+def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return findings on the values of one sensor; linear time."""
+    low, high = extremes(samples.values)
+    still = low == high
+    if still.all():
+        return [
+            make_finding(
+                "signal-constant",
+                label=label,
+                samples=len(samples),
+                value=samples.values[0].tolist(),
+                unit=samples.unit,
+            )
+        ]
+    findings: list[Finding] = []
+    if still.any():
+        axes = " and ".join("xyz"[axis] for axis in np.flatnonzero(still))
+        findings.append(make_finding("axis-constant", label=label, axes=axes))
+    findings += _saturation(samples, label)
+    findings += _stuck(samples, label)
+    findings += check_repeats(samples, label)
+    return findings
+
+
+def check_repeats(samples: TriadSamples, label: str) -> list[Finding]:
+    """Return a finding where stretches of samples occur twice, bit by bit; nothing where none does."""
+    repeats = repeated_stretches(samples.values)
+    copies = np.zeros(len(samples), dtype=bool)
+    for repeat in repeats:
+        copies[repeat.second : repeat.second_stop] = True
+    share = float(copies.mean()) if repeats else 0.0
+    if not repeats:
+        return []
+    t_s, longest = samples.t_s, max(repeats, key=lambda repeat: repeat.second_stop - repeat.second)
+    begin, end = t_s[longest.second], t_s[longest.second_stop - 1]
+    places = "" if len(repeats) == 1 else f", the longest of {len(repeats)} stretches"
+    return [
+        make_finding(
+            "data-repeated",
+            severity="problem" if share > _MUCH_REPEATED else "warning",
+            label=label,
+            begin=begin,
+            end=end,
+            at_s=t_s[longest.first],
+            share=share,
+            places=places,
+        )
+    ]
+
+
+def copied_stretches(copies: Floats, share: float, label: str) -> list[Finding]:
+    """Return a finding where stretches (k, 2) that begin at a time did so before [s], of samples that were streamed."""
+    if not len(copies):
+        return []
+    return [
+        make_finding(
+            "data-repeated",
+            severity="problem" if share > _MUCH_REPEATED else "warning",
+            label=label,
+            begin=copies[:, 0].min(),
+            end=copies[:, 0].max(),
+            at_s=copies[:, 1].min(),
+            share=share,
+            places="",
+        )
+    ]
+
+
+def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
+    marked = saturated(samples)
+    count = int(np.count_nonzero(marked))
+    if not count:
+        return [make_finding("saturation/none", label=label)]
+    first = int(np.argmax(marked))
+    end = float(np.abs(samples.values[marked]).max())
+    return [
+        make_finding(
+            "saturation/clipped",
+            label=label,
+            end=_end_of_range(end, samples.unit),
+            count=count,
+            percent=100 * count / len(samples),
+            at=_seconds(samples, first),
+        )
+    ]
+
+
+def _end_of_range(value: float, unit: str) -> str:
+    """Return an end of the range as data sheets state it, in deg/s or g, and in the unit of the recording."""
+    turn, push = GYROSCOPE_UNITS_RAD_S.get(unit), ACCELEROMETER_UNITS_M_S2.get(unit)
+    own = f"{value:.5g} {unit}"
+    if turn:
+        return own if unit == "deg/s" else f"{np.degrees(value * turn):.4g} deg/s ({own})"
+    if push:
+        return own if unit == "g" else f"{value * push / STANDARD_GRAVITY_M_S2:.3g} g ({own})"
+    return own
+
+
+def _seconds(samples: TriadSamples, index: int) -> float:
+    return float(samples.t_ns[index] - samples.t_ns[0]) * 1e-9
+
+
+def _stuck(samples: TriadSamples, label: str) -> list[Finding]:
+    """Look for samples that repeat all three axes of the one before: held by the driver, or by a link that hung."""
+    same = [samples.values[1:, axis] == samples.values[:-1, axis] for axis in range(3)]
+    shares = [np.count_nonzero(axis) / len(axis) for axis in same]
+    by_chance = float(np.prod(shares))
+    repeats = same[0] & same[1] & same[2]
+    count = int(np.count_nonzero(repeats))
+    if not count:
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], repeats, [False]])))
+    runs = edges[1::2] - edges[::2]
+    longest, first = int(runs.max()), int(edges[::2][np.argmax(runs)])
+    least = max(5.0, _STUCK_S * samples.rate_hz)
+    # Coarse steps repeat by chance; a run that chance would make less than once in a thousand recordings is none.
+    chance = len(samples) * max(by_chance, 1e-300) ** min(longest, 300)
+    share = count / len(repeats)
+    if longest >= least and chance < 1e-3:
+        return [make_finding("samples-stuck", label=label, count=longest + 1, at=_seconds(samples, first))]
+    # 1 where the axes repeat only together, 0 where each repeats on its own because its steps are coarse.
+    together = (share - by_chance) / max(min(shares) - by_chance, 1e-3)
+    if share > 0.2 and together > 0.5:
+        return [make_finding("samples-repeated", label=label, share=share)]
+    return []
+
+
+def is_silent(samples: TriadSamples) -> bool:
+    """Tell whether a gyroscope shows nothing but noise."""
+    noise = _noise(samples.values)
+    middle = np.median(samples.values[:: max(1, len(samples) // _NOISE_SAMPLES)], axis=0)
+    low, high = extremes(samples.values)
+    peak = np.maximum(high - middle, middle - low)
+    return bool((peak <= _SILENT * noise).all())
+
+
+def _noise(values: Floats) -> Floats:
+    """Return the standard deviation (3,) of white noise with the same changes from sample to sample."""
+    stride = max(1, len(values) // _NOISE_SAMPLES)
+    steps = values[1::stride] - values[:-1:stride]
+    return np.sqrt((steps**2).mean(axis=0) / 2)

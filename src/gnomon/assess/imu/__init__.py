@@ -1,0 +1,1 @@
+"""Verdict, tables and findings of IMUs alone, by rests and rotations, by magnitudes, and of their noise."""

@@ -1,0 +1,172 @@
+"""Biases that stepped, wandered or warmed up while an IMU was recorded: what they did, and which bias is published."""
+
+import numpy as np
+
+from ...estimate.multiposition.model import PARAMETERS
+from ...findings import Finding, make_finding
+from ...recording import Floats
+from ...results.imu_diagnostics import BiasSegments, ImuDiagnostics
+from ..checks.protocol import cluster
+from .imu_tables import ImuEvidence, interval_numbers
+
+_SHOWN = 4  # parts of a recording
+_MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
+_MOSTLY = 0.5  # of a variance
+_SHORT = 5  # static intervals: fewer tell the published bias from little
+
+
+def changes_in_model(evidence: ImuEvidence) -> tuple[str, ...]:
+    """Return what the biases follow in time, such as ("drift", "accelerometer bias steps")."""
+    found: list[str] = []
+    for triad, functions in (
+        ("", evidence.fit.data.of_gyroscope),
+        ("accelerometer ", evidence.fit.data.of_accelerometer),
+    ):
+        if functions.of_kind("walk", "line", "warm-up").any():
+            found.append(f"{triad}drift")
+        if functions.of_kind("step").any():
+            found.append(f"{triad}bias steps")
+    return tuple(found)
+
+
+def drift_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Say how far the biases wandered or warmed up, where they did."""
+    fit, findings = evidence.fit, list[Finding]()
+    for k, triad in enumerate(("gyroscope", "accelerometer")):
+        functions = (fit.data.of_gyroscope, fit.data.of_accelerometer)[k]
+        per_si = _per_si(evidence, triad)
+        smooth = functions.of_kind("walk", "line", "warm-up")
+        if not smooth.any():
+            continue
+        moved = functions.at_rest[:, smooth] @ _coefficients(evidence, k)[smooth] / per_si
+        size = float(np.abs(moved).max())
+        if functions.of_kind("warm-up").any():
+            findings.append(
+                make_finding(
+                    "warm-up",
+                    triad=triad,
+                    moved=_shown(triad, float(np.ptp(moved, axis=0).max())),
+                    warm_up_s=fit.changes[k].warm_up_s,
+                )
+            )
+        elif size > 0:
+            findings.append(make_finding(f"{triad}-drift/imu", moved=_shown(triad, size)))
+    for triad, own in (("gyroscope", slice(21, 24)), ("accelerometer", slice(9, 12))):
+        unseen, sigma = evidence.unseen_sigma[own], np.sqrt(np.diag(evidence.estimate.covariance)[own])
+        if np.any(unseen**2 > _MOSTLY * sigma**2):
+            size = float(np.max(unseen / _per_si(evidence, triad)))
+            findings.append(make_finding("bias-change-possible", triad=triad, size=_shown(triad, size)))
+    return findings
+
+
+def step_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Say when biases stepped, what they were in each part, and which is given; and which rates were left out."""
+    findings = [*_sensor_finding(evidence, diagnostics)]
+    findings += [_step_finding(evidence, one) for one in diagnostics.bias_segments]
+    functions = evidence.fit.data.of_gyroscope
+    alone = functions.of_kind("single")
+    if alone.any():
+        marked = np.zeros(len(evidence.chosen.rests), dtype=bool)
+        marked[evidence.rows] = functions.at_rest[:, alone].any(axis=1)
+        several = int(marked.sum()) > 1
+        findings.append(
+            make_finding(
+                "rates-left-out", plural="s" if several else "", intervals=interval_numbers(marked), count=len(marked)
+            )
+        )
+    return findings
+
+
+def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Say that from some rest on the accelerometer has other scales and axes: another sensor, or another range.
+
+    Where too few rests are left behind a step of the gyroscope's bias to tell, it counts that gravity differs in most.
+    """
+    found = diagnostics.intervals
+    at, severity = evidence.course.sensor, "problem"
+    row = int(np.flatnonzero(evidence.chosen.rests.used)[at]) if at else 0
+    if not row:
+        for segments in diagnostics.bias_segments:
+            for start, stop in zip(segments.start_s, segments.stop_s, strict=True):
+                own = (found.start_s >= start) & (found.stop_s <= stop)
+                if own.any() and np.mean(found.used[own]) < _MOST_USED:
+                    row, severity = max(int(np.argmax(own)), 1), "warning"
+    if not row:
+        return _cluster_finding(evidence, diagnostics)
+    return [
+        make_finding(
+            "sensor-changed/gap",
+            severity="problem" if severity == "problem" else "warning",
+            stop_s=found.stop_s[row - 1],
+            start_s=found.start_s[row],
+            between_s=0.5 * (found.stop_s[row - 1] + found.start_s[row]),
+        )
+    ]
+
+
+def _cluster_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Say that static intervals behind each other do not agree with the others: too few to tell what changed."""
+    rests = diagnostics.intervals
+    usable = np.flatnonzero(evidence.chosen.rests.used)
+    ends = cluster(~rests.used[usable])
+    if ends is None:
+        return []
+    first, last = usable[list(ends)]
+    cuts = [0.5 * float(rests.stop_s[k - 1] + rests.start_s[k]) for k in (first, last + 1) if 0 < k < len(rests.used)]
+    at = " and ".join(f"{cut:.1f} s" for cut in cuts)
+    when = f"between {at}" if len(cuts) > 1 else f"from {at} on" if first else f"until {at}"
+    marked = ~rests.used
+    marked[:first], marked[last + 1 :] = False, False
+    return [
+        make_finding(
+            "sensor-changed/intervals", intervals=interval_numbers(marked), count=len(marked), when=when, at=at
+        )
+    ]
+
+
+def _step_finding(evidence: ImuEvidence, one: BiasSegments) -> Finding:
+    per_si = _per_si(evidence, one.triad)
+    steps = np.diff(one.bias, axis=0) / per_si
+    when = [
+        f"between {stop:.1f} s and {start:.1f} s" if start > stop else f"at {stop:.1f} s, at rest"
+        for stop, start in zip(one.stop_s[:-1], one.start_s[1:], strict=True)
+    ]
+    where = [f"{_shown(one.triad, float(np.abs(step).max()))} {at}" for step, at in zip(steps, when, strict=True)]
+    parts = [
+        f"{one.start_s[k]:.0f} to {one.stop_s[k]:.0f} s: {' '.join(f'{x:.5g}' for x in one.bias[k] / per_si)}"
+        for k in range(len(one.bias))
+    ]
+    unit = "rad/s" if one.triad == "gyroscope" else "m/s^2"
+    more = f"; and {len(where) - _SHOWN} more" if len(where) > _SHOWN else ""
+    t_s = evidence.accelerometer.t_s[evidence.accelerometer.intervals.start]
+    few = int(np.sum(t_s >= one.start_s[one.published])) < _SHORT
+    return make_finding(
+        "bias-step",
+        severity="warning" if few else "info",
+        triad=one.triad,
+        where="; by ".join(where[:_SHOWN]),
+        more=more,
+        case="few" if few else "",
+        unit=unit,
+        parts="; ".join(parts[-_SHOWN:]),
+        short=_SHORT,
+    )
+
+
+def _coefficients(evidence: ImuEvidence, k: int) -> Floats:
+    """Return the coefficients (j, 3) [unit] of the functions of time of the gyroscope (k = 0) or accelerometer (1)."""
+    fit, problem = evidence.fit, evidence.problem
+    count = len(fit.data.of_gyroscope.kind)
+    knots = fit.state.theta[PARAMETERS:].reshape(-1, 3)
+    return (knots[:count] * problem.gyroscope.spread, knots[count:] * problem.accelerometer.spread)[k]
+
+
+def _per_si(evidence: ImuEvidence, triad: str) -> Floats:
+    """Return what one rad/s or m/s^2 reads on each axis, (3,) [unit]."""
+    return np.linalg.norm(getattr(evidence.estimate, f"{triad}_sensitivity"), axis=1)
+
+
+def _shown(triad: str, size: float) -> str:
+    if triad == "gyroscope":
+        return f"{1e3 * size:.2g} mrad/s ({np.degrees(size):.2g} deg/s)"
+    return f"{1e3 * size:.2g} mm/s^2"

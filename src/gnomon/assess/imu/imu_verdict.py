@@ -1,0 +1,371 @@
+"""Verdict and advice on an IMU calibration: what to trust, what to do next."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...estimate.multiposition.model import B_, BG_, CG_, G_, LOWER, S_
+from ...estimate.multiposition.noise_levels import rotation_variance
+from ...estimate.multiposition.scaling import ImuEstimate
+from ...findings import Finding, make_finding
+from ...recording import Floats
+from ...results.calibration import Assessment, Gravity, Holdout
+from ...results.imu_diagnostics import ImuDiagnostics
+from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from ..checks.protocol import left_out_findings as rests_left_out
+from ..verdict import (
+    bias_findings,
+    grade,
+    gravity_findings,
+    merge_by_cause,
+    model_incomplete,
+    most_severe,
+    parts_disagree,
+    trust_note,
+    verdict_of,
+)
+from ..weak_findings import weak_findings
+from .bias_steps import changes_in_model, drift_findings, step_findings
+from .imu_tables import ImuEvidence, interval_numbers
+
+_TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
+_REST_S = 2.0
+_MOST_TOUCHED = 0.3  # of the intervals: more are unsteady throughout
+
+
+def touched_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Name intervals that are a small part of their rest, as the most generous threshold sees it (interval-touched)."""
+    chosen = evidence.chosen.intervals
+    generous = max(evidence.trials, key=lambda trial: trial.multiplier).intervals
+    t_s = evidence.accelerometer.t_s
+    start, stop = t_s[chosen.start], t_s[chosen.stop - 1]
+    rest_start, rest_stop = t_s[generous.start], t_s[generous.stop - 1]
+    share = np.ones(len(chosen))
+    length = np.zeros(len(chosen))
+    for k in range(len(chosen)):
+        around = np.flatnonzero((rest_start < stop[k]) & (rest_stop > start[k]))
+        if len(around) == 1:
+            rest = int(around[0])
+            length[k] = rest_stop[rest] - rest_start[rest]
+            share[k] = (stop[k] - start[k]) / max(length[k], 1e-9)
+    touched = (share < _TOUCHED) & (length > _REST_S)
+    if not touched.any() or np.median(share) < _WHOLE or touched.mean() > _MOST_TOUCHED:
+        return []
+    worst = int(np.argmin(np.where(touched, share, np.inf)))
+    several = int(touched.sum()) > 1
+    numbers = f"{interval_numbers(evidence.marked(touched))} of {len(evidence.chosen.rests)}"
+    return [
+        make_finding(
+            "interval-touched",
+            plural="s" if several else "",
+            numbers=numbers,
+            verb="were" if several else "was",
+            length_s=length[worst],
+            t_s=t_s[generous.start][(rest_start < stop[worst]) & (rest_stop > start[worst])][0],
+            share=share[worst],
+        )
+    ]
+
+
+_BEYOND_NOISE = 3.0  # times the noise; healthy recordings of cheap sensors reach two
+_ROTATION_WARN_RAD = 3e-3  # what general use needs of a gyroscope's axes
+
+
+def rotation_scatter(evidence: ImuEvidence) -> list[Finding]:
+    """Say that rotations end further from the measured gravity than the gyroscope's noise at rest explains."""
+    fit = evidence.fit
+    if not fit.rotation_used.any():
+        return []
+    noise = float(np.sqrt(np.median(rotation_variance(fit.data, fit.state)[fit.rotation_used])))
+    extra = float(np.sqrt(fit.extra.rotation))
+    if extra <= _BEYOND_NOISE * noise:
+        return []
+    return [
+        make_finding(
+            "beyond-noise/rotations",
+            severity="warning" if extra > _ROTATION_WARN_RAD else "info",
+            extra=extra,
+            ratio=extra / noise,
+            noise=noise,
+        )
+    ]
+
+
+_AXES = "xyz"
+_TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit
+_UNIT_FACTOR = 1.5
+
+
+def assess(
+    noticed: tuple[Finding, ...],
+    evidence: ImuEvidence,
+    diagnostics: ImuDiagnostics,
+    gravity: Gravity,
+) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    noticed : what the data doctor found; what was fine is not repeated
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    gravity : what was taken for gravity
+    """
+    chosen = next(trial for trial in diagnostics.trials if trial.chosen)
+    holdout = Holdout(accelerometer_rms=chosen.accelerometer_rms, rotation_rms=chosen.rotation_rms)
+    findings = [
+        *(_weighed(f, diagnostics) for f in noticed if f.severity in ("warning", "info") and f.code != _TOLD_AGAIN),
+        *holdout_findings(holdout, gravity.value),
+        *_uncertainty_findings(evidence, gravity),
+        *_observability_findings(evidence),
+        *axis_findings(evidence.estimate.gyroscope_sensitivity),
+        *unit_findings(evidence.estimate, evidence.accelerometer_unit, evidence.gyroscope_unit),
+        *left_out_findings(diagnostics),
+        *touched_findings(evidence),
+        *gravity_findings(gravity),
+        *_model_findings(evidence, diagnostics),
+        *drift_findings(evidence),
+        *step_findings(evidence, diagnostics),
+        *bias_findings(evidence.instabilities, _unit_per_si(evidence.estimate)),
+        *rotation_scatter(evidence),
+        *model_incomplete(evidence.trust),
+        *parts_disagree(evidence.trust.splits),
+        *_allan_findings(diagnostics),
+        *convergence_findings(evidence.fit.converged, evidence.fit.iterations),
+    ]
+    ordered = merge_by_cause(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        holdout=holdout,
+        intervals_found=len(diagnostics.intervals.used),
+        intervals_used=int(diagnostics.intervals.used.sum()),
+        rotations_found=len(diagnostics.rotations.used),
+        rotations_used=int(diagnostics.rotations.used.sum()),
+        model=chosen.model,
+        held_by_prior=_held_names(evidence.fit.held_by_prior),
+        trust=replace(
+            trust_note(evidence.trust),
+            added=changes_in_model(evidence),
+            tries=len(evidence.trust.models),
+        ),
+    )
+
+
+def _unit_per_si(estimate: ImuEstimate) -> dict[str, float]:
+    sensitivities = {"accelerometer": estimate.accelerometer_sensitivity, "gyroscope": estimate.gyroscope_sensitivity}
+    return {triad: float(np.abs(np.linalg.det(matrix))) ** (1 / 3) for triad, matrix in sensitivities.items()}
+
+
+def _weighed(finding: Finding, diagnostics: ImuDiagnostics) -> Finding:
+    """Return what the doctor found; saturation that cost no rotation is no reason to warn."""
+    harmless = finding.code == "saturation" and not any("saturated" in why for why in diagnostics.rotations.reason)
+    if not harmless:
+        return finding
+    return replace(
+        finding, severity="info", consequence="No rotation between static intervals is touched by it.", cure=""
+    )
+
+
+def convergence_findings(converged: bool, iterations: int | None = None) -> list[Finding]:
+    """Say that the fit did not settle, and within how many steps where that is known; nothing if it did."""
+    if converged:
+        return []
+    within = "" if iterations is None else f" within {iterations} steps"
+    return [make_finding("not-converged/imu", within=within)]
+
+
+def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
+    """Judge the errors on data that the fit had not seen."""
+    still = grade("held-out gravity", holdout.accelerometer_rms, gravity_m_s2)
+    turned = grade("held-out rotation", holdout.rotation_rms)
+    return [
+        make_finding("holdout-accelerometer/imu", severity=still, accelerometer_rms=holdout.accelerometer_rms),
+        make_finding("holdout-rotation", severity=turned, rotation_rms=holdout.rotation_rms),
+    ]
+
+
+def _relative_sigmas(evidence: ImuEvidence, gravity: Gravity) -> tuple[float, float, float, float]:
+    """Return the largest sigmas of the accelerometer's scales (gravity apart) and angles, then the gyroscope's."""
+    estimate = evidence.estimate
+    sigmas = np.sqrt(np.diag(estimate.covariance))
+    a, g = estimate.accelerometer_sensitivity, estimate.gyroscope_sensitivity
+    by_a = sigmas[:9].reshape(3, 3) / np.linalg.norm(a, axis=1)[:, None]
+    by_g = sigmas[12:21].reshape(3, 3) / np.linalg.norm(g, axis=1)[:, None]
+    scale_a = np.sqrt(np.maximum(np.diag(by_a) ** 2 - (gravity.sigma / gravity.value) ** 2, 0))
+    off = ~np.eye(3, dtype=bool)
+    return float(scale_a.max()), float(by_a[off].max()), float(np.diag(by_g).max()), float(by_g[off].max())
+
+
+def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Finding]:
+    scale_a, angle_a, scale_g, angle_g = _relative_sigmas(evidence, gravity)
+    rows = (
+        ("accelerometer", scale_a, angle_a, missing_attitude(evidence)),
+        ("gyroscope", scale_g, angle_g, _missing_rotation(evidence)),
+    )
+    findings: list[Finding] = []
+    for triad, scale, angle, cure in rows:
+        severity = most_severe(grade("scale", scale), grade("axes", angle))
+        findings.append(
+            make_finding(f"uncertainty-{triad}/imu", severity=severity, scale=scale, angle=angle, cure=cure)
+        )
+    return findings
+
+
+def missing_attitude(evidence: ImuEvidence) -> str:
+    """Name the attitude that would lower the accelerometer's uncertainty most."""
+    free = slice(0, 9)
+    covariance = evidence.fit.covariance[free, free]
+    inverse = np.linalg.inv(evidence.fit.state.matrices[0])
+    candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+    u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
+    pull = u @ inverse  # derivative of |f| by the measurement
+    rows = np.empty((len(u), 9))
+    for column, (i, j) in enumerate(zip(*LOWER, strict=True)):
+        rows[:, column] = -pull[:, i] * u[:, j]
+    rows[:, 6:] = -pull
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    gain = np.sum((rows @ covariance / scale) ** 2, axis=1) / (
+        np.einsum("ij,jk,ik->i", rows, covariance, rows) + np.median(np.diag(covariance))
+    )
+    best = candidates[np.argmax(gain)]
+    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip(_AXES, best, strict=True) if value]
+    return f"Add static intervals with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
+
+
+def _missing_rotation(evidence: ImuEvidence) -> str:
+    """Name the axis about which the sensor was turned too little."""
+    sigmas = np.sqrt(np.diag(evidence.fit.covariance)[CG_]).reshape(3, 3)
+    worst = int(np.argmax(np.linalg.norm(sigmas, axis=0)))
+    return f"Turn the sensor about its {_AXES[worst]} axis more often, with that axis level, by a quarter turn or more."
+
+
+def _held_names(held: np.ndarray) -> tuple[str, ...]:
+    """Return the YAML paths of scalars that only the prior holds."""
+    names = [f"imu0.accelerometer.sensitivity[{i},{j}]" for i, j in zip(*LOWER, strict=True)]
+    names += [f"imu0.accelerometer.bias[{i}]" for i in range(3)]
+    names += [f"imu0.gyroscope.sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    names += [f"imu0.gyroscope.bias[{i}]" for i in range(3)]
+    names += [f"imu0.gyroscope.g_sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    return tuple(name for name, flag in zip(names, held, strict=True) if flag)
+
+
+def _observability_findings(evidence: ImuEvidence) -> list[Finding]:
+    """Say what the recording does not determine: in words of motions, and what is left over by its name."""
+    weak = evidence.trust.weak
+    held = evidence.fit.held_by_prior
+    said = " ".join(one.words for one in weak if one.held)
+    groups = (
+        ("the accelerometer's scales and axes", "accelerometer", S_, missing_attitude(evidence)),
+        ("the accelerometer's bias", "accelerometer", B_, missing_attitude(evidence)),
+        ("the gyroscope's scales and axes", "axes of the gyroscope", CG_, _missing_rotation(evidence)),
+        ("the gyroscope's bias", "-", BG_, "Hold the sensor still for longer."),
+        ("the gyroscope's g-sensitivity", "g-sensitivity", G_, missing_attitude(evidence)),
+    )
+    return weak_findings(weak, with_camera=False) + [
+        make_finding("not-observable/imu", count=int(held[part].sum()), what=what, cure=cure)
+        for what, word, part, cure in groups
+        if held[part].any() and word not in said
+    ]
+
+
+def axis_findings(sensitivity: Floats) -> list[Finding]:
+    """Name gyroscope axes that do not point along the accelerometer's: swapped columns, wrong signs, a left hand.
+
+    Gravity shows neither the sign nor the hand of the accelerometer's axes; they are taken as recorded.
+    """
+    share = sensitivity / np.linalg.norm(sensitivity, axis=1, keepdims=True)
+    along = np.argmax(np.abs(share), axis=1)
+    sign = np.sign(share[np.arange(3), along])
+    if np.array_equal(along, np.arange(3)) and (sign > 0).all():
+        return []
+    words = [f"{_AXES[i]} measures about {'-' if sign[i] < 0 else '+'}{_AXES[along[i]]}" for i in range(3)]
+    hand = "right-handed" if np.linalg.det(sensitivity) > 0 else "left-handed"
+    flipped = [_AXES[i] for i in range(3) if sign[i] < 0 and along[i] == i]
+    guess = "Check the order of the columns (--columns) and the signs of both sensors."
+    if np.array_equal(along, np.arange(3)) and len(flipped) == 1:
+        guess = f"Most likely the sign of gyroscope {flipped[0]} is flipped."
+    elif np.array_equal(along, np.arange(3)) and len(flipped) == 2:
+        other = next(a for a in _AXES if a not in flipped)
+        guess = (
+            f"Most likely the sign of accelerometer {other} is flipped, or those of gyroscope {' and '.join(flipped)}."
+        )
+    elif np.array_equal(along, np.arange(3)):
+        guess = "Most likely all signs of the gyroscope are flipped."
+    return [make_finding("axes-differ/imu", words=", ".join(words), hand=hand, guess=guess)]
+
+
+def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit: str) -> list[Finding]:
+    """Warn where a triad's scales are far from what its unit says; counts say nothing."""
+    rows = (
+        ("accelerometer", accelerometer_unit, estimate.accelerometer_sensitivity, ACCELEROMETER_UNITS_M_S2),
+        ("gyroscope", gyroscope_unit, estimate.gyroscope_sensitivity, GYROSCOPE_UNITS_RAD_S),
+    )
+    findings: list[Finding] = []
+    for triad, unit, sensitivity, table in rows:
+        nominal = table.get(unit)
+        ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
+        if not 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR and np.isfinite(ratio):
+            others = [name for name, size in table.items() if size and 0.8 < ratio / (nominal or 1) * size < 1.25]
+            fits = f" Its values look like {others[0]}." if others else ""
+            if triad == "gyroscope" and not others:
+                fits = f" So they would be if the sample rate were {ratio:.3g} times what the timestamps say."
+            findings.append(
+                make_finding(
+                    "unit/far",
+                    triad=triad,
+                    ratio=ratio,
+                    unit=unit,
+                    fits=fits,
+                    case="rate" if triad == "gyroscope" and not others else "",
+                )
+            )
+    return findings
+
+
+def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
+    """Name intervals and rotations that were not used."""
+    findings: list[Finding] = []
+    intervals, rotations = diagnostics.intervals, diagnostics.rotations
+    findings += rests_left_out(intervals.start_s, intervals.stop_s, intervals.reason)
+    if len(rotations.used) and not rotations.used.all():
+        out = int((~rotations.used).sum())
+        reasons = sorted({why for why in rotations.reason if why})
+        findings.append(
+            make_finding(
+                "rotations-left-out",
+                severity="warning" if out > 0.1 * len(rotations.used) else "info",
+                out=out,
+                rotations=len(rotations.used),
+                reasons="; ".join(reasons[:3]),
+            )
+        )
+    return findings
+
+
+def _model_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+    step = next((step for step in evidence.trust.models if step.name == "g-sensitivity"), None)
+    if step is None:
+        return []
+    by_name = {trial.model: trial for trial in diagnostics.trials}
+    basic, full = by_name["basic"], by_name["g-sensitivity"]
+    how = "as stated" if step.forced else "chosen"
+    return [
+        make_finding(
+            "model",
+            model=full.model if step.used else basic.model,
+            how=how,
+            gain=step.gain,
+            needed=step.needed,
+            full_rms=full.rotation_rms,
+            basic_rms=basic.rotation_rms,
+        )
+    ]
+
+
+def _allan_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
+    allan = diagnostics.allan
+    if allan is None or not np.isfinite(allan.t_init_s):
+        held = float(diagnostics.intervals.stop_s[0] - diagnostics.intervals.start_s[0])
+        return [make_finding("t-init/short", held=held)]
+    return [make_finding("t-init/unknown", t_init_s=allan.t_init_s, static_s=allan.static_s)]

@@ -1,0 +1,319 @@
+"""Verdict and advice on a magnetometer's calibration: what to trust, what to do next."""
+
+import numpy as np
+
+from ...estimate.triads.blocks import FEWEST_BLOCKS
+from ...findings import Finding, Severity, make_finding
+from ...recording import Floats
+from ...results.calibration import Assessment, Holdout
+from ...units import MAGNETOMETER_UNITS_UT
+from ..prior_findings import prior_findings
+from ..priors import NAMES, TRIADS, Evidence
+from ..verdict import bias_findings, grade, merge_by_cause, parts_disagree, trust_note, verdict_of
+from .imu_verdict import convergence_findings
+from .magnetometer_tables import FieldEvidence, Strays, strays
+
+_MAGNETOMETER_HANDEDNESS_SIGNIFICANT = 4.0  # sigmas
+_LEAST_DIP_DEG = 3.0
+_TELLING_LATITUDE_DEG = 20.0
+"""Farther from the equator than this the field dips as on that hemisphere everywhere on Earth."""
+_OFF_DEG = 5.0
+
+
+def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
+    """Compare the dip with the stated one, or with that of the stated latitude; say where neither is known."""
+    if evidence.dip is None or evidence.imu.accelerometer is None:
+        return []
+    found, sigma = np.degrees(evidence.dip.dip_rad), np.degrees(evidence.dip_sigma_rad)
+    stated, latitude = evidence.stated_dip_deg, evidence.latitude_deg
+    telling = abs(found) > max(_LEAST_DIP_DEG, _MAGNETOMETER_HANDEDNESS_SIGNIFICANT * sigma)
+    if stated is not None and abs(stated) > _LEAST_DIP_DEG:
+        expected, by = float(np.sign(stated)), f"the stated dip, {stated:g} deg"
+    elif latitude is not None and abs(latitude) >= _TELLING_LATITUDE_DEG:
+        expected, by = float(np.sign(latitude)), f"latitude {latitude:g} deg"
+    else:
+        return [_unchecked(found, near_equator=stated is None and latitude is not None)]
+    if not telling:
+        return [_unchecked(found, near_equator=True)]
+    if np.sign(found) != expected:
+        return [make_finding("magnetometer-handedness/good", found=found, by=by)]
+    checked = make_finding("magnetometer-handedness/wrong", by=by)
+    if stated is None or abs(found - stated) <= max(_OFF_DEG, _MAGNETOMETER_HANDEDNESS_SIGNIFICANT * sigma):
+        return [checked]
+    return [
+        checked,
+        make_finding("magnetometer-dip", found=found, sigma=sigma, stated=stated),
+    ]
+
+
+def _unchecked(found_deg: float, *, near_equator: bool) -> Finding:
+    hemisphere = "north" if found_deg > 0 else "south"
+    why = "there the sign of the dip tells nothing" if near_equator else "neither --dip nor --latitude was stated"
+    return make_finding(
+        "magnetometer-handedness/unchecked",
+        case="near-equator" if near_equator else "",
+        why=why,
+        found_deg=found_deg,
+        hemisphere=hemisphere,
+    )
+
+
+_COVER_RAD, _COVER_POINTS = np.radians(20.0), 200
+_COVER_WARN = 0.7
+_ALIGNED_WARN_RAD = 0.02
+_EARTH_UT = (22.0, 67.0)
+_STRAY_WARN = 0.1
+_MOST_NAMED = 5
+_SIGNIFICANT = 4.0  # sigmas of a sum of squares
+
+
+def assess_field(
+    noticed: tuple[Finding, ...], evidence: FieldEvidence, known: Evidence, beside_accelerometer: bool
+) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    noticed : what was found while the recording was checked
+    evidence : what the calibration was made of
+    known : what was known beforehand
+    beside_accelerometer : whether there was an accelerometer that could be used
+    """
+    fit = evidence.fit
+    found = strays(evidence)
+    findings = [
+        *noticed,
+        *_holdout_findings(evidence),
+        *_uncertainty_findings(evidence),
+        *_coverage_findings(evidence),
+        *_stray_findings(evidence, found),
+        *_correlation_findings(evidence),
+        *_strength_findings(evidence),
+        *_alignment_findings(evidence, beside_accelerometer),
+        *handedness_findings(evidence),
+        *_left_out_findings(evidence),
+        *_held_findings(evidence),
+        *_prior_findings(evidence, known),
+        *parts_disagree(evidence.trust.trust.splits),
+        *bias_findings(evidence.trust.instabilities, {"magnetometer": _unit_per_field(evidence)}),
+        *convergence_findings(fit.iron.converged, fit.iron.iterations),
+    ]
+    ordered = merge_by_cause(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model=fit.model,
+        holdout=Holdout(field_rms=fit.holdout_rms / evidence.strength),
+        intervals_found=len(fit.used),
+        intervals_used=int(fit.used.sum()),
+        held_by_prior=_held(evidence),
+        trust=trust_note(evidence.trust.trust),
+    )
+
+
+def _unit_per_field(evidence: FieldEvidence) -> float:
+    return float(np.abs(np.linalg.det(evidence.fit.iron.sensitivity))) ** (1 / 3) * evidence.strength
+
+
+def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:
+    fit, field = evidence.fit, evidence.strength
+    noise = float(np.sqrt(np.mean((fit.sigma**2 - fit.iron.extra**2)[fit.used]))) / field
+    total = fit.holdout_rms / field
+    unexplained = float(np.sqrt(max(total**2 - noise**2, 0.0)))
+    severity = grade("held-out field", unexplained)
+    return [make_finding("holdout-magnetometer", severity=severity, total=total, noise=noise)]
+
+
+def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
+    sigma = np.sqrt(np.diag(evidence.covariance)[-12:])
+    # A common rotation of all axes is no matter of this; it is judged with the accelerometer.
+    basis = evidence.fit.iron.basis[:9]
+    own = np.sqrt(np.einsum("ij,jk,ik->i", basis, evidence.fit.covariance, basis))
+    by_axis = own.reshape(3, 3) / rows[:, None]
+    scale, angle = float(np.diag(by_axis).max()), float((by_axis - np.diag(np.diag(by_axis))).max())
+    offset = float((sigma[9:] / rows).max()) / evidence.strength
+    severity = grade("magnetometer", max(scale, angle, offset))
+    return [
+        make_finding(
+            "uncertainty-magnetometer",
+            severity=severity,
+            offset=offset,
+            scale=scale,
+            angle=angle,
+            advice=_missing(evidence)[0] or "Record longer, in one place away from iron.",
+        )
+    ]
+
+
+def sphere_points(count: int) -> Floats:
+    """Return points spread evenly over the sphere, (count, 3), by a Fibonacci lattice."""
+    k = np.arange(count)
+    z, longitude = 1 - (2 * k + 1) / count, np.pi * (1 + np.sqrt(5)) * k
+    across = np.sqrt(1 - z * z)
+    return np.column_stack([across * np.cos(longitude), across * np.sin(longitude), z])
+
+
+def coverage(direction: Floats) -> tuple[float, Floats]:
+    """Return which share of the sphere lies within 20 deg of some direction (n, 3), and the emptiest point (3,)."""
+    points = sphere_points(_COVER_POINTS)
+    nearest = np.max(points @ direction.T, axis=1)
+    return float(np.mean(nearest > np.cos(_COVER_RAD))), points[np.argmin(nearest)]
+
+
+def _missing(evidence: FieldEvidence) -> tuple[str, float]:
+    """Return what to do about the largest hole, if there is one, and the share of the sphere that is covered."""
+    share, hole = coverage(evidence.direction[evidence.fit.used])
+    if share > 0.95:
+        return "", share
+    axes = [f"{'-' if value < 0 else ''}{axis}" for axis, value in zip("xyz", hole, strict=True) if abs(value) > 0.5]
+    dip = evidence.dip.dip_rad if evidence.dip is not None else float("nan")
+    where = " (north and steeply down, in the northern hemisphere)" if not np.isfinite(dip) or dip > 0.7 else ""
+    return f"Turn the sensor until {' and '.join(axes)} point{'s' * (len(axes) == 1)} along the field{where}.", share
+
+
+def _coverage_findings(evidence: FieldEvidence) -> list[Finding]:
+    cure, share = _missing(evidence)
+    severity: Severity = "warning" if share < _COVER_WARN else "good"
+    return [make_finding("magnetometer-coverage", severity=severity, share=share, cure=cure)]
+
+
+def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
+    findings: list[Finding] = []
+    if len(found.stretches):
+        named = ", ".join(f"{low:.1f}-{high:.1f} s" for low, high in found.stretches[:_MOST_NAMED])
+        more = f" and {len(found.stretches) - _MOST_NAMED} more" if len(found.stretches) > _MOST_NAMED else ""
+        share = float(np.sum(found.stretches[:, 1] - found.stretches[:, 0])) / float(np.ptp(evidence.t_s))
+        findings.append(
+            make_finding(
+                "magnetometer-disturbed",
+                severity="warning" if share > _STRAY_WARN else "info",
+                named=named,
+                more=more,
+                share=share,
+            )
+        )
+    if found.single:
+        share = found.single / len(evidence.t_s)
+        findings.append(
+            make_finding(
+                "magnetometer-outliers",
+                severity="warning" if share > _STRAY_WARN else "info",
+                case="many" if share > _STRAY_WARN else "",
+                single=found.single,
+                share=share,
+            )
+        )
+    return findings
+
+
+def _correlation_findings(evidence: FieldEvidence) -> list[Finding]:
+    fit = evidence.fit
+    findings = [
+        make_finding(
+            "magnetometer-correlated",
+            severity="info" if fit.sigma_factor > 2 else "good",
+            length_s=fit.blocks.length_s,
+            sigma_factor=fit.sigma_factor,
+        )
+    ]
+    if not fit.blocks.long_enough:
+        findings.append(make_finding("magnetometer-short", fewest_blocks=FEWEST_BLOCKS))
+    return findings
+
+
+def _strength_findings(evidence: FieldEvidence) -> list[Finding]:
+    """Say how strong the field is by the unit of the recording, and whether that can be."""
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    factor = MAGNETOMETER_UNITS_UT.get(evidence.unit)
+    if factor is None:
+        return []
+    scale = float(np.abs(np.linalg.det(magnetometer.sensitivity))) ** (1 / 3)
+    shown = scale * evidence.strength * factor
+    likely = _EARTH_UT[0] < shown < _EARTH_UT[1]
+    stated = "" if evidence.field is None else f"; {evidence.field:.3g} uT was stated"
+    if not likely:
+        return [make_finding("magnetometer-field/implausible", unit=evidence.unit, shown=shown, stated=stated)]
+    return [
+        make_finding(
+            "magnetometer-field/stated",
+            case="field-known" if evidence.field is not None else "",
+            unit=evidence.unit,
+            shown=shown,
+            stated=stated,
+        )
+    ]
+
+
+def _alignment_findings(evidence: FieldEvidence, beside_accelerometer: bool) -> list[Finding]:
+    dip = evidence.dip
+    if not beside_accelerometer:
+        return [make_finding("magnetometer-alone")]
+    if dip is None or evidence.imu.accelerometer is None:
+        return [make_finding("magnetometer-alignment/unknown")]
+    iron = evidence.fit.iron
+    words = f"The field dips by {np.degrees(dip.dip_rad):.2f} +- {np.degrees(evidence.dip_sigma_rad):.2f} deg"
+    sigma = _alignment_sigma(evidence)
+    if iron.in_own_frame:
+        words += f"; the magnetometer's frame is known in that of the accelerometer to {1e3 * sigma:.2g} mrad"
+    severity: Severity = "warning" if sigma > _ALIGNED_WARN_RAD else "info"
+    return [make_finding("magnetometer-alignment/known", severity=severity, words=words)]
+
+
+def _alignment_sigma(evidence: FieldEvidence) -> float:
+    """Return the largest sigma of a direction of the sensitivity, rotation included [rad]."""
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
+    by_axis = np.sqrt(np.diag(evidence.covariance)[-12:-3]).reshape(3, 3) / rows[:, None]
+    return float((by_axis * ~np.eye(3, dtype=bool)).max())
+
+
+def _left_out_findings(evidence: FieldEvidence) -> list[Finding]:
+    """Say how much soft iron the hard-iron model leaves out, where that is no chance."""
+    fit, full = evidence.fit, evidence.rivals.get("full")
+    if fit.model == "full" or full is None:
+        return []
+    count = int(np.any(full.iron.basis[:9] != 0, axis=0).sum())
+    # The common scale belongs to both models.
+    scale = np.linalg.norm(fit.iron.sensitivity) / np.sqrt(3)
+    shape = (full.iron.basis[:9] @ fit.left_out).reshape(3, 3) / scale
+    shape = shape - np.trace(shape) / 3 * np.eye(3)
+    inverse = np.linalg.pinv(full.covariance[:count, :count], rcond=1e-10, hermitian=True)
+    chi_squared = float(fit.left_out[:count] @ inverse @ fit.left_out[:count])
+    if chi_squared < count + _SIGNIFICANT * np.sqrt(2 * count):
+        return []
+    return [make_finding("soft-iron-left-out", shape=np.abs(shape).max())]
+
+
+def _held(evidence: FieldEvidence) -> tuple[str, ...]:
+    at = TRIADS["magnetometer"]
+    held = evidence.fit.iron.held_by_prior
+    return tuple(name for name, flag in zip(NAMES[at.start : at.stop], held, strict=True) if flag)
+
+
+def _held_findings(evidence: FieldEvidence) -> list[Finding]:
+    held = _held(evidence)
+    if not held:
+        return []
+    return [
+        make_finding(
+            "not-observable/magnetometer",
+            count=len(held),
+            advice=_missing(evidence)[0] or "Turn the sensor through all attitudes.",
+        )
+    ]
+
+
+def _prior_findings(evidence: FieldEvidence, known: Evidence) -> list[Finding]:
+    """Compare with the prior where both are in the frame of the result."""
+    values, covariance = np.zeros(len(NAMES)), np.eye(len(NAMES)) * 1e300
+    at, rest = TRIADS["magnetometer"], len(evidence.covariance)
+    magnetometer = evidence.imu.magnetometer
+    assert magnetometer is not None
+    values[at] = np.concatenate([magnetometer.sensitivity.ravel(), magnetometer.bias])
+    covariance[at, at] = evidence.covariance[rest - 12 :, rest - 12 :]
+    return prior_findings(known, values, covariance)

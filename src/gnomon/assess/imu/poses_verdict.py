@@ -1,0 +1,302 @@
+"""Verdict and advice on a calibration from rests: what to trust, what to do next."""
+
+import numpy as np
+
+from ...estimate.triads.angrisano import AngrisanoFit
+from ...estimate.triads.pose_drift import SIGNIFICANT, PoseDrift
+from ...estimate.triads.triad_poses import B_, S_
+from ...findings import Finding, make_finding
+from ...recording import Floats
+from ...results.calibration import AccelerometerCalibration, Assessment, Gravity, Holdout
+from ...results.parameters import element_names
+from ...results.triad_diagnostics import PoseTable, TriadDiagnostics
+from ...units import ACCELEROMETER_UNITS_M_S2
+from ..verdict import grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
+from .imu_tables import rms
+from .pose_tables import PoseEvidence, RestingGyroscope, gyroscope_findings
+from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
+
+_AXES = "xyz"
+_DETERMINED = 9  # attitudes
+_UNIT_FACTOR = 1.5
+_NAMED = 4
+_DRIFT_WARN = 0.03  # m/s^2
+_OPEN, _OPEN_WARN = 0.5, 0.8  # of a usual drift, that the poses do not tell
+_OF_ROTATIONS = {"saturation", "gaps", "static-start", "time-rounded", "jitter", "gyroscope-missing"}
+
+
+def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Assessment:
+    """Judge a calibration of an accelerometer, and of a gyroscope at rest.
+
+    Parameters
+    ----------
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    """
+    record, gyroscope = diagnostics.triads["accelerometer"], evidence.gyroscope
+    table = record.poses
+    holdout = Holdout(accelerometer_rms=_holdout(table), rate_rms=_rate_holdout(gyroscope))
+    findings = [
+        *_noticed(evidence),
+        *_attitude_findings(evidence),
+        *scatter_findings(evidence.fit, record.noise_sigma, evidence.gravity.value, "m/s^2"),
+        *_holdout_findings(holdout.accelerometer_rms, evidence.gravity.value),
+        *_uncertainty_findings(evidence),
+        *_observability_findings(evidence),
+        *_stated_findings(evidence),
+        *_drift_findings(evidence.drift),
+        *_unit_findings(evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
+        *left_out_findings(table, evidence.left_out),
+        *gravity_findings(evidence.gravity),
+        *gyroscope_findings(gyroscope, evidence.no_gyroscope),
+        *triad_trust_findings([(evidence.trust, evidence.fit)]),
+        *_convergence(evidence),
+    ]
+    ordered = merge_by_cause(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model=_model(gyroscope),
+        holdout=holdout,
+        intervals_found=len(table.used) + len(evidence.left_out),
+        intervals_used=int(table.used.sum()),
+        held_by_prior=_held(evidence),
+        trust=trust_note(evidence.trust.trust),
+    )
+
+
+def assess_published(
+    noticed: tuple[Finding, ...],
+    left_out: tuple[tuple[str, str], ...],
+    *,
+    fit: AngrisanoFit,
+    sensor: AccelerometerCalibration,
+    diagnostics: TriadDiagnostics,
+    gravity: Gravity,
+) -> Assessment:
+    """Judge what Angrisano's iteration came to."""
+    table = diagnostics.triads["accelerometer"].poses
+    holdout = Holdout(accelerometer_rms=_holdout(table))
+    findings = [
+        *(finding for finding in noticed if finding.severity != "good"),
+        _iteration_finding(fit),
+        *(_holdout_findings(holdout.accelerometer_rms, gravity.value) if fit.converged else ()),
+        *_unit_findings(sensor.sensitivity, sensor.unit),
+        *left_out_findings(table, left_out),
+        *gravity_findings(gravity),
+    ]
+    ordered = merge_by_cause(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        model="none",
+        holdout=holdout,
+        intervals_found=len(table.used) + len(left_out),
+        intervals_used=len(table.used),
+    )
+
+
+def _drift_findings(drift: PoseDrift | None) -> list[Finding]:
+    """Say how far the bias moved from the first pose to the last, and where nothing tells it."""
+    if drift is None:
+        return []
+    size, sigma = float(np.linalg.norm(drift.change)), float(np.linalg.norm(drift.sigma))
+    findings: list[Finding] = []
+    if (np.abs(drift.change) > SIGNIFICANT * drift.sigma).any():
+        moved = ", ".join(f"{1e3 * value:.2g}" for value in drift.change)
+        findings.append(
+            make_finding(
+                "accelerometer-drift", severity="warning" if size > _DRIFT_WARN else "info", moved=moved, sigma=sigma
+            )
+        )
+    if (drift.open > _OPEN).any():
+        axes = " and ".join(_AXES[axis] for axis in np.flatnonzero(drift.open > _OPEN))
+        severity = "warning" if drift.open.max() > _OPEN_WARN else "info"
+        findings.append(make_finding("drift-not-told", severity=severity, axes=axes, sigma=sigma))
+    return findings
+
+
+def _model(gyroscope: RestingGyroscope | None) -> str:
+    if gyroscope is None or gyroscope.sensitivity is None:
+        return "none"
+    return "g-sensitivity" if gyroscope.g_sensitivity.any() else "basic"
+
+
+def _holdout(table: PoseTable) -> float:
+    known = table.used & np.isfinite(table.error_holdout)
+    return rms(table.error_holdout[known])
+
+
+def _rate_holdout(gyroscope: RestingGyroscope | None) -> float:
+    if gyroscope is None or gyroscope.sensitivity is None:
+        return float("nan")
+    return rms(gyroscope.fit.holdout * gyroscope.unit_rad_s)
+
+
+def _noticed(evidence: PoseEvidence) -> list[Finding]:
+    """Return what the data doctor found, but for what concerns rotations."""
+    return [f for f in evidence.noticed if f.severity in ("warning", "info") and f.code not in _OF_ROTATIONS]
+
+
+def _attitude_findings(evidence: PoseEvidence) -> list[Finding]:
+    count, n = evidence.attitudes, len(evidence.poses)
+    message = f"{n} poses in {count} attitudes more than 10 deg apart."
+    if evidence.known.knows("imu0.accelerometer.sensitivity"):
+        return []
+    if evidence.stated is None and count < _DETERMINED:
+        return [make_finding("few-attitudes", message=message)]
+    return redundancy_findings(evidence.fit) or [make_finding("attitudes/poses", message=message)]
+
+
+def _holdout_findings(holdout_m_s2: float, gravity_m_s2: float) -> list[Finding]:
+    if not np.isfinite(holdout_m_s2):
+        return []
+    severity = grade("held-out gravity", holdout_m_s2, gravity_m_s2)
+    return [make_finding("holdout-accelerometer/poses", severity=severity, holdout_m_s2=holdout_m_s2)]
+
+
+def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
+    fit, gravity = evidence.fit, evidence.gravity
+    sigma = relative_sigmas(fit)
+    scale = float(np.sqrt(np.maximum(np.diag(sigma) ** 2 - (gravity.sigma / gravity.value) ** 2, 0)).max())
+    angle = float(sigma[~np.eye(3, dtype=bool)].max())
+    own_frame = evidence.stated is None
+    severity = grade("scale", scale)
+    if own_frame and evidence.attitudes >= _DETERMINED:  # few-attitudes says it of fewer, jig-alignment of known ones
+        severity = most_severe(severity, grade("axes", angle))
+    axes = "its axes" if own_frame else "its axes in the jig"
+    return [
+        make_finding(
+            "uncertainty-accelerometer",
+            severity=severity,
+            scale=scale,
+            axes=axes,
+            angle=angle,
+            advice=missing_attitude(fit.direction[fit.used]),
+        )
+    ]
+
+
+def missing_attitude(direction: Floats) -> str:
+    """Name the attitude that is farthest from all that were recorded, as unit vectors (n, 3)."""
+    candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
+    u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
+    nearest = (u @ direction.T).max(axis=1) - 1e-3 * np.count_nonzero(candidates == 0, axis=1)
+    best = candidates[np.argmin(nearest)]
+    ups = [f"{axis} {'up' if value > 0 else 'down'}" for axis, value in zip(_AXES, best, strict=True) if value]
+    return f"Add poses with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
+
+
+def _observability_findings(evidence: PoseEvidence) -> list[Finding]:
+    held = evidence.fit.held_by_prior
+    groups = (("scales and axes", S_), ("bias", B_))
+    return [
+        make_finding(
+            "not-observable/poses",
+            count=int(held[part].sum()),
+            what=what,
+            advice=missing_attitude(evidence.fit.direction[evidence.fit.used]),
+        )
+        for what, part in groups
+        if held[part].any()
+    ]
+
+
+def _stated_findings(evidence: PoseEvidence) -> list[Finding]:
+    """Judge the attitudes that were stated, and say how the sensor lies in the jig."""
+    stated = evidence.stated
+    if stated is None:
+        return []
+    findings: list[Finding] = []
+    for k in np.flatnonzero(stated.wrong)[:_NAMED]:
+        guess = f" It fits with {stated.guess[k]}." if stated.guess[k] else ""
+        findings.append(
+            make_finding(
+                "attitude-misstated/pose", name=evidence.poses.name[k], angle_rad=stated.angle_rad[k], guess=guess
+            )
+        )
+    if int(stated.wrong.sum()) > _NAMED:
+        names = ", ".join(evidence.poses.name[k] for k in np.flatnonzero(stated.wrong)[_NAMED:])
+        findings.append(make_finding("attitude-misstated/others", names=names))
+    if stated.mirrored:
+        findings.append(make_finding("jig-mirrored"))
+    return [*findings, _jig_finding(evidence)]
+
+
+def _jig_finding(evidence: PoseEvidence) -> Finding:
+    assert evidence.stated is not None
+    rows = evidence.fit.sensitivity / np.linalg.norm(evidence.fit.sensitivity, axis=1, keepdims=True)
+    along = np.argmax(np.abs(rows), axis=1)
+    words = [f"{_AXES[i]} along {'-' if rows[i, along[i]] < 0 else '+'}{_AXES[along[i]]}" for i in range(3)]
+    off = float(np.degrees(np.arccos(np.clip(np.abs(rows[np.arange(3), along]), 0, 1)).max()))
+    sigma = np.degrees(evidence.stated.sigma_rad)
+    return make_finding("jig-alignment", words=", ".join(words), off=off, sigma=sigma)
+
+
+def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
+    """Warn where the scales are far from what the unit says; counts say nothing."""
+    nominal = ACCELEROMETER_UNITS_M_S2.get(unit)
+    ratio = float(np.abs(np.linalg.det(sensitivity))) ** (1 / 3) * (nominal or np.nan)
+    if 1 / _UNIT_FACTOR < ratio < _UNIT_FACTOR or not np.isfinite(ratio):
+        return []
+    return [make_finding("unit/poses", ratio=ratio, unit=unit)]
+
+
+def left_out_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -> list[Finding]:
+    """Name the poses that were not used, and why."""
+    named = [*left_out, *((table.name[k], table.reason[k]) for k in np.flatnonzero(~table.used))]
+    if not named:
+        return []
+    total = len(table.used) + len(left_out)
+    listed = "; ".join(f"{name} ({reason})" for name, reason in named[:_NAMED])
+    more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+    return [
+        make_finding(
+            "poses-left-out",
+            severity="warning" if len(named) > 0.1 * total else "info",
+            count=len(named),
+            total=total,
+            listed=listed,
+            more=more,
+        )
+    ]
+
+
+def _held(evidence: PoseEvidence) -> tuple[str, ...]:
+    """Return the YAML paths of scalars that an assumption holds, not the poses."""
+    names = [*element_names("imu0.accelerometer.sensitivity", (3, 3)), *element_names("imu0.accelerometer.bias", (3,))]
+    held = evidence.fit.held_by_prior[:12].copy()
+    if evidence.stated is None and evidence.attitudes < _DETERMINED:
+        held[[3, 6, 7]] |= not evidence.known.knows("imu0.accelerometer.sensitivity")
+    found = [name for name, flag in zip(names, held, strict=True) if flag]
+    gyroscope = evidence.gyroscope
+    if gyroscope is not None and gyroscope.sensitivity is not None and gyroscope.assumed:
+        found += element_names("imu0.gyroscope.sensitivity", (3, 3))
+    return tuple(found)
+
+
+def _convergence(evidence: PoseEvidence) -> list[Finding]:
+    if evidence.fit.converged:
+        return []
+    return [make_finding("not-converged/poses", iterations=evidence.fit.iterations)]
+
+
+def _iteration_finding(fit: AngrisanoFit) -> Finding:
+    """Say how Angrisano's iteration ended."""
+    angles, bias, scale = fit.group_sigma
+    if fit.converged:
+        return make_finding("iteration", iterations=fit.iterations, angles=angles, bias=bias, scale=scale)
+    ends = {
+        "mirrored": "an axis reversed; its sign was fixed",
+        "wrong": f"a wrong minimum, which leaves {fit.residual_rms:.2g} m/s^2 unexplained in each pose",
+        "diverged": "nowhere: the equations became singular",
+        "not finished": "nowhere: the allowed number of steps is used up",
+    }
+    mended = fit.status == "mirrored"
+    return make_finding(
+        "wrong-minimum",
+        severity="warning" if mended else "problem",
+        case="mended" if mended else "",
+        iterations=fit.iterations,
+        end=ends[fit.status],
+    )

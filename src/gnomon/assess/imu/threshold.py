@@ -1,0 +1,191 @@
+"""The threshold of the static detector, chosen by what the calibration gains from it (Tedaldi 2014, Algorithm 1).
+
+The summed residual of Algorithm 1 favours thresholds that find few data. Here each threshold is judged by the
+uncertainty that the accelerometer's parameters would have with its intervals, at the noise that leaving each interval
+out reveals: more data lower it, intervals that hold motion raise it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...detect.samples.noise import resting_noise
+from ...detect.samples.rests import Motion, Rests, find_rests
+from ...detect.samples.static import static_statistic, window_samples
+from ...errors import InitialisationError
+from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
+from ...estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
+from ...estimate.multiposition.problem import TriadStream, rest_means
+from ...recording import Floats, TriadSamples
+from ...results.intervals import Booleans, StaticIntervals, interval_means
+
+MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
+SHORTEST_S = 0.5
+_USUAL = 10.0  # multiplier where nothing tells which serves best
+FEWEST_INTERVALS = 9
+_OUTLIER_SIGMA = 6.0
+_SUSPICIOUS_SIGMA = 2.5
+_REWEIGHTINGS = 6
+_NO_WEIGHT = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ThresholdTrial:
+    """One threshold: its rests, the weighted fit to their means, and the criterion (smaller is better)."""
+
+    multiplier: float
+    rests: Rests
+    means: Floats
+    fit: MagnitudeFit | None
+    heldout_rms: float
+    criterion: float
+
+    @property
+    def intervals(self) -> StaticIntervals:
+        """What can be used of the rests."""
+        return self.rests.intervals
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RestDetection:
+    """The rests of a recording at the threshold that was taken.
+
+    Attributes
+    ----------
+    motion : what the detectors saw
+    chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken
+    """
+
+    motion: Motion
+    chosen: ThresholdTrial
+    trials: tuple[ThresholdTrial, ...]
+
+
+def detect_rests(
+    accelerometer: TriadSamples,
+    gyroscope: TriadSamples,
+    saturated: Booleans,
+    *,
+    t_s: tuple[Floats, Floats],
+    window_s: float = 1.0,
+    multiplier: float | None = None,
+    gravity_m_s2: float = 9.81,
+) -> RestDetection | None:
+    """Find the rests of a recording, for whoever asks; None where it is shorter than two windows.
+
+    Parameters
+    ----------
+    accelerometer, gyroscope : repaired samples; a gyroscope may have none
+    saturated : (n,) clipped samples of the accelerometer
+    t_s : (n,), (m,) instants of both [s]
+    window_s, multiplier : as stated; the multiplier that serves best where it is None
+    gravity_m_s2 : magnitude of gravity
+    """
+    window = window_samples(accelerometer, window_s)
+    if len(accelerometer) < 2 * window:
+        return None
+    statistic = static_statistic(accelerometer.values, window)
+    motion = Motion.of(accelerometer, statistic, saturated, gyroscope, t_s)
+    chosen, trials = choose_threshold(motion, gravity_m_s2, MULTIPLIERS if multiplier is None else (multiplier,))
+    if chosen.fit is None:
+        chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
+    return RestDetection(motion=motion, chosen=chosen, trials=trials)
+
+
+def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
+    """Find the static intervals at one threshold and judge them.
+
+    Parameters
+    ----------
+    motion : what the detectors saw
+    multiplier : threshold in units of the resting level
+    gravity_m_s2 : magnitude of gravity
+    """
+    samples = motion.samples
+    shortest = max(2, round(SHORTEST_S * samples.rate_hz))
+    rests = find_rests(motion, multiplier, shortest)
+    intervals = rests.intervals
+    means = interval_means(samples.values, intervals)
+    nothing = ThresholdTrial(
+        multiplier=multiplier, rests=rests, means=means, fit=None, heldout_rms=np.nan, criterion=np.inf
+    )
+    if len(intervals) < FEWEST_INTERVALS + 1:
+        return nothing
+    duration = (intervals.stop - intervals.start) / samples.rate_hz
+    weight = np.sqrt(duration / duration.mean())
+    try:
+        fit = fit_magnitude(means, gravity_m_s2, weight, tolerance=1e-6)
+    except InitialisationError:
+        return nothing
+    left_out = fit.residual / np.maximum(1 - fit.leverage, 1e-6)
+    variance = float(np.mean(left_out**2))
+    scaled = fit.covariance / np.outer(*(2 * [np.sqrt(np.diag(fit.covariance))]))
+    logs = np.linalg.slogdet(scaled)[1] + np.sum(np.log(np.diag(fit.covariance)))
+    return ThresholdTrial(
+        multiplier=multiplier,
+        rests=rests,
+        means=means,
+        fit=fit,
+        heldout_rms=float(np.sqrt(np.mean((left_out / weight) ** 2))),
+        criterion=0.5 * (float(logs) / 9 + np.log(max(variance, 1e-300))),
+    )
+
+
+def choose_threshold(
+    motion: Motion, gravity_m_s2: float, multipliers: tuple[float, ...] = MULTIPLIERS
+) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
+    """Return the best threshold and all that were tried; the best has no fit where none could be calibrated."""
+    trials = tuple(try_threshold(motion, m, gravity_m_s2) for m in multipliers)
+    best = min(trials, key=lambda trial: (trial.criterion, -len(trial.intervals)))
+    return best, trials
+
+
+def accelerometer_course(accelerometer: TriadStream) -> tuple[BiasChanges, Floats]:
+    """Return how the accelerometer's bias changed, by its rests, and the functions of time (n, j) that it follows."""
+    changes = accelerometer_changes(rest_means(accelerometer))
+    start, stop = (accelerometer.t_s[at] for at in (accelerometer.intervals.start, accelerometer.intervals.stop - 1))
+    return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start))
+
+
+def disturbed(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:
+    """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
+
+    Where a residual stands out, the sum of absolute residuals is minimised first, by reweighting, so that several
+    disturbed intervals cannot hide by bending the fit; then each interval is judged by its residual when left out of a
+    fit to those that agree. Residuals of a few per cent of gravity are linear enough to be refitted as they stand.
+
+    Parameters
+    ----------
+    course : (n, j) functions of time that the bias follows, from `accelerometer_course`
+    """
+    assert trial.fit is not None
+    duration = (trial.intervals.stop - trial.intervals.start) / samples.rate_hz
+    weight = np.sqrt(duration / duration.mean())
+    noise, _ = resting_noise(samples.values, trial.intervals, samples.rate_hz)
+    white = np.sqrt(np.mean(noise) / duration) * np.abs(np.linalg.det(trial.fit.correction)) ** (1 / 3)
+    residual, jacobian = trial.fit.residual / weight, trial.fit.jacobian / weight[:, None]
+    if course is not None:
+        moving = course[:, :, None] * jacobian[:, None, 6:]
+        jacobian = np.concatenate([jacobian, moving.reshape(len(jacobian), -1)], axis=1)
+
+    def left_out(given: Floats) -> Floats:
+        """Return the size of each residual in a weighted fit from which it was left out."""
+        q, r = np.linalg.qr(jacobian * given[:, None])
+        step = -np.linalg.lstsq(r, q.T @ (residual * given), rcond=1e-12)[0]
+        leverage = np.einsum("ij,ij->i", q, q)
+        return np.abs(residual + jacobian @ step) / np.maximum(1 - leverage, 1e-6)
+
+    def stand_out(size: Floats, usual: float, sigmas: float) -> Booleans:
+        return size > sigmas * np.maximum(1.4826 * usual, white)
+
+    nothing = np.zeros(len(weight), dtype=bool)
+    size = left_out(weight)
+    if not stand_out(size, float(np.median(size)), _SUSPICIOUS_SIGMA).any():
+        return nothing
+    for _ in range(_REWEIGHTINGS):
+        size = left_out(1 / np.sqrt(np.maximum(size, white)))
+    agree = ~stand_out(size, 2 * float(np.median(size)), _OUTLIER_SIGMA)
+    size = left_out(np.where(agree, weight, _NO_WEIGHT))
+    out = stand_out(size, float(np.median(size[agree])), _OUTLIER_SIGMA)
+    keeps_enough = (~out).sum() >= max(FEWEST_INTERVALS + 1, 0.6 * len(out))
+    return out if keeps_enough else nothing

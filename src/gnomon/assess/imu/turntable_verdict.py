@@ -1,0 +1,268 @@
+"""Verdict and advice on a calibration on a turntable."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ...findings import Finding, make_finding
+from ...models.gravity import EARTH_RATE_RAD_S
+from ...options import TurntableOptions
+from ...recording import Floats
+from ...results.calibration import Assessment, Holdout
+from ...results.triad_diagnostics import TriadDiagnostics
+from ...results.trust import TrustNote
+from ...units import GYROSCOPE_UNITS_RAD_S
+from ..verdict import LIMITS, grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
+from .imu_verdict import axis_findings, convergence_findings
+from .triad_verdict import redundancy_findings, relative_sigmas, triad_trust_findings
+from .turntable_tables import TurntableEvidence, holdout_rms, turntable_trusts
+
+_RATE_WORTH = 2e-4  # what a video gives
+_SCALE_FAIL = LIMITS["scale"][1]
+_FEW_AXES = 9
+_ALIKE_DEG = 15.0
+_WANDER = 1e-3  # of the rate, from part to part
+_CONTRADICT, _RATIO_FAIL = 4.0, 0.02  # sigmas; share
+_FAR_SCALE = 0.05
+_PULL_RAD, _TILT_RAD = 1e-3, 2e-3  # that are worth telling
+_MOST_NAMED = 6
+
+
+def assess_turntable(
+    evidence: TurntableEvidence,
+    diagnostics: TriadDiagnostics,
+    options: TurntableOptions,
+    *,
+    agreement: Sequence[Finding] = (),
+) -> Assessment:
+    """Judge a calibration.
+
+    Parameters
+    ----------
+    evidence : what the calibration was made of
+    diagnostics : its tables
+    options : as stated
+    agreement : what was known beforehand, and whether the recordings agree
+    """
+    fit, parts = evidence.fit.fit, evidence.parts
+    findings = [
+        *parts.findings,
+        *agreement,
+        *_uncertainty(evidence),
+        *_rates(evidence, diagnostics),
+        *_holdout(evidence),
+        *_orientations(evidence),
+        *_not_observable(evidence),
+        *redundancy_findings(fit),
+        *_left_out(evidence),
+        *_platter(evidence, options),
+        *_frames(evidence),
+        *_scale_far(evidence),
+        *_drift(evidence),
+        *triad_trust_findings(turntable_trusts(evidence.fit)),
+        *convergence_findings(fit.converged, fit.iterations),
+    ]
+    found = evidence.fit.accelerometer
+    if found is not None:
+        findings += [*axis_findings(fit.sensitivity), *gravity_findings(evidence.gravity)]
+    ordered = merge_by_cause(findings)
+    return Assessment(
+        verdict=verdict_of(ordered),
+        findings=ordered,
+        holdout=Holdout(
+            accelerometer_rms=float("nan") if found is None else holdout_rms(found.fit), rate_rms=holdout_rms(fit)
+        ),
+        intervals_found=len(parts.names) + len(parts.left_out),
+        intervals_used=int(fit.used.sum()),
+        model="g-sensitivity" if fit.free[12:].any() else "basic",
+        held_by_prior=held_names(evidence),
+        trust=trust_note(diagnostics.trust) if diagnostics.trust is not None else TrustNote(),
+    )
+
+
+def _relative_sigmas(evidence: TurntableEvidence) -> Floats:
+    """Return the relative sigmas of the sensitivity (3, 3), with those of the accelerometer's directions."""
+    return relative_sigmas(evidence.fit.fit, evidence.fit.covariance[-21:-12, -21:-12])
+
+
+def _uncertainty(evidence: TurntableEvidence) -> Iterator[Finding]:
+    fit, sigma = evidence.fit.fit, _relative_sigmas(evidence)
+    scale, angle = float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
+    by_rate = float(np.min(fit.group_sigma[evidence.parts.data.rates > 0]))
+    own = float(np.sqrt(max(scale**2 - by_rate**2, 0.0))) if fit.scale_known else scale
+    of_axes, of_rate = grade("axes", angle), grade("table speed", by_rate if fit.scale_known else 0.0)
+    severity = most_severe(grade("scale", own), of_axes, of_rate)
+    by_speed = fit.scale_known and by_rate > 0.7 * scale
+    what = "scales are known" if fit.scale_known else "scales are known against each other"
+    cure = "Add orientations, and let the platter turn longer in each."
+    yield make_finding(
+        "uncertainty-gyroscope",
+        severity=severity,
+        case="by-speed" if by_speed and of_axes == "good" else "",
+        what=what,
+        scale=scale,
+        angle=angle,
+        cure=cure,
+    )
+    if by_speed and by_rate > _RATE_WORTH and severity != "problem":
+        yield make_finding("rate-dominates", by_rate=by_rate)
+    if not fit.scale_known:
+        yield make_finding("rate-unknown")
+
+
+def _rates(evidence: TurntableEvidence, diagnostics: TriadDiagnostics) -> Iterator[Finding]:
+    """Say where the stated speeds do not fit each other, whichever parts were used."""
+    found, parts = evidence.fit, evidence.parts
+    turning = [rate for rate in diagnostics.rates if rate.stated > 0]
+    unused = [rate.name for rate in parts.rates[:-1] if rate.name not in {one.name for one in turning}]
+    if unused:
+        yield make_finding("rate-not-found", unused=" and ".join(unused))
+    yield from _in_one_attitude(evidence)
+    if len(turning) < 2:
+        return
+    shown = np.linalg.norm(found.fit.physical(found.poses.measured, found.poses.force), axis=1)
+    names = np.array([rate.name for rate in parts.rates])[parts.data.speed]
+    ratio = np.array([np.median(shown[names == rate.name]) / rate.stated for rate in turning])
+    sigma = np.array([rate.stated_sigma / rate.stated for rate in turning])
+    least = float(np.min(found.fit.magnitude_sigma)) / min(rate.stated for rate in turning)
+    low, high = int(np.argmin(ratio)), int(np.argmax(ratio))
+    apart = float(ratio[high] / ratio[low] - 1)
+    if apart > _CONTRADICT * float(np.hypot(np.hypot(sigma[low], sigma[high]), least)):
+        yield make_finding(
+            "rates-contradict/between",
+            severity="problem" if apart > _RATIO_FAIL else "warning",
+            first=turning[high].name,
+            second=turning[low].name,
+            apart=apart,
+        )
+
+
+def _in_one_attitude(evidence: TurntableEvidence) -> Iterator[Finding]:
+    """Compare speeds by what the gyroscope shows of them in one attitude, where its scale does not matter."""
+    data, fit = evidence.parts.data, evidence.fit.fit
+    size = np.linalg.norm(data.measured - fit.bias, axis=1)
+    ratios: list[tuple[float, float]] = []
+    for attitude in np.unique(data.pose):
+        mine = np.flatnonzero((data.pose == attitude) & (data.rate > 0))
+        if len(mine) > 1:
+            slow, fast = mine[np.argmin(size[mine])], mine[np.argmax(size[mine])]
+            ratios.append((float(size[fast] / size[slow]), float(data.rate[fast] / data.rate[slow])))
+    if not ratios:
+        return
+    shown, stated = np.median(ratios, axis=0)
+    if abs(np.log(shown / stated)) > _RATIO_FAIL:
+        yield make_finding("rates-contradict/one-orientation", shown=shown, stated=stated)
+
+
+def _holdout(evidence: TurntableEvidence) -> Iterator[Finding]:
+    fit = evidence.fit.fit
+    rms, fastest = holdout_rms(fit), float(evidence.parts.data.rate.max())
+    severity = grade("held-out rate", rms, fastest)
+    yield make_finding("holdout-rate", severity=severity, rms=rms)
+
+
+def _orientations(evidence: TurntableEvidence) -> Iterator[Finding]:
+    """Count the axes about which the sensor was turned; one and its opposite are two."""
+    direction = evidence.fit.fit.direction[evidence.fit.fit.used]
+    direction = direction[np.isfinite(direction).all(axis=1)]
+    different: list[np.ndarray] = []
+    for axis in direction:
+        if all(axis @ other < np.cos(np.radians(_ALIKE_DEG)) for other in different):
+            different.append(axis)
+    count = len(different)
+    few = count < _FEW_AXES
+    yield make_finding("orientations", severity="warning" if few else "good", case="few" if few else "", count=count)
+
+
+def held_names(evidence: TurntableEvidence) -> tuple[str, ...]:
+    """Return the paths of scalars that only a weak assumption holds."""
+    names = [f"imu0.gyroscope.sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    names += [f"imu0.gyroscope.bias[{i}]" for i in range(3)]
+    names += [f"imu0.gyroscope.g_sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
+    return tuple(name for name, held in zip(names, evidence.fit.fit.held_by_prior, strict=True) if held)
+
+
+def _not_observable(evidence: TurntableEvidence) -> Iterator[Finding]:
+    held = held_names(evidence)
+    if not evidence.fit.fit.scale_known and np.diag(_relative_sigmas(evidence)).max() < _SCALE_FAIL:
+        held = tuple(name for name in held if ".sensitivity" not in name)  # the common scale, which is told
+    if held:
+        yield make_finding(
+            "not-observable/turntable", count=len(held), held=", ".join(held[:3]), more=", ..." if len(held) > 3 else ""
+        )
+
+
+def _left_out(evidence: TurntableEvidence) -> Iterator[Finding]:
+    parts, fit = evidence.parts, evidence.fit.fit
+    out = [f"{name} ({why})" for name, why in parts.left_out]
+    out += [
+        f"{name} (it does not agree with the others)"
+        for name, used in zip(parts.names, fit.used, strict=True)
+        if not used
+    ]
+    if out:
+        more = f" and {len(out) - _MOST_NAMED} more" if len(out) > _MOST_NAMED else ""
+        total = len(parts.names) + len(parts.left_out)
+        yield make_finding(
+            "parts-left-out",
+            severity="warning" if len(out) > 0.1 * total else "info",
+            count=len(out),
+            total=total,
+            out="; ".join(out[:_MOST_NAMED]),
+            more=more,
+        )
+
+
+def _platter(evidence: TurntableEvidence, options: TurntableOptions) -> Iterator[Finding]:
+    """Tell of speed that wanders, of tilt, of centripetal acceleration and of the earth's rate where they count."""
+    data, fit, found = evidence.parts.data, evidence.fit.fit, evidence.fit.accelerometer
+    turning = data.rate > 0
+    share = np.hypot(np.median(data.wander[turning] / data.rate[turning]), fit.extra_sigma / data.rate[turning].min())
+    if share > _WANDER:
+        yield make_finding("platter-wanders", severity="warning" if share > 10 * _WANDER else "info", share=share)
+    slowest = float(data.rate[turning].min())
+    earth = EARTH_RATE_RAD_S / np.sqrt(3) / slowest
+    if options.latitude is None and earth > 0.5 * float(np.min(fit.group_sigma[data.rates > 0])):
+        yield make_finding("earth-rate", percent=100 * EARTH_RATE_RAD_S / slowest)
+    if found is None:
+        return
+    if found.tilt > _TILT_RAD:
+        yield make_finding("platter-tilt", tilt=found.tilt)
+    apart = [axis for axis in data.axes if axis.rate > 0 and not axis.separated]
+    if apart:
+        pull = max(axis.rate for axis in apart) ** 2 * 0.1 / evidence.gravity.value
+        yield make_finding(
+            "centripetal",
+            severity="info" if pull < _PULL_RAD else "warning",
+            count=len(apart),
+            pull_rad=np.arctan(pull),
+        )
+
+
+def _frames(evidence: TurntableEvidence) -> Iterator[Finding]:
+    """Say what the axes of the result mean."""
+    found = evidence.fit
+    if found.accelerometer is not None:
+        yield make_finding("frames/handedness", sense=found.sense)
+        return
+    recorded = evidence.parts.accelerometer_unit is not None
+    why = f"The accelerometer is not used: {evidence.no_accelerometer.rstrip('.')}. " if recorded else ""
+    yield make_finding("frames-unrelated", severity="warning" if recorded else "info", why=why)
+
+
+def _scale_far(evidence: TurntableEvidence) -> Iterator[Finding]:
+    unit = evidence.parts.gyroscope_unit
+    nominal = GYROSCOPE_UNITS_RAD_S[unit]
+    if nominal is None:
+        return
+    ratio = float(np.abs(np.linalg.det(evidence.fit.fit.sensitivity))) ** (1 / 3) * nominal
+    if abs(ratio - 1) > _FAR_SCALE:
+        yield make_finding("scale-far", ratio=ratio, unit=unit)
+
+
+def _drift(evidence: TurntableEvidence) -> Iterator[Finding]:
+    if not evidence.fit.drifts:
+        return
+    fit = evidence.fit.fit
+    span = float(np.max(np.ptp(evidence.fit.drift, axis=0) / np.linalg.norm(fit.sensitivity, axis=1)))
+    yield make_finding("bias-drift", span=span)

@@ -1,0 +1,343 @@
+"""Which model a recording asks for: that of the options, and what else it proves to be there (B16).
+
+The model of the IMU, with lever arms of its accelerometers, is estimated first, and beside it is seen what delays of
+the accelerometers, errors of the lens and, where corners stay off in the same way from frame to frame, of the board
+would do. What predicts clusters of time that were left out better, by more than chance, joins the model; what does not
+prove itself in the larger model is taken out again. Lever arms are no such choice: which point T_cam_imu is of must not
+hang on the evidence.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from statistics import NormalDist
+
+import numpy as np
+
+from ...errors import SolveError
+from ...estimate.camera_imu.batch import State, linearised
+from ...estimate.camera_imu.choices import choices, imu_blocks, lens_prior
+from ...estimate.camera_imu.gauss_newton import gauss_newton_step
+from ...estimate.camera_imu.layout import layout
+from ...estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, ladder, step_columns
+from ...estimate.camera_imu.parameters import Parameters
+from ...estimate.camera_imu.result.cluster_sums import cluster_sums
+from ...estimate.camera_imu.result.residual_patterns import board_evidence
+from ...estimate.camera_imu.solution import Solution, solved
+from ...estimate.camera_imu.start.first_guess import Look
+from ...estimate.camera_imu.terms.inertial_data import on_trajectory
+from ...estimate.trust.clusters import ClusterSums
+from ...estimate.trust.robust import clustered, memory
+from ...findings import Finding
+from ...options import CameraImuOptions
+from ...recording import Recording
+from ...results.calibration import CameraCalibration, Covariance
+from ...results.trust import ModelStep
+
+_CODE = "rolling-shutter"
+LINE_DELAY = "line delay"
+"""What is added to the model."""
+
+
+def with_stated_shutters(recording: Recording, options: CameraImuOptions) -> Recording:
+    """Return the recording, its cameras with the line delay that the options state."""
+    delay_s = options.line_delay
+    if delay_s is None:
+        return recording
+    cameras = {
+        name: replace(frames, camera=replace(frames.camera, line_delay_s=delay_s))
+        for name, frames in recording.cameras.items()
+    }
+    return replace(recording, cameras=cameras)
+
+
+def with_line_delays(
+    options: CameraImuOptions, found: Sequence[Look], findings: Sequence[Finding]
+) -> tuple[CameraImuOptions, bool]:
+    """Return options that estimate the line delays that the corners prove, and whether there is one that they added.
+
+    Model "auto" adds those of cameras of which nobody said anything.
+    """
+    if options.model != "auto" or options.line_delay is not None:
+        return options, False
+    decided = {text.partition("=")[0] for text in (*options.fix, *options.free, *options.prior)}
+    added = [
+        f"{look.name}.line_delay"
+        for look in found
+        if _about(look.name, findings) and not look.frames.camera.line_delay_s
+    ]
+    added = [name for name in added if name not in decided]
+    return replace(options, free=(*options.free, *added)), bool(added)
+
+
+def shutters_estimated(
+    findings: Sequence[Finding], cameras: Mapping[str, CameraCalibration], uncertainty: Covariance
+) -> tuple[Finding, ...]:
+    """Return the findings, those on shutters whose line delay was estimated with what came of it."""
+    sigmas = dict(zip(uncertainty.names, np.sqrt(np.diag(uncertainty.matrix)).tolist(), strict=True))
+    return tuple(_told(finding, cameras, sigmas) if finding.code == _CODE else finding for finding in findings)
+
+
+def _told(finding: Finding, cameras: Mapping[str, CameraCalibration], sigmas: Mapping[str, float]) -> Finding:
+    name = finding.subject.partition(".")[0]
+    sigma = sigmas.get(finding.subject, 0.0)
+    if not sigma:
+        return finding
+    delay = cameras[name].camera.line_delay_s
+    return replace(
+        finding,
+        severity="info",
+        consequence=f"The line delay was estimated jointly: {1e6 * delay:.4g} +- {1e6 * sigma:.2g} us.",
+        cure=f"State it next time, --line-delay {delay:.4g}.",
+    )
+
+
+def _about(name: str, findings: Sequence[Finding]) -> bool:
+    return any(finding.code == _CODE and finding.subject == f"{name}.line_delay" for finding in findings)
+
+
+Progress = Callable[[str], None]
+
+_ROUNDS = 3
+"""Larger models that are estimated: what is in one may show, or refute, another block."""
+
+_BOARD = "board"
+_BLOCKS = {name: LADDER[name] for name in EXTRAS} | {"k3": ("distortion_coeffs",), _BOARD: ("offsets",)}
+_BOARD_CHANCE = 0.01 / (len(EXTRAS) + 1)
+_BOARD_SHARE, _LENS_SHARE = 0.02, 0.005
+"""Of the corners' variance, which board and lens must explain: less may be the detector's bias that looks the same.
+Where it is gnomon's own, whose bias is none, a lens need only be certain."""
+
+_LENS: tuple[str, ...] = ("intrinsics", "k3")
+_PROMISING = 4.0
+"""Standard deviations of its gain, from which on a step is tried in the larger model: what is left out of a model lasts
+and makes clusters of time long and few, by which nothing can be proved."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chosen:
+    """A solution with the model that was chosen.
+
+    Attributes
+    ----------
+    solution : see there
+    sums : of its stretches of time
+    steps : what each block brings
+    added : steps beyond the model of the options that are in it
+    tries : blocks on which the recording decided
+    board_told : whether it was long enough to tell whether corners of the board lie off their places
+    failed : steps that proved themselves, but without which the estimation had to do, with the reason
+    """
+
+    solution: Solution
+    sums: ClusterSums
+    steps: tuple[ModelStep, ...]
+    added: tuple[str, ...] = ()
+    tries: int = 0
+    board_told: bool = True
+    failed: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def arms_told(self) -> bool:
+        """Whether the recording proves the lever arms that are in the model."""
+        return any(step.name == ARMS and step.used and step.gain > step.needed for step in self.steps)
+
+
+def considered(start: Parameters) -> tuple[str, ...]:
+    """Return the blocks beyond the model of which the last linearisations tell what they would do."""
+    arms = [f"imu{i}.lever_arms" for i in range(len(start.imus))]
+    delays = [f"imu{i}.accelerometer_shift" for i, imu in enumerate(start.imus) if not imu.apart]
+    lenses = [
+        f"{entry.name}.{block}"
+        for entry in start.cameras
+        for block in LADDER["intrinsics"]
+        if block == "intrinsics" or len(entry.camera.distortion_coeffs)
+    ]
+    return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms, *delays)
+
+
+def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress, *, own_detector: bool = True) -> Chosen:
+    """Return the solution with the blocks that the recording asks for.
+
+    Parameters
+    ----------
+    solution : with the model of the options, and the columns of `considered`
+    options : model "auto" adds blocks by evidence; the others are estimated as they are
+    tell : called with a sentence at each step
+    own_detector : whether no detector's bias may pass for a lens
+    """
+    share = 0.0 if own_detector else _LENS_SHARE
+    stated = _stated(solution, options)
+    judged = base = _judged(solution, stated, share)
+    steps = {step.name: step for step in base.steps}
+    if _BOARD not in stated:
+        steps[_BOARD] = _board_step(solution)
+    asked = _asked(steps, stated, promising=True)
+    if {"intrinsics", _BOARD} & set(asked) and "k3" not in stated and _may_have_k3(solution):
+        steps |= {step.name: step for step in _judged(_seen_with_k3(solution, options), stated, share).steps}
+        asked = _asked(steps, stated, promising=True)
+    inside: tuple[str, ...] = ()
+    failed: dict[str, str] = {}
+    rounds = _ROUNDS
+    while rounds and asked != inside:
+        tell(f"estimating along: {', '.join(asked) or 'none of them'}")
+        try:
+            judged = _judged(_estimated_along(solution, asked, options, tell), stated, share) if asked else base
+        except SolveError as error:
+            failed[_least(steps, asked)] = str(error)
+        else:
+            rounds, inside = rounds - 1, asked
+            steps |= {step.name: step for step in judged.steps}
+            if _BOARD not in stated and set(_LENS) & set(asked):
+                steps[_BOARD] = _board_step(judged.solution)
+        asked = tuple(name for name in _asked(steps, stated) if name not in failed)
+    told = [
+        replace(step, forced=options.model != "auto" or step.name not in LADDER or step.name in EXTRAS)
+        if step.name in stated
+        else replace(step, used=step.name in inside)
+        for step in steps.values()
+    ]
+    told.sort(key=lambda step: (*LADDER, _BOARD).index(step.name))
+    return replace(
+        judged,
+        steps=tuple(told),
+        added=inside,
+        tries=len(steps.keys() - stated.keys()),
+        board_told=_BOARD in stated or steps[_BOARD].gain_sigma > 0,
+        failed=failed,
+    )
+
+
+def _least(steps: Mapping[str, ModelStep], asked: Sequence[str]) -> str:
+    """Return the step that proves itself least."""
+    return min(asked, key=lambda name: steps[name].gain - steps[name].needed)
+
+
+def _asked(steps: Mapping[str, ModelStep], stated: Mapping[str, bool], *, promising: bool = False) -> tuple[str, ...]:
+    """Return the steps that prove themselves, or promise to, of those that nobody has decided on."""
+    return tuple(
+        name
+        for name in (*EXTRAS, _BOARD)
+        if name not in stated
+        and (step := steps.get(name)) is not None
+        and (step.used or (promising and name == DELAY and step.gain > _PROMISING * step.gain_sigma > 0))
+    )
+
+
+def _may_have_k3(solution: Solution) -> bool:
+    return any(entry.camera.distortion == "radtan" for entry in solution.state.parameters.cameras)
+
+
+def _stated(solution: Solution, options: CameraImuOptions) -> dict[str, bool]:
+    """Return step -> whether it is in the model, for those of the IMU and those that the options decide."""
+    columns = solution.layout
+    found = {name: bool(columns.free[step_columns(columns, name)].any()) for name in LADDER}
+    found[_BOARD] = any(columns.free[columns.dense :])
+    if options.model != "auto":
+        return found
+    held = {
+        name
+        for name, blocks in _BLOCKS.items()
+        if any(part in given for given in options.fix for part in (*blocks, name))
+    }
+    return {name: inside for name, inside in found.items() if inside or name not in _BLOCKS or name in held}
+
+
+def _judged(solution: Solution, stated: Mapping[str, bool], share: float) -> Chosen:
+    """Return the solution with what each block brings in clusters of time that were left out."""
+    found, columns = cluster_sums(solution), solution.layout
+    free = columns.free_index[columns.free_index < columns.dense]
+    blocks = [name.partition("[")[0] for name in np.array(columns.names)[free]]
+    number = np.unique(blocks, return_inverse=True)[1].astype(np.int64)
+    lasts = memory(found.of_parameters(free), np.eye(len(free)), number)
+    clusters, _ = clustered(found, max(lasts, 1))
+    least = dict.fromkeys(_LENS, _gain(solution, share))
+    steps = ladder(clusters[0], solution.layout, solution.state.parameters, stated, least)
+    return Chosen(solution=solution, sums=found, steps=steps)
+
+
+def _board_step(solution: Solution) -> ModelStep:
+    """Return what the corners of the board would bring, by residuals that stay the same from frame to frame.
+
+    Taking a pattern of size s off residuals of size sigma makes their log-likelihood larger by half the sum of
+    s^2 / sigma^2, before anything else is fitted anew; whether the pattern is there, clusters of time tell. Where the
+    corners were estimated, they are put back to their places first: does the lens do without them?
+    """
+    board = solution.state.parameters.board
+    if board is not None and board.offsets.any():
+        parameters = replace(solution.state.parameters, board=replace(board, offsets=np.zeros_like(board.offsets)))
+        solution = replace(solution, state=replace(solution.state, parameters=parameters))
+    pattern = board_evidence(solution)
+    gain, least = _gain(solution, pattern.share), _gain(solution, _BOARD_SHARE)
+    spread = abs(gain / pattern.z) if pattern.z else 0.0
+    needed = max(spread * NormalDist().inv_cdf(1 - _BOARD_CHANCE), least)
+    return ModelStep(
+        name=_BOARD,
+        parameters=0 if board is None else board.offsets.size,
+        gain=gain,
+        gain_sigma=spread,
+        needed=needed,
+        used=gain > needed,
+    )
+
+
+def _gain(solution: Solution, share: float) -> float:
+    """Return by how much the log-likelihood grows where a share of the corners' variance is explained."""
+    corners = sum(
+        int(fit.valid[inside].sum()) for fit, inside in zip(solution.lin.sums, solution.lin.inside, strict=True)
+    )
+    return corners * share / max(1 - share, 0.1)
+
+
+def _seen_with_k3(solution: Solution, options: CameraImuOptions) -> Solution:
+    """Return the same solution, linearised with a column for the third radial coefficient, which is held."""
+    state, origin = _with_k3(solution)
+    chosen = choices(origin, options)
+    columns = layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin))
+    spare = solution.spare_workspace()
+    lin = linearised(solution.measurements, state, columns, solution.noise, probing=True, workspace=spare)
+    return replace(solution, state=state, layout=columns, lin=lin, step=gauss_newton_step(lin))
+
+
+def _with_k3(solution: Solution) -> tuple[State, Parameters]:
+    """Return state and start values whose lenses have a third radial coefficient."""
+
+    def wider(parameters: Parameters) -> Parameters:
+        return replace(parameters, cameras=tuple(entry.with_k3() for entry in parameters.cameras))
+
+    state = solution.state
+    return replace(state, parameters=wider(state.parameters)), wider(solution.layout.start)
+
+
+def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraImuOptions, tell: Progress) -> Solution:
+    """Return the solution with further blocks, from one without them.
+
+    Raises
+    ------
+    SolveError
+        If it finds no minimum, or does not come to rest where the one without them did.
+    """
+    state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
+    chosen = choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
+    measurements = solution.measurements
+    if DELAY in asked:
+        grid = state.trajectory.grid
+        inertial = (
+            one for data in measurements.inertial for one in on_trajectory(data, state.parameters, chosen.status, grid)
+        )
+        measurements = replace(measurements, inertial=tuple(inertial))
+    found = solved(
+        measurements,
+        state,
+        layout(origin, chosen.status, chosen.prior_sigma),
+        layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
+        solution.noise,
+        estimate_noise=options.noise != "nominal",
+        estimate_walks=options.noise == "coloured",
+        gate=options.robust,
+        max_iterations=options.max_iterations,
+        tell=tell,
+        workspace=solution.spare_workspace(),
+    )
+    if solution.converged and not found.converged:
+        raise SolveError("it did not come to rest.")
+    return found

@@ -1,0 +1,177 @@
+"""A recording of cameras in front of a board -> their corners, whatever it was recorded as, without lens or IMU.
+
+read target -> open the recording -> find the board in the images -> Recording
+
+A folder that holds corners already, which another program detected, is read as it is. Corners of a checkerboard that
+looks the same after half a turn are numbered by the motion in the image, each camera for itself; where that tells
+nothing, as between single photographs, `calibrate_cameras` numbers those of several cameras alike.
+"""
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from types import MappingProxyType
+
+from ...errors import OptionError, RecordingError
+from ...formats.kalibr.camchain import CameraInput
+from ...formats.kalibr.target import read_target
+from ...formats.sensor_inputs import read_cameras
+from ...models.camera import Camera
+from ...models.target import Target
+from ...readers.files import file_source
+from ...readers.images.camera_places import camera_places, image_names
+from ...readers.images.image_file import read_grey
+from ...readers.images.image_recording import open_images
+from ...readers.recordings import ReadLog
+from ...readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
+from ...readers.rig.camera_imu import corners_of
+from ...recording import CameraFrames, Recording
+from ...recording.images import ImageStream
+from ...units import Units
+from .board_reading import Progress, corners_of_camera, stated_cameras
+
+Size = tuple[int, int]
+_NO_TOPICS: Mapping[str, str] = MappingProxyType({})
+_BESIDE = "camchain.yaml"
+
+
+def read_camera_views(
+    path: str | PathLike[str],
+    *,
+    target: str | PathLike[str],
+    cam: str | PathLike[str] | None = None,
+    resolution: Size | None = None,
+    units: str | Units | None = None,
+    topics: Mapping[str, str] = _NO_TOPICS,
+    workers: int | None = None,
+    cache: str | PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> tuple[Recording, Target]:
+    """Read views of a calibration board by one camera or several, and find the board in them.
+
+    Parameters
+    ----------
+    path : a ROS 1 bag, a ROS 2 bag (sqlite or MCAP), a folder in the layout of EuRoC, TUM-VI or Kalibr, a folder of
+        images (of several cameras in folders cam0, cam1, ... or left and right), a video; or a folder with the corners
+        of each camera, cam0_corners.csv, cam1_corners.csv, ... An IMU in it is passed over
+    target : Kalibr's target.yaml
+    cam : Kalibr's camchain.yaml or another project's file of the cameras, where their topics, line delays or image
+        sizes are to be taken from it; the lenses are not needed, and not used
+    resolution : (width, height) of the images [px], for tables of corners; images tell it themselves
+    units : of timestamps in tables, such as "us"; recognised where not given
+    topics : "cam0", ... -> topic of a bag; guessed where it is clear
+    workers : how many look for the board at once; as many as there are cores where not given
+    cache : folder in which the corners are kept, so that the same images need not be looked at again
+    progress : called with a sentence from time to time
+
+    Returns
+    -------
+    recording : frames with their corners, no IMU; the lens of a camera that was not stated is `Camera.nominal`
+    target : the board
+
+    Raises
+    ------
+    FormatError
+        If one of the files cannot be read, or is not as it should be.
+    RecordingError
+        If the recording cannot be read, or the images of a camera differ in size.
+    DetectionError
+        If the board is in none of the images of a camera.
+    OptionError
+        If an option does not fit, or the size of the images is needed and not known.
+    """
+    log = ReadLog(units=Units.parse(units) if isinstance(units, str) else units or Units(), cameras_alone=True)
+    board = read_target(target, log.notes)
+    log.sources.extend(file_source(Path(file)) for file in (cam, target) if file is not None)
+    stated = {} if cam is None else _lenses(read_cameras(cam, log.notes), resolution, Path(cam))
+    if Path(path).is_dir() and holds_corners(recording_folder(Path(path))):
+        folder = recording_folder(Path(path))
+        known = stated or _sized(folder, resolution, log)
+        cameras = corners_of(folder, known, Path(cam).name if cam else "the recording", board, log)
+        return _recording(cameras, log), board
+    suggested = {name: entry.camera.topic for name, entry in stated.items() if entry.camera.topic}
+    images = open_images(path, topics=topics, suggested=suggested, units=log.units, cameras_alone=True)
+    log.sources.extend(images.sources)
+    log.notes.extend(images.assumptions)
+    if cam is None:
+        known = {name: _nominal(_size(stream, resolution), stream.topic) for name, stream in images.streams.items()}
+    else:
+        known = stated_cameras(images, stated, Path(path), Path(cam).name, log.notes)
+    tell = progress or (lambda _: None)
+    found = {
+        name: corners_of_camera(
+            images, name, entry, board, lens_known=False, workers=workers, cache=cache, progress=tell
+        )
+        for name, entry in known.items()
+    }
+    log.notes.extend(note for corners in found.values() for note in corners.notes)
+    return _recording({name: corners.frames for name, corners in found.items()}, log), board
+
+
+def _recording(cameras: Mapping[str, CameraFrames], log: ReadLog) -> Recording:
+    return Recording(imus={}, cameras=cameras, sources=tuple(log.sources), assumptions=tuple(log.notes))
+
+
+def _lenses(stated: Mapping[str, CameraInput], resolution: Size | None, cam: Path) -> dict[str, CameraInput]:
+    """Return the cameras of a file without what an IMU adds."""
+    for name, entry in stated.items():
+        if resolution not in (None, entry.camera.resolution):
+            width, height = entry.camera.resolution
+            raise OptionError(
+                f"--resolution {resolution[0]} {resolution[1]}, but {cam.name} says {width} x {height} px of {name}. "
+                "Leave out the one that is wrong."
+            )
+    return {name: CameraInput(camera=entry.camera) for name, entry in stated.items()}
+
+
+def _nominal(size: Size, topic: str = "") -> CameraInput:
+    return CameraInput(camera=Camera.nominal(size, topic))
+
+
+def _size(stream: ImageStream, resolution: Size | None) -> Size:
+    """Return the size of the images: as stated, else that of the first that can be read."""
+    if resolution is not None:
+        return resolution
+    for frame in stream.frames([]):
+        try:
+            height, width = frame.decode().shape
+        except RecordingError:
+            continue
+        return width, height
+    return 1, 1  # no image can be read: looking for the board says so
+
+
+def _sized(folder: Path, resolution: Size | None, log: ReadLog) -> dict[str, CameraInput]:
+    """Return the cameras of tables of corners by the size of their images: stated, of images or a camchain beside."""
+    names = list(corner_streams(folder))
+    if resolution is not None:
+        return {name: _nominal(resolution) for name in names}
+    found = _beside(folder)
+    if missing := [name for name in names if name not in found]:
+        raise OptionError(
+            f"{folder}: tables of corners do not tell how large the images of {' and '.join(missing)} are. Give "
+            f"--resolution WIDTH HEIGHT in pixels, or put one image of each, such as {missing[0]}_1.png, or a "
+            f"{_BESIDE} into the folder."
+        )
+    for name in names:
+        (width, height), where = found[name]
+        log.note(f"{name}: images of {width} x {height} px, as {where} has it.")
+    return {name: _nominal(found[name][0]) for name in names}
+
+
+def _beside(folder: Path) -> dict[str, tuple[Size, str]]:
+    """Return the sizes that images or a camchain in a folder tell, and which of them does."""
+    found: dict[str, tuple[Size, str]] = {}
+    if (folder / _BESIDE).is_file():
+        chain = read_cameras(folder / _BESIDE, [])
+        found |= {name: (entry.camera.resolution, _BESIDE) for name, entry in chain.items()}
+    try:
+        places = camera_places(folder, [])
+    except RecordingError:
+        return found
+    for name, place in places.items():
+        image = None if place.folder is None else min(image_names(place.folder, place.prefix))
+        if image is not None and place.folder is not None:
+            height, width = read_grey(place.folder / image, image).shape
+            found[name] = ((width, height), image)
+    return found

@@ -1,0 +1,228 @@
+"""Which views a calibration of cameras rests on, and where it starts from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...detect.boards.board import BoardView
+from ...detect.boards.checkerboard_order import ambiguous_turns, renumbered
+from ...estimate.cameras.first_rig import first_rig, numbered_alike
+from ...estimate.cameras.holdout import merged, posed
+from ...estimate.cameras.information import chosen_views
+from ...estimate.cameras.rig import Rig, RigSolution, SeenCorners, Views
+from ...estimate.cameras.solution import solved
+from ...estimate.cameras.views import gathered_views
+from ...findings import Finding, make_finding
+from ...models.camera import Camera
+from ...models.target import Target
+from ...recording import Floats, Integers
+
+_FOLDS = 5
+_BAD = 4.0
+"""Median distance of the corners of a frame over the usual one, from which on it fits badly as a whole."""
+
+_SIZES = (1 / 2, 2 / 3, 3 / 4, 1 / 3, 1 / 4, 2.0, 3 / 2, 4 / 3)
+_FITS = 1.5
+"""The same, up to which it fits at another size."""
+
+_FEWEST_OF_A_SIZE, _SHARE_OF_A_SIZE = 2, 0.02
+"""Frames, and their share of all; fewer are blurred ones that any size fits by chance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Start:
+    """Where the estimation of all cameras starts from.
+
+    Attributes
+    ----------
+    every : all views that show enough of the board, their corners numbered alike
+    rig : of the views that are used
+    used : (u,) which of the views are used, ascending
+    nats : (u,) what each told of the lenses when it was chosen
+    """
+
+    every: Views
+    rig: Rig
+    used: Integers
+    nats: Floats
+
+    @property
+    def views(self) -> Views:
+        """The views that are used."""
+        return self.every.where(self.used)
+
+
+def views_of(views: Views, name: str, most: int) -> Views:
+    """Return views of one camera alone, evenly spread over time and not more than `most`."""
+    own = gathered_views({name: views.cameras[name]}, views.target)
+    return own.where(np.unique(np.linspace(0, len(own) - 1, min(len(own), most)).round().astype(np.int64)))
+
+
+def started(views: Views, lenses: Mapping[str, Camera], most: int | None) -> Start:
+    """Return a first rig with lenses that are known about, and the most informative views for them.
+
+    Parameters
+    ----------
+    views : all of them
+    lenses : "cam0", ... -> lens, about right
+    most : number of views; until further ones add next to nothing where it is None
+
+    Raises
+    ------
+    InitialisationError
+        If cameras share too few views.
+    """
+    views = numbered_alike(views, lenses, _numberings(views.target))
+    rig = first_rig(views, {}, lenses)
+    chosen = chosen_views(views, rig, most)
+    return Start(every=views, rig=_of(rig, chosen.index), used=chosen.index, nats=chosen.nats)
+
+
+def _numberings(target: Target) -> Integers:
+    """Return the ways (k, n) in which the points of a board can be counted that looks the same from several ends."""
+    count = np.arange(len(target))
+    whole = BoardView(
+        point=count, pixels=np.column_stack([count, count]).astype(np.float64), sigma_px=np.ones(len(count))
+    )
+    return np.array([np.argsort(renumbered(whole, target, turns).pixels[:, 0]) for turns in ambiguous_turns(target)])
+
+
+def _of(rig: Rig, index: Integers) -> Rig:
+    """Return the rig of some of its views."""
+    return replace(rig, R_cam0_target=rig.R_cam0_target[index], p_cam0_target=rig.p_cam0_target[index])
+
+
+def kept(solution: RigSolution) -> Views:
+    """Return the views of a solution without the frames that it left out as misfits."""
+    views = solution.views
+    frame = np.full_like(views.frame, -1)
+    for number, seen in enumerate(solution.corners.values()):
+        inside = np.unique(seen.view)
+        frame[inside, number] = views.frame[inside, number]
+    return replace(views, frame=frame)
+
+
+def unused(every: Views, solution: RigSolution) -> dict[str, SeenCorners]:
+    """Return the residuals of what a solution did not use, each view with the pose that suits it best.
+
+    Parameters
+    ----------
+    every : all views
+    solution : of some of them
+    """
+    frame = every.frame.copy()
+    for number, seen in enumerate(solution.corners.values()):
+        frame[np.isin(frame[:, number], seen.frame), number] = -1
+    rest = np.flatnonzero((frame >= 0).any(axis=1))
+    return posed(replace(every, frame=frame).where(rest), solution.rig)
+
+
+def misfits(solution: RigSolution, others: Mapping[str, SeenCorners]) -> dict[str, Integers]:
+    """Return the frames of each camera that fit badly as a whole, chosen or not.
+
+    Parameters
+    ----------
+    solution : estimate
+    others : residuals of what it did not use, see `unused`
+    """
+    found: dict[str, Integers] = {}
+    for name, seen in solution.corners.items():
+        frame, middle = _middles(others[name])
+        found[name] = frame[~(middle < _BAD * max(_usual(seen), 1e-9))]
+    return found
+
+
+def other_size(every: Views, solution: RigSolution, bad: Mapping[str, Integers]) -> Finding | None:
+    """Say that images of one camera have two sizes, where frames that fit badly would fit at another size.
+
+    Parameters
+    ----------
+    every : all views
+    solution : estimate
+    bad : frames of each camera that fit badly
+    """
+    for number, (name, frames) in enumerate(every.cameras.items()):
+        kept = np.isin(every.frame[:, number], bad[name])
+        fewest = max(_FEWEST_OF_A_SIZE, _SHARE_OF_A_SIZE * len(frames.t_ns), kept.sum() / 2)
+        if kept.sum() < fewest:
+            continue
+        frame = np.full_like(every.frame, -1)
+        frame[kept, number] = every.frame[kept, number]
+        alone = replace(every, frame=frame).where(np.flatnonzero(kept))
+        width, height = frames.camera.resolution
+        for factor in _SIZES:
+            pixels = (frames.pixels + 0.5) / factor - 0.5
+            scaled = replace(alone, cameras={**alone.cameras, name: replace(frames, pixels=pixels)})
+            _, middle = _middles(posed(scaled, solution.rig)[name])
+            count = int(np.sum(middle < _FITS * _usual(solution.corners[name])))
+            if count >= fewest:
+                return make_finding(
+                    "image-sizes-mixed",
+                    name=name,
+                    differing=count,
+                    frames=len(frames.t_ns),
+                    width_px=factor * width,
+                    height_px=factor * height,
+                    width=width,
+                    height=height,
+                    image=int(bad[name][0]),
+                )
+    return None
+
+
+def _usual(seen: SeenCorners) -> float:
+    distance = np.linalg.norm(seen.residual, axis=1)
+    return float(np.median(distance[np.isfinite(distance)]))
+
+
+def _middles(seen: SeenCorners) -> tuple[Integers, Floats]:
+    """Return frames, and the median distance of the corners in each [px]; infinite where the lens images too few."""
+    frame, which = np.unique(seen.frame, return_inverse=True)
+    distance = np.linalg.norm(seen.residual, axis=1)
+    distance[~np.isfinite(distance)] = np.inf
+    order = np.lexsort((distance, which))
+    count = np.bincount(which, minlength=len(frame))
+    return frame, distance[order][np.cumsum(count) - count + count // 2] if len(frame) else np.empty(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Unseen:
+    """How well lenses, places and board predict views that were left out, each with a pose of its own.
+
+    Attributes
+    ----------
+    rms_px, rms_used_px : "cam0" -> rms of the corners of hold-out views, and of those used, per axis [px]
+    """
+
+    rms_px: Mapping[str, float]
+    rms_used_px: Mapping[str, float]
+
+
+def unseen(solution: RigSolution, cluster: Integers, board: tuple[str, ...], most_iterations: int) -> Unseen:
+    """Leave out every fifth cluster of views in turn, estimate everything anew, and look at those left out.
+
+    Parameters
+    ----------
+    solution : of the views, misfits left out already
+    cluster : (v,) number of the cluster of each view
+    board : what of its shape is estimated
+    most_iterations : of each estimation
+    """
+    views, parts = kept(solution), []
+    folds = min(_FOLDS, int(cluster[-1]) + 1)
+    for fold in range(folds):
+        out = cluster % folds == fold
+        rig = _of(solution.rig, np.flatnonzero(~out))
+        fit = solved(views.where(np.flatnonzero(~out)), rig, board=board, most_iterations=most_iterations)
+        parts.append(posed(views.where(np.flatnonzero(out)), fit.rig))
+    return Unseen(
+        rms_px={name: rms_of(merged([part[name] for part in parts])) for name in solution.corners},
+        rms_used_px={name: rms_of(seen) for name, seen in solution.corners.items()},
+    )
+
+
+def rms_of(seen: SeenCorners) -> float:
+    """Return the rms of corners per axis, of all that the lens can image [px]; nan where there are none."""
+    residual = seen.residual[np.isfinite(seen.residual[:, 0])]
+    return float(np.sqrt(np.mean(residual**2))) if len(residual) else float("nan")

@@ -1,0 +1,393 @@
+"""Before anything is estimated: one IMU's samples, checked and put on their time base, and local gravity."""
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import combinations
+
+import numpy as np
+
+from ...assess.checks.doctor import check_by_rests
+from ...assess.checks.protocol import find_imu_rests
+from ...assess.imu.threshold import RestDetection
+from ...detect.samples.noise import resting_noise
+from ...detect.samples.repair import repaired
+from ...detect.samples.repeats import repeated_stretches
+from ...detect.samples.rounding import rounding_variance, smallest_steps
+from ...detect.samples.saturation import saturated
+from ...detect.samples.time_base import TimeBase, time_base
+from ...errors import DetectionError, OptionError, RecordingError
+from ...estimate.multiposition.problem import TriadStream
+from ...estimate.multiposition.scaling import ImuEstimate
+from ...findings import Finding, make_finding
+from ...geometry.so3 import nearest_rotation
+from ...models.gravity import NORMAL_GRAVITY_SIGMA_M_S2, normal_gravity_m_s2
+from ...models.target import Target
+from ...options import CameraImuOptions, CameraOptions, ImuOptions, MagnetometerOptions, TurntableOptions
+from ...recording import Floats, ImuSamples, Recording, TriadSamples, shared_sources
+from ...results.calibration import (
+    UNSTATED_GRAVITY,
+    AccelerometerCalibration,
+    Calibration,
+    Covariance,
+    Gravity,
+    GyroscopeCalibration,
+    ImuCalibration,
+    parameters,
+    rotated,
+)
+from ...results.intervals import Booleans, StaticIntervals
+
+_POSE = re.compile(r"([xyz])=(-?)(\d+)")
+
+
+def in_stated_frame(calibration: Calibration, frame: str, rests: Floats, sigmas: Floats) -> Calibration:
+    """Return the calibration in "accel-x", "accel-z", or the frame that poses such as "x=3 y=12 z=-7" define.
+
+    Parameters
+    ----------
+    calibration : in body frame accel-x
+    frame : as stated
+    rests : (n, 3) means of the accelerometer in the static intervals [unit]
+    sigmas : (n,) predicted sigma of |f| in each [m/s^2]
+
+    Raises
+    ------
+    OptionError
+        If the frame is neither, or a pose names no static interval of this recording.
+    """
+    if frame == "accel-x":
+        return calibration
+    if frame == "accel-z":
+        return calibration.in_frame(frame)
+    axes, rows = _poses(frame, len(rests))
+    imu = calibration.imus["imu0"]
+    means = rests[rows]
+    sigma = sigmas[rows]
+    flat = np.concatenate([value.ravel() for _, value in parameters({"imu0": imu})])
+
+    def moved(x: Floats) -> Floats:
+        """Parameters in the user's frame, from those in accel-x followed by the means of the poses."""
+        n = len(flat)
+        matrices = _unflattened(x[:n], imu)
+        up = _up(matrices[0], matrices[1], x[n:].reshape(-1, 3))
+        rotation = nearest_rotation(axes.T @ up)
+        return np.concatenate([(m @ rotation.T).ravel() if m.ndim == 2 else m for m in matrices])
+
+    point = np.concatenate([flat, means.ravel()])
+    jacobian = _differences(moved, point)
+    noise = np.zeros((len(point), len(point)))
+    noise[: len(flat), : len(flat)] = calibration.uncertainty.matrix
+    by_force = imu.required_accelerometer.sensitivity @ imu.required_accelerometer.sensitivity.T
+    for k in range(len(rows)):
+        part = slice(len(flat) + 3 * k, len(flat) + 3 * k + 3)
+        noise[part, part] = by_force * sigma[k] ** 2
+    rotation = nearest_rotation(
+        axes.T @ _up(imu.required_accelerometer.sensitivity, imu.required_accelerometer.bias, means)
+    )
+    return replace(
+        calibration,
+        imus={"imu0": rotated(imu, rotation)},
+        frame="user",
+        uncertainty=Covariance(names=calibration.uncertainty.names, matrix=jacobian @ noise @ jacobian.T),
+    )
+
+
+def _poses(text: str, intervals: int) -> tuple[Floats, list[int]]:
+    """Return the axes (k, 3) that pointed up, and the intervals' indices, of "x=3 y=12 z=-7"."""
+    words = text.replace(",", " ").split()
+    matches = [_POSE.fullmatch(word) for word in words]
+    if not words or not all(matches):
+        raise OptionError(
+            f'frame "{text}" is neither accel-x nor accel-z nor a list of poses such as "x=3 y=12 z=-7" '
+            "(static interval 3 with x up, 12 with y up, 7 with z down; numbers as in the report)."
+        )
+    axes = np.zeros((len(words), 3))
+    rows: list[int] = []
+    for k, match in enumerate(matches):
+        assert match is not None
+        axis, minus, number = match.groups()
+        if not 1 <= int(number) <= intervals:
+            raise OptionError(
+                f'frame "{text}": there is no static interval {number}; they are numbered 1 to {intervals}.'
+            )
+        axes[k, "xyz".index(axis)] = -1.0 if minus else 1.0
+        rows.append(int(number) - 1)
+    if np.linalg.matrix_rank(axes) < 2:
+        raise OptionError(f'frame "{text}": one axis leaves the turn about it open. Name poses of two or three axes.')
+    return axes, rows
+
+
+def _unflattened(x: Floats, imu: ImuCalibration) -> list[Floats]:
+    matrices: list[Floats] = []
+    start = 0
+    for _, value in parameters({"imu0": imu}):
+        matrices.append(x[start : start + value.size].reshape(value.shape))
+        start += value.size
+    return matrices
+
+
+def _up(sensitivity: Floats, bias: Floats, means: Floats) -> Floats:
+    force = (means - bias) @ np.linalg.inv(sensitivity).T
+    return force / np.linalg.norm(force, axis=1, keepdims=True)
+
+
+def _differences(function: Callable[[Floats], Floats], point: Floats) -> Floats:
+    """Return the Jacobian by central differences, with steps of 1e-6 of each number's own size."""
+    size = np.maximum(np.abs(point), 1e-3 * np.abs(point).max())
+    columns = [
+        (function(point + step) - function(point - step)) / (2 * step[k]) for k, step in enumerate(np.diag(1e-6 * size))
+    ]
+    return np.stack(columns, axis=1)
+
+
+_READ = {
+    "calibrate_imu": 'gnomon.calibrate_imu(gnomon.read("recording.csv"))',
+    "calibrate_magnetometer": 'gnomon.calibrate_magnetometer(gnomon.read("recording.csv"))',
+    "calibrate_turntable": 'gnomon.calibrate_turntable([gnomon.read_turntable("disc.csv")], rates)',
+    "calibrate_cameras": 'gnomon.calibrate_cameras(*gnomon.read_camera_views("images", target="target.yaml"))',
+    "calibrate_camera_imu": "gnomon.calibrate_camera_imu(*gnomon.read_camera_imu("
+    '"rig.bag", cam="camchain.yaml", imu="imu.yaml", target="target.yaml"))',
+}
+
+
+def check_arguments(function: str, *values: object) -> None:
+    """Check that a recipe is given recordings, and a board where it takes one as the last.
+
+    Raises
+    ------
+    OptionError
+        If one is something else, such as the path of a file.
+    """
+    kinds = (Recording, Target) if function in ("calibrate_cameras", "calibrate_camera_imu") else (Recording,)
+    for number, value in enumerate(values):
+        kind = kinds[min(number, len(kinds) - 1)]
+        if not isinstance(value, kind):
+            shown = f"{type(value).__name__} {value!r:.60}" if isinstance(value, str) else type(value).__name__
+            raise OptionError(
+                f"{function} takes a {kind.__name__}, and was given a {shown}. Read it first: {_READ[function]}."
+            )
+
+
+_PROTOCOL_PROBLEMS = {"never-static", "always-static", "gyroscope-silent", "attitudes"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PreparedImu:
+    """One IMU, ready for estimation.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : samples without duplicates
+    accelerometer_time, gyroscope_time : instants of sampling, one origin
+    accelerometer_saturated, gyroscope_saturated : (n,) clipped samples
+    findings : what the data doctor noticed
+    rests : where it rested, as the data doctor found it; None where it is shorter than two windows
+    """
+
+    accelerometer: TriadSamples
+    gyroscope: TriadSamples
+    accelerometer_time: TimeBase
+    gyroscope_time: TimeBase
+    accelerometer_saturated: Booleans
+    gyroscope_saturated: Booleans
+    findings: tuple[Finding, ...]
+    rests: RestDetection | None
+
+
+def check_and_detect(
+    recording: Recording, name: str, options: ImuOptions
+) -> tuple[tuple[Finding, ...], RestDetection | None]:
+    """Return what the data doctor says of one IMU of a recording, and the rests that he found on the way."""
+    found: list[RestDetection | None] = []
+
+    def find_rests(imu: ImuSamples) -> RestDetection | None:
+        found.append(
+            find_imu_rests(
+                imu,
+                window_s=options.window_s,
+                multiplier=options.multiplier,
+                accelerometer_range=options.accelerometer_range,
+                gravity_m_s2=local_gravity(options).value,
+                counted=options.time_base == "uniform",
+            )
+        )
+        return found[-1]
+
+    findings = check_by_rests(replace(recording, imus={name: recording.imus[name]}), find_rests)
+    return findings, next(iter(found), None)
+
+
+def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[str] = frozenset()) -> PreparedImu:
+    """Check a recording and put its first IMU on its time base.
+
+    Parameters
+    ----------
+    recording, options : see `calibrate_imu`
+    tolerated : codes of findings that are left to the caller, although the data doctor calls them a problem
+
+    Raises
+    ------
+    RecordingError
+        If the recording holds no IMU, or something that no calibration can use.
+    DetectionError
+        If it does not follow the protocol: never at rest, always at rest, too few attitudes.
+    """
+    if not recording.imus:
+        raise RecordingError("the recording holds no IMU. Give a file with accelerometer and gyroscope samples.")
+    name, samples = next(iter(recording.imus.items()))
+    assumptions = recording.assumptions
+    if len(recording.imus) > 1:
+        assumptions += (f"the recording holds {len(recording.imus)} IMUs; {name} is the one that is calibrated.",)
+    findings, rests = check_and_detect(recording, name, options)
+    findings += tuple(map(assumed, assumptions))
+    refuse(findings, tolerated=tolerated)
+    if not len(samples.gyroscope):
+        raise RecordingError(
+            "the recording holds no gyroscope samples. "
+            "Give a file with both triads, or the gyroscope's file as a second path."
+        )
+    return _on_time_base(samples, findings, rests, options)
+
+
+def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset()) -> None:
+    """Raise the first problem among what the data doctor found.
+
+    Raises
+    ------
+    RecordingError, DetectionError
+        See `prepare`.
+    """
+    for finding in findings:
+        if finding.severity == "problem" and finding.code not in tolerated:
+            kind = DetectionError if finding.code in _PROTOCOL_PROBLEMS else RecordingError
+            raise kind(str(finding))
+
+
+def assumed(sentence: str) -> Finding:
+    """Return what a reader had to take for granted as a finding."""
+    return make_finding("assumed", text=sentence)
+
+
+def recording_names(recordings: Sequence[Recording]) -> list[str]:
+    """Return what each recording is called: its first file, with its number where files are called alike."""
+    files = [recording.sources[0].name if recording.sources else "" for recording in recordings]
+    return [
+        name if name and files.count(name) == 1 else f"recording {i}" + (f" ({name})" if name else "")
+        for i, name in enumerate(files, 1)
+    ]
+
+
+def refuse_same_data(recordings: Sequence[Recording], names: Sequence[str]) -> None:
+    """Refuse recordings of which two hold the same samples, as files or in part.
+
+    Raises
+    ------
+    RecordingError
+        If there are such; the message says where.
+    """
+    for i, j in combinations(range(len(names)), 2):
+        first, second = recordings[i], recordings[j]
+        one, other = _telling_triad(first), _telling_triad(second)
+        same = shared_sources(first.sources, second.sources)
+        if same:
+            alike = "file" if same[0].sha256 in {source.sha256 for source in second.sources} else "measurements"
+            raise RecordingError(
+                f"{names[i]} and {names[j]} are the same {alike}, which would count twice. Leave one out."
+            )
+        shared = [] if one is None or other is None else repeated_stretches(one.values, other.values)
+        if shared and one is not None and other is not None:
+            count = sum(repeat.first_stop - repeat.first for repeat in shared)
+            raise RecordingError(
+                f"{names[i]} and {names[j]} share {count} samples, bit by bit: those of {names[i]} from "
+                f"{one.t_s[shared[0].first]:.2f} s on are those of {names[j]} from {other.t_s[shared[0].second]:.2f} s "
+                "on. They would count twice. Leave one recording out, or cut what they share out of one."
+            )
+
+
+def _telling_triad(recording: Recording) -> TriadSamples | None:
+    """Return the triad by whose samples a recording is known."""
+    for imu in recording.imus.values():
+        return imu.accelerometer if len(imu.accelerometer) else imu.gyroscope
+    return None
+
+
+def _on_time_base(
+    samples: ImuSamples, findings: tuple[Finding, ...], rests: RestDetection | None, options: ImuOptions
+) -> PreparedImu:
+    counted = options.time_base == "uniform"
+    accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
+    origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
+    accelerometer_time = time_base(accelerometer, origin, options.time_base)
+    shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
+    gyroscope_time = accelerometer_time if shared else time_base(gyroscope, origin, options.time_base)
+    findings += tuple(_uniform_despite_gaps(accelerometer_time, gyroscope_time))
+    return PreparedImu(
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        accelerometer_time=accelerometer_time,
+        gyroscope_time=gyroscope_time,
+        accelerometer_saturated=saturated(accelerometer, options.accelerometer_range),
+        gyroscope_saturated=saturated(gyroscope, options.gyroscope_range),
+        findings=findings,
+        rests=rests,
+    )
+
+
+def _uniform_despite_gaps(accelerometer: TimeBase, gyroscope: TimeBase) -> list[Finding]:
+    """Warn where a uniform time base was stated although the timestamps show that samples are missing."""
+    missing, longest = max((base.missing, len(base.t_s)) for base in (accelerometer, gyroscope))
+    if not missing:
+        return []
+    return [make_finding("time-base-stated", longest=longest, missing=missing)]
+
+
+def local_gravity(options: ImuOptions | CameraImuOptions | TurntableOptions) -> Gravity:
+    """Return gravity as stated, by latitude, or standard gravity with the spread that it has in the world."""
+    if options.gravity is not None:
+        return Gravity(value=options.gravity, sigma=0.0, source="as stated")
+    if options.latitude is not None:
+        value = normal_gravity_m_s2(options.latitude, options.altitude)
+        source = f"normal gravity at latitude {options.latitude:g} deg, altitude {options.altitude:g} m"
+        return Gravity(value=value, sigma=NORMAL_GRAVITY_SIGMA_M_S2, source=source)
+    return UNSTATED_GRAVITY
+
+
+def stated_options(
+    options: ImuOptions | CameraImuOptions | CameraOptions | TurntableOptions | MagnetometerOptions,
+) -> dict[str, str]:
+    """Return the options that differ from their default, as text."""
+    return {f.name: str(getattr(options, f.name)) for f in fields(options) if getattr(options, f.name) != f.default}
+
+
+def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibration:
+    """Return estimated parameters as the calibration of a prepared IMU."""
+    return ImuCalibration(
+        accelerometer=AccelerometerCalibration(
+            sensitivity=estimate.accelerometer_sensitivity,
+            bias=estimate.accelerometer_bias,
+            unit=prepared.accelerometer.unit,
+        ),
+        gyroscope=GyroscopeCalibration(
+            sensitivity=estimate.gyroscope_sensitivity,
+            bias=estimate.gyroscope_bias,
+            g_sensitivity=estimate.g_sensitivity,
+            unit=prepared.gyroscope.unit,
+        ),
+    )
+
+
+def stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
+    """Return samples with their noise at rest, as estimation needs them."""
+    of_means, of_increments = resting_noise(samples.values, still, samples.rate_hz)
+    rounded = np.nan_to_num(smallest_steps(samples.values)) ** 2 / 12 / samples.rate_hz  # in motion it is white
+    return TriadStream(
+        t_s=t_s,
+        values=samples.values,
+        saturated=clipped,
+        rate_hz=samples.rate_hz,
+        density=of_means,
+        density_in_motion=np.maximum(of_increments, rounded),
+        rounding=rounding_variance(samples.values, still),
+        intervals=still,
+    )

@@ -1,0 +1,1 @@
+"""What follows from the estimate: covariance, consistency, and what is published."""

@@ -1,0 +1,233 @@
+"""What the corners' residuals have in common: over time, between neighbours, and for each corner of the board.
+
+A detector's errors are not white. What stays with a corner of the board, in all frames, is an error of the board or a
+bias of the detector; what stays with a part of the image is one of the lens. Both are found here from the residuals of
+an estimate that has neither, before anything is estimated anew.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ....recording import Floats, Integers
+from ..solution import Solution
+from ..terms.board import Board
+from ..terms.visual_terms import board_in_camera, instants
+from ..trajectory import Bases
+
+LAGS = (1, 20, 100)
+"""Frames after which a corner is compared with itself."""
+
+_CLUSTER_S = 2.0
+_CELLS = (8, 6)  # of the image, across and down
+_FEWEST_CLUSTERS = 6
+_DRAWS = 5000  # of signs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CornerCorrelation:
+    """How the residuals of corners are correlated; independent errors would give zeros.
+
+    Attributes
+    ----------
+    rms_px : of the residuals that count, per axis
+    lags : frames
+    over_time : correlation of a corner's residual with itself so many frames later; nan where there is none
+    neighbours : correlation in the same frame of corners next to each other, of tags the same corners of two tags
+    """
+
+    rms_px: float
+    lags: tuple[int, ...]
+    over_time: tuple[float, ...]
+    neighbours: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pattern:
+    """Residuals that come back at the same place in all clusters of time.
+
+    Attributes
+    ----------
+    share : of the residuals' variance that is the same in different clusters, without bias; below zero by chance
+    rms_px : of that part, per axis
+    z : how far its sum of products between clusters lies above zero, in standard deviations under random signs of the
+        clusters, however the residuals within a cluster are correlated
+    chance : that residuals without a pattern would have such a z: the share of random signs that give it
+    clusters : number of clusters of time
+    """
+
+    share: float
+    rms_px: float
+    z: float
+    chance: float
+    clusters: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Corners:
+    """Corners of one camera that count.
+
+    Attributes
+    ----------
+    residual : (m, 2) [px], robustly weighed
+    on_board : (m, 2) the same along the board's axes
+    frame, point : (m,) each
+    t_s : (m,)
+    pixels : (m, 2) over the image's size, 0 to 1
+    """
+
+    residual: Floats
+    on_board: Floats
+    frame: Integers
+    point: Integers
+    t_s: Floats
+    pixels: Floats
+
+
+def corner_correlation(solution: Solution) -> dict[str, CornerCorrelation]:
+    """Return how the residuals of each camera are correlated, by its name."""
+    parameters = solution.state.parameters
+    neighbours = _neighbours(parameters.board)
+    found: dict[str, CornerCorrelation] = {}
+    for entry, corners in zip(parameters.cameras, _counting(solution), strict=True):
+        if not len(corners.point):
+            continue
+        frames, points = int(corners.frame.max()) + 1, int(corners.point.max()) + 1
+        grid = np.full((frames, points, 2), np.nan)
+        grid[corners.frame, corners.point] = corners.residual
+        near = neighbours[(neighbours < points).all(axis=1)]
+        found[entry.name] = CornerCorrelation(
+            rms_px=float(np.sqrt(np.mean(corners.residual**2))),
+            lags=LAGS,
+            over_time=tuple(_correlation(grid[:-lag], grid[lag:]) for lag in LAGS),
+            neighbours=_correlation(grid[:, near[:, 0]], grid[:, near[:, 1]]),
+        )
+    return found
+
+
+def board_evidence(solution: Solution) -> Pattern:
+    """Return whether corners of the board stay off their places: cheap, and before offsets are estimated."""
+    every = _counting(solution)
+    return _pattern(
+        np.concatenate([corners.on_board for corners in every]),
+        np.concatenate([corners.point for corners in every]),
+        np.concatenate([corners.t_s for corners in every]),
+    )
+
+
+def lens_evidence(solution: Solution) -> Pattern:
+    """Return whether residuals stay with parts of the image, as those of wrong intrinsics do."""
+    every, (across, down) = _counting(solution), _CELLS
+    cells: list[Integers] = []
+    for number, corners in enumerate(every):
+        column, row = np.floor(corners.pixels * _CELLS).astype(np.int64).T
+        cells.append((number * down + np.clip(row, 0, down - 1)) * across + np.clip(column, 0, across - 1))
+    return _pattern(
+        np.concatenate([corners.residual for corners in every]),
+        np.concatenate(cells),
+        np.concatenate([corners.t_s for corners in every]),
+    )
+
+
+def _pattern(residual: Floats, label: Integers, t_s: Floats) -> Pattern:
+    """Return what residuals (m, 2) of the same label (m,) have in common between clusters of time."""
+    cluster = np.floor((t_s - np.min(t_s, initial=np.inf)) / _CLUSTER_S).astype(np.int64)
+    return common_pattern(residual, label, cluster)
+
+
+def common_pattern(residual: Floats, label: Integers, cluster: Integers) -> Pattern:
+    """Return what residuals (m, 2) of the same label (m,) have in common between clusters (m,), numbered in time.
+
+    M_cd = sum over labels of s_c s_d', s the sums of residuals of a label in clusters c and d, is without a pattern as
+    likely positive as negative for c and d that are not neighbours.
+    """
+    if not len(cluster):
+        return Pattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=0)
+    clusters, labels = int(cluster.max()) + 1, int(label.max()) + 1
+    place = cluster * labels + label
+    sums = np.stack([np.bincount(place, r, clusters * labels) for r in residual.T], axis=1).reshape(clusters, -1)
+    count = np.bincount(place, minlength=clusters * labels).reshape(clusters, labels).astype(np.float64)
+    number = np.arange(clusters)
+    apart = np.abs(number[:, None] - number) > 1
+    products, pairs = np.where(apart, sums @ sums.T, 0.0), np.where(apart, count @ count.T, 0.0)
+    if clusters < _FEWEST_CLUSTERS or not products.any():
+        return Pattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=clusters)
+    z = float(products.sum() / np.sqrt(2 * (products**2).sum()))
+    square = float(products.sum() / (2 * pairs.sum()))
+    return Pattern(
+        share=square / float(np.mean(residual**2)),
+        rms_px=float(np.sqrt(max(square, 0.0))),
+        z=z,
+        chance=_chance(products),
+        clusters=clusters,
+    )
+
+
+def _chance(products: Floats) -> float:
+    """Return how likely random signs of the clusters give a sum of products (c, c) as large."""
+    signs = 2.0 * np.random.default_rng(1).integers(0, 2, (_DRAWS, len(products))) - 1
+    drawn = np.einsum("nc,nc->n", signs @ products, signs)
+    return float((1 + np.sum(drawn >= products.sum())) / (1 + _DRAWS))
+
+
+def _counting(solution: Solution) -> list[_Corners]:
+    """Return the corners of every camera that count, at the estimate."""
+    trajectory, parameters = solution.state.trajectory, solution.state.parameters
+    found: list[_Corners] = []
+    for data, used, sigma_px in zip(
+        solution.measurements.visual, solution.measurements.used, solution.noise.pixel_sigma, strict=True
+    ):
+        exposures, entry = data.exposures, parameters.cameras[data.camera]
+        assert exposures.point is not None
+        places = trajectory.grid.places(instants(data, entry))
+        motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
+        R, p = board_in_camera(motion, entry)
+        of = exposures.of_corner
+        where = exposures.points
+        if parameters.board is not None:
+            where = where + parameters.board.offsets[exposures.point]
+        image = entry.camera.project(np.einsum("mij,mj->mi", R[of], parameters.target_scale * where) + p[of])
+        assert image.by_point is not None
+        counts = (used & places.inside)[of] & image.valid
+        residual = (image.pixels - exposures.pixels)[counts]
+        distance = np.linalg.norm(residual, axis=1) / sigma_px
+        residual = residual * np.minimum(1.0, solution.noise.huber / np.maximum(distance, 1e-12))[:, None]
+        found.append(
+            _Corners(
+                residual=residual,
+                on_board=along_board(image.by_point[counts] @ R[of][counts][:, :, :2], residual),
+                frame=exposures.frame[of][counts],
+                point=exposures.point[counts],
+                t_s=data.t_s[of][counts],
+                pixels=exposures.pixels[counts] / entry.camera.resolution,
+            )
+        )
+    return found
+
+
+def along_board(by_place: Floats, residual: Floats) -> Floats:
+    """Return residuals (m, 2) turned so that they point along the board's axes, by their derivative (m, 2, 2)."""
+    side = np.where(np.linalg.det(by_place) < 0, -1.0, 1.0)  # the board's y axis points up, the image's down
+    angle = np.arctan2(by_place[:, 1, 0] - side * by_place[:, 0, 1], by_place[:, 0, 0] + side * by_place[:, 1, 1])
+    cos, sin = np.cos(angle), np.sin(angle)
+    x, y = residual.T
+    return np.stack([cos * x + sin * y, side * (cos * y - sin * x)], axis=1)
+
+
+def _neighbours(board: Board | None) -> Integers:
+    """Return pairs (n, 2) of corners that are next to each other, of tags the same corners of two tags."""
+    if board is None:
+        return np.zeros((0, 2), dtype=np.int64)
+    apart = np.abs(board.points[:, None] - board.points)
+    beside = np.isclose(apart.max(axis=2), board.pitch_m, rtol=0.01) & (apart.min(axis=2) < 0.01 * board.pitch_m)
+    beside &= np.isclose(apart.sum(axis=2), board.pitch_m, rtol=0.01)
+    return np.argwhere(np.triu(beside))
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    """Return the correlation of residuals (..., 2) that are there in both; nan where there are none."""
+    both = np.isfinite(a[..., 0]) & np.isfinite(b[..., 0])
+    if not both.any():
+        return float("nan")
+    x, y = a[both], b[both]
+    return float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum()))

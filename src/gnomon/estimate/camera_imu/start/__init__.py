@@ -1,0 +1,1 @@
+"""The first guess of the batch estimation."""

@@ -1,0 +1,296 @@
+"""The start of the batch estimation, found from the measurements alone: solver design, automatic initial guess.
+
+board poses -> time shift, rotation between camera and IMU, gyroscope bias -> knots -> trajectory -> gravity
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ....errors import InitialisationError, OptionError
+from ....geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
+from ....models.origin import Origin
+from ....models.target import Target
+from ....options import CameraImuOptions
+from ....recording import CameraFrames, Floats
+from ..batch import State
+from ..choices import choices, kept_or_prior, wants_k3
+from ..layout import Status
+from ..parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from ..terms.board import Board
+from ..terms.corner_sums import Exposures
+from ..terms.inertial_data import InertialData
+from .alignment import Alignment, align, gyroscope_integral
+from .board_poses import BoardPoses, board_poses
+from .camera_acceleration import averaged, camera_accelerations
+from .initial_trajectory import ImuPath, imu_path, initial_trajectory
+
+_BAD_FRAME = 5.0
+"""Frames whose pose fits worse than the median by this factor do not guide the first trajectory."""
+
+_FEWEST_ACCELERATIONS = 10
+
+_ONE_AXIS = 0.1
+"""Ratio of the second to the first principal rate below which the rotation is about one axis only."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """What one camera saw, and how it lies to the IMU.
+
+    Attributes
+    ----------
+    name, frames : of the camera
+    poses : of the board
+    alignment : to the IMU
+    target : the board
+    """
+
+    name: str
+    frames: CameraFrames
+    poses: BoardPoses
+    alignment: Alignment
+    target: Target
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuStream:
+    """Gyroscope and accelerometer of an IMU on one time base, for the first guess only.
+
+    Attributes
+    ----------
+    t_s : (n,) timestamps of the gyroscope [s]
+    rate : (n, 3) [rad/s]
+    force : (n, 3) [m/s^2], interpolated where the accelerometer has other timestamps
+    """
+
+    t_s: Floats
+    rate: Floats
+    force: Floats
+
+
+def imu_stream(inertial: tuple[InertialData, ...], imu: int = 0) -> ImuStream:
+    """Return the readings of an IMU at the timestamps of its gyroscope."""
+    gyroscope = next(data for data in inertial if data.imu == imu and data.gyroscope is not None)
+    accelerometer = next(data for data in inertial if data.imu == imu and data.accelerometer is not None)
+    assert gyroscope.gyroscope is not None
+    assert accelerometer.accelerometer is not None
+    force = accelerometer.accelerometer.values
+    if accelerometer is not gyroscope:
+        force = np.stack([np.interp(gyroscope.t_s, accelerometer.t_s, force[:, i]) for i in range(3)], axis=1)
+    return ImuStream(t_s=gyroscope.t_s, rate=gyroscope.gyroscope.values, force=force)
+
+
+def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, stream: ImuStream) -> tuple[Look, ...]:
+    """Find the board in every frame, and every camera's clock and axes.
+
+    Parameters
+    ----------
+    cameras : by name
+    target : the board
+    origin_ns : where the seconds of the cameras' timestamps start, of each camera's own clock too [ns]
+    stream : of the IMU
+
+    Raises
+    ------
+    InitialisationError
+        If a camera cannot be aligned and has no stated guess.
+    """
+    integral = gyroscope_integral(stream.t_s, stream.rate)
+    found: list[Look] = []
+    for name, frames in cameras.items():
+        poses = board_poses(frames, target, np.asarray((frames.t_ns - origin_ns) * 1e-9, dtype=np.float64))
+        try:
+            alignment = align(poses, integral, name)
+        except InitialisationError:
+            if frames.T_cam_imu is None or not len(poses):
+                raise
+            alignment = _as_stated(frames, poses)
+            t_s = poses.t_s + alignment.time_shift_s
+            if not np.any((t_s >= stream.t_s[0]) & (t_s <= stream.t_s[-1])):
+                raise  # why it cannot be found says more than that what was stated is wrong, too
+        else:
+            stated = None if frames.T_cam_imu is None else frames.T_cam_imu[:3, :3]
+            alignment = upright(alignment, poses, stream, stated)
+        found.append(Look(name=name, frames=frames, poses=poses, alignment=alignment, target=target))
+    return tuple(found)
+
+
+def _as_stated(frames: CameraFrames, poses: BoardPoses) -> Alignment:
+    assert frames.T_cam_imu is not None
+    return Alignment(
+        time_shift_s=frames.time_shift_cam_imu_s or 0.0,
+        R_cam_imu=frames.T_cam_imu[:3, :3],
+        gyroscope_bias=np.zeros(3),
+        rate_scale=1.0,
+        score=0.0,
+        axes=np.zeros(3),
+        consistent=np.ones(len(poses), dtype=bool),
+    )
+
+
+def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated: Floats | None = None) -> Alignment:
+    """Where the rotation was about one axis, find the angle about it from the specific force, unless it is stated.
+
+    The camera's own acceleration (`camera_acceleration`) and the accelerometer, averaged as that is, are compared in
+    the camera's axes, less their means, so that a bias does not matter.
+    """
+    if alignment.axes[1] > _ONE_AXIS * alignment.axes[0]:
+        return alignment
+    if R_stated is not None:
+        return replace(alignment, R_cam_imu=R_stated)
+    centre, acceleration, at_s = camera_accelerations(poses, alignment.time_shift_s)
+    if len(centre) < _FEWEST_ACCELERATIONS:
+        raise InitialisationError(
+            f"the rig turned about one axis only, and {len(centre)} frames with the board have one just before and one "
+            "just after them, too few to tell the camera's angle about that axis. Turn about all three axes, or state "
+            "T_cam_imu in camchain.yaml."
+        )
+    R_cam_target = poses.R_cam_target[centre]
+    force = averaged(at_s, stream.t_s, stream.force)
+    turns = rotvec_from_rotation(poses.R_cam_target[:-1] @ np.swapaxes(poses.R_cam_target[1:], 1, 2))
+    axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
+    best, least = alignment.R_cam_imu, np.inf
+    for angle in np.arange(120) * np.radians(3.0):
+        R = rotation_from_rotvec(angle * axis) @ alignment.R_cam_imu
+        seen = force @ R.T
+        gravity = (acceleration - np.einsum("nji,nj->ni", R_cam_target, seen)).mean(axis=0)
+        error = seen - np.einsum("nij,nj->ni", R_cam_target, acceleration - gravity)
+        scatter = float(np.var(error, axis=0).sum())
+        if scatter < least:
+            best, least = R, scatter
+    return replace(alignment, R_cam_imu=best)
+
+
+def per_corner(exposures: Exposures) -> Exposures:
+    """Return exposures of single corners, each at the time of its own image row (rolling shutter)."""
+    count = len(exposures.points)
+    return Exposures(
+        frame=np.repeat(exposures.frame, np.diff(exposures.start)),
+        start=np.arange(count + 1),
+        points=exposures.points,
+        pixels=exposures.pixels,
+        delay_rows=exposures.pixels[:, 1].copy(),
+        spread=exposures.spread,
+        point=exposures.point,
+    )
+
+
+def first_parameters(
+    found: tuple[Look, ...],
+    gravity_m_s2: float,
+    options: CameraImuOptions,
+    imus: Sequence[ImuParameters] = (ImuParameters.ideal(),),
+    places: Sequence[Floats] = (),
+) -> Parameters:
+    """Return the constant parameters to start from; gravity's direction follows with the trajectory.
+
+    What was stated of the cameras is taken where it shall be kept, or has a stated prior about it. Of the others
+    `places` tells p_cam_imu (3,) [m], where given.
+
+    Raises
+    ------
+    OptionError
+        If something shall be kept, or has a prior, that was not stated.
+    """
+    start = Parameters(
+        gravity_axes=gravity_axes(np.array([0.0, 0.0, -1.0])),
+        gravity_m_s2=gravity_m_s2,
+        target_scale=1.0,
+        board=Board.nominal(found[0].target) if found else None,
+        imus=tuple(replace(imu, origin=Origin.stated(options.origin)) for imu in imus),
+        cameras=tuple(
+            CameraParameters(
+                name=look.name,
+                R_cam_imu=look.alignment.R_cam_imu,
+                p_cam_imu=places[i] if places else np.zeros(3),
+                time_shift_s=look.alignment.time_shift_s,
+                camera=look.frames.camera,
+                lens_covariance=look.frames.lens_covariance,
+            )
+            for i, look in enumerate(found)
+        ),
+    )
+    named = [entry.with_k3() if wants_k3(entry.name, options) else entry for entry in start.cameras]
+    start = replace(start, cameras=tuple(named))
+    status = choices(start, options).status
+    cameras = [_with_stated(entry, look.frames, status) for entry, look in zip(start.cameras, found, strict=True)]
+    return replace(start, cameras=tuple(cameras))
+
+
+def _with_stated(entry: CameraParameters, frames: CameraFrames, status: dict[str, Status]) -> CameraParameters:
+    """Return a camera with its stated extrinsics and time shift where these are kept or have a prior."""
+
+    def kept(block: str, stated: bool) -> bool:
+        """Tell whether any scalar of a block is kept or has a prior, which something stated is needed for."""
+        name = f"{entry.name}.{block}"
+        if not kept_or_prior(status, name):
+            return False
+        if not stated:
+            raise OptionError(
+                f"{name} shall be kept, or has a prior, but camchain.yaml states none for {entry.name}: add "
+                f"{'timeshift_cam_imu' if block == 'time_shift_cam_imu' else 'T_cam_imu'} there."
+            )
+        return True
+
+    T, shift = frames.T_cam_imu, frames.time_shift_cam_imu_s
+    if kept("T_cam_imu.rotation", T is not None) and T is not None:
+        entry = replace(entry, R_cam_imu=T[:3, :3])
+    if kept("T_cam_imu.translation", T is not None) and T is not None:
+        entry = replace(entry, p_cam_imu=T[:3, 3])
+    if kept("time_shift_cam_imu", shift is not None) and shift is not None:
+        entry = replace(entry, time_shift_s=shift)
+    return entry
+
+
+def first_state(
+    found: tuple[Look, ...],
+    parameters: Parameters,
+    stream: ImuStream,
+    knots_per_s: float,
+    *,
+    order: int,
+    others: Sequence[Floats] = (),
+) -> State:
+    """Return trajectory and gravity for given extrinsics and time shifts.
+
+    Parameters
+    ----------
+    stream : of the first IMU
+    others : biases (3,) of the gyroscopes of the other IMUs [rad/s]
+
+    Raises
+    ------
+    InitialisationError
+        If board and IMU were nowhere recorded together.
+    """
+    guide = max(range(len(found)), key=lambda i: int(found[i].alignment.consistent.sum()))
+    look, entry = found[guide], parameters.cameras[guide]
+    poses = look.poses
+    t_s = poses.t_s + entry.time_shift_s
+    good = look.alignment.consistent & ~(poses.scatter_px > _BAD_FRAME * np.median(poses.scatter_px))
+    good &= (t_s >= stream.t_s[0]) & (t_s <= stream.t_s[-1])
+    if good.sum() < 2:
+        raise InitialisationError(
+            f"{look.name}: only {int(good.sum())} frames with the board lie within the IMU's recording. "
+            "Check that camera and IMU were recorded together, in one go."
+        )
+    R = np.swapaxes(poses.R_cam_target, 1, 2) @ entry.R_cam_imu
+    p = np.einsum("nji,nj->ni", poses.R_cam_target, entry.p_cam_imu - poses.p_cam_target)
+    bias = look.alignment.gyroscope_bias
+    path = imu_path(stream.t_s, stream.rate - bias, t_s[good], R[good], p[good])
+    seen = np.sort(
+        np.concatenate(
+            [one.poses.t_s + camera.time_shift_s for one, camera in zip(found, parameters.cameras, strict=True)]
+        )
+    )
+    trajectory = initial_trajectory(path, seen, knots_per_s, order=order, gyroscope_biases=(bias, *others))
+    gravity = _gravity(path, stream, t_s[good])
+    return State(trajectory=trajectory, parameters=replace(parameters, gravity_axes=gravity_axes(gravity)))
+
+
+def _gravity(path: ImuPath, stream: ImuStream, seen_s: Floats) -> Floats:
+    """Return minus the mean specific force in the target's frame: the mean acceleration of a wave is nearly zero."""
+    nearest = np.clip(np.searchsorted(stream.t_s, seen_s), 0, len(stream.t_s) - 1)
+    return -np.einsum("nij,nj->i", path.R[nearest], stream.force[nearest]) / len(nearest)

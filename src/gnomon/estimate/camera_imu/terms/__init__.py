@@ -1,0 +1,1 @@
+"""The error terms of the batch estimation, and their normal equations."""

@@ -1,0 +1,225 @@
+"""The columns of the board's corners in the normal equations.
+
+A corner of an exposure touches its own three columns, the pose and the parameters of its camera, and nothing else. So
+the products of its columns B = G R_cam_target scale with those of the exposure are kept corner by corner: with the
+twist, mapped to the pose, for the coupling to the trajectory, which is made super-block by super-block (the wide part
+of `BorderedBand`); with everything else summed up over the exposures.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.sparse import bsr_array, csr_array  # pyright: ignore[reportUnknownVariableType]
+
+from ....recording import Floats, Integers
+from ....solve.bordered_band import BorderedBand
+from ..trajectory import BIAS, POSE
+
+_TWIST = 6
+_AXES = 3
+_TOGETHER = 60  # control points that are multiplied at once
+_DENSE = 0.1  # share of the board's corners in an exposure, from which on zeros for all others cost less
+
+
+class CornerProducts:
+    """Products of the columns of each corner's offset with those of its exposure, as `corner_sums` makes them.
+
+    Attributes
+    ----------
+    by_twist : (m, 6, 3) of each corner, with the twist
+    rest : (w, k, 3) with the columns behind the twist, summed up over all exposures of each of the k corners
+    squares : (k, 3, 3) with each other
+    """
+
+    def __init__(self, point: Integers, counted: np.ndarray, points: int, width: int) -> None:
+        """Start with nothing.
+
+        Parameters
+        ----------
+        point : (m,) number of each corner on the board
+        counted : (m,) bool, whether its exposure takes part
+        points : corners of the board
+        width : columns behind the twist
+        """
+        self._point, self._counted = point, counted
+        self.by_twist = np.zeros((len(point), _TWIST, _AXES))
+        self.rest = np.zeros((width, points, _AXES))
+        self.squares = np.zeros((points, _AXES, _AXES))
+
+    def add(self, corners: slice, rows: Floats, own: Floats) -> None:
+        """Add some corners.
+
+        Parameters
+        ----------
+        corners : which of all
+        rows : (6 + w, m, 2) whitened columns of the exposure
+        own : (3, m, 2) whitened columns of the offset
+        """
+        own = own * self._counted[corners][:, None]
+        point, points = self._point[corners], len(self.squares)
+        (own_u, own_v), (u, v) = own.transpose(2, 0, 1).copy(), rows.transpose(2, 0, 1).copy()
+        twist = self.by_twist[corners]
+        for j in range(_AXES):
+            products = u * own_u[j]
+            products += v * own_v[j]
+            twist[:, :, j] = products[:_TWIST].T
+            for w, product in enumerate(products[_TWIST:]):
+                self.rest[w, :, j] += np.bincount(point, product, points)
+            for i in range(j + 1):
+                product = np.bincount(point, own_u[i] * own_u[j] + own_v[i] * own_v[j], points)
+                self.squares[:, i, j] += product
+                if i != j:
+                    self.squares[:, j, i] += product
+
+
+class PoseProducts(Protocol):
+    """Products (6 e, 3 k) of the poses of exposures and the offsets of corners, dense or sparse."""
+
+    @property
+    def T(self) -> "PoseProducts":
+        """Transposed."""
+        ...
+
+    def __getitem__(self, rows: slice, /) -> "PoseProducts": ...
+
+    def __matmul__(self, values: Floats, /) -> Floats: ...
+
+
+def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[int, int]) -> PoseProducts:
+    """Return the products of exposures with all corners of the board; sparse where an exposure sees few of them.
+
+    Parameters
+    ----------
+    place, point : (m,) exposure, ascending, and number of each corner
+    by_twist : (m, 6, 3) products of each corner
+    shape : number of exposures and of the board's corners
+    """
+    exposures, points = shape
+    if len(place) > _DENSE * exposures * points:
+        dense = np.zeros((exposures, POSE, points, _AXES))
+        dense[place, :, point] = by_twist
+        return dense.reshape(exposures * POSE, points * _AXES)
+    # Rolling shutter: each corner has an exposure of its own.
+    rows = POSE * place[:, None, None] + np.arange(POSE)[:, None]
+    columns = _AXES * point[:, None, None] + np.arange(_AXES)
+    at = np.broadcast_to(rows, by_twist.shape).ravel(), np.broadcast_to(columns, by_twist.shape).ravel()
+    return csr_array((by_twist.ravel(), at), shape=(exposures * POSE, points * _AXES))
+
+
+def multiplied(blocks: Floats, products: PoseProducts) -> PoseProducts:
+    """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6)."""
+    if not len(blocks):
+        return products
+    if isinstance(products, np.ndarray):
+        return np.matmul(blocks, products.reshape(len(blocks), POSE, -1)).reshape(products.shape)
+    every = np.arange(len(blocks) + 1)
+    return bsr_array((blocks, every[:-1], every)).tocsr() @ products
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Coupling:
+    """What the corners of one camera's used exposures have in common with everything else.
+
+    Attributes
+    ----------
+    first : (e,) first control point of the span of each exposure, ascending
+    value : (e, k) its basis functions
+    by_pose : (6 e, 3 k) products of the poses and the offsets
+    border : (r, b, 3 k) products of the offsets with the border's other columns, summed up over each of r parts
+    sides : (r, 3 k, q) right-hand sides
+    squares : (r, k, 3, 3) products of the offsets with each other
+    """
+
+    first: Integers
+    value: Floats
+    by_pose: PoseProducts
+    border: Floats
+    sides: Floats
+    squares: Floats
+
+    def moved(self, controls: Floats) -> Floats:
+        """Return how the poses follow where control points (n, d, q) do, (6 e, q)."""
+        found = np.zeros((len(self.first), POSE, controls.shape[2]))
+        for k, value in enumerate(self.value.T):
+            found += value[:, None, None] * controls[self.first + k, :POSE]
+        return found.reshape(-1, controls.shape[2])
+
+    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
+        """Return the product (3 k, q) of the offsets with values (c, d, q) of control points from `first` on."""
+        (count, order), width = (len(controls), self.value.shape[1]), controls.shape[2]
+        found = np.zeros((self.squares.shape[1] * _AXES, width))
+        for begin in range(0, count, _TOGETHER):
+            part = controls[begin : begin + _TOGETHER, :POSE]
+            start = first + begin
+            some = slice(*np.searchsorted(self.first, [start - order + 1, start + len(part)]).tolist())
+            if some.start == some.stop:
+                continue
+            at = self.first[some] - start + order - 1
+            weight = np.zeros((len(at), len(part) + 2 * (order - 1)))
+            weight[np.arange(len(at))[:, None], at[:, None] + np.arange(order)] = self.value[some]
+            moved = weight[:, order - 1 : order - 1 + len(part)] @ part.reshape(len(part), -1)
+            found += self.by_pose[POSE * some.start : POSE * some.stop].T @ moved.reshape(-1, width)
+        return found
+
+
+def corners_of(exposures: Integers, start: Integers) -> tuple[Integers, Integers]:
+    """Return the corners of some exposures in their order, and the place of each one's exposure, (m,) both."""
+    lengths = start[exposures + 1] - start[exposures]
+    place = np.repeat(np.arange(len(exposures)), lengths)
+    within = np.arange(len(place)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return start[exposures][place] + within, place
+
+
+class BoardBorder:
+    """The wide part of the border: three columns for each corner of the board."""
+
+    def __init__(self, points: int, controls: int, order: int, imus: int) -> None:
+        """Start with nothing.
+
+        Parameters
+        ----------
+        points : corners of the board
+        controls, order, imus : of the trajectory
+        """
+        self._points, self._controls, self._order = points, controls, order
+        self._width = POSE + BIAS * imus
+        self._cameras: list[Coupling] = []
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return _AXES * self._points
+
+    def fill(self, system: BorderedBand, cameras: Sequence[Coupling]) -> None:
+        """Take what the cameras saw, and add what does not concern the trajectory to the normal equations."""
+        self._cameras = list(cameras)
+        p = len(system.corner) - self.size
+        blocks = system.corner[p:, p:].reshape(self._points, _AXES, self._points, _AXES)
+        every = np.arange(self._points)
+        for camera in cameras:
+            border = camera.border.sum(axis=0)
+            system.corner[:p, p:] += border
+            system.corner[p:, :p] += border.T
+            blocks[every, :, every, :] += camera.squares.sum(axis=0)
+            system.corner_rhs[p:] += camera.sides.sum(axis=0)
+
+    def times(self, parameters: Floats) -> Floats:
+        """Return the product (n, d, k) of all blocks with offsets (size, k)."""
+        found = np.zeros((self._controls, self._width, parameters.shape[1]))
+        for camera in self._cameras:
+            if not len(camera.first):
+                continue
+            pull = (camera.by_pose @ parameters).reshape(len(camera.first), POSE, -1)
+            begins = np.flatnonzero(np.diff(camera.first, prepend=-1))  # exposures of one span
+            for k, value in enumerate(camera.value.T):
+                found[camera.first[begins] + k, :POSE] += np.add.reduceat(value[:, None, None] * pull, begins)
+        return found
+
+    def transposed_times(self, controls: Floats, first: int = 0) -> Floats:
+        """Return the product (size, k) of transposed blocks with values (c, d, k) of control points from `first` on."""
+        found = np.zeros((self.size, controls.shape[2]))
+        for camera in self._cameras:
+            found += camera.transposed_times(controls, first)
+        return found

@@ -1,0 +1,1 @@
+"""What the formats of several projects have in common."""

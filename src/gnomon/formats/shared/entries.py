@@ -1,0 +1,331 @@
+"""Units of derived quantities, as people write them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.quaternion import quaternion_from_rotation
+from ...geometry.so3 import skew
+from ...models.camera import Camera
+from ...models.distortions import DISTORTIONS
+from ...models.forms import (
+    AngrisanoAccelerometer,
+    AngrisanoGyroscope,
+    CorrectedTriad,
+    KrebsAccelerometer,
+    KrebsGyroscope,
+    TedaldiAccelerometer,
+    TedaldiGyroscope,
+    in_own_axes,
+)
+from ...models.frames import Floats
+from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
+from ...models.projections import PROJECTIONS
+from ...results.calibration import Calibration
+
+_SI = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
+_IMU = {
+    "T_imu_body.rotation": "rad",
+    "T_imu_body.translation": "m",
+    "time_shift_imu": "s",
+    "accelerometer.time_shift": "s",
+}
+_CAMERA = {
+    "T_cam_imu.rotation": "rad",
+    "T_cam_imu.translation": "m",
+    "T_cam_cam0.rotation": "rad",
+    "T_cam_cam0.translation": "m",
+    "time_shift_cam_imu": "s",
+    "line_delay": "s",
+    "intrinsics": "px",
+    "distortion_coeffs": "1",
+}
+
+
+def parameter_unit(calibration: Calibration, path: str) -> str:
+    """Return the unit of a parameter by its path, such as "count/(m/s^2)" for "imu0.accelerometer.sensitivity".
+
+    Of a camera's intrinsics it is that of the focal lengths and the principal point; see `element_units`.
+    """
+    name, _, rest = path.partition(".")
+    if name in calibration.cameras:
+        return _CAMERA[rest]
+    if rest in _IMU:
+        return _IMU[rest]
+    triad, parameter = rest.split(".")
+    imu = calibration.imus[name]
+    if triad == "magnetometer":
+        assert imu.magnetometer is not None
+        return imu.magnetometer.unit if parameter == "bias" else per(imu.magnetometer.unit, imu.magnetometer.field_unit)
+    if parameter == "lever_arms_m":
+        return "m"
+    sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
+    assert sensor is not None
+    if parameter == "bias":
+        return sensor.unit
+    return per(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else _SI[triad])
+
+
+def element_units(calibration: Calibration, path: str) -> list[str]:
+    """Return the units of a parameter's scalars; the first intrinsics of some lenses are pure numbers."""
+    count = calibration.parameter(path).size
+    units = [parameter_unit(calibration, path)] * count
+    return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
+
+
+def per(unit: str, other: str) -> str:
+    """Return `unit` divided by `other`.
+
+    Examples
+    --------
+    >>> per("count", "m/s^2"), per("rad/s", "rad/s"), per("m/s^2", "count")
+    ('count/(m/s^2)', '1', '(m/s^2)/count')
+    """
+    if unit == other:
+        return "1"
+    return "/".join(f"({part})" if "/" in part else part for part in (unit, other))
+
+
+_FORCE, _RATE = "m/s^2", "rad/s"
+_LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """One scalar of a form."""
+
+    triad: str
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Maker:
+    """Makes the entries of one triad; si is the unit of what it measures."""
+
+    triad: str
+    si: str
+
+    def one(self, name: str, value: float, unit: str) -> Entry:
+        return Entry(triad=self.triad, name=name, value=float(value), unit=unit)
+
+    def vector(self, name: str, values: Floats, unit: str) -> Iterator[Entry]:
+        """Name x, y, z."""
+        for axis, value in zip("xyz", values.tolist(), strict=True):
+            yield self.one(f"{name}_{axis}", value, unit)
+
+    def matrix(
+        self, name: str, values: Floats, unit: str, places: tuple[tuple[int, int], ...] | None = None
+    ) -> Iterator[Entry]:
+        """Name rows and columns by x, y, z: the sensor axis, then the body axis."""
+        for i, j in places or tuple(np.ndindex(3, 3)):
+            yield self.one(f"{name}_{'xyz'[i]}{'xyz'[j]}", values[i, j], unit)
+
+    def angles(self, T: Floats, signed: dict[str, tuple[int, int, int]], prefix: str) -> Iterator[Entry]:
+        for name, (sign, i, j) in signed.items():
+            yield self.one(f"{prefix}{name}", sign * T[i, j], "rad")
+
+    def corrected(
+        self, form: CorrectedTriad, signed: dict[str, tuple[int, int, int]], prefix: str, letter: str, unit: str
+    ) -> Iterator[Entry]:
+        """Name angles, correction scales with their inverses as data sheets print them, and bias."""
+        yield from self.angles(form.T, signed, prefix)
+        yield from self.vector(letter, form.K, per(self.si, unit))
+        yield from self.vector(f"1/{letter}", 1 / form.K, per(unit, self.si))
+        yield from self.vector("b", form.b, unit)
+
+
+_ACCELEROMETER, _GYROSCOPE = _Maker(triad="accelerometer", si=_FORCE), _Maker(triad="gyroscope", si=_RATE)
+
+_UPPER_ANGLES = {"yz": (-1, 0, 1), "zy": (1, 0, 2), "zx": (-1, 1, 2)}
+_ALL_ANGLES = {**_UPPER_ANGLES, "xz": (1, 1, 0), "xy": (-1, 2, 0), "yx": (1, 2, 1)}
+"""Tedaldi, Eqs. (2.6), (2.7): angle -> (sign, row, column) in T."""
+_ANGRISANO_ANGLES = {"z": (1, 0, 1), "y": (1, 0, 2), "x": (1, 1, 2)}
+_KREBS_ANGLES = {"yz": (1, 1, 0), "zy": (1, 2, 0), "zx": (1, 2, 1)}
+
+
+def sensitivity_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Name sensitivity and bias."""
+    yield from _ACCELEROMETER.matrix("sensitivity", S, per(unit, _FORCE))
+    yield from _ACCELEROMETER.vector("bias", b, unit)
+
+
+def lever_arms(places: Floats) -> Iterator[Entry]:
+    """Name where the accelerometers sit: the accelerometer, then the body axis."""
+    yield from _ACCELEROMETER.matrix("r", places, "m")
+
+
+def time_shift(shift_s: float) -> Iterator[Entry]:
+    """Name what is added to the timestamps of the accelerometer."""
+    yield _ACCELEROMETER.one("time_shift", 1e3 * shift_s, "ms")
+
+
+def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Name sensitivity, bias and g-sensitivity."""
+    yield from _GYROSCOPE.matrix("sensitivity", S, per(unit, _RATE))
+    yield from _GYROSCOPE.vector("bias", b, unit)
+    yield from _GYROSCOPE.matrix("g_sensitivity", G, per(unit, _FORCE))
+
+
+def tedaldi_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Tedaldi, (2.6): angles alpha, scales s, bias b (added)."""
+    yield from _ACCELEROMETER.corrected(TedaldiAccelerometer.from_sensor(S, b), _UPPER_ANGLES, "alpha_", "s", unit)
+
+
+def tedaldi_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Tedaldi, (2.7): angles gamma, scales s, bias b (added), with Krebs's g-sensitivity."""
+    form = TedaldiGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.corrected(form, _ALL_ANGLES, "gamma_", "s", unit)
+    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+
+
+def krebs_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Krebs, chapter 3: misalignments M, scales S, bias b."""
+    form = KrebsAccelerometer.from_sensor(S, b)
+    yield from _ACCELEROMETER.angles(form.M, _KREBS_ANGLES, "M_")
+    yield from _ACCELEROMETER.vector("S", form.S, per(unit, _FORCE))
+    yield from _ACCELEROMETER.vector("b", form.b, unit)
+
+
+def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Krebs: misalignments M, scales S, rotation q_bg, g-sensitivity B (chapter 3) and B' (chapter 4), bias b."""
+    form = KrebsGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.angles(form.M, _KREBS_ANGLES, "M_")
+    yield from _GYROSCOPE.vector("S", form.S, per(unit, _RATE))
+    for name, value in zip(("w", "i", "j", "k"), quaternion_from_rotation(form.C_bg).tolist(), strict=True):
+        yield _GYROSCOPE.one(f"q_bg_{name}", value, "1")
+    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("B'", G, per(unit, _FORCE))
+    yield from _GYROSCOPE.vector("b", form.b, unit)
+
+
+def angrisano_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Angrisano, (1), (2): angles a, scales k, bias b (subtracted)."""
+    yield from _ACCELEROMETER.corrected(AngrisanoAccelerometer.from_sensor(S, b), _ANGRISANO_ANGLES, "a_", "k", unit)
+
+
+def angrisano_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Angrisano: as the accelerometer, in a frame of its own, rotated by C_gb and Krebs's g-sensitivity."""
+    form = AngrisanoGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.corrected(form, _ANGRISANO_ANGLES, "a_", "k", unit)
+    yield from _GYROSCOPE.matrix("C_gb", form.C_gb, "1")
+    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+
+
+def kalibr_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+    """Kalibr: M lower triangular, bias."""
+    form = KalibrAccelerometer.from_sensor(S, b)
+    yield from _ACCELEROMETER.matrix("M", form.M, per(unit, _FORCE), _LOWER)
+    yield from _ACCELEROMETER.vector("bias", form.b, unit)
+
+
+def kalibr_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+    """Kalibr: M lower triangular, C_gyro_i, A, its product with C_gyro_i that acts on body axes, and bias."""
+    form = KalibrGyroscope.from_sensor(S, b, G)
+    yield from _GYROSCOPE.matrix("M", form.M, per(unit, _RATE), _LOWER)
+    yield from _GYROSCOPE.matrix("C_gyro_i", form.C_gyro_i, "1")
+    yield from _GYROSCOPE.matrix("A", form.A, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("AC", G, per(unit, _FORCE))
+    yield from _GYROSCOPE.vector("bias", form.b, unit)
+
+
+def sensitivity_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
+    """Name sensitivity (soft iron) and bias (hard iron)."""
+    maker = _Maker(triad="magnetometer", si=field_unit)
+    yield from maker.matrix("sensitivity", S, per(unit, field_unit))
+    yield from maker.vector("bias", b, unit)
+
+
+def angrisano_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
+    """Angrisano, (1), (2): as the gyroscope, in a frame of its own, rotated by C_mb."""
+    maker = _Maker(triad="magnetometer", si=field_unit)
+    upper, C_mb = in_own_axes(S, AngrisanoAccelerometer.frame)
+    form = AngrisanoAccelerometer.from_sensor(upper, b)
+    yield from maker.corrected(form, _ANGRISANO_ANGLES, "a_", "k", unit)
+    yield from maker.matrix("C_mb", C_mb, "1")
+
+
+EQUATION = (
+    "p_cam = R p_imu + t, rows of R: camera axes, columns: body axes; p: the camera in the body frame; "
+    "t_imu = t_cam + time_shift_cam_imu"
+)
+
+EQUATION_ALONE = (
+    "p_cam = R p_cam0 + t, rows of R: camera axes, columns: axes of cam0; p: the camera in the frame of cam0"
+)
+"""The same of cameras without an IMU."""
+
+IMU_EQUATION = (
+    "p_imu = R p_body + t, rows of R: axes of this IMU, columns: body axes (imu0's); p: the IMU in the body frame; "
+    "t_imu0 = t_imu + time_shift_imu"
+)
+"""The same of an IMU beside imu0."""
+
+Known = tuple[Entry, float]
+
+
+def camera_equation(calibration: Calibration) -> str:
+    """Return what the names of a calibration's cameras mean: of other projects' rigs no IMU's errors need be known."""
+    on_body = any(camera.body == "imu0" for camera in calibration.cameras.values())
+    return EQUATION if on_body else EQUATION_ALONE
+
+
+def camera_entries(calibration: Calibration, name: str) -> Iterator[Known]:
+    """Yield the scalars of one camera with their standard deviations."""
+    calibrated = calibration.cameras[name]
+    if name != calibrated.body:
+        yield from _pose(calibration, name, calibrated.link, calibrated.T_cam_body)
+    if calibrated.body == "imu0":
+        yield from _scaled(calibration, name, "time_shift_cam_imu", 1e3, "ms")
+        yield from _scaled(calibration, name, "line_delay", 1e6, "us")
+    first, pixels, coeffs = _lens_names(calibrated.camera)
+    intrinsics, sigma = calibrated.camera.intrinsics, calibration.sigma(f"{name}.intrinsics")
+    yield from _block(name, first, intrinsics[:-4], sigma[:-4], "1")
+    yield from _block(name, pixels, intrinsics[-4:], sigma[-4:], "px")
+    bent = calibration.sigma(f"{name}.distortion_coeffs")
+    yield from _block(name, coeffs, calibrated.camera.distortion_coeffs, bent, "1")
+
+
+def imu_entries(calibration: Calibration, name: str) -> Iterator[Known]:
+    """Yield the scalars of the pose and the clock of one IMU beside the body, with their standard deviations."""
+    pose = calibration.imus[name].T_imu_body
+    if pose is not None:
+        yield from _pose(calibration, name, "T_imu_body", pose)
+        yield from _scaled(calibration, name, "time_shift_imu", 1e3, "ms")
+
+
+def _block(name: str, entries: list[str], values: Floats, sigmas: Floats, unit: str) -> Iterator[Known]:
+    for entry, value, sigma in zip(entries, values.tolist(), sigmas.tolist(), strict=True):
+        yield Entry(triad=name, name=entry, value=value, unit=unit), sigma
+
+
+def _scaled(calibration: Calibration, name: str, label: str, factor: float, unit: str) -> Iterator[Known]:
+    value, sigma = calibration.parameter(f"{name}.{label}"), calibration.sigma(f"{name}.{label}")
+    yield from _block(name, [label], np.atleast_1d(value) * factor, np.atleast_1d(sigma) * factor, unit)
+
+
+def _pose(calibration: Calibration, name: str, link: str, T: Floats) -> Iterator[Known]:
+    """Yield R and t of p_sensor = T p_body, and p, the place of the sensor in the body frame."""
+    path = f"{name}.{link}"
+    R, t = T[:3, :3], T[:3, 3]
+    covariance = calibration.covariance(f"{path}.rotation", f"{path}.translation")
+    turns = R @ skew(np.eye(3))  # by the small rotation: dR = R [delta]x
+    by_turn = turns.reshape(3, 9).T
+    names = [f"R_{'xyz'[i]}{'xyz'[j]}" for i, j in np.ndindex(3, 3)]
+    yield from _block(name, names, R.ravel(), _sigmas(by_turn, covariance[:3, :3]), "1")
+    yield from _block(name, [f"t_{axis}" for axis in "xyz"], t, calibration.sigma(f"{path}.translation"), "m")
+    position = -R.T @ t
+    by_both = np.hstack([skew(position), -R.T])
+    yield from _block(name, [f"p_{axis}" for axis in "xyz"], position, _sigmas(by_both, covariance), "m")
+
+
+def _sigmas(jacobian: Floats, covariance: Floats) -> Floats:
+    variance = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
+    return np.sqrt(np.maximum(variance, 0.0))  # rounding may leave less than nothing of a fixed rotation
+
+
+def _lens_names(camera: Camera) -> tuple[list[str], list[str], list[str]]:
+    coeffs = DISTORTIONS[camera.distortion].names
+    return list(PROJECTIONS[camera.projection].names), ["fu", "fv", "pu", "pv"], list(coeffs)

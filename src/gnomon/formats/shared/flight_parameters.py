@@ -1,0 +1,188 @@
+"""Parameters of PX4 and ArduPilot: offsets and scales of accelerometers, offsets of gyroscopes.
+
+PX4 corrects f = (a - OFF) SCALE, ArduPilot f = (a - OFFS) SCAL, and both w = y - OFF, axis by axis, of samples in m/s^2
+and rad/s. Files are those of ground stations, of "param set NAME VALUE", and NAME,VALUE or NAME VALUE.
+"""
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike
+
+import numpy as np
+
+from ...errors import FormatError, OptionError
+from ...models.diagonal_forms import DiagonalTriad
+from ...recording import Floats
+from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
+from ..foreign import ForeignCalibration, recognised_frame
+from .losses import Context, Loss
+from .sensor_losses import Holds, not_representable, rest_size, si_sensitivity
+from .si_units import conversions, refuse_counts
+from .structured import read_text
+
+_PX4 = re.compile(r"CAL_(ACC|GYRO)(\d)_([XYZ])(OFF|SCALE)")
+_ARDUPILOT = re.compile(r"INS_(ACC|GYR)(\d?)(OFFS|SCAL)_([XYZ])")
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+_LINE = re.compile(rf"^[ \t]*(?:\d+\s+\d+\s+|param\s+set(?:-default)?\s+)?([A-Z][A-Z0-9_]+)[ \t,=]+({_NUMBER})\b", re.M)
+
+Key = tuple[int, str, str]
+"""Index of the IMU from 0, "ACC" or "GYR", "offset" or "scale"."""
+
+
+def is_flight_parameters(text: str) -> bool:
+    """Return whether a text holds calibration parameters of PX4 or ArduPilot."""
+    return any(_key(match[1]) is not None for match in _LINE.finditer(text))
+
+
+def read_flight_parameters(path: str | PathLike[str]) -> ForeignCalibration:
+    """Read the calibration among the parameters of PX4 or ArduPilot; axes that were not calibrated are ideal.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read, or holds no such parameter, or a scale that is not above zero.
+    """
+    values: dict[Key, Floats] = {}
+    format_name = ""
+    for match in _LINE.finditer(read_text(path)):
+        found = _key(match[1])
+        if found is None:
+            continue
+        format_name, (index, triad, what), axis = found
+        row = values.setdefault((index, triad, what), np.full(3, 1.0 if what == "scale" else 0.0))
+        row[axis] = float(match[2])
+        if what == "scale" and not row[axis] > 0:
+            raise FormatError(f"{path}: {match[1]} is {match[2]}, expected a number above zero.")
+    if not values:
+        raise FormatError(f"{path}: no parameter such as CAL_ACC0_XOFF or INS_ACCOFFS_X is in it.")
+    imus = {f"imu{index}": _imu(values, index) for index in sorted({key[0] for key in values})}
+    note = f"{format_name} knows no misalignment, and no scale of gyroscopes; taken: none."
+    return ForeignCalibration(imus=imus, frame=recognised_frame(imus), notes=(note,), format=format_name)
+
+
+def _key(name: str) -> tuple[str, Key, int] | None:
+    """Return whose parameter it is, which one, and of which axis."""
+    px4, ardupilot = _PX4.fullmatch(name), _ARDUPILOT.fullmatch(name)
+    if px4 is not None:
+        triad, index, axis, what = px4.groups()
+        return "PX4", (int(index), triad[:3], "offset" if what == "OFF" else "scale"), "XYZ".index(axis)
+    if ardupilot is not None:
+        triad, number, what, axis = ardupilot.groups()
+        index = int(number) - 1 if number else 0
+        return "ArduPilot", (index, triad, "offset" if what == "OFFS" else "scale"), "XYZ".index(axis)
+    return None
+
+
+def _imu(values: Mapping[Key, Floats], index: int) -> ImuCalibration:
+    def triad(name: str) -> DiagonalTriad | None:
+        if not any((index, name, what) in values for what in ("offset", "scale")):
+            return None
+        return DiagonalTriad(
+            scale=values.get((index, name, "scale"), np.ones(3)),
+            offset=values.get((index, name, "offset"), np.zeros(3)),
+        )
+
+    accelerometer, gyroscope = triad("ACC"), triad("GYR")
+    return ImuCalibration(
+        accelerometer=None if accelerometer is None else _accelerometer(accelerometer),
+        gyroscope=None if gyroscope is None else _gyroscope(gyroscope),
+    )
+
+
+def _accelerometer(triad: DiagonalTriad) -> AccelerometerCalibration:
+    sensitivity, bias = triad.to_sensor()
+    return AccelerometerCalibration(sensitivity=sensitivity, bias=bias, unit="m/s^2")
+
+
+def _gyroscope(triad: DiagonalTriad) -> GyroscopeCalibration:
+    sensitivity, bias = triad.to_sensor()
+    return GyroscopeCalibration(sensitivity=sensitivity, bias=bias, g_sensitivity=np.zeros((3, 3)), unit="rad/s")
+
+
+_NOTHING = 1e-12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FlightImu:
+    """One IMU by offsets and scales; a triad that was not calibrated is None."""
+
+    accelerometer: DiagonalTriad | None = None
+    gyroscope: DiagonalTriad | None = None
+
+
+def flight_imu(imu: ImuCalibration) -> FlightImu:
+    """Return an IMU as these projects describe it."""
+    found: dict[str, DiagonalTriad] = {}
+    for conversion in conversions(imu):
+        if conversion.triad == "gyroscope":
+            found["gyroscope"] = DiagonalTriad.offset_alone(conversion.bias_si)
+        else:
+            found["accelerometer"] = DiagonalTriad.nearest(si_sensitivity(imu, conversion), conversion.bias_si)
+    return FlightImu(**found)
+
+
+def require_flight_imus(calibration: Calibration, whose: str, most: int) -> dict[str, FlightImu]:
+    """Return the IMUs that a program takes, by name.
+
+    Raises
+    ------
+    OptionError
+        If there is neither accelerometer nor gyroscope, or one is in counts.
+    """
+    refuse_counts(calibration, whose)
+    imus = {name: flight_imu(imu) for name, imu in list(calibration.imus.items())[:most]}
+    if not any(imu.accelerometer or imu.gyroscope for imu in imus.values()):
+        raise OptionError(
+            f"gnomon writes {whose}'s parameters of accelerometers and gyroscopes, and this calibration holds neither. "
+            "Convert to c-header or csv."
+        )
+    return imus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterNames:
+    """What a program calls the parameters of one IMU, with {axis} for X, Y or Z."""
+
+    accelerometer_offset: str
+    accelerometer_scale: str
+    gyroscope_offset: str
+
+    def values(self, imu: FlightImu) -> Iterator[tuple[str, float]]:
+        """Yield name and value of each."""
+        known: list[tuple[str, Floats]] = []
+        if imu.accelerometer is not None:
+            known += [(self.accelerometer_offset, imu.accelerometer.offset)]
+            known += [(self.accelerometer_scale, imu.accelerometer.scale)]
+        if imu.gyroscope is not None:
+            known += [(self.gyroscope_offset, imu.gyroscope.offset)]
+        for name, triad in known:
+            for axis, value in zip("XYZ", triad.tolist(), strict=True):
+                yield name.format(axis=axis), value
+
+
+def flight_head(head: str, calibration: Calibration, context: Context) -> str:
+    """Return the comment above the parameters: `head` with the frame filled in, and the origin."""
+    return head.format(frame=calibration.frame) + context.comment()
+
+
+def flight_losses(calibration: Calibration, whose: str, most: int, context: Context) -> Iterator[Loss]:
+    """Yield what these parameters cannot represent."""
+    for name, imu in list(calibration.imus.items())[:most]:
+        flight = flight_imu(imu)
+        for conversion in conversions(imu):
+            triad: DiagonalTriad = getattr(flight, conversion.triad)
+            rest = triad.rest(si_sensitivity(imu, conversion))
+            if np.abs(rest).max() > _NOTHING:
+                is_accelerometer = conversion.triad == "accelerometer"
+                yield Loss(
+                    what=f"{'misalignment' if is_accelerometer else 'scale and misalignment'} of the "
+                    f"{conversion.triad} of {name}",
+                    why=f"{whose} knows an offset and a scale for each axis; the scales are those that leave the least "
+                    f"error over all attitudes in body frame {calibration.frame}."
+                    if is_accelerometer
+                    else f"{whose} knows an offset for each axis only. Use the c-header to correct the rest.",
+                    size=rest_size(rest, conversion.triad),
+                )
+    holds = Holds(program=whose, imus=most, cameras=0, samples_in_si=False, g_sensitivity=False, floats="keeps")
+    yield from not_representable(calibration, holds, context)

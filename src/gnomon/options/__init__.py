@@ -1,0 +1,25 @@
+"""What a person may choose; the command line is made from these classes."""
+
+from .cameras import BOARDS, COVARIANCES, BoardModel, CameraImuOptions, CameraOptions, CovarianceKind, stated_prior
+from .imu import ImuOptions, NoiseOptions, Preset
+from .ranges import check_ranges, option_range
+from .triads import MagnetometerOptions, StatedRate, TurntableOptions, default_rate_sigma
+
+__all__ = [
+    "BOARDS",
+    "COVARIANCES",
+    "BoardModel",
+    "CameraImuOptions",
+    "CameraOptions",
+    "CovarianceKind",
+    "ImuOptions",
+    "MagnetometerOptions",
+    "NoiseOptions",
+    "Preset",
+    "StatedRate",
+    "TurntableOptions",
+    "check_ranges",
+    "default_rate_sigma",
+    "option_range",
+    "stated_prior",
+]

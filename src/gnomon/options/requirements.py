@@ -1,0 +1,287 @@
+"""What a use needs of a calibration: for each quantity the standard deviation up to which it serves.
+
+Numbers follow from what an error does in that use; where a document states one, it is named. Gravity's own uncertainty
+is not counted: it is common to all axes of the accelerometer, and whoever uses the calibration takes the same gravity.
+A bias is judged as it was during the recording: at the next switching-on it is another one, by about what
+`BETWEEN_RECORDINGS` says, and whoever uses the calibration has to follow it.
+"""
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite, pi
+
+from ..errors import OptionError
+from ..frozen import FrozenMapping
+
+_DEG = pi / 180
+_G = 9.80665
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "angle": {"deg": _DEG, "rad": 1.0, "mrad": 1e-3},
+    "length": {"mm": 1e-3, "m": 1.0, "cm": 1e-2},
+    "time": {"ms": 1e-3, "s": 1.0, "us": 1e-6},
+    "ratio": {"%": 1e-2, "ppm": 1e-6, "1": 1.0},
+    "rate": {"deg/s": _DEG, "rad/s": 1.0, "mrad/s": 1e-3, "deg/h": _DEG / 3600},
+    "acceleration": {"mm/s^2": 1e-3, "m/s^2": 1.0, "mg": 1e-3 * _G, "g": _G},
+    "rate per acceleration": {"deg/s/g": _DEG / _G, "rad/s/(m/s^2)": 1.0},
+}
+"""Kind of quantity -> its units, in SI; the first is the one that is shown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """Something that a use may need.
+
+    Attributes
+    ----------
+    name : in a file of requirements
+    words : for people; {sensor} stands for the camera or the IMU
+    kind : of its unit
+    """
+
+    name: str
+    words: str
+    kind: str
+
+    @property
+    def unit(self) -> str:
+        """Unit in which it is shown."""
+        return next(iter(_UNITS[self.kind]))
+
+    @property
+    def size(self) -> float:
+        """One of that unit, in SI."""
+        return _UNITS[self.kind][self.unit]
+
+
+FIELD_UT = 48.0
+"""A usual field of the Earth, where a magnetometer's calibration does not state its own."""
+
+QUANTITIES: Mapping[str, Quantity] = FrozenMapping(
+    {
+        name: Quantity(name=name, words=words, kind=kind)
+        for name, words, kind in (
+            ("camera_rotation", "rotation of {sensor} against the IMU", "angle"),
+            ("camera_translation", "translation of {sensor} against the IMU", "length"),
+            ("time_shift", "time shift of {sensor}", "time"),
+            ("imu_rotation", "rotation of {sensor} against imu0", "angle"),
+            ("imu_translation", "translation of {sensor} against imu0", "length"),
+            ("gyroscope_scale", "gyroscope scale", "ratio"),
+            ("gyroscope_misalignment", "gyroscope axes", "angle"),
+            ("gyroscope_bias", "gyroscope bias", "rate"),
+            ("gyroscope_g_sensitivity", "gyroscope g-sensitivity", "rate per acceleration"),
+            ("accelerometer_scale", "accelerometer scale", "ratio"),
+            ("accelerometer_misalignment", "accelerometer axes", "angle"),
+            ("accelerometer_bias", "accelerometer bias", "acceleration"),
+            ("heading", "heading by the magnetometer", "angle"),
+        )
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Use:
+    """A use of a calibration.
+
+    Attributes
+    ----------
+    name : such as "vio"
+    words : what it is
+    needs : quantity -> standard deviation up to which it passes [SI]
+    fails_at : times the need from which on the use is not served at all
+    """
+
+    name: str
+    words: str
+    needs: Mapping[str, float]
+    fails_at: float = 3.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "needs", FrozenMapping(self.needs))
+
+
+def _use(name: str, words: str, fails_at: float = 3.0, **needs: str) -> Use:
+    return Use(
+        name=name,
+        words=words,
+        needs={quantity: stated(quantity, text) for quantity, text in needs.items()},
+        fails_at=fails_at,
+    )
+
+
+def stated(name: str, text: str) -> float:
+    """Return a standard deviation in SI units, stated as "0.1 deg".
+
+    Raises
+    ------
+    OptionError
+        If there is no such quantity, its unit is another one, or the number is not greater than zero.
+    """
+    if name not in QUANTITIES:
+        close = difflib.get_close_matches(name, QUANTITIES, n=1)
+        hint = f"Did you mean {close[0]}?" if close else f"Known: {', '.join(QUANTITIES)}."
+        raise OptionError(f"{name}: there is no such quantity. {hint}")
+    units = _UNITS[QUANTITIES[name].kind]
+    number, _, unit = text.strip().partition(" ")
+    if number.endswith("%"):
+        number, unit = number[:-1], "%"
+    try:
+        value = float(number)
+    except ValueError:
+        value = float("nan")
+    if unit.strip() not in units or not (isfinite(value) and value > 0):
+        raise OptionError(
+            f'{name}: found "{text}", expected a number above zero and its unit, such as '
+            f'"{0.1:g} {next(iter(units))}" (or {", ".join(list(units)[1:])}).'
+        )
+    return value * units[unit.strip()]
+
+
+USES: Mapping[str, Use] = FrozenMapping(
+    {
+        use.name: use
+        for use in (
+            # A corner's noise of 0.3 px at a focal length of 460 px is 0.04 deg; at 2 rad/s the image moves so far in
+            # 0.33 ms. A tilt of 0.1 deg turns gravity into 17 mm/s^2, as an accelerometer's bias does that a filter
+            # follows anyway; scale and axes of the accelerometer: the same. Turns of 90 deg shall end within 0.1 deg.
+            # g-sensitivity: 1 g of acceleration shall feign no more than the bias. A second IMU may be turned against
+            # the first by as much as a gyroscope's axes may.
+            _use(
+                "vio",
+                "visual-inertial odometry",
+                camera_rotation="0.1 deg",
+                camera_translation="5 mm",
+                time_shift="0.3 ms",
+                imu_rotation="0.06 deg",
+                imu_translation="5 mm",
+                gyroscope_scale="0.1 %",
+                gyroscope_misalignment="0.06 deg",
+                gyroscope_bias="0.05 deg/s",
+                gyroscope_g_sensitivity="0.05 deg/s/g",
+                accelerometer_scale="0.2 %",
+                accelerometer_misalignment="0.1 deg",
+                accelerometer_bias="20 mm/s^2",
+            ),
+            # Data sheets of attitude modules state 0.2 to 0.5 deg in roll and pitch, 1 to 2 deg in heading: a third of
+            # it for each contribution. Tilt by bias and axes of the accelerometer 0.1 deg; turns of 90 deg end within
+            # 0.3 deg, until gravity corrects them.
+            _use(
+                "ahrs",
+                "attitude and heading",
+                imu_rotation="0.1 deg",
+                gyroscope_scale="0.3 %",
+                gyroscope_misalignment="0.2 deg",
+                gyroscope_bias="0.05 deg/s",
+                gyroscope_g_sensitivity="0.1 deg/s/g",
+                accelerometer_scale="0.3 %",
+                accelerometer_misalignment="0.1 deg",
+                accelerometer_bias="17 mm/s^2",
+                heading="0.7 deg",
+            ),
+            # A horizon off by 0.1 deg is seen in a picture 1000 px wide (1.7 px), as is a drift of 0.02 deg/s within
+            # seconds. Rates are fed back, so that their scale hardly matters; positions do not matter at all.
+            _use(
+                "gimbal",
+                "stabilised camera",
+                camera_rotation="0.1 deg",
+                time_shift="2 ms",
+                imu_rotation="0.05 deg",
+                gyroscope_scale="1 %",
+                gyroscope_misalignment="0.5 deg",
+                gyroscope_bias="0.02 deg/s",
+                gyroscope_g_sensitivity="0.05 deg/s/g",
+                accelerometer_scale="0.5 %",
+                accelerometer_misalignment="0.05 deg",
+                accelerometer_bias="9 mm/s^2",
+            ),
+            # Android's Camera ITS (test_sensor_fusion) lets camera and gyroscope differ by 1 ms. Video is stabilised
+            # by rotation alone; augmented reality follows both online, within centimetres and half a degree.
+            _use(
+                "phone",
+                "video stabilisation and augmented reality",
+                camera_rotation="0.3 deg",
+                camera_translation="10 mm",
+                time_shift="1 ms",
+                imu_rotation="0.3 deg",
+                imu_translation="10 mm",
+                gyroscope_scale="0.3 %",
+                gyroscope_misalignment="0.3 deg",
+                gyroscope_bias="0.1 deg/s",
+                gyroscope_g_sensitivity="0.1 deg/s/g",
+                accelerometer_scale="0.5 %",
+                accelerometer_misalignment="0.3 deg",
+                accelerometer_bias="50 mm/s^2",
+            ),
+        )
+    }
+)
+"""Built-in uses by name."""
+
+GENERAL = "general"
+"""The name under which a calibration is judged again for no special use."""
+
+GENERAL_RIG = _use(
+    GENERAL,
+    "general use",
+    10.0,
+    camera_rotation="0.1 deg",
+    camera_translation="5 mm",
+    time_shift="0.5 ms",
+    imu_rotation="0.1 deg",
+    imu_translation="5 mm",
+)
+"""What is asked of cameras and IMUs where no use is stated."""
+
+GENERAL_IMU = _use(
+    GENERAL,
+    "general use",
+    10.0,
+    gyroscope_scale="0.2 %",
+    gyroscope_misalignment="3 mrad",
+    accelerometer_scale="0.2 %",
+    accelerometer_misalignment="3 mrad",
+)
+"""What is asked of an IMU alone where no use is stated."""
+
+
+def known_use(name: str) -> Use:
+    """Return a built-in use.
+
+    Raises
+    ------
+    OptionError
+        If there is none of that name.
+    """
+    if name in USES:
+        return USES[name]
+    close = difflib.get_close_matches(name, USES, n=1)
+    hint = f" Did you mean {close[0]}?" if close else ""
+    raise OptionError(
+        f"no use {name!r} is known.{hint} Known: {', '.join(USES)}; or name a YAML file with lines such as "
+        "camera_rotation: 0.1 deg."
+    )
+
+
+BETWEEN_RECORDINGS: Mapping[str, float] = FrozenMapping(
+    {
+        # REML over eight MPU-9150 on six occasions (MIMU4444: Carlsson, Skog and Jalden 2021), in one laboratory:
+        # 0.0137 %, 0.19 mrad, 5.3e-6 rad/s per m/s^2.
+        "accelerometer_scale": stated("accelerometer_scale", "0.015 %"),
+        "accelerometer_misalignment": stated("accelerometer_misalignment", "0.0002 rad"),
+        "gyroscope_g_sensitivity": stated("gyroscope_g_sensitivity", "0.0000055 rad/s/(m/s^2)"),
+        # There the gyroscope's axes changed by less than could be told: as the accelerometer's. Its scale is typical of
+        # consumer sensors, from memory of data sheets and not from one source: 0.01 to 0.03 % a kelvin, over the 3 K
+        # between two days in one room.
+        "gyroscope_scale": stated("gyroscope_scale", "0.05 %"),
+        "gyroscope_misalignment": stated("gyroscope_misalignment", "0.0002 rad"),
+        # Typical values again, from memory of data sheets: 1 mg and 0.05 deg/s a kelvin, over 5 K. MIMU4444 measured
+        # 28 mm/s^2 and 0.10 deg/s.
+        "accelerometer_bias": stated("accelerometer_bias", "50 mm/s^2"),
+        "gyroscope_bias": stated("gyroscope_bias", "0.25 deg/s"),
+    }
+)
+"""By how much one sensor differs from recording to recording, standard deviation [SI]: switched on anew, at another
+temperature, mounted anew in its box. One recording cannot tell; several, joined, measure it."""
+
+TURN_ON = ("accelerometer_bias", "gyroscope_bias")
+"""What every use has to follow by itself, since it is another one after each switching-on."""

@@ -1,0 +1,28 @@
+"""What was measured: samples, frames, poses, as recorded, with their timestamps and their unit."""
+
+from .arrays import Floats, Integers, close_gaps, frozen_array, measurable, usual_step
+from .frames import CameraFrames, FrameQuality, KnownRig
+from .poses import Poses
+from .recording import Recording
+from .samples import ImuSamples, TriadSamples
+from .sources import Piece, Source, recorded_hashes, shared_sources
+
+__all__ = [
+    "CameraFrames",
+    "Floats",
+    "FrameQuality",
+    "ImuSamples",
+    "Integers",
+    "KnownRig",
+    "Piece",
+    "Poses",
+    "Recording",
+    "Source",
+    "TriadSamples",
+    "close_gaps",
+    "frozen_array",
+    "measurable",
+    "recorded_hashes",
+    "shared_sources",
+    "usual_step",
+]

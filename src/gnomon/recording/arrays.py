@@ -1,0 +1,80 @@
+"""Arrays of what was measured: read-only, finite, on clocks with gaps."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import RecordingError
+
+
+def close_gaps(stamps: Sequence[NDArray[np.int64]], longest_ns: int) -> list[NDArray[np.int64]]:
+    """Return timestamps of one clock, which stands still wherever none of them came for longer than `longest_ns`.
+
+    An even grid over what is returned has at most `longest_ns` over its step points for each timestamp. Where there is
+    no such gap the timestamps are returned as they are.
+
+    Parameters
+    ----------
+    stamps : of several sensors, each (n,) and not falling [ns]
+    longest_ns : what remains of a gap [ns]
+
+    Examples
+    --------
+    >>> close_gaps([np.array([0, 10, 9000, 9010])], 100)
+    [array([  0,  10, 110, 120])]
+    """
+    every = np.unique(np.concatenate(stamps))
+    surplus = np.maximum(np.diff(every) - longest_ns, 0)
+    if not surplus.any():
+        return list(stamps)
+    taken = np.concatenate([[0], np.cumsum(surplus)])
+    return [np.asarray(t_ns - taken[np.searchsorted(every, t_ns)], dtype=np.int64) for t_ns in stamps]
+
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+_LONGEST_PAUSE_NS = 2_000_000_000  # between packets
+_PACKET_FACTOR = 3.0  # a mean step this much longer than the median comes from packets, not from gaps
+
+
+def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return a read-only C-ordered array; values are copied unless they already are one."""
+    if isinstance(values, np.ndarray) and values.dtype == dtype and values.flags.c_contiguous:
+        if not values.flags.writeable:
+            return values
+        array = values.copy()
+    else:
+        array = np.array(values, dtype=dtype, order="C")
+    array.flags.writeable = False
+    return array
+
+
+def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
+    """Return the usual one of steps between timestamps (n,): the median, or the mean where samples came in packets.
+
+    Parameters
+    ----------
+    steps : [`unit_ns`]
+    """
+    step = float(np.median(steps))
+    together = steps[steps < max(_LONGEST_PAUSE_NS / unit_ns, step)]  # what was cut out between poses is no pause
+    mean = float(np.mean(together)) if len(together) else step
+    return mean if mean > _PACKET_FACTOR * step else step
+
+
+_LARGEST = 1e100  # squares and sums of samples stay finite; no sensor reads a number like that
+
+
+def measurable(values: Floats) -> NDArray[np.bool_]:
+    """Return which numbers a sensor can have read: not NaN, not infinite, not beyond all measure."""
+    return np.abs(values) < _LARGEST
+
+
+def ns_from_s(t_s: ArrayLike) -> Integers:
+    """Return seconds (n,) as whole nanoseconds; a RecordingError where they are not finite or too large."""
+    t = np.asarray(t_s, dtype=np.float64)
+    if not np.isfinite(t).all():
+        raise RecordingError(f"timestamp {int(np.argmin(np.isfinite(t)))} is not a finite number of seconds.")
+    return np.rint(t * 1e9).astype(np.int64)

@@ -1,0 +1,90 @@
+"""Samples of an IMU or of one triad, as recorded, with their timestamps and their unit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..models.noise import ImuNoise
+from .arrays import Floats, Integers, frozen_array, usual_step
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadSamples:
+    """Samples of one three-axis sensor.
+
+    Attributes
+    ----------
+    t_ns : (n,) int64 [ns]
+        Timestamps in any clock; not necessarily uniform.
+    values : (n, 3) float64 [unit]
+        x, y, z as recorded.
+    unit : str
+        "count", or a key of the tables in `gnomon.units`.
+
+    Raises
+    ------
+    RecordingError
+        If the shapes do not fit.
+    """
+
+    t_ns: Integers
+    values: Floats
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, np.int64))
+        object.__setattr__(self, "values", frozen_array(self.values))
+        if self.values.ndim != 2 or self.values.shape[1] != 3 or self.t_ns.shape != self.values.shape[:1]:
+            raise RecordingError(
+                f"samples must be (n, 3) with n timestamps; found values {self.values.shape} and timestamps "
+                f"{self.t_ns.shape}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def t_s(self) -> Floats:
+        """Seconds since the first timestamp, (n,)."""
+        return (self.t_ns - self.t_ns[0]) * 1e-9 if len(self) else np.empty(0)
+
+    @property
+    def rate_hz(self) -> float:
+        """Sample rate [Hz]: by the median step, or the mean where samples were stamped in packets; nan if unknown."""
+        if len(self) < 2:
+            return float("nan")
+        step = usual_step(np.diff(self.t_ns))
+        return 1e9 / step if step > 0 else float("nan")
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last timestamp [s]."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImuSamples:
+    """The triads of one IMU; they may differ in rate and timestamps, but share one clock.
+
+    Attributes
+    ----------
+    accelerometer, gyroscope : without samples where the recording has none
+    magnetometer : None where the recording has none
+    noise : what its data sheet or its Allan deviation says, where that was stated
+    topic : ROS topic that Kalibr's files name, or ""
+    T_imu_body : (4, 4) how it lies to the first IMU, p_imu = T_imu_body @ p_body, where stated; it is not needed
+    time_shift_s : t_body = t_imu + time_shift_s, between timestamps [s], where stated; it is not needed
+    """
+
+    accelerometer: TriadSamples
+    gyroscope: TriadSamples
+    noise: ImuNoise | None = None
+    topic: str = ""
+    magnetometer: TriadSamples | None = None
+    T_imu_body: Floats | None = None
+    time_shift_s: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.T_imu_body is not None:
+            object.__setattr__(self, "T_imu_body", frozen_array(self.T_imu_body))

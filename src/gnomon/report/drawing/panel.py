@@ -1,0 +1,310 @@
+"""One panel of a figure: two scales, and the lines, areas, dots and texts that are drawn between them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil, floor, isfinite, log10
+from typing import Literal
+
+import numpy as np
+
+from ...recording import Floats
+from ..numbers import number, power_of_ten
+from . import svg
+
+_STEPS = (1.0, 2.0, 2.5, 5.0)
+
+
+class Scale:
+    """Numbers along one direction of a panel.
+
+    Attributes
+    ----------
+    low, high : numbers at its two ends; the second may be the smaller one
+    logarithmic : whether equal lengths are equal ratios
+    ticks : numbers that are marked; None for round ones
+    most : how many intervals there are between round ticks at most
+    whole : whether round ticks are integers
+    labelled : whether ticks have labels
+    grid : whether lines are drawn across the panel at the ticks
+    """
+
+    def __init__(self, start: float, length: float, most: int) -> None:
+        self.low, self.high = 0.0, 1.0
+        self.logarithmic = False
+        self.ticks: Sequence[float] | None = None
+        self.most = most
+        self.whole = False
+        self.labelled = True
+        self.grid = False
+        self._start, self._length = start, length
+
+    def span(self, low: float, high: float) -> None:
+        """Let the panel reach from one number to another."""
+        self.low, self.high = float(low), float(high)
+
+    def places(self, values: Floats) -> Floats:
+        """Return where numbers (...,) are drawn [figure units]; nan where a logarithm has no place for them."""
+        low, high = self.low, self.high
+        if self.logarithmic:
+            values, low, high = np.log10(np.where(values > 0, values, np.nan)), log10(low), log10(high)
+        return self.shares((values - low) / ((high - low) or 1.0))
+
+    def shares(self, values: Floats) -> Floats:
+        """Return where shares (...,) of the panel's length are drawn [figure units]."""
+        return self._start + values * self._length
+
+    def marks(self) -> list[tuple[float, str]]:
+        """Return the ticks within the panel: where they are drawn, and their labels."""
+        low, high = sorted((self.low, self.high))
+        ticks = self.ticks
+        if ticks is None:
+            ticks = decades(low, high) if self.logarithmic else round_numbers(low, high, self.most, whole=self.whole)
+        margin = 1e-9 * (high - low)
+        inside = np.array([tick for tick in ticks if low - margin <= tick <= high + margin])
+        return list(zip(self.places(inside).tolist(), map(self._label, inside.tolist()), strict=True))
+
+    def _label(self, tick: float) -> str:
+        if not self.logarithmic:
+            return number(tick, 6)
+        return number(tick, 3) if 1e-4 < tick < 1e4 else power_of_ten(round(log10(tick)))
+
+
+def round_numbers(low: float, high: float, most: int, *, whole: bool = False) -> Sequence[float]:
+    """Return the round numbers of a span, in the smallest steps that make so many intervals at most.
+
+    Steps are 1, 2, 2.5 and 5 times a power of ten; `whole` leaves out those that are no integers, and 2.5 times. Where
+    there would not be two numbers, smaller steps are taken.
+    """
+    least = (high - low) / most
+    if not (isfinite(least) and least > 0):
+        return ()
+    power = floor(log10(least))
+    steps = [step * 10.0**k for k in (power - 1, power, power + 1) for step in _STEPS]
+    if whole:
+        steps = [step * 10.0**k for k in range(max(power, 0) + 2) for step in _STEPS if step != 2.5]
+    wanted = next(i for i, step in enumerate(steps) if step >= least * (1 - 1e-9))
+    ticks: list[float] = []
+    for step in reversed(steps[: wanted + 1]):
+        ticks = [k * step for k in range(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1)]
+        if len(ticks) > 1:
+            break
+    return ticks
+
+
+def decades(low: float, high: float, most: int = 6) -> Sequence[float]:
+    """Return the powers of ten of a span, or so many of them at equal distances."""
+    first, last = ceil(log10(low) - 1e-9), floor(log10(high) + 1e-9)
+    return [10.0**k for k in range(first, last + 1, max(1, -(-(last - first) // (most - 1))))]
+
+
+DASHED = (4.0, 3.0)
+"""Lengths of dashes and gaps, in widths of the line."""
+_LABEL = 12.0
+"""Size of the labels of ticks."""
+_BELOW, _ASIDE, _LOWER = 23.12, 9.0, 4.56
+"""Labels have their baseline so far below the panel, where texts grow upwards on small screens, or end so far beside it
+with their baseline so far below the tick."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shape:
+    """A path to be drawn when the limits of the scales are known.
+
+    Attributes
+    ----------
+    x, y : its points, as `path` takes their places; numbers of the scales
+    path : makes it of places
+    style : its style
+    shares : "x" or "y" where these are shares of the panel instead
+    group : class of the element around it, for page.css
+    clip : whether it ends at the edges of the panel
+    """
+
+    x: Floats
+    y: Floats
+    path: Callable[[Floats, Floats], str]
+    style: str
+    shares: Literal["", "x", "y"] = ""
+    group: str = ""
+    clip: bool = True
+
+
+class Panel:
+    """A rectangle with an x and a y scale, in figure units from the top-left corner of the figure.
+
+    What is drawn in it is given in numbers of the scales, whose limits may be set later. Areas lie below lines, and
+    both in the order in which they are drawn.
+
+    Attributes
+    ----------
+    x, y : the scales
+    frame : edges that are drawn
+    rim : radius about the point (0, 0) beyond which nothing is drawn, for a scale of equal steps; None for no rim
+    """
+
+    def __init__(self, left: float, top: float, width: float, height: float) -> None:
+        self.x = Scale(left, width, 7)
+        self.y = Scale(top + height, -height, 5)
+        self.y.grid = True
+        self.frame: Sequence[Literal["left", "right", "top", "bottom"]] = ("bottom",)
+        self.rim: float | None = None
+        self._left, self._top, self._width, self._height = left, top, width, height
+        self._areas: list[_Shape] = []
+        self._lines: list[_Shape] = []
+        self._texts: list[tuple[float, float, str, str, tuple[float, float], bool]] = []
+
+    def line(
+        self,
+        x: Floats,
+        y: Floats,
+        color: str,
+        *,
+        width: float = 1.0,
+        dash: Sequence[float] = (),
+        alpha: float = 1.0,
+        ends: Literal["square", "round"] = "square",
+        clip: bool = True,
+    ) -> None:
+        """Draw a line through points (n,); nan interrupts it."""
+        style = svg.stroke(color, width, dash=dash, alpha=alpha, ends=ends)
+        self._lines.append(_Shape(x=x, y=y, path=svg.line_path, style=style, clip=clip))
+
+    def across(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
+        """Draw a line from the left edge to the right one at a number of the y scale."""
+        style = svg.stroke(color, width, dash=dash)
+        ends = np.array([0.0, 1.0])
+        self._lines.append(_Shape(x=ends, y=np.full(2, value), path=svg.line_path, style=style, shares="x"))
+
+    def upright(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
+        """Draw a line from the bottom to the top at a number of the x scale."""
+        style = svg.stroke(color, width, dash=dash)
+        ends = np.array([0.0, 1.0])
+        self._lines.append(_Shape(x=np.full(2, value), y=ends, path=svg.line_path, style=style, shares="y"))
+
+    def wave(self, x: Floats, share: Floats, color: str, *, width: float, alpha: float) -> None:
+        """Draw a line through points (n,) whose heights are shares of the panel; nan interrupts it."""
+        style = svg.stroke(color, width, alpha=alpha)
+        self._lines.append(_Shape(x=x, y=share, path=svg.line_path, style=style, shares="y"))
+
+    def steps(self, height: Floats, edges: Floats, color: str) -> None:
+        """Draw heights (n,) between edges (n + 1,)."""
+        style = svg.stroke(color, 1.5, ends="butt") + ";stroke-linejoin:miter"
+        x, y = np.repeat(edges, 2)[1:-1], np.repeat(height, 2)
+        self._areas.append(_Shape(x=x, y=y, path=svg.line_path, style=style))
+
+    def dots(self, x: Floats, y: Floats, color: str, size: float) -> None:
+        """Draw points (n,) as one path of round strokes, which takes a tenth of the bytes of markers."""
+        style = svg.dot_stroke(color, size)
+        self._lines.append(_Shape(x=x, y=y, path=svg.dot_path, style=style, group="dots", clip=False))
+
+    def strip(self, low: float, high: float, color: str, *, alpha: float) -> None:
+        """Fill between two numbers of the y scale, from the left edge to the right one."""
+        x, y, style = np.array([[0.0, 1.0]]), np.array([[low, high]]), svg.fill(color, alpha=alpha)
+        self._areas.append(_Shape(x=x, y=y, path=svg.box_path, style=style, shares="x"))
+
+    def band(self, x: Floats, low: Floats, high: Floats, color: str, *, alpha: float = 1.0, edge: float = 0.0) -> None:
+        """Fill between two lines (n,), wherever both are known; `edge` is the width of the outline."""
+        known = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
+        ends = np.flatnonzero(np.diff(known, prepend=False, append=False)).reshape(-1, 2)
+        pieces = [
+            np.stack([np.concatenate([x[a:b], x[a:b][::-1]]), np.concatenate([low[a:b], high[a:b][::-1]])])
+            for a, b in ends.tolist()
+        ]
+        gap = np.full((2, 1), np.nan)
+        outline = np.concatenate([part for piece in pieces for part in (piece, gap)], axis=1) if pieces else gap
+        style = svg.fill(color, alpha=alpha, edge=edge)
+        self._areas.append(_Shape(x=outline[0], y=outline[1], path=svg.area_path, style=style))
+
+    def cells(self, corners: Floats, size: tuple[float, float], *, level: Floats, color: str) -> None:
+        """Fill rectangles, the stronger the higher their level; those of level zero or nan stay empty.
+
+        One path is drawn per level, which takes few bytes and keeps to the colours of the page.
+
+        Parameters
+        ----------
+        corners : (n, 2) corners with the smallest numbers
+        size : width and height
+        level : (n,) 0 to 1, shown in eight steps
+        color : at level one
+        """
+        steps = 8
+        strength = np.ceil(np.clip(np.nan_to_num(level), 0, 1) * steps).astype(int)
+        for step in range(1, steps + 1):
+            chosen = corners[strength == step]
+            if len(chosen):
+                x, y = (np.stack([chosen[:, i], chosen[:, i] + size[i]], axis=1) for i in range(2))
+                style = svg.fill(color, alpha=step / steps)
+                self._areas.append(_Shape(x=x, y=y, path=svg.box_path, style=style, group="cells"))
+
+    def text(
+        self, text: str, x: float, y: float, style: str, *, offset: tuple[float, float] = (0.0, 0.0), fine: bool = False
+    ) -> None:
+        """Write a line of text with its baseline at a point, moved by figure units; small screens hide `fine` ones."""
+        self._texts.append((x, y, text, style, offset, fine))
+
+    def svg(self, name: str) -> str:
+        """Return all of it as an SVG element; `name` is unique on the page."""
+        parts = [
+            f'<g><clipPath id="{name}">{self._clip()}</clipPath>',
+            self._grid(),
+            *(self._drawn(shape, name) for shape in (*self._areas, *self._lines)),
+            self._frame(),
+            *self._labels(),
+        ]
+        for x, y, text, style, (right, down), fine in self._texts:
+            at = float(self.x.places(np.array(x))) + right, float(self.y.places(np.array(y))) + down
+            element = svg.text_element(text, *at, style)
+            parts.append(f'<g class="fine">{element}</g>' if fine else element)
+        return "".join([*parts, "</g>"])
+
+    def _clip(self) -> str:
+        if self.rim is None:
+            box = (self._left, self._top, self._width, self._height)
+            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(svg.short, box))
+        x, y = (float(scale.places(np.zeros(()))) for scale in (self.x, self.y))
+        reach = float(self.x.places(np.array(self.rim))) - x
+        return f'<circle cx="{svg.short(x)}" cy="{svg.short(y)}" r="{svg.short(reach)}"/>'
+
+    def _drawn(self, shape: _Shape, name: str) -> str:
+        x, y = (
+            scale.shares(values) if shape.shares == direction else scale.places(values)
+            for scale, values, direction in ((self.x, shape.x, "x"), (self.y, shape.y, "y"))
+        )
+        path = shape.path(x, y)
+        if not path:
+            return ""
+        clip = f' clip-path="url(#{name})"' if shape.clip else ""
+        element = f'<path d="{path}"{clip} style="{shape.style}"/>'
+        return f'<g class="{shape.group}">{element}</g>' if shape.group else element
+
+    def _grid(self) -> str:
+        left, right, top, bottom = self._edges()
+        lines = [f"M{svg.short(x)} {bottom}V{top}" for x, _ in self.x.marks()] if self.x.grid else []
+        lines += [f"M{left} {svg.short(y)}H{right}" for y, _ in self.y.marks()] if self.y.grid else []
+        return f'<path d="{"".join(lines)}" style="{svg.stroke("grid", 1, ends="butt")}"/>' if lines else ""
+
+    def _edges(self) -> tuple[str, str, str, str]:
+        """Return left, right, top and bottom."""
+        edges = (self._left, self._left + self._width, self._top, self._top + self._height)
+        left, right, top, bottom = map(svg.short, edges)
+        return left, right, top, bottom
+
+    def _frame(self) -> str:
+        left, right, top, bottom = self._edges()
+        sides = {"left": f"M{left} {bottom}V{top}", "right": f"M{right} {bottom}V{top}",
+                 "bottom": f"M{left} {bottom}H{right}", "top": f"M{left} {top}H{right}"}  # fmt: skip
+        path = "".join(sides[side] for side in self.frame)
+        return f'<path d="{path}" style="{svg.stroke("muted", 1)}"/>' if path else ""
+
+    def _labels(self) -> list[str]:
+        """Return the labels of both scales."""
+        groups: list[str] = []
+        below, aside = self._top + self._height + _BELOW, self._left - _ASIDE
+        for scale, align in ((self.x, "center"), (self.y, "right")):
+            if scale.labelled and (marks := scale.marks()):
+                texts = [
+                    svg.text_element(label, *((place, below) if scale is self.x else (aside, place + _LOWER)))
+                    for place, label in marks
+                ]
+                groups.append(f'<g style="{svg.text_style("muted", _LABEL, align)}">{"".join(texts)}</g>')
+        return groups

@@ -1,0 +1,1 @@
+"""What was learned: calibrations with their covariance, and what was seen on the way (diagnostics)."""

@@ -1,0 +1,350 @@
+"""What was learned from a recording: frozen values, each with its uncertainty.
+
+The sensors themselves are described in `sensors`, the names of their scalars in `parameters`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from ..errors import FormatError, OptionError
+from ..findings import Finding
+from ..frozen import FrozenMapping
+from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
+from ..models.origin import Origin
+from ..recording import Floats, Source, frozen_array
+from ..units import STANDARD_GRAVITY_M_S2
+from .parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
+from .sensors import (
+    AccelerometerCalibration,
+    CameraCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
+    MagnetometerCalibration,
+    interpolate_triad,
+    rotated,
+)
+from .trust import TrustNote, Verdict
+
+__all__ = [
+    "UNSTATED_GRAVITY",
+    "AccelerometerCalibration",
+    "Assessment",
+    "Calibration",
+    "CameraCalibration",
+    "CameraImuFit",
+    "CamerasFit",
+    "Covariance",
+    "Gravity",
+    "GyroscopeCalibration",
+    "Holdout",
+    "ImuCalibration",
+    "MagnetometerCalibration",
+    "Provenance",
+    "TrustNote",
+    "Verdict",
+    "covariance_names",
+    "element_names",
+    "interpolate_triad",
+    "parameters",
+    "rotated",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraImuFit:
+    """What a camera-IMU calibration rests on.
+
+    Attributes
+    ----------
+    frames_found, frames_used : "cam0" -> frames in which the board was detected, and that were used
+    corners_used : "cam0" -> corners
+    reprojection_rms_px : "cam0" -> rms of the residuals of the corners used, per axis [px]
+    duration_s : time spanned by the trajectory [s]
+    converged : whether the solver came to rest
+    """
+
+    frames_found: Mapping[str, int]
+    frames_used: Mapping[str, int]
+    corners_used: Mapping[str, int]
+    reprojection_rms_px: Mapping[str, float]
+    duration_s: float
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CamerasFit:
+    """What a calibration of cameras alone rests on.
+
+    Attributes
+    ----------
+    views_found : "cam0" -> frames in which the board was detected
+    views_used : "cam0" -> frames that were used, chosen by their information
+    corners_used : "cam0" -> corners
+    reprojection_rms_px : "cam0" -> rms of the residuals of the corners used, per axis [px]
+    holdout_rms_px : "cam0" -> the same of views that the estimate had not seen, each with a pose of its own [px]
+    coverage : "cam0" -> share of the image in which corners were used, 0 to 1
+    models : "cam0" -> lens models that were tried, the one that was taken first
+    board_added : what of the board was estimated since the views prove it, such as "target.aspect" or "target.bow"
+    aspect, aspect_sigma : the board's scale along y over that along x, minus 1; both zero where it was not estimated
+    bow_m, bow_sigma_m : how far the middle of the board bulges towards the viewer [m]; the same
+    print_scale, print_scale_sigma : true over stated size of the board, where a known baseline tells it; else nan
+    converged : whether the solver came to rest
+    """
+
+    views_found: Mapping[str, int]
+    views_used: Mapping[str, int]
+    corners_used: Mapping[str, int]
+    reprojection_rms_px: Mapping[str, float]
+    holdout_rms_px: Mapping[str, float]
+    coverage: Mapping[str, float]
+    models: Mapping[str, tuple[str, ...]]
+    board_added: tuple[str, ...] = ()
+    aspect: float = 0.0
+    aspect_sigma: float = 0.0
+    bow_m: float = 0.0
+    bow_sigma_m: float = 0.0
+    print_scale: float = float("nan")
+    print_scale_sigma: float = float("nan")
+    converged: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Gravity:
+    """Magnitude of gravity that the calibration rests on [m/s^2], its sigma, and where it came from."""
+
+    value: float
+    sigma: float
+    source: str
+
+
+UNSTATED_GRAVITY = Gravity(
+    value=STANDARD_GRAVITY_M_S2, sigma=WORLD_GRAVITY_SIGMA_M_S2, source="standard gravity, as no place was stated"
+)
+"""What gravity is taken for where nothing tells it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Covariance:
+    """Covariance of named scalars.
+
+    Attributes
+    ----------
+    names : (n,) paths such as "imu0.accelerometer.sensitivity[1,0]"
+    matrix : (n, n), in products of the units of the parameters
+    """
+
+    names: tuple[str, ...]
+    matrix: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", frozen_array(self.matrix))
+        if self.matrix.shape != (len(self.names),) * 2:
+            raise FormatError(f"covariance of {len(self.names)} names has shape {self.matrix.shape}.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Holdout:
+    """Errors on data that the estimate had not seen.
+
+    Attributes
+    ----------
+    accelerometer_rms : leave-one-interval-out rms of |f| - g [m/s^2]
+    rotation_rms : leave-one-rotation-out rms of |u_a - u_g| [rad], u_a measured and u_g propagated gravity; nan without
+        gyroscope
+    rate_rms : leave-one-part-out rms of |omega| minus the rate of the turntable [rad/s]; nan without one
+    field_rms : leave-out rms of |m| - 1, in units of the local magnetic field; nan without magnetometer
+    """
+
+    accelerometer_rms: float = float("nan")
+    rotation_rms: float = float("nan")
+    rate_rms: float = float("nan")
+    field_rms: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Assessment:
+    """How far the calibration can be trusted.
+
+    Attributes
+    ----------
+    verdict : "pass", "warn" or "fail"
+    findings : reasons and advice, worst first
+    model : the model that was estimated; of the gyroscope for an IMU alone, "basic" or "g-sensitivity", "none" without
+        one; of the IMU with cameras, "basic", "scale-misalignment" or "full"; of cameras alone, their lenses
+    holdout : errors on hold-out data, nan where nothing was held out
+    intervals_found, intervals_used, rotations_found, rotations_used : counts, of a multi-position recording
+    held_by_prior : names of parameters that the recording does not determine
+    camera_imu : what a camera-IMU calibration rests on; else None
+    cameras : what a calibration of cameras alone rests on; else None
+    trust : where the uncertainty comes from, how parts of the recording agree, and what a use needs
+    """
+
+    verdict: Verdict
+    findings: tuple[Finding, ...]
+    model: str
+    holdout: Holdout = field(default_factory=Holdout)
+    intervals_found: int = 0
+    intervals_used: int = 0
+    rotations_found: int = 0
+    rotations_used: int = 0
+    held_by_prior: tuple[str, ...] = ()
+    camera_imu: CameraImuFit | None = None
+    cameras: CamerasFit | None = None
+    trust: TrustNote = field(default_factory=TrustNote)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Provenance:
+    """Where a calibration comes from; holds no clock time, so that a second run gives the same bytes.
+
+    Attributes
+    ----------
+    gnomon_version : version that made it
+    method : such as "imu" or "simulation"
+    inputs : files with their hashes
+    options : option name -> value as text, only those that differ from the default
+    seed : seed of random numbers, where any were drawn
+    """
+
+    gnomon_version: str
+    method: str
+    inputs: tuple[Source, ...] = ()
+    options: Mapping[str, str] = field(default_factory=dict[str, str])
+    seed: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """A calibration with its uncertainty, its assessment and its origin.
+
+    Attributes
+    ----------
+    imus : mapping "imu0" -> ImuCalibration; empty for cameras alone
+    cameras : mapping "cam0" -> CameraCalibration; empty for an IMU alone
+    frame : body frame, "accel-x", "accel-z" or "user"; without accelerometer "gyro-x" (x along the sensitivity axis of
+        the x gyroscope, that of the y gyroscope in the x-y plane) or "mag-x" (the same of a magnetometer); of cameras
+        alone "cam0"
+    gravity : what was taken for the magnitude of gravity; of no meaning for cameras alone
+    uncertainty : covariance of every scalar of every IMU, then of every camera; zero rows where the frame or the model
+        fixes a scalar
+    assessment, provenance : see there
+    """
+
+    imus: Mapping[str, ImuCalibration]
+    frame: str
+    gravity: Gravity
+    uncertainty: Covariance
+    assessment: Assessment
+    provenance: Provenance
+    cameras: Mapping[str, CameraCalibration] = field(default_factory=dict[str, CameraCalibration])
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "imus", FrozenMapping(self.imus))
+        object.__setattr__(self, "cameras", FrozenMapping(self.cameras))
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict, "pass", "warn" or "fail"."""
+        return self.assessment.verdict
+
+    def parameter(self, path: str) -> Floats:
+        """Return a parameter by its path, such as "imu0.gyroscope.bias" or "cam0.time_shift_cam_imu".
+
+        The path is that in the YAML file; the pose of a camera has two, "cam0.T_cam_imu.rotation" (rotation vector of
+        R_cam_imu [rad]) and "cam0.T_cam_imu.translation" [m].
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter.
+        """
+        known = dict(parameters(self.imus, self.cameras))
+        if path in known:
+            return known[path]
+        raise OptionError(f'no parameter "{path}" in this calibration. Known: {", ".join(known)}.')
+
+    def sigma(self, path: str) -> Floats:
+        """Return the standard deviation of a parameter, in its shape and unit.
+
+        Of a camera's rotation it is that of a small rotation about the body's axes [rad]; see `CameraCalibration`.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter.
+        """
+        shape = self.parameter(path).shape
+        return np.sqrt(np.diag(self.covariance(path))).reshape(shape)
+
+    def covariance(self, *paths: str) -> Floats:
+        """Return the joint covariance of whole parameters, elements in row order, one parameter after the other.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter.
+        """
+        index = {name: i for i, name in enumerate(self.uncertainty.names)}
+        rows = [index[name] for path in paths for name in element_names(path, self.parameter(path).shape)]
+        return self.uncertainty.matrix[np.ix_(rows, rows)]
+
+    def in_frame(self, frame: str) -> Self:
+        """Return the same calibration in body frame "accel-x" or "accel-z"; cameras and covariance move along.
+
+        Raises
+        ------
+        OptionError
+            If `frame` is neither.
+        """
+        moved = moved_into_frame(self.imus, self.cameras, frame)
+        matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
+        uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
+        return replace(self, imus=moved.imus, cameras=moved.cameras, frame=frame, uncertainty=uncertainty)
+
+    def with_origin(self, origin: str | Origin) -> Self:
+        """Return the same calibration with the origin of each IMU at another point, its covariance too.
+
+        Only a calibration with lever arms changes. It is exact but for the gyroscope's g-sensitivity, which acts on the
+        specific force at the body's origin: two places a centimetre apart differ by 1e-5 rad/s there. The weights of
+        the accelerometers in p* are stated numbers, which the covariance takes for exact.
+
+        Parameters
+        ----------
+        origin : "optimal", the point whose place is known best (p*); the accelerometer "x", "y" or "z"; a place from
+            the x accelerometer in the IMU's axes, such as "0.010,0,-0.005" [m]; or the `origin` of an IMU of another
+            calibration, whose weights of the accelerometers then count. Without it those of this calibration do, where
+            they are known; else p* is that of a motion alike about all axes
+
+        Raises
+        ------
+        OptionError
+            If `origin` is none of these.
+        """
+        stated = Origin.stated(origin) if isinstance(origin, str) else origin
+        origins = {
+            name: replace(stated, weights=imu.origin.weights)
+            if stated.weights is None and imu.origin is not None
+            else stated
+            for name, imu in self.imus.items()
+        }
+        moved = moved_to_origin(self.imus, self.cameras, origins)
+        matrix = moved.jacobian @ self.uncertainty.matrix @ moved.jacobian.T
+        uncertainty = Covariance(names=self.uncertainty.names, matrix=matrix)
+        return replace(self, imus=moved.imus, cameras=moved.cameras, uncertainty=uncertainty)
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{_cells(value)}</td><td>{_cells(self.sigma(name))}</td></tr>"
+            for name, value in parameters(self.imus, self.cameras)
+        )
+        return (
+            f"<b>gnomon calibration: {self.verdict}</b> (body frame {self.frame})"
+            f"<table><tr><th>parameter</th><th>estimate</th><th>sigma</th></tr>{rows}</table>"
+        )
+
+
+def _cells(values: Floats) -> str:
+    return "<br>".join(" ".join(f"{x:.6g}" for x in row) for row in np.atleast_2d(values))

@@ -1,0 +1,69 @@
+"""A calibration, and how it came about: what a report draws and `diagnostics.npz` keeps. Values only."""
+
+from dataclasses import dataclass
+
+from ..recording import Floats
+from .calibration import Calibration
+from .camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
+from .imu_diagnostics import ImuDiagnostics
+from .triad_diagnostics import TriadDiagnostics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JoinedRecording:
+    """One of several recordings of one sensor, calibrated for itself.
+
+    Attributes
+    ----------
+    name : its file, or its number
+    verdict, model : of it alone
+    intervals, rotations : used
+    accelerometer_rms, rotation_rms : on data left out [m/s^2], [rad]
+    values, sigma : (n,) its scalars and their standard deviations [SI; of a sensor in counts relative to its scale]
+    z : (n,) its distance from what the others foretell, in standard deviations; nan where nothing was estimated
+    diagnostics : how it came about
+    """
+
+    name: str
+    verdict: str
+    model: str
+    intervals: int
+    rotations: int
+    accelerometer_rms: float
+    rotation_rms: float
+    values: Floats
+    sigma: Floats
+    z: Floats
+    diagnostics: ImuDiagnostics | TriadDiagnostics
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JoinedDiagnostics:
+    """How the calibration of one sensor from several recordings came about.
+
+    Attributes
+    ----------
+    names : (n,) scalars, as in `Covariance.names`
+    quantity : (n,) of each, such as "accelerometer_scale"
+    mean, mean_sigma : (n,) over the recordings, and its standard deviation [as `JoinedRecording.values`]
+    scatter : (n,) standard deviation from recording to recording
+    recordings : one by one, in the order given
+    """
+
+    names: tuple[str, ...]
+    quantity: tuple[str, ...]
+    mean: Floats
+    mean_sigma: Floats
+    scatter: Floats
+    recordings: tuple[JoinedRecording, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Result:
+    """A calibration, and how it came about."""
+
+    calibration: Calibration
+    diagnostics: ImuDiagnostics | CameraImuDiagnostics | CamerasDiagnostics | TriadDiagnostics | JoinedDiagnostics
+
+    def _repr_html_(self) -> str:
+        return self.calibration._repr_html_()  # pyright: ignore[reportPrivateUsage]
