@@ -1,6 +1,6 @@
 """The whole study of Krebs: 100 recordings of 90 s of each of seven series.
 
-`pytest tests/e2e/test_study_krebs.py -m slow` takes most of an hour; tests/unit/test_study_krebs.py is small.
+`pytest tests/e2e/test_study_krebs.py -m slow` takes most of an hour; tests/unit/study/test_study_krebs.py is small.
 """
 
 import os

@@ -1,6 +1,6 @@
 """The whole study of Tedaldi: 30 recordings of each of 40 parameter sets.
 
-`pytest tests/e2e/test_study_tedaldi.py -m slow` takes some twenty minutes of one core; tests/unit/test_study_tedaldi.py
+`pytest tests/e2e/test_study_tedaldi.py -m slow` takes some twenty minutes of one core; tests/unit/study/test_study_tedaldi.py
 is small.
 """
 

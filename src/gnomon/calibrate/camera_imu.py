@@ -76,7 +76,7 @@ def calibrate_camera_imu(
     target : the board
     options : see CameraImuOptions
     progress : called with a sentence at each step
-    prior : other calibrations of the same IMUs, which count as evidence; see `gnomon.evidence`
+    prior : other calibrations of the same IMUs, which count as evidence; see `gnomon.assess.priors`
 
     Raises
     ------

@@ -68,7 +68,7 @@ def calibrate_imu(
     recording : of one IMU, or several of the same
     options : see ImuOptions
     progress : called with a sentence at each step
-    prior : other calibrations of the same sensor, which count as evidence; see `gnomon.evidence`
+    prior : other calibrations of the same sensor, which count as evidence; see `gnomon.assess.priors`
 
     Raises
     ------

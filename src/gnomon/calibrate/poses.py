@@ -95,7 +95,7 @@ def calibrate_poses(
     recording : with rests, of poses that were averaged, or of one file each
     options : see ImuOptions
     progress : called with a sentence at each step
-    prior : other calibrations of the same sensor, which count as evidence; see `gnomon.evidence`
+    prior : other calibrations of the same sensor, which count as evidence; see `gnomon.assess.priors`
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a result came about, as an NPZ file: every field of `gnomon.diagnostics` under its path.
+"""How a result came about, as an NPZ file: every field of `gnomon.results` under its path.
 
 The key of an array is the path of its field, such as "intervals.start_s"; what a result does not have has no key.
 A list of candidates is one array for each field, such as "trials.rotation_rms"; a list of what holds lists itself is

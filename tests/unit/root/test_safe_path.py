@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[2]
 GNOMON = Path(sys.executable).with_name("gnomon")
 ALWAYS = ("gnomon", "numpy", "cv2", "pickle", "random", "multiprocessing", "threadpoolctl", "sitecustomize", "signal")
 WORKER = """

@@ -23,7 +23,7 @@ from gnomon.results.calibration import Covariance, parameters
 from gnomon.writers.tables import form_tables, summary_table
 from triad_subsets import FRAMES, SUBSETS, TRIADS, recorded, subset_calibration
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 FORMS = ("sensitivity", "tedaldi", "krebs", "angrisano", "kalibr")
 NEW = [triads for triads in SUBSETS if "accelerometer" not in triads or "magnetometer" in triads]
 

@@ -15,7 +15,7 @@ from gnomon.errors import OutputError
 from gnomon.study.runs import Workers, carry_out
 from study_work import Task, drawn
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parents[2]
 
 
 def keep(folder, records, study="test"):

@@ -14,7 +14,7 @@ from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec
 from gnomon.results.calibration import CameraCalibration
 from gnomon.results.parameters import covariance_names, element_names, moved_into_frame, parameters
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 CAMERA_PATHS = (
     "T_cam_imu.rotation", "T_cam_imu.translation", "time_shift_cam_imu", "line_delay", "intrinsics",
     "distortion_coeffs",

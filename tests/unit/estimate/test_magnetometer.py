@@ -202,7 +202,7 @@ def _exact(truth):
     return replace(
         truth,
         imus={"imu0": replace(imu, magnetometer=None, gyroscope=None)},
-        uncertainty=gnomon.calibration.Covariance(names=names, matrix=1e-8 * np.eye(len(names))),
+        uncertainty=gnomon.Covariance(names=names, matrix=1e-8 * np.eye(len(names))),
     )
 
 

@@ -19,7 +19,7 @@ from gnomon.results.parameters import covariance_names
 from gnomon.results.trust import TrustNote
 from gnomon.writers.tables import form_tables, summary_table
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 
 
 def saved(calibration, folder):

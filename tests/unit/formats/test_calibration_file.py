@@ -16,7 +16,7 @@ from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.recording import Source
 from gnomon.results.calibration import Covariance, Gravity, Provenance, parameters
 
-GOLDEN = Path(__file__).parents[1] / "golden"
+GOLDEN = Path(__file__).parents[2] / "golden"
 AWKWARD = ["no", "1e5", "a: b", " #x", 'quo"te\\', "é\x85\u2028\n", "\U0001f600", "", "-", "null", "[1]", "\ufeff~"]
 
 

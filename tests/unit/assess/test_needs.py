@@ -68,7 +68,7 @@ def test_what_is_too_coarse_warns_and_far_beyond_fails(waved):
             assert finding.cure == need.cure
 
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "calibration-gnomon-1.5.yaml"
+GOLDEN = Path(__file__).parents[2] / "golden" / "calibration-gnomon-1.5.yaml"
 
 
 @pytest.mark.parametrize(

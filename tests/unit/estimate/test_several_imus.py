@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camera_imu_problem import problem
 from gnomon.assess.cameras.rig_residuals import cut_findings
@@ -314,7 +314,7 @@ def test_golden_file():
     def data(text):
         return [line for line in text.splitlines() if not line.lstrip().startswith("#")]
 
-    golden = Path(__file__).parents[1] / "golden" / "calibration-gnomon-1.5.yaml"
+    golden = Path(__file__).parents[2] / "golden" / "calibration-gnomon-1.5.yaml"
     calibration = load(golden)
     assert data(calibration_text(calibration)) == data(golden.read_text(encoding="utf-8"))
     second = calibration.imus["imu1"]
