@@ -1,6 +1,7 @@
 """The whole study of Angrisano: 500 runs of each setting.
 
-`pytest tests/e2e/test_study_angrisano.py -m slow` takes some minutes; tests/unit/study/test_study_angrisano.py is small.
+`pytest tests/e2e/test_study_angrisano.py -m slow` takes some minutes;
+tests/unit/study/test_study_angrisano.py is small.
 """
 
 import os

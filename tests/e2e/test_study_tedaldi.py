@@ -1,7 +1,7 @@
 """The whole study of Tedaldi: 30 recordings of each of 40 parameter sets.
 
-`pytest tests/e2e/test_study_tedaldi.py -m slow` takes some twenty minutes of one core; tests/unit/study/test_study_tedaldi.py
-is small.
+`pytest tests/e2e/test_study_tedaldi.py -m slow` takes some twenty minutes of one core;
+tests/unit/study/test_study_tedaldi.py is small.
 """
 
 import os

@@ -1,7 +1,7 @@
 """Real multi-position recordings cut in parts: do these agree within the sigmas of a part?
 
-`pytest tests/unit/assess/test_real_splits.py -m "slow or not slow" -s` prints the table. Biases are compared between intervals
-that take turns; how they differ between halves and thirds is instability, and told apart.
+`pytest tests/unit/assess/test_real_splits.py -m "slow or not slow" -s` prints the table. Biases are compared between
+intervals that take turns; how they differ between halves and thirds is instability, and told apart.
 """
 
 import numpy as np

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -15,7 +16,7 @@ from gnomon.study import cluster
 from gnomon.study.runs import Workers, carry_out
 from study_work import Task, drawn, refused, slow_product
 
-TESTS = os.path.dirname(os.path.dirname(__file__))  # noqa: PTH120
+TESTS = str(Path(__file__).parents[2])
 
 
 def free_port():

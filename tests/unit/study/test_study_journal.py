@@ -115,7 +115,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_killed_study_does_nothing_again_that_it_kept(tmp_path, jobs):
     done, journal, program = tmp_path / "done", tmp_path / JOURNAL, tmp_path / "program.py"
-    paths = [str(TESTS), str(TESTS / "unit")]
+    paths = [str(TESTS), str(Path(__file__).parent)]
     program.write_text(PROGRAM.format(paths=paths, folder=str(tmp_path), done=str(done), jobs=jobs))
     running = subprocess.Popen([sys.executable, str(program)], stdout=subprocess.PIPE)
     until = time.monotonic() + 300
