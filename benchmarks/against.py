@@ -40,7 +40,10 @@ print("seconds", (cpu() - before) / {repeats})
 READ_RIG = "recording, target = gnomon.read_camera_imu({folder!r}, cam={cam!r}, imu={imu!r}, target={target!r})"
 RIG = "gnomon.calibrate_camera_imu(recording, target{options})"
 TRACK = """
-from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
+try:
+    from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
+except ImportError:  # versions before the steps had a folder
+    from gnomon.calibrate.board_corners import CameraImages, detect_corners
 from gnomon.readers.images.image_recording import open_images
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras
