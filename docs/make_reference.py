@@ -15,11 +15,10 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
-
-import tyro.conf
+from typing import Any, Literal, Union, get_args, get_origin
 
 import gnomon
+from gnomon.cli.arguments import unannotated
 from gnomon.cli.commands import COMMANDS
 from gnomon.findings import read_catalogue
 from gnomon.options import (
@@ -43,7 +42,6 @@ from gnomon.simulate import (
 
 DOCS = Path(__file__).parent
 GENERATED = "<!-- Made by docs/make_reference.py; do not edit. -->"
-_POSITIONAL = get_args(tyro.conf.Positional[int])[1]
 
 _CLI_HEAD = """\
 # Command line
@@ -240,7 +238,7 @@ def _row(option: Option) -> str:
 
 def command_options(command: type) -> Iterator[Option]:
     """Yield the arguments of a command, those of nested classes in their place."""
-    hints, meanings = get_type_hints(command, include_extras=True), _field_texts(command)
+    hints, meanings = {field.name: field.type for field in fields(command)}, _field_texts(command)
     for field in fields(command):
         hint, metavar, aliases = _unwrapped(hints[field.name])
         if is_dataclass(hint):
@@ -248,7 +246,7 @@ def command_options(command: type) -> Iterator[Option]:
             continue
         words = metavar or _metavar(hint)
         flag = f"--{_name_of(hints[field.name], field.name).replace('_', '-')}"
-        if _POSITIONAL in getattr(hints[field.name], "__metadata__", ()):
+        if unannotated(hints[field.name])[1].positional:
             written, default = words or field.name.upper(), ""
         elif hint is bool:
             written, default = (flag.replace("--", "--no-", 1) if field.default else flag), ""
@@ -380,6 +378,7 @@ def _signature(function: Any) -> str:
     """Return the signature as its source has it; text from the interpreter differs between versions of Python."""
     node = _definition(function)
     arguments = ast.unparse(node.args).removeprefix("self, ").removeprefix("cls, ")
+    arguments = re.sub(r"(?<=: )'([^']*)'", r"\1", arguments)  # of types that are imported when they are needed
     arguments = "" if arguments in ("self", "cls") else arguments.replace("'", '"').replace("=_NO_TOPICS", "={}")
     returns = f" -> {ast.unparse(node.returns)}".replace("'", "").replace('"', "") if node.returns else ""
     one_line = f"({arguments}){returns}"

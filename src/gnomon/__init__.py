@@ -19,17 +19,7 @@ from .errors import (
 )
 
 # At once: later, the function simulate would be hidden by the room of the same name.
-from .simulate import (
-    CameraImuPlan,
-    CameraImuScenario,
-    CamerasScenario,
-    FieldScenario,
-    ImuPlan,
-    PoseScenario,
-    Scenario,
-    TurntableScenario,
-    simulate,
-)
+from .simulate import simulate
 
 if TYPE_CHECKING:
     from .assess.checks.doctor import check
@@ -91,6 +81,14 @@ if TYPE_CHECKING:
     from .results.result import Result
     from .results.sensor_noise import NoiseResult, SensorNoise
     from .simulate import (
+        CameraImuPlan,
+        CameraImuScenario,
+        CamerasScenario,
+        FieldScenario,
+        ImuPlan,
+        PoseScenario,
+        Scenario,
+        TurntableScenario,
         simulate_camera_imu,
         simulate_cameras,
         simulate_magnetometer,
@@ -133,6 +131,19 @@ _HOMES = {
     "read_hardware": "calibrate",
     "check": "assess.checks.doctor",
     "compare": "calibrate.comparison",
+    **dict.fromkeys(
+        (
+            "CameraImuPlan",
+            "CameraImuScenario",
+            "CamerasScenario",
+            "FieldScenario",
+            "ImuPlan",
+            "PoseScenario",
+            "Scenario",
+            "TurntableScenario",
+        ),
+        "simulate",
+    ),
     "simulate_camera_imu": "simulate",
     "simulate_cameras": "simulate",
     "simulate_magnetometer": "simulate",

@@ -159,9 +159,9 @@ def test_demo_prints_a_table_that_fits(tmp_path, run):
 def test_help_names_every_command(run):
     code, out, _ = run("--help")
     assert code == 0
-    flat = " ".join(re.sub(r"[│╭╮╰╯─]", " ", out).split())
+    flat = " ".join(out.split())
     for name, command in COMMANDS.items():
-        assert f"• {name} {' '.join(command.__doc__.split(chr(10) * 2)[0].split())}" in flat
+        assert f" {name} {' '.join(command.__doc__.split(chr(10) * 2)[0].split())}" in flat
 
 
 @pytest.mark.parametrize("name", COMMANDS)

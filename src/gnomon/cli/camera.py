@@ -4,13 +4,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-import tyro
-
 from ..errors import OptionError, RecordingError
 from ..models.lens_programs import check_program, refit_models
 from ..options import CameraOptions
 from ..simulate.cameras_scenario import CamerasScenario
 from ..units import Units
+from .arguments import Argument
 from .command import (
     Cache,
     CamFile,
@@ -52,7 +51,7 @@ class CameraCommand(Command):
     every corner of the image; of several cameras as many as possible together. Nothing need be known of the lens.
     """
 
-    recording: tyro.conf.Positional[Path]
+    recording: Annotated[Path, Argument(positional=True)]
     """A folder of images (of several cameras in cam0, cam1, ... or left and right), a ROS 1 or ROS 2 bag, a folder in
     the layout of EuRoC, TUM-VI or Kalibr, a video; or a folder with corners, cam0_corners.csv, cam1_corners.csv, ..."""
     target: Annotated[Path | None, FileOption] = None
@@ -60,9 +59,9 @@ class CameraCommand(Command):
     cam: CamFile = None
     """A camchain.yaml or calibration.yaml whose topics, line delays and image sizes are taken; its lenses are not
     used."""
-    resolution: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="WIDTH HEIGHT", help_behavior_hint="")] = None
+    resolution: Annotated[tuple[int, int] | None, Argument(metavar="WIDTH HEIGHT", hint="")] = None
     """Size of the images in pixels, for a folder with corners; images tell it themselves."""
-    topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC ...", help_behavior_hint="")] = ()
+    topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC ...", hint="")] = ()
     """Topics of a bag, such as cam0=/left/image_raw cam1=/right/image_raw; guessed where it is clear."""
     units: str | None = None
     """Unit of the timestamps in tables, such as us; recognised where not given."""
@@ -71,7 +70,7 @@ class CameraCommand(Command):
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz and Kalibr's camchain.yaml and results-cam.txt
     (default: NAME-camera beside the recording)."""
-    program: Annotated[str | None, tyro.conf.arg(name="for", metavar="PROGRAM", help_behavior_hint="")] = None
+    program: Annotated[str | None, Argument(name="for", metavar="PROGRAM", hint="")] = None
     """A program that shall read the result: kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis or ros2; the lens
     model is then chosen among those that it knows."""
     report: Report = True

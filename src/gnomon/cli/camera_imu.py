@@ -5,12 +5,11 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-import tyro
-
 from ..errors import OptionError, RecordingError
 from ..options import CameraImuOptions
 from ..simulate import CameraImuScenario
 from ..units import Units
+from .arguments import Argument
 from .camera import NO_TARGET, ImagesAs
 from .command import (
     Cache,
@@ -53,7 +52,7 @@ class CameraImu(Command):
     as fast as the images stay sharp, for about a minute.
     """
 
-    recording: tyro.conf.Positional[Path]
+    recording: Annotated[Path, Argument(positional=True)]
     """A ROS 1 bag, a ROS 2 bag (sqlite or MCAP), a folder in the layout of EuRoC, TUM-VI or Kalibr, a folder of images
     or videos with a table of samples, or a video; or a folder with corners and samples, cam0_corners.csv,
     cam1_corners.csv, ... and imu0.csv, also with .gz."""
@@ -65,7 +64,7 @@ class CameraImu(Command):
     (default: imu.yaml in the recording's folder, where there is one)."""
     target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
-    topics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC ...", help_behavior_hint="")] = ()
+    topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC ...", hint="")] = ()
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
     imu_table: Annotated[Path | None, FileOption] = None
     """Table of the IMU's samples, where the recording has none, as a video."""

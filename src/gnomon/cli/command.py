@@ -6,31 +6,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
-import tyro
-
 from ..errors import OptionError
 from ..units import Units
+from .arguments import Argument
 
 if TYPE_CHECKING:
     from .terminal import Terminal
 
 
-Flat = tyro.conf.arg(name="")
+Flat = Argument(flat=True)
 """Options of a nested class appear without a prefix."""
-Switch = tyro.conf.arg(help_behavior_hint="")
-Json = Annotated[bool, tyro.conf.arg(help_behavior_hint="", help="Print one JSON document instead of text.")]
-Report = Annotated[bool, tyro.conf.arg(help_behavior_hint="", help="Do not make the report.")]
-Seed = Annotated[int, tyro.conf.arg(help="All random numbers follow from it.")]
+Switch = Argument(hint="")
+Json = Annotated[bool, Argument(hint="", help="Print one JSON document instead of text.")]
+Report = Annotated[bool, Argument(hint="", help="Do not make the report.")]
+Seed = Annotated[int, Argument(help="All random numbers follow from it.")]
 Workers = Annotated[
     int | None,
-    tyro.conf.arg(
-        help="How many look for the board in the images at once; as many as there are cores where not given."
-    ),
+    Argument(help="How many look for the board in the images at once; as many as there are cores where not given."),
 ]
 Cache = Annotated[
     bool,
-    tyro.conf.arg(
-        help_behavior_hint="",
+    Argument(
+        hint="",
         help="Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept "
         "there.",
     ),
@@ -40,23 +37,23 @@ _USE = "What it is for: vio, ahrs, gimbal, phone, or a YAML file that states wha
 
 def use_option(text: str) -> object:
     """Return the annotation of --for; its field is called `use`, since `for` is a word of Python."""
-    return tyro.conf.arg(name="for", metavar="USE", help_behavior_hint="", help=text)
+    return Argument(name="for", metavar="USE", hint="", help=text)
 
 
 ForUse = Annotated[str | None, use_option(f"{_USE}; the verdict is then for that use.")]
 PlannedUse = Annotated[str | None, use_option(f"{_USE}.")]
-CalibrationPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CALIBRATION")]
-FileOption = tyro.conf.arg(metavar="FILE", help_behavior_hint="")
-ImuFiles = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, FileOption]
+CalibrationPath = Annotated[Path, Argument(positional=True, metavar="CALIBRATION")]
+FileOption = Argument(metavar="FILE", hint="")
+ImuFiles = Annotated[tuple[Path, ...], Argument(metavar="FILE", hint="", appends=True)]
 """Kalibr's imu.yaml, keyed by the IMUs, or given once for each of them."""
-CamFile = Annotated[Path | None, tyro.conf.arg(aliases=["--cams"], metavar="FILE", help_behavior_hint="")]
-Topics = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=TOPIC", help_behavior_hint="")]
+CamFile = Annotated[Path | None, Argument(aliases=("--cams",), metavar="FILE", hint="")]
+Topics = Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC", hint="")]
 """Options of a bag; `topics_of` reads them."""
 
 
 def output_option(metavar: str, hint: str = "") -> object:
     """Return the annotation of where a command writes."""
-    return tyro.conf.arg(aliases=["-o"], metavar=metavar, help_behavior_hint=hint)
+    return Argument(aliases=("-o",), metavar=metavar, hint=hint)
 
 
 class Command:
@@ -81,7 +78,9 @@ class FromScenario(Command):
         FormatError
             If the file cannot be read, or states something that is no option.
         """
-        from ..formats.own.options_file import read_options  # NumPy is not needed for the help
+        import tyro  # neither this nor NumPy is needed for most lines
+
+        from ..formats.own.options_file import read_options
 
         command: Any = cls
         return command(output=tyro.MISSING, scenario=path, options=read_options(path, cls.scenario_type))
@@ -114,12 +113,10 @@ class TableOptions:
 class Input(TableOptions):
     """A recording, and what it does not say about itself."""
 
-    path: tyro.conf.Positional[Path]
+    path: Annotated[Path, Argument(positional=True)]
     """A file or a folder; with two files, that of the accelerometer."""
 
-    gyroscope_path: Annotated[
-        Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[PATH]", help_behavior_hint="")
-    ] = None
+    gyroscope_path: Annotated[Path | None, Argument(positional=True, metavar="[PATH]", hint="")] = None
     """The file of the gyroscope, where it has its own."""
 
     @property
@@ -132,9 +129,7 @@ class Input(TableOptions):
 class PosesInput(TableOptions):
     """A recording, or poses: averaged in a table, or one file each."""
 
-    paths: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
-    ]
+    paths: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH [PATH ...]", hint="")]
     """A file or a folder; several recordings of one sensor, each a file with both triads, or a folder; two files of one
     triad each, accelerometer and gyroscope; three or more of one static pose each, or a folder of them. A short table
     without time holds averaged poses."""

@@ -1,24 +1,24 @@
 """Arguments -> a command; each is made from the fields of a dataclass, in the file that does its work."""
 
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import make_dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
-
-import tyro
-from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+from typing import Any
 
 from .._version import __version__
+from ..errors import OptionError
 from ..options import check_ranges
+from .arguments import read_line
 from .command import Command, FromScenario
 
 DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
 Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."""
-_CONFIG = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes)
+_WIDEST = 100
 _CLASSES = {
     "imu": (
         "imu.Imu",
@@ -147,22 +147,40 @@ def parse(arguments: Sequence[str]) -> Command:
     if name == "--version":
         sys.stdout.write(f"gnomon {__version__}\n")
         raise SystemExit(0)
-    if name in _CLASSES:  # only this command's options are looked at, and suggested after a typing error
-        command, default = COMMANDS[name], _scenario_default(name, arguments[1:])
-        how: dict[str, Any] = {"config": _CONFIG, "registry": _registry()}
-        parsed = tyro.cli(command, prog=f"gnomon {name}", args=arguments[1:], default=default, **how)
-        check_ranges(parsed)
-        return parsed
-    named = {key: make_dataclass(key, (), namespace={"__doc__": text}) for key, (_, text) in _CLASSES.items()}
-    union: Any = Union[tuple(Annotated[cls, tyro.conf.subcommand(key)] for key, cls in named.items())]  # noqa: UP007
-    return tyro.cli(
-        union,
-        prog="gnomon",
-        description=DESCRIPTION,
-        args=arguments or ["--help"],
-        config=_CONFIG,
-        registry=_registry(),
-    )
+    if name in ("-h", "--help"):
+        sys.stdout.write(_help())
+        raise SystemExit(0)
+    if name not in _CLASSES:
+        raise OptionError(_no_command(name))
+    command, words = COMMANDS[name], arguments[1:]
+    default = _scenario_default(name, words)
+    parsed = None if default else read_line(command, words)
+    if parsed is None:  # only this command's options are looked at, and suggested after a typing error
+        from .tyro_line import parse_line
+
+        parsed = parse_line(command, words, prog=f"gnomon {name}", default=default)
+    check_ranges(parsed)
+    return parsed
+
+
+def _help() -> str:
+    """Return what can be done, a sentence for each command."""
+    width = min(shutil.get_terminal_size().columns, _WIDEST)
+    indent = max(map(len, _CLASSES)) + 4
+    lines = [
+        textwrap.fill(f"  {name:<{indent - 2}}{text}", width, subsequent_indent=" " * indent, break_on_hyphens=False)
+        for name, (_, text) in _CLASSES.items()
+    ]
+    head = [textwrap.fill(paragraph, width) for paragraph in DESCRIPTION.split("\n\n")]
+    blocks = ["usage: gnomon COMMAND [OPTIONS]", *head, "\n".join(["commands:", *lines])]
+    return "\n\n".join([*blocks, "gnomon COMMAND --help shows its options; gnomon --version, the version.\n"])
+
+
+def _no_command(name: str) -> str:
+    near = get_close_matches(name, _CLASSES, 1)
+    meant = f"Did you mean {near[0]}?" if near else "gnomon --help lists them."
+    what = "option before the command" if name.startswith("-") else "command"
+    return f"there is no {what} {name}. {meant}"
 
 
 def _scenario_default(name: str, arguments: Sequence[str]) -> Any:
@@ -176,26 +194,3 @@ def _scenario_default(name: str, arguments: Sequence[str]) -> Any:
         if option == "--scenario" and file:
             return command.with_scenario(Path(file))
     return None
-
-
-def _registry() -> ConstructorRegistry:
-    """Show an optional number as FLOAT, not as {None}|FLOAT."""
-    registry = ConstructorRegistry()
-
-    @registry.primitive_rule
-    def _optional(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-        kinds = get_args(info.type)
-        if get_origin(info.type) not in (Union, UnionType) or len(kinds) != 2 or kinds[1] is not NoneType:
-            return None
-        kind = kinds[0]
-        if kind not in (int, float, str):
-            return None
-        return PrimitiveConstructorSpec(
-            nargs=1,
-            metavar=kind.__name__.upper(),
-            instance_from_str=lambda words: kind(words[0]),
-            is_instance=lambda value: value is None or isinstance(value, kind),
-            str_from_instance=lambda value: ["none" if value is None else str(value)],
-        )
-
-    return registry

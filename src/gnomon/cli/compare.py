@@ -6,9 +6,8 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
 from ..errors import OptionError
+from .arguments import Argument
 from .command import Command, Json, Switch, output_option
 from .output_folder import default_folder, owner_of, result_folder
 from .results import UNUSABLE, USABLE, print_findings, result_files
@@ -29,13 +28,11 @@ class Compare(Command):
     Exit code 4 where two calibrations differ by more than the sigmas of both allow.
     """
 
-    calibrations: Annotated[
-        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]PATH[+PATH...] ...", help_behavior_hint="")
-    ]
+    calibrations: Annotated[tuple[str, ...], Argument(positional=True, metavar="[NAME=]PATH[+PATH...] ...", hint="")]
     """At least two: a calibration.yaml or a result's folder; files of other projects, several of one calibration joined
     by + (such as camchain-imucam.yaml+imu.yaml), or the folder that holds them: Kalibr's, OpenVINS', Basalt's,
     imucal's, imu_tk's. NAME= says what it is called (default: the part of the path that tells it from the others)."""
-    rename: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME.OLD=NEW ...", help_behavior_hint="")] = ()
+    rename: Annotated[tuple[str, ...], Argument(metavar="NAME.OLD=NEW ...", hint="")] = ()
     """Sensors that are called otherwise in one of them, such as kalibr.cam1=cam0; else they are matched by name."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""

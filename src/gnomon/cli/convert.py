@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
-import tyro
-
 from ..errors import GnomonError, OptionError, OutputError
 from ..findings import listed
 from ..units import Units
+from .arguments import Argument
 from .command import Command, FileOption, Json, Topics, output_option, topics_of
 from .output_folder import ALL_RESULT_FILES, check_folder, owner_of
 from .results import USABLE, print_assumptions
@@ -37,9 +36,7 @@ class Convert(Command):
     Or write a recording of cameras and an IMU, whatever it comes in, as a bag or as a folder in EuRoC's layout.
     """
 
-    paths: Annotated[
-        tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH [PATH ...]", help_behavior_hint="")
-    ]
+    paths: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH [PATH ...]", hint="")]
     """A calibration.yaml or the folder of a result, or files of another project that make one calibration, such as
     Kalibr's camchain-imucam.yaml and imu.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a
     video."""
@@ -50,7 +47,7 @@ class Convert(Command):
     output: Annotated[Path | None, output_option("PATH")] = None
     """Folder for the files, file of a bag (default: beside the calibration or the recording, named after it and the
     format)."""
-    imu: Annotated[Path | None, tyro.conf.arg(aliases=["--noise"], metavar="FILE", help_behavior_hint="")] = None
+    imu: Annotated[Path | None, Argument(aliases=("--noise",), metavar="FILE", hint="")] = None
     """Kalibr's imu.yaml or gnomon's noise.yaml with the noise and rate that a format wants (default: imu.yaml or
     noise.yaml beside the calibration, where there is one)."""
     accelerometer_lsb_per_g: float | None = None
@@ -90,10 +87,9 @@ class Convert(Command):
 def _of_result(command: Convert) -> Convert:
     """Return the command with the calibration of a result's folder in place of the folder, unless images are in it."""
     from ..formats.own.calibration_file import calibration_at
-    from ..readers.images.image_recording import holds_images
 
     inside = Path(calibration_at(command.path))
-    if inside == command.path or holds_images(command.path):
+    if inside == command.path or _holds_images(command.path):
         return command
     return replace(command, paths=(inside, *command.paths[1:]))
 
@@ -101,8 +97,7 @@ def _of_result(command: Convert) -> Convert:
 def _convert_calibration(command: Convert, terminal: Terminal) -> int:
     from ..formats.conversion import convert as write
     from ..formats.conversion import exported
-    from ..formats.foreign_files import is_own, load_foreign
-    from ..formats.own.calibration_file import load
+    from ..formats.own.calibration_file import is_own, load
 
     _refuse_recording(command)
     if is_own(command.path):
@@ -110,6 +105,8 @@ def _convert_calibration(command: Convert, terminal: Terminal) -> int:
             raise OptionError(f"{command.paths[1]}: of gnomon's own calibrations one at a time is converted.")
         calibration, notes = load(command.path), []
     else:
+        from ..formats.foreign_files import load_foreign
+
         calibration = load_foreign(*command.paths)
         notes = list(calibration.notes)
     scales = {
@@ -240,9 +237,7 @@ def _default_output(command: Convert) -> Path:
 
 def _refuse_recording(command: Convert) -> None:
     """Refuse to write a recording in a format of calibrations."""
-    from ..readers.images.image_recording import holds_images
-
-    if command.path.is_dir() or (not _is_calibration(command.path) and holds_images(command.path)):
+    if command.path.is_dir() or (not _is_calibration(command.path) and _holds_images(command.path)):
         raise OptionError(
             f"{command.path}: this is {'a folder' if command.path.is_dir() else 'a recording'}, and {command.to} is a "
             f"format of calibrations. Recordings are written --to {listed(get_args(RecordingForm))}; of a "
@@ -263,6 +258,12 @@ def _refuse_calibration(command: Convert) -> None:
         raise OptionError(f"{command.paths[1]}: of recordings one at a time is converted.")
     if command.imu is not None:
         raise OptionError(f"--imu is of calibrations; {command.to} is a format of recordings.")
+
+
+def _holds_images(path: Path) -> bool:
+    from ..readers.images.image_recording import holds_images
+
+    return holds_images(path)
 
 
 def _is_calibration(path: Path) -> bool:

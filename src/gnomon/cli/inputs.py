@@ -93,7 +93,8 @@ def read_priors(prior: tuple[str, ...]) -> PriorFiles:
 def _noise(path: Path) -> "ImuNoise | None":
     """Return the noise that a file states, or None where it is no such file."""
     from ..formats.foreign_files import is_own
-    from ..formats.own.noise_file import is_noise, load_noise
+    from ..formats.own.calibration_file import is_noise
+    from ..formats.own.noise_file import load_noise
 
     if is_noise(path):
         return load_noise(path).imu_noise()

@@ -101,7 +101,7 @@ def conclude(
         options = [word for name, value in stated.items() if value is not None for word in (name, str(value))]
         terminal.print("")
         terminal.propose("apply", folder / "calibration.yaml", "RECORDING", *options, "-o", "corrected.csv")
-    terminal.document({**result_document(calibration, folder, assumptions), **(more or {})})
+    terminal.document(lambda: {**result_document(calibration, folder, assumptions), **(more or {})})
     return exit_code(calibration)
 
 

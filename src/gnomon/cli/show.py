@@ -18,7 +18,6 @@ from .command import (
     output_option,
     use_option,
 )
-from .noise import show_noise
 from .results import (
     USABLE,
     calibration_document,
@@ -51,8 +50,7 @@ class Show(Command):
 
     def run(self, terminal: Terminal) -> int:
         """Print the tables, and return the exit code."""
-        from ..formats.own.calibration_file import calibration_at, is_own, load
-        from ..formats.own.noise_file import is_noise
+        from ..formats.own.calibration_file import calibration_at, is_noise, is_own, load
         from ..writers.tables import form_tables, summary_table
 
         path = Path(calibration_at(self.calibration))
@@ -65,6 +63,8 @@ class Show(Command):
         if not own:
             return _show_foreign(path, self.form, terminal)
         if is_noise(path):
+            from .noise import show_noise
+
             return show_noise(path, terminal)
         calibration = load(path)
         if self.use is not None:
@@ -77,7 +77,7 @@ class Show(Command):
 
         if lines := [*summary.held_lines(calibration), *summary.finding_lines(calibration.assessment.findings)]:
             terminal.print("\n".join(lines))
-        terminal.document(calibration_document(calibration))
+        terminal.document(lambda: calibration_document(calibration))
         return USABLE
 
 

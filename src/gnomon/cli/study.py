@@ -8,9 +8,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
-import tyro
-
 from ..errors import OptionError
+from .arguments import Argument
 from .command import Command, Json, Seed, output_option
 from .output_folder import result_folder
 from .results import USABLE
@@ -155,8 +154,7 @@ class Study(Command):
 
     name: Annotated[
         str | None,
-        tyro.conf.Positional,
-        tyro.conf.arg(metavar=f"[{{{','.join(STUDIES)}}}]", help_behavior_hint=""),
+        Argument(positional=True, metavar=f"[{{{','.join(STUDIES)}}}]", hint=""),
     ] = None
     """tedaldi: the simulations of Tedaldi 2014. krebs: those of Krebs. angrisano: the experiment of Angrisano."""
     output: Annotated[Path | None, output_option("DIR")] = None
@@ -166,7 +164,7 @@ class Study(Command):
     given."""
     jobs: int = 1
     """Processes that share them; the result does not depend on it."""
-    scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS", help_behavior_hint="")] = None
+    scheduler: Annotated[str | None, Argument(metavar="ADDRESS", hint="")] = None
     """Let the workers of an existing Dask cluster do them, such as tcp://host:8786; needs gnomon[dask]."""
     seed: Seed = 0
     json: Json = False

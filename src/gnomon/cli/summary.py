@@ -13,13 +13,13 @@ from ..formats.shared.entries import parameter_unit
 from ..formats.shared.losses import held_names
 from ..recording import Floats
 from ..results.calibration import Calibration, element_names, parameters
-from ..results.result import Result
-from ..results.triad_diagnostics import TriadDiagnostics
 from ..results.trust import TrustNote
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from ..results.result import Result
 
 
 WIDTH = 80
@@ -165,8 +165,10 @@ def engineering(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}"
 
 
-def magnetometer_lines(result: Result) -> Iterator[str]:
+def magnetometer_lines(result: "Result") -> Iterator[str]:
     """Yield lines on hard and soft iron, dip, and how well the strength of the field is predicted."""
+    from ..results.triad_diagnostics import TriadDiagnostics
+
     calibration, diagnostics = result.calibration, result.diagnostics
     assert isinstance(diagnostics, TriadDiagnostics)
     found = calibration.assessment

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from ..errors import OptionError
+from .arguments import Argument
 from .command import (
     Command,
     Json,
@@ -41,7 +40,7 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
 
 
 def _optional(metavar: str) -> object:
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+    return Argument(metavar=metavar, hint="")
 
 
 _ANY_M, _MARKER, _SPACING = 0.1, 0.75, 0.3
@@ -58,7 +57,7 @@ class PrintTarget(Command):
     something flat.
     """
 
-    board: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="BOARD", help_behavior_hint="")]
+    board: Annotated[str, Argument(positional=True, metavar="BOARD", hint="")]
     """aprilgrid, checkerboard, circlegrid or charuco; or a target.yaml that describes the board."""
     output: Annotated[Path | None, output_option("FILE")] = None
     """Drawing to write, .pdf or .svg, both where it has no ending; the description stands beside it as .yaml (default:

@@ -5,7 +5,7 @@ import logging
 import math
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from os import PathLike
@@ -69,10 +69,11 @@ class Terminal:
         self.next_lines.append(shlex.join(["gnomon", *map(str, words)]))
         self.print(f"{'next' if len(self.next_lines) == 1 else '':<12} {self.next_lines[-1]}")
 
-    def document(self, content: Mapping[str, Any]) -> None:
-        """Print the JSON document, where it was asked for, with the commands that go on from here."""
+    def document(self, content: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
+        """Print the JSON document, made only where it was asked for, with the commands that go on from here."""
         if self.as_json:
             self.close()
+            content = content() if callable(content) else content
             content = {**content, "next": self.next_lines} if self.next_lines else content
             utf8 = (sys.stdout.encoding or "utf-8").lower() == "utf-8"  # elsewhere, as on Windows, letters are escaped
             sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=not utf8, allow_nan=False) + "\n")

@@ -6,13 +6,12 @@ from math import degrees, nan, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
 from ..errors import OptionError
 from ..options import TurntableOptions
 from ..simulate.platter_scenario import PlatterScenario
 from ..simulate.scenarios import TurntableScenario
 from ..units import Units, parse_rate
+from .arguments import Argument
 from .command import Command, Flat, ForUse, Json, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder, truth_name
@@ -36,9 +35,9 @@ class Turntable(Command):
     platter rest for 5 s, turn for half a minute, and rest again.
     """
 
-    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="PATH ...")]
+    recordings: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH ...")]
     """One recording of all of it, or one for each orientation or speed; or a folder of these."""
-    rate: Annotated[tuple[str, ...], tyro.conf.arg(metavar="RATE ...", help_behavior_hint="(required)")] = ()
+    rate: Annotated[tuple[str, ...], Argument(metavar="RATE ...", hint="(required)")] = ()
     """Speeds of the platter, such as 16rpm, 33.33rpm or 2.0rad/s, or videos of it, which tell the speed. Each steady
     part has the speed nearest to what it shows; FILE=RATE states it for one of several recordings."""
     columns: str | None = None
@@ -189,7 +188,7 @@ class SimulateTurntable(Command):
     output: Annotated[Path, output_option("DIR", "(required)")]
     """Folder for the recordings."""
     seed: Seed = 0
-    video: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    video: Annotated[bool, Argument(hint="")] = False
     """Make a video of the platter at each speed, too."""
     json: Json = False
     scenario: Annotated[TurntableScenario, Flat] = field(default_factory=TurntableScenario)
@@ -253,9 +252,9 @@ class Rate(Command):
     the platter helps, but any print will do.
     """
 
-    video: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEO")]
+    video: Annotated[Path, Argument(positional=True, metavar="VIDEO")]
     """A video, with a table of its frames' timestamps beside it where there is one (platter.csv of platter.avi)."""
-    nominal: Annotated[str | None, tyro.conf.arg(metavar="RATE", help_behavior_hint="")] = None
+    nominal: Annotated[str | None, Argument(metavar="RATE", hint="")] = None
     """What the rate should be within 10 %, such as 33.33rpm or 2.0rad/s; needed where the picture leaves it open."""
     json: Json = False
 

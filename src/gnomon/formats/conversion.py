@@ -10,7 +10,6 @@ from ..models.lens_programs import PROGRAMS
 from ..output import write_together
 from ..results.calibration import Calibration
 from .foreign import ForeignCalibration, as_calibration
-from .sensor_inputs import read_imu_noise
 from .shared.ignored_values import ignored_values
 from .shared.losses import Context, Export, Loss, StatedImu, origin_remarks, remark_losses, sentences
 from .shared.si_units import with_full_scale
@@ -142,6 +141,8 @@ def stated_imus(path: str | PathLike[str]) -> dict[str, StatedImu]:
     FormatError
         If the file cannot be read, or is none of those that state noise.
     """
+    from .sensor_inputs import read_imu_noise
+
     origin = f"noise from {Path(path).name}"
     return {
         name: StatedImu(noise=found.noise, update_rate_hz=found.update_rate_hz, topic=found.topic, comments=(origin,))

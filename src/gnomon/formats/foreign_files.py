@@ -23,8 +23,7 @@ from .kalibr.results import is_kalibr_results, read_kalibr_results
 from .kalibr.target import target_of
 from .okvis import is_okvis, okvis_of
 from .orb_slam3 import is_orb_slam3, orb_slam3_of
-from .own.calibration_file import is_own, load
-from .own.noise_file import is_noise
+from .own.calibration_file import is_noise, is_own, load
 from .own.parameter_csv import read_parameter_csv
 from .ros2 import camera_info_of, is_camera_info, is_launch, launch_of
 from .shared.flight_parameters import is_flight_parameters, read_flight_parameters

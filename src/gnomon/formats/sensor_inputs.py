@@ -14,8 +14,7 @@ from .foreign import ForeignCalibration
 from .kalibr.cam_results import is_kalibr_cam_results, read_cam_results
 from .kalibr.camchain import CameraInput, cameras_of
 from .kalibr.imu import ImuInput, read_imu_input
-from .own.calibration_file import is_own, load
-from .own.noise_file import is_noise, load_noise
+from .own.calibration_file import is_noise, is_own, load
 from .shared.foreign_yaml import read_foreign_yaml
 from .shared.structured import read_json, read_text
 
@@ -201,6 +200,8 @@ def read_imu_noise(path: str | PathLike[str], notes: list[str] | None = None) ->
     """
     if not is_noise(path):
         return read_imus(path, notes)
+    from .own.noise_file import load_noise
+
     noise = load_noise(path)
     rates = [triad.rate_hz for triad in (noise.gyroscope, noise.accelerometer) if triad is not None]
     return {"imu0": ImuInput(noise=noise.imu_noise(), update_rate_hz=rates[0], topic="")}

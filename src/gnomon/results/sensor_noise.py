@@ -11,6 +11,7 @@ noise sampled at a rate f has a standard deviation of N sqrt(f) a sample.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import log, nan, pi, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,7 +21,9 @@ from ..frozen import FrozenMapping
 from ..models.noise import ImuNoise
 from ..recording import Floats
 from .calibration import Provenance, Verdict
-from .imu_diagnostics import SignalEnvelope
+
+if TYPE_CHECKING:
+    from .imu_diagnostics import SignalEnvelope
 
 COEFFICIENTS = ("white_noise", "bias_instability", "random_walk", "quantisation", "rate_ramp")
 """Kinds of noise, in the order of files and tables."""
@@ -237,7 +240,7 @@ class NoiseResult:
 
     noise: SensorNoise
     curves: Mapping[str, AllanTable]
-    signals: Mapping[str, SignalEnvelope] = field(default_factory=dict[str, SignalEnvelope])
+    signals: "Mapping[str, SignalEnvelope]" = field(default_factory=dict[str, "SignalEnvelope"])
     topic: str = "/imu0"
 
     def __post_init__(self) -> None:

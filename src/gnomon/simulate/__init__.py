@@ -3,19 +3,29 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .camera_imu_scenario import CameraImuScenario
-from .cameras_scenario import CamerasScenario
-from .plans import CameraImuPlan, ImuPlan
-from .scenarios import FieldScenario, PoseScenario, Scenario, TurntableScenario
-
 if TYPE_CHECKING:
     from ..recording import Recording
     from ..results.calibration import Calibration
     from .camera_imu import simulate_camera_imu
+    from .camera_imu_scenario import CameraImuScenario
     from .cameras import simulate_cameras
+    from .cameras_scenario import CamerasScenario
     from .magnetometer import simulate_magnetometer
+    from .plans import CameraImuPlan, ImuPlan
     from .poses import simulate_poses
+    from .scenarios import FieldScenario, PoseScenario, Scenario, TurntableScenario
     from .turntable import simulate_turntable
+
+_HOMES = {
+    "CameraImuPlan": "plans",
+    "CameraImuScenario": "camera_imu_scenario",
+    "CamerasScenario": "cameras_scenario",
+    "FieldScenario": "scenarios",
+    "ImuPlan": "plans",
+    "PoseScenario": "scenarios",
+    "Scenario": "scenarios",
+    "TurntableScenario": "scenarios",
+}
 
 __all__ = [
     "CameraImuPlan",
@@ -38,11 +48,13 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    # NumPy is needed only here, not for the options
-    return getattr(import_module(f".{name.removeprefix('simulate_')}", __name__), name)
+    # Imported when they are used: NumPy is not needed for the options, and few commands need all of these.
+    value = getattr(import_module(f".{_HOMES.get(name, name.removeprefix('simulate_'))}", __name__), name)
+    globals()[name] = value
+    return value
 
 
-def simulate(scenario: Scenario | None = None, seed: int = 0) -> "tuple[Recording, Calibration]":
+def simulate(scenario: "Scenario | None" = None, seed: int = 0) -> "tuple[Recording, Calibration]":
     """Make a multi-position recording, and the calibration that is exactly true of it.
 
     Parameters
@@ -64,5 +76,6 @@ def simulate(scenario: Scenario | None = None, seed: int = 0) -> "tuple[Recordin
     'accel-x'
     """
     from .imu import simulate_imu
+    from .scenarios import Scenario
 
     return simulate_imu(scenario or Scenario(), seed)

@@ -5,10 +5,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import StringIO
 from math import floor, isfinite, log10
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..assess.comparison.comparison import Comparison
 from ..errors import OptionError
 from ..formats.shared import entries
 from ..formats.shared.entries import IMU_EQUATION, Entry, camera_entries, camera_equation, imu_entries
@@ -17,6 +17,9 @@ from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCali
 from ..simulate.truth import TRUTH_METHOD
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
+
+if TYPE_CHECKING:
+    from ..assess.comparison.comparison import Comparison
 
 _Entries = Callable[..., Iterator[Entry]]
 _FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
@@ -347,7 +350,7 @@ def _known(value: float) -> str:
 HEAD = ("calibration", "path", "element", "value", "sigma", "unit")
 
 
-def comparison_csv(comparison: Comparison) -> str:
+def comparison_csv(comparison: "Comparison") -> str:
     """Return a row for each scalar of each calibration, in SI units, floating-point numbers with all their digits.
 
     Rotations are small rotations about the body's axes against their mean, whose matrix stands in rows of the

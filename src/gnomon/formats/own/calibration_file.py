@@ -47,6 +47,11 @@ def is_own(path: str | PathLike[str]) -> bool:
     return _SCHEMA.search(read_text(calibration_at(path))) is not None
 
 
+def is_noise(path: str | PathLike[str]) -> bool:
+    """Return whether a file says that it is gnomon's own file of noise."""
+    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_text(path)) is not None
+
+
 def read_own(path: str | PathLike[str]) -> Node:
     """Parse calibration.yaml, that in the folder of a result, or calibration.json, whose comment is left out.
 

@@ -1,6 +1,5 @@
 """gnomon's file of the noise of an IMU, schema "gnomon-noise/1"; written by `formats.own.noise_file`."""
 
-import re
 from math import isfinite, sqrt
 from os import PathLike
 from pathlib import Path
@@ -20,7 +19,7 @@ from ...results.sensor_noise import (
     TriadNoise,
 )
 from ..kalibr.imu import IMU_FILE, StatedImu, stated_entry
-from ..shared.structured import Node, read_text, read_yaml
+from ..shared.structured import Node, read_yaml
 from ..shared.yaml_text import kalibr_yaml, yaml_lines
 from .calibration_file import finding_entry, provenance_entry
 from .calibration_text import finding_document, provenance_document
@@ -29,11 +28,6 @@ NOISE_SCHEMA = "gnomon-noise/1"
 AXES = ("x", "y", "z")
 _VERDICTS = ("pass", "warn", "fail")
 _PER_SAMPLE = ("white_noise_per_sample", "random_walk_per_sample")
-
-
-def is_noise(path: str | PathLike[str]) -> bool:
-    """Return whether a file says that it is gnomon's own file of noise."""
-    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_text(path)) is not None
 
 
 def load_noise(path: str | PathLike[str]) -> SensorNoise:

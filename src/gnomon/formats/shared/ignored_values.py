@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from ...results.calibration import Calibration
-from .flight_parameters import flight_imu
 from .losses import Loss
 
 _GRAVITY_M_S2 = 9.81
@@ -98,6 +97,8 @@ def _kalibr_line_delay(calibration: Calibration) -> Iterator[Loss]:
 
 
 def _px4_threshold(calibration: Calibration) -> Iterator[Loss]:
+    from .flight_parameters import flight_imu
+
     for name, imu in calibration.imus.items():
         flight = flight_imu(imu)
         triads = {"accelerometer": (flight.accelerometer, "m/s^2"), "gyroscope": (flight.gyroscope, "rad/s")}
