@@ -30,7 +30,7 @@ def inverse(matrix: Floats) -> Floats:
 
 
 def nearest_rotation(matrix: Floats) -> Floats:
-    """Return the rotation (3, 3), det +1, nearest to a matrix in the Frobenius norm (Kabsch)."""
+    """Return the rotations (..., 3, 3), det +1, nearest to matrices in the Frobenius norm (Kabsch)."""
     left, _, right = np.linalg.svd(matrix)
-    handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    return np.asarray(left @ handed @ right, dtype=np.float64)
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return np.asarray(left @ right, dtype=np.float64)

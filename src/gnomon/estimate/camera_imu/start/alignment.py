@@ -49,8 +49,8 @@ class GyroscopeIntegral:
     angle: Floats
 
     def __call__(self, t_s: Floats) -> Floats:
-        """Return the integral (m, 3) at instants (m,) [s], held at the ends."""
-        return np.stack([np.interp(t_s, self.t_s, self.angle[:, i]) for i in range(3)], axis=1)
+        """Return the integral (..., 3) at instants (...) [s], held at the ends."""
+        return np.stack([np.interp(t_s, self.t_s, self.angle[:, i]) for i in range(3)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -445,9 +445,8 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
     found: _HandEye | None = None
     finer = 0
     for _ in range(_STEPS):
-        trials = [_hand_eye(turns, integral, shift) for shift in shifts]
-        costs = [np.inf if trial is None else trial.cost for trial in trials]
-        place = int(np.argmin(costs))
+        trials = _hand_eyes(turns, integral, shifts)
+        place = int(np.argmin([trial.cost for trial in trials]))
         best, found = float(shifts[place]), trials[place]
         if finer or 0 < place < len(shifts) - 1:
             finer += 1
@@ -456,7 +455,7 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
             shifts = best + np.linspace(-_FINE_S, _FINE_S, 17)
         if finer == _FINER:
             break
-    if found is None:
+    if found is None or found.cost == np.inf:
         return None
     consistent = np.ones(len(poses), dtype=bool)
     bad = found.good == 0
@@ -467,8 +466,8 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
     consistent[before & after] = False
     return Alignment(
         time_shift_s=best,
-        R_cam_imu=found.fit.R.T,
-        gyroscope_bias=found.fit.bias,
+        R_cam_imu=found.R.T,
+        gyroscope_bias=found.bias,
         rate_scale=found.scale,
         score=found.explained,
         axes=_principal_rates(turns, found.good > 0),
@@ -476,33 +475,42 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
     )
 
 
-def _hand_eye(turns: _Turns, integral: GyroscopeIntegral, shift: float) -> "_HandEye | None":
-    """Return the best rotation and bias at a shift; None where the streams hardly overlap."""
-    start, stop = turns.start_s + shift, turns.stop_s + shift
+def _hand_eyes(turns: _Turns, integral: GyroscopeIntegral, shifts: Floats) -> list["_HandEye"]:
+    """Return the best rotation and bias at each shift (k,), at infinite cost where the streams hardly overlap."""
+    start, stop = turns.start_s + shifts[:, None], turns.stop_s + shifts[:, None]
     inside = (start >= integral.t_s[0]) & (stop <= integral.t_s[-1])
-    if inside.sum() < 10:
-        return None
-    step = (stop - start)[:, None]
+    overlap = inside.sum(axis=1) >= 10
+    inside |= ~overlap[:, None]
+    step = (stop - start)[..., None]
     gyro, camera = (integral(stop) - integral(start)) / step, turns.rotvec / step
-    weight = inside.astype(np.float64)
-    limit = np.inf
+    weight, limit = inside.astype(np.float64), np.empty((len(shifts), 1))
     for _ in range(_ROUNDS):
         fit = _kabsch(gyro, camera, weight)
-        limit = _ROBUST * 1.4826 * float(np.median(fit.error[inside])) + 1e-6
+        limit = _ROBUST * 1.4826 * _medians(fit.error, inside)[:, None] + 1e-6
         weight = (inside & (fit.error < limit)).astype(np.float64)
     fit = _kabsch(gyro, camera, weight)
-    cost = float((np.minimum(fit.error[inside], limit) ** 2).mean())
-    used = weight > 0
-    turned, read = (camera - camera[used].mean(axis=0))[used] @ fit.R.T, (gyro - gyro[used].mean(axis=0))[used]
-    energy, common = max(float((turned**2).sum()), 1e-12), float((turned * read).sum())
-    explained = max(common, 0.0) ** 2 / (energy * max(float((read**2).sum()), 1e-12))
+    cost = (np.minimum(fit.error, limit) ** 2 * inside).sum(axis=1) / inside.sum(axis=1)
+    turned = weight[..., None] * ((camera - _means(camera, weight)) @ np.swapaxes(fit.R, 1, 2))
+    read = weight[..., None] * (gyro - _means(gyro, weight))
+    energy, common = np.maximum((turned**2).sum(axis=(1, 2)), 1e-12), (turned * read).sum(axis=(1, 2))
+    explained = np.maximum(common, 0.0) ** 2 / (energy * np.maximum((read**2).sum(axis=(1, 2)), 1e-12))
     good = np.where(inside & (fit.error > 2 * limit), 0.0, 1.0)
-    return _HandEye(cost=cost, fit=fit, good=good, scale=common / energy, explained=explained)
+    return [
+        _HandEye(
+            cost=float(cost[k]) if overlap[k] else np.inf,
+            R=fit.R[k],
+            bias=fit.bias[k],
+            good=good[k],
+            scale=float(common[k] / energy[k]),
+            explained=float(explained[k]),
+        )
+        for k in range(len(shifts))
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Fit:
-    """Rotation R_imu_cam (3, 3) and gyroscope bias (3,) [rad/s], and the error of every turn (n,) [rad/s]."""
+class _Fits:
+    """Rotations R_imu_cam (k, 3, 3), gyroscope biases (k, 3) [rad/s], and the error of every turn (k, n) [rad/s]."""
 
     R: Floats
     bias: Floats
@@ -515,23 +523,37 @@ class _HandEye:
 
     Attributes
     ----------
-    cost : mean squared error, of bad turns the limit [rad^2/s^2]
-    fit : rotation and bias
+    cost : mean squared error, of bad turns the limit [rad^2/s^2]; infinite where the streams hardly overlap
+    R, bias : rotation R_imu_cam (3, 3) and gyroscope bias (3,) [rad/s]
     good : (n,) 0 for turns that fit badly, else 1
     scale, explained : see Alignment
     """
 
     cost: float
-    fit: _Fit
+    R: Floats
+    bias: Floats
     good: Floats
     scale: float
     explained: float
 
 
-def _kabsch(gyro: Floats, camera: Floats, weight: Floats) -> _Fit:
-    """Return the rotation and bias with gyro = R camera + bias, (n, 3) each, by weighted least squares."""
-    total = weight.sum()
-    mean_gyro, mean_camera = weight @ gyro / total, weight @ camera / total
-    R = nearest_rotation((gyro - mean_gyro).T @ (weight[:, None] * (camera - mean_camera)))
-    bias = mean_gyro - R @ mean_camera
-    return _Fit(R=R, bias=bias, error=np.linalg.norm(gyro - camera @ R.T - bias, axis=1))
+def _kabsch(gyro: Floats, camera: Floats, weight: Floats) -> _Fits:
+    """Return rotations and biases with gyro = R camera + bias, (k, n, 3) each, by least squares of weights (k, n)."""
+    mean_gyro, mean_camera = _means(gyro, weight), _means(camera, weight)
+    R = nearest_rotation(np.swapaxes(gyro - mean_gyro, 1, 2) @ (weight[..., None] * (camera - mean_camera)))
+    turn = np.swapaxes(R, 1, 2)
+    bias = mean_gyro - mean_camera @ turn
+    left = gyro - camera @ turn - bias
+    return _Fits(R=R, bias=bias[:, 0], error=np.sqrt(np.einsum("kni,kni->kn", left, left)))
+
+
+def _means(values: Floats, weight: Floats) -> Floats:
+    """Return weighted means (k, 1, 3) of values (k, n, 3)."""
+    return (weight[:, None] @ values) / weight.sum(axis=1)[:, None, None]
+
+
+def _medians(values: Floats, counts: np.ndarray) -> Floats:
+    """Return the medians (k,) of those values (k, n) that count (k, n)."""
+    ordered = np.sort(np.where(counts, values, np.inf), axis=1)
+    number, row = counts.sum(axis=1), np.arange(len(values))
+    return (ordered[row, (number - 1) // 2] + ordered[row, number // 2]) / 2
