@@ -46,7 +46,8 @@ GENERATED = "<!-- Made by docs/make_reference.py; do not edit. -->"
 _CLI_HEAD = """\
 # Command line
 
-`gnomon COMMAND --help` says the same. `python -m gnomon` is the same program; `gnomon --version` prints its version.
+`gnomon COMMAND --help` says the same. `python -m gnomon` is the same program; `gnomon --version` prints its version
+and whether the compiled kernel is used.
 Results go to standard output, progress and errors to standard error. Tedaldi 2014, Krebs and Angrisano are in the
 [bibliography](theory.md#bibliography).
 

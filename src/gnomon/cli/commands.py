@@ -145,7 +145,9 @@ def parse(arguments: Sequence[str]) -> Command:
     """
     name = arguments[0] if arguments else "--help"
     if name == "--version":
-        sys.stdout.write(f"gnomon {__version__}\n")
+        from ..kernel import described
+
+        sys.stdout.write(f"gnomon {__version__} ({described()})\n")
         raise SystemExit(0)
     if name in ("-h", "--help"):
         sys.stdout.write(_help())

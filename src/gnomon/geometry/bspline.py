@@ -30,10 +30,18 @@ def basis_matrix(order: int) -> Floats:
     return matrix
 
 
-def basis(order: int, u: Floats, derivative: int = 0) -> Floats:
-    """Return b(u) or a derivative of it by u, (n, k), of places u (n,)."""
+@cache
+def basis_polynomials(order: int, derivative: int) -> Floats:
+    """Return the matrix (k, k) of a derivative of b(u): rows are powers of u, the last ones zero."""
     matrix = basis_matrix(order)
     for _ in range(derivative):
-        matrix = matrix[1:] * np.arange(1, len(matrix))[:, None]
+        matrix = np.concatenate([matrix[1:] * np.arange(1, len(matrix))[:, None], np.zeros((1, order))])
+    matrix.flags.writeable = False
+    return matrix
+
+
+def basis(order: int, u: Floats, derivative: int = 0) -> Floats:
+    """Return b(u) or a derivative of it by u, (n, k), of places u (n,)."""
+    matrix = basis_polynomials(order, derivative)[: max(order - derivative, 1)]
     powers = u[:, None] ** np.arange(len(matrix))
     return powers @ matrix

@@ -93,6 +93,7 @@ class BorderedBand:
     band : band[g][h] (n, size of g, order, size of h), entries [i, :, j, :] of group g of control point i (rows) and
         group h of control point i + j (columns); of a control point with itself (j = 0) one of [g][h] and [h][g]
         suffices, since the two are summed up, and of [g][g] both triangles are needed
+    parameters : p, border parameters but for the wide ones
     border : (n, d, p) blocks of control points and border parameters
     rhs : (n, d, q) right-hand sides of the control points, such as the gradient
     tail : (n, d, p + q) both of them, one behind the other
@@ -115,6 +116,7 @@ class BorderedBand:
         self.workspace = workspace or Workspace()
         self.groups = groups
         self.order = order
+        self.parameters = parameters
         self.band = [
             [self.workspace.zeros(f"band {g} {h}", (controls, a, order, b)) for h, b in enumerate(groups)]
             for g, a in enumerate(groups)

@@ -14,7 +14,7 @@ from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Workspace
 from .layout import Layout
 from .parameters import Parameters
-from .terms.assembly import TRIAD, Columns, groups, summed_up
+from .terms.assembly import TRIAD, groups, summed_up
 from .terms.board_terms import BoardBorder
 from .terms.corner_sums import CornerNoise, CornerSums
 from .terms.inertial_data import InertialData, InertialNoise, apart
@@ -130,16 +130,16 @@ def linearised(
         workspace=workspace,
         wide=board,
     )
-    columns = Columns(order=grid.order, imus=imus, parameters=layout.dense, sides=system.rhs.shape[2])
     if probing:
         weights = mean_weights(trajectory)
         for i in range(BIAS * imus):
             system.rhs[:, POSE + i, 1 + probes + i] = weights
         add_walk_probes(system, trajectory, noise.walks, 1 + probes + BIAS * imus)
-    inertial, visual = error_terms(measurements, state, layout, noise, columns, probing=probing)
-    summed_up(system, grid, columns, (*inertial, *visual))
+    inertial, visual = error_terms(measurements, state, layout, noise, probing=probing)
+    summed_up(system, grid, (*inertial, *visual))
     if board is not None:
-        board.fill(system, [coupling for term in visual if (coupling := term.coupling()) is not None])
+        couplings = [term.coupling(system.rhs.shape[2]) for term in visual]
+        board.fill(system, [coupling for coupling in couplings if coupling is not None])
     chi2 = [_chi2(inertial, i) for i in range(imus)]
     cost = 0.5 * float(np.sum(chi2)) + sum(term.cost for term in visual)
     cost += add_walks(system, trajectory, noise.walks)
@@ -164,7 +164,6 @@ def error_terms(
     state: State,
     layout: Layout,
     noise: Noise,
-    columns: Columns,
     *,
     probing: bool,
     parts: Sequence[Integers] | None = None,
@@ -182,7 +181,6 @@ def error_terms(
             state.trajectory,
             state.parameters,
             layout=layout,
-            columns=columns,
             noise=noise.imus[data.imu],
             probe=1 + 2 * data.imu if probing else None,
             seed=number,
@@ -195,7 +193,6 @@ def error_terms(
             state.trajectory,
             state.parameters,
             layout=layout,
-            columns=columns,
             noise=CornerNoise(
                 sigma_px=noise.pixel_sigma[data.camera],
                 huber=noise.huber,

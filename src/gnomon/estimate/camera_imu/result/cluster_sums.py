@@ -23,7 +23,7 @@ from ....recording import Floats, Integers
 from ...trust.clusters import ClusterSums
 from ..batch import error_terms
 from ..solution import Solution
-from ..terms.assembly import TRIAD, Columns, by_span
+from ..terms.assembly import TRIAD, by_span, taken_together
 from ..terms.prior_terms import FIRST_BIAS_SIGMA, border_priors, links, second_differences
 from ..terms.visual_terms import instants
 from ..trajectory import BIAS, POSE, Grid, Trajectory
@@ -32,7 +32,6 @@ STRETCH_S = 0.5
 """Length of a stretch: short against the memory of residuals that matter."""
 
 _MOST = 200
-_SPANS = 128  # that are gone through together
 
 
 def bias_sides(solution: Solution) -> Integers:
@@ -49,26 +48,22 @@ def cluster_sums(solution: Solution) -> ClusterSums:
     linearisation in the solution's workspace.
     """
     layout, trajectory, noise = solution.layout, solution.state.trajectory, solution.noise
-    grid, imus = trajectory.grid, len(noise.imus)
+    grid = trajectory.grid
     shifts = board_follows(solution)
     follows = _following(solution, shifts)
     stretch, t_s = _stretches(grid)
     sums = _Sums(len(t_s), follows.shape[2])
-    columns = Columns(order=grid.order, imus=imus, parameters=layout.dense, sides=1)
-    terms = error_terms(solution.measurements, solution.state, layout, noise, columns, probing=False)
-    total = grid.controls - grid.order + 1
-    for begin in range(0, total, _SPANS):
-        end = min(begin + _SPANS, total)
-        local = _local(follows, columns, grid, begin, end)
-        for term in (*terms[0], *terms[1]):
-            part = slice(*np.searchsorted(term.first, [begin, end]).tolist())
-            if part.start < part.stop:
-                spans, rows = by_span(term.first[part], term.rows(part))
-                reduced = rows[:, :, : columns.border] @ local[spans - begin]
-                reduced[:, :, : columns.parameters] += rows[:, :, columns.border : columns.side]
-                sums.add(stretch[spans], reduced, rows[:, :, columns.side])
+    inertial, visual = error_terms(solution.measurements, solution.state, layout, noise, probing=False)
+    for term in (*inertial, *visual):
+        columns = term.columns
+        for part in taken_together(term):
+            spans, rows = by_span(term.first[part], term.rows(part))
+            reduced = rows[:, :, : columns.border] @ _local(follows, grid, spans, columns.imu)
+            for to, own in columns.pieces:
+                reduced[:, :, to] += rows[:, :, own]
+            sums.add(stretch[spans], reduced, rows[:, :, columns.side])
     if len(shifts):
-        _add_board(sums, solution, columns, follows, shifts=shifts, stretch=stretch)
+        _add_board(sums, solution, follows, shifts=shifts, stretch=stretch)
     biases = trajectory.controls[:, POSE:]
     roots = np.sqrt(np.repeat(np.square(noise.walks).ravel(), TRIAD))
     for at, distance, time_s in links(grid):
@@ -126,9 +121,7 @@ class _Sums:
             self.pull[number] += right[begin:end].ravel() @ flat
 
 
-def _add_board(
-    sums: _Sums, solution: Solution, columns: Columns, follows: Floats, *, shifts: Floats, stretch: Integers
-) -> None:
+def _add_board(sums: _Sums, solution: Solution, follows: Floats, *, shifts: Floats, stretch: Integers) -> None:
     """Add what the shifts of the board's corners do, stretch by stretch.
 
     With U the rows that are summed up already, and J_o the columns of the shifts, which follow by A,
@@ -139,9 +132,9 @@ def _add_board(
     of_camera = [grid.places(instants(data, state.parameters.cameras[data.camera])) for data in visual]
     parts = [np.where(places.inside, stretch[places.first], 0) for places in of_camera]
     alone = replace(solution.measurements, inertial=())
-    terms = error_terms(alone, state, solution.layout, solution.noise, columns, probing=False, parts=parts)[1]
+    terms = error_terms(alone, state, solution.layout, solution.noise, probing=False, parts=parts)[1]
     for term in terms:
-        coupling = term.coupling()
+        coupling = term.coupling(1)
         assert coupling is not None
         moved = coupling.moved(follows)
         edges = POSE * np.searchsorted(stretch[coupling.first], np.arange(len(coupling.squares) + 1))
@@ -149,23 +142,20 @@ def _add_board(
             if start == stop:
                 continue
             flat = coupling.by_pose[start:stop].T @ moved[start:stop]
-            flat[:, : columns.parameters] += coupling.border[k].T
+            flat[:, : solution.layout.dense] += coupling.border[k].T
             towards = shifts.T @ flat
             own = coupling.squares[k] @ shifts.reshape(-1, 3, shifts.shape[1])
             sums.information[k] += towards + towards.T + shifts.T @ own.reshape(flat.shape)
             sums.pull[k] += shifts.T @ coupling.sides[k, :, 0]
 
 
-def _local(follows: Floats, columns: Columns, grid: Grid, begin: int, end: int) -> Floats:
+def _local(follows: Floats, grid: Grid, spans: Integers, imu: int | None) -> Floats:
     """Return how the unknowns of spans, in the columns of their rows, follow the parameters, (s, w, q)."""
-    local = np.empty((end - begin, columns.border, follows.shape[2]))
-    for k in range(columns.order):
-        local[:, POSE * k : POSE * (k + 1)] = follows[begin + k : end + k, :POSE]
-    for imu in range(columns.imus):
-        for knot in (0, 1):
-            at = slice(begin + grid.bias_offset + knot, end + grid.bias_offset + knot)
-            local[:, columns.bias(imu, knot)] = follows[at, POSE + BIAS * imu : POSE + BIAS * (imu + 1)]
-    return local
+    parts = [follows[spans + k, :POSE] for k in range(grid.order)]
+    if imu is not None:
+        scalars = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
+        parts += [follows[spans + grid.bias_offset + knot, scalars] for knot in (0, 1)]
+    return np.concatenate(parts, axis=1)
 
 
 def _prior(solution: Solution, shifts: Floats) -> tuple[Floats, Floats]:

@@ -1,71 +1,103 @@
 """From rows of the Jacobian to the normal equations.
 
-A term of the cost at one instant touches the `order` pose control points of its span, the bias knots at the span's two
-ends, and some border parameters. Its whitened rows are written in columns that are the same for all terms of a span;
-the products of all rows of a span are summed up, and then added to the band, the border and the corner.
+A term of the cost at one instant touches the `order` pose control points of its span, the bias knots of one IMU at the
+span's two ends, or none, and some border parameters. Its whitened rows are written in these columns alone, which are
+the same for all instants of a sensor; the products of all rows of a span are summed up, and then added to the band, the
+border and the corner.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
+from ....kernel import library
 from ....recording import Floats, Integers
 from ....solve.bordered_band import BorderedBand
+from ..layout import Layout
 from ..trajectory import BIAS, POSE, Grid
 
 TRIAD = 3
 """Scalars of the bias of one triad."""
 
-_SPANS = 128  # spans that are summed up together: few calls, and their products still in the cache
+_TOGETHER = 1 << 19  # numbers of rows that are summed up together: few calls, and still in the cache
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Columns of the rows of a span.
+    """Columns of the rows of a sensor.
 
-    [order * 6 pose | of every IMU: 6 bias at the first knot, 6 at the second | border | right-hand sides]
+    [order * 6 pose | of its IMU: 6 bias at the first knot, 6 at the second | its border columns | right-hand sides]
 
     The first right-hand side is minus the whitened residual, the others are probes.
 
     Attributes
     ----------
     order : of the splines
-    imus : number of IMUs
-    parameters : columns of the border
-    sides : right-hand sides
+    imu : whose biases, or None
+    blocks : name -> columns of the whole border, of the blocks that the sensor touches, ascending
+    sides : which right-hand sides of all it touches, the first one first
     """
 
     order: int
-    imus: int
-    parameters: int
-    sides: int
+    imu: int | None
+    blocks: dict[str, slice]
+    sides: tuple[int, ...]
 
-    @property
+    @classmethod
+    def of(
+        cls, layout: Layout, order: int, touched: Callable[[str], bool], *, imu: int | None, probes: tuple[int, ...]
+    ) -> "Columns":
+        """Return the columns of a sensor that touches the blocks of a layout of which a function says so."""
+        blocks = {name: at for name, at in layout.columns.items() if at.start < layout.dense and touched(name)}
+        return cls(order=order, imu=imu, blocks=blocks, sides=(0, *probes))
+
+    @cached_property
     def pose(self) -> int:
         """Number of columns of the pose control points."""
         return POSE * self.order
 
-    def bias(self, imu: int, knot: int) -> slice:
-        """Return the columns of the biases of an IMU at the first (0) or second (1) knot of the span."""
-        start = self.pose + BIAS * (2 * imu + knot)
-        return slice(start, start + BIAS)
+    def bias(self, knot: int) -> slice:
+        """Return the columns of the biases at the first (0) or second (1) knot of the span."""
+        return slice(self.pose + BIAS * knot, self.pose + BIAS * (knot + 1))
 
-    @property
+    @cached_property
     def border(self) -> int:
         """First column of the border."""
-        return self.pose + 2 * BIAS * self.imus
+        return self.pose + (0 if self.imu is None else 2 * BIAS)
 
-    @property
+    @cached_property
+    def own(self) -> dict[str, slice]:
+        """Block -> its columns in the rows."""
+        found, begin = dict[str, slice](), self.border
+        for name, at in self.blocks.items():
+            found[name] = slice(begin, begin + at.stop - at.start)
+            begin = found[name].stop
+        return found
+
+    @cached_property
+    def pieces(self) -> list[tuple[slice, slice]]:
+        """Columns of the whole border, and the same in the rows, as few and long as they go."""
+        found: list[tuple[slice, slice]] = []
+        for name, at in self.blocks.items():
+            own = self.own[name]
+            adjoins = bool(found) and found[-1][0].stop == at.start
+            first, own_first = found.pop() if adjoins else (at, own)
+            found.append((slice(first.start, at.stop), slice(own_first.start, own.stop)))
+        return found
+
+    @cached_property
     def side(self) -> int:
         """First column of the right-hand sides."""
-        return self.border + self.parameters
+        return self.border + sum(at.stop - at.start for at in self.blocks.values())
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number of columns."""
-        return self.side + self.sides
+        return self.side + len(self.sides)
 
 
 class Term(Protocol):
@@ -74,6 +106,16 @@ class Term(Protocol):
     @property
     def first(self) -> Integers:
         """First control point of the span of each instant, (n,), ascending."""
+        ...
+
+    @property
+    def columns(self) -> Columns:
+        """Columns of the rows."""
+        ...
+
+    @property
+    def height(self) -> int:
+        """Number of rows of each instant."""
         ...
 
     def rows(self, part: slice) -> Floats:
@@ -86,83 +128,96 @@ def groups(imus: int) -> tuple[int, ...]:
     return (POSE, *(BIAS,) * imus)
 
 
-def summed_up(system: BorderedBand, grid: Grid, columns: Columns, terms: Iterable[Term]) -> None:
+def summed_up(system: BorderedBand, grid: Grid, terms: Iterable[Term]) -> None:
     """Add all terms to the normal equations."""
-    total = grid.controls - grid.order + 1
-    sums = _SpanSums(system, columns, grid.bias_offset, min(_SPANS, total))
-    every = tuple(terms)
-    for begin in range(0, total, _SPANS):
-        count = min(_SPANS, total - begin)
-        sums.clear()
-        for term in every:
-            part = slice(*np.searchsorted(term.first, [begin, begin + count]).tolist())
-            if part.start < part.stop:
-                sums.add(term.first[part] - begin, term.rows(part))
-        sums.flush(begin, count)
+    for term in terms:
+        for part in taken_together(term):
+            rows, columns = term.rows(part), term.columns
+            spans, gathered = by_span(term.first[part], rows)
+            sums = np.matmul(gathered[:, :, : columns.border].transpose(0, 2, 1), gathered)
+            _add_spans(system, columns, grid.bias_offset, spans, sums)
+            tail = rows.reshape(-1, columns.width)[:, columns.border :]
+            _add_corner(system, columns, tail.T @ tail)
 
 
-class _SpanSums:
-    """Products of the rows of some spans: [pose | biases] by all columns."""
+def taken_together(term: Term) -> Iterator[slice]:
+    """Yield instants that are summed up together: whole spans."""
+    first = term.first
+    if not len(first):
+        return
+    begins = np.flatnonzero(np.diff(first, prepend=-1))
+    most = max(_TOGETHER * len(begins) // (len(first) * term.height * term.columns.width), 1)
+    for begin, end in pairwise([*begins[::most].tolist(), len(first)]):
+        yield slice(begin, end)
 
-    def __init__(self, system: BorderedBand, columns: Columns, bias_offset: int, spans: int) -> None:
-        self._system, self._columns, self._offset = system, columns, bias_offset
-        self._sums = np.zeros((spans, columns.border, columns.width))
-        self._empty = True
 
-    def clear(self) -> None:
-        """Forget what was summed up."""
-        self._empty = True
+def _add_spans(system: BorderedBand, columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
+    """Add the sums (s, border, w) of some spans (s,), which overlap each other, to the normal equations."""
+    if library.loaded() is not None:
+        _add_spans_compiled(system, columns, offset, spans, sums)
+        return
+    k, pose, count = columns.order, columns.pose, len(spans)
+    band, tail = system.band, system.tail
+    consecutive = int(spans[-1] - spans[0]) + 1 == count
+    sides = [
+        (slice(to, to + 1), slice(own, own + 1))
+        for to, own in zip(system.parameters + np.array(columns.sides), range(columns.side, columns.width), strict=True)
+    ]
 
-    def add(self, span: Integers, rows: Floats) -> None:
-        """Add rows (n, r, w) of instants in spans (n,), ascending."""
-        columns = self._columns
-        spans, gathered = by_span(span, rows)
-        left = gathered[:, :, : columns.border].transpose(0, 2, 1)
-        if self._empty and len(spans) == len(self._sums):
-            np.matmul(left, gathered, out=self._sums)
-        else:
-            if self._empty:
-                self._sums[:] = 0.0
-            consecutive = spans[-1] - spans[0] + 1 == len(spans)
-            at = slice(int(spans[0]), int(spans[-1]) + 1) if consecutive else spans
-            self._sums[at] += np.matmul(left, gathered)
-        self._empty = False
-        tail = rows.reshape(-1, columns.width)[:, columns.border :]
-        corner, p = tail.T @ tail, columns.parameters
-        self._system.corner[:p, :p] += corner[:p, :p]
-        self._system.corner_rhs[:p] += corner[:p, p:]
+    def at(control: int) -> slice | Integers:
+        return slice(int(spans[0]) + control, int(spans[0]) + control + count) if consecutive else spans + control
 
-    def flush(self, begin: int, count: int) -> None:
-        """Add the sums of `count` spans, which overlap each other, to the normal equations."""
-        if self._empty:
-            return
-        columns, sums = self._columns, self._sums[:count]
-        k, pose = columns.order, columns.pose
-        band, tail = self._system.band, self._system.tail
+    def add_tail(control: slice | Integers, scalars: slice, rows: Floats) -> None:
+        for to, own in (*columns.pieces, *sides):
+            tail[control, scalars, to] += rows[:, :, own]
 
-        def at(control: int) -> slice:
-            return slice(begin + control, begin + control + count)
+    for a in range(k):
+        rows, control = sums[:, POSE * a : POSE * (a + 1)], at(a)
+        band[0][0][control, :, : k - a] += rows[:, :, POSE * a : pose].reshape(count, POSE, k - a, POSE)
+        add_tail(control, slice(0, POSE), rows)
+        if columns.imu is None:
+            continue
+        for knot in (0, 1):
+            found, apart = rows[:, :, columns.bias(knot)], offset + knot - a
+            if apart >= 0:
+                band[0][1 + columns.imu][control, :, apart] += found
+            else:  # the bias stands at the earlier control point: it has the row
+                band[1 + columns.imu][0][at(offset + knot), :, -apart] += found.swapaxes(1, 2)
+    if columns.imu is None:
+        return
+    own = band[1 + columns.imu][1 + columns.imu]
+    for knot in (0, 1):
+        rows, control = sums[:, columns.bias(knot)], at(offset + knot)
+        for other in range(knot, 2):
+            own[control, :, other - knot] += rows[:, :, columns.bias(other)]
+        add_tail(control, slice(POSE + BIAS * columns.imu, POSE + BIAS * (columns.imu + 1)), rows)
 
-        for a in range(k):
-            rows = sums[:, POSE * a : POSE * (a + 1)]
-            band[0][0][at(a), :, : k - a] += rows[:, :, POSE * a : pose].reshape(count, POSE, k - a, POSE)
-            tail[at(a), :POSE] += rows[:, :, columns.border :]
-            for imu in range(columns.imus):
-                for knot in (0, 1):
-                    found = rows[:, :, columns.bias(imu, knot)]
-                    apart = self._offset + knot - a
-                    if apart >= 0:
-                        band[0][1 + imu][at(a), :, apart] += found
-                    else:  # the bias stands at the earlier control point: it has the row
-                        band[1 + imu][0][at(self._offset + knot), :, -apart] += found.swapaxes(1, 2)
-        for imu in range(columns.imus):
-            scalars = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
-            own = band[1 + imu][1 + imu]
-            for knot in (0, 1):
-                rows, control = sums[:, columns.bias(imu, knot)], at(self._offset + knot)
-                for other in range(knot, 2):
-                    own[control, :, other - knot] += rows[:, :, columns.bias(imu, other)]
-                tail[control, scalars] += rows[:, :, columns.border :]
+
+def _add_spans_compiled(system: BorderedBand, columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
+    """Do the same by the compiled kernel."""
+    band, imu = system.band, columns.imu
+    of_biases = (None,) * 3 if imu is None else (band[0][1 + imu], band[1 + imu][0], band[1 + imu][1 + imu])
+    border = [np.arange(to.start, to.stop) for to, _ in columns.pieces]
+    library.add_spans(
+        order=columns.order,
+        sums=sums,
+        spans=spans,
+        bias_offset=offset,
+        band=(band[0][0], *of_biases),
+        tail=system.tail,
+        bias_at=POSE + BIAS * (imu or 0),
+        columns=np.concatenate([*border, system.parameters + np.array(columns.sides)]),
+    )
+
+
+def _add_corner(system: BorderedBand, columns: Columns, products: Floats) -> None:
+    """Add the products of the rows' last columns, from the border on, to the normal equations of the border."""
+    start, side = columns.border, columns.side - columns.border
+    for to, own in columns.pieces:
+        rows = products[own.start - start : own.stop - start]
+        for other, columns_of in columns.pieces:
+            system.corner[to, other] += rows[:, columns_of.start - start : columns_of.stop - start]
+        system.corner_rhs[to, columns.sides] += rows[:, side:]
 
 
 def by_span(span: Integers, rows: Floats) -> tuple[Integers, Floats]:

@@ -48,6 +48,10 @@ class CornerProducts:
         self.rest = np.zeros((width, points, _AXES))
         self.squares = np.zeros((points, _AXES, _AXES))
 
+    def taking(self, corners: slice) -> tuple[Integers, np.ndarray, Floats, Floats, Floats]:
+        """Return number and `counted` of some corners, and where their products are to be added."""
+        return self._point[corners], self._counted[corners], self.by_twist[corners], self.rest, self.squares
+
     def add(self, corners: slice, rows: Floats, own: Floats) -> None:
         """Add some corners.
 

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ....kernel import library
 from ....models.camera import Camera
 from ....recording import Floats, Integers
 
@@ -32,6 +33,10 @@ class OffsetProducts(Protocol):
 
     def add(self, corners: slice, rows: Floats, own: Floats) -> None:
         """Take whitened columns of some corners: rows (6 + w, m, 2) of the exposure, own (3, m, 2) of the offset."""
+        ...
+
+    def taking(self, corners: slice) -> tuple[Integers, Booleans, Floats, Floats, Floats]:
+        """Return for some corners their numbers and whether they count, and the arrays that take all products."""
         ...
 
 
@@ -168,6 +173,7 @@ def corner_sums(
     cost, square = np.zeros(count), np.full(count, np.nan)
     valid = np.zeros(count, np.int64)
     residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
+    compiled = shape is None and width <= library.MOST_COLUMNS and library.loaded() is not None
     for first, last in _chunks(exposures.start):
         corners = slice(int(exposures.start[first]), int(exposures.start[last]))
         lengths = np.diff(exposures.start[first : last + 1])
@@ -176,8 +182,31 @@ def corner_sums(
         point = turned + p_cam_target[first:last].T[:, which]
         image = camera.project(point.T, parameters_jacobian=len(own) > 0)
         apart = image.pixels - exposures.pixels[corners]
-        off = np.where(image.valid[:, None], apart, 0.0)  # what cannot be imaged must not spoil the sums
         spread = 1.0 if exposures.spread is None else exposures.spread[corners]
+        if compiled:
+            assert image.by_point is not None
+            library.corner_sums(
+                start=exposures.start[first : last + 1] - corners.start,
+                apart=apart,
+                valid=image.valid,
+                by_point=image.by_point,
+                by_parameters=image.by_parameters if len(own) else None,
+                own=own,
+                point=point,
+                turned=turned if scale_column else None,
+                scale=target_scale,
+                spread=None if exposures.spread is None else exposures.spread[corners],
+                sign=None if noise.probe_sign is None else noise.probe_sign[corners],
+                sigma_px=noise.sigma_px,
+                huber=noise.huber,
+                sums=sums[first:last],
+                of_exposure=(cost[first:last], square[first:last], valid[first:last]),
+                of_corner=(each[corners], weight[corners]),
+                offsets=None if offsets is None else (R_cam_target[first:last], *offsets.taking(corners)),
+            )
+            residual[corners] = apart
+            continue
+        off = np.where(image.valid[:, None], apart, 0.0)  # what cannot be imaged must not spoil the sums
         root, rho, robust = _weights(off, image.valid, noise, spread)
         by_scale = turned / target_scale if scale_column else None
         columns = _columns(image.by_point, point, image.by_parameters, own, by_scale)

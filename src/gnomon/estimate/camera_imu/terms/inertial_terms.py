@@ -16,16 +16,19 @@ along the trajectory: de/dd is the derivative of e by time, that by the control 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from ....geometry.bspline import basis_polynomials
 from ....geometry.rigid_body import acceleration_by_place, along_axes
 from ....geometry.so3 import skew
+from ....kernel import library
 from ....models.pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers
 from ..layout import Layout
 from ..parameters import Parameters
-from ..trajectory import POSE, Bases, Motion, Places, Trajectory
+from ..trajectory import BIAS, POSE, Bases, Motion, Places, Trajectory
 from .assembly import TRIAD, Columns
 from .imu_prediction import (
     By,
@@ -38,6 +41,8 @@ from .imu_prediction import (
     specific_force,
 )
 from .inertial_data import InertialData, InertialNoise, TriadData, on_grid, some_readings
+
+_DRAWN = 128  # spans whose signs are drawn together
 
 _Columns = dict[str, Callable[[], Floats]]
 """Block of an IMU -> its columns (n, 3, k)."""
@@ -53,7 +58,6 @@ class InertialTerms:
         parameters: Parameters,
         *,
         layout: Layout,
-        columns: Columns,
         noise: InertialNoise,
         probe: int | None,
         seed: int,
@@ -64,16 +68,19 @@ class InertialTerms:
         ----------
         data : readings; those outside of the trajectory are left out
         trajectory, parameters, layout : where to linearise
-        columns : of the rows
         noise : standard deviations
         probe : right-hand side of the gyroscope's probe, the accelerometer's is the next; None for no probes
         seed : of the probes' random signs
         """
         self.data, self._places = on_grid(trajectory.grid, data, parameters.imus[data.imu])
-        self._trajectory, self._parameters, self._layout = trajectory, parameters, layout
-        self._columns, self._noise, self._probe = columns, noise, probe
+        self._trajectory, self._parameters, self._noise = trajectory, parameters, noise
+        mine = ("gravity.", f"imu{data.imu}.")
+        probes = () if probe is None else (probe, probe + 1)
+        self.columns = Columns.of(
+            layout, trajectory.grid.order, lambda name: name.startswith(mine), imu=data.imu, probes=probes
+        )
         self._imu = parameters.imus[data.imu]
-        self._rng = np.random.default_rng(seed)
+        self._signs = None if probe is None else self._drawn_signs(np.random.default_rng(seed))
         self._chi2 = [0.0, 0.0]
 
     @property
@@ -81,10 +88,33 @@ class InertialTerms:
         """First control point of the span of each reading, (n,)."""
         return self._places.first
 
+    @property
+    def height(self) -> int:
+        """Number of rows of each reading."""
+        return TRIAD * sum(triad is not None for triad in (self.data.gyroscope, self.data.accelerometer))
+
+    def _drawn_signs(self, rng: np.random.Generator) -> Floats:
+        """Return random signs (n, 6 or 3); those of a beginning do not depend on how long the recording is."""
+        signs = np.empty((len(self.first), self.height))
+        edges = np.searchsorted(self.first, np.arange(0, self._trajectory.grid.controls + _DRAWN, _DRAWN))
+        for begin, end in pairwise(edges.tolist()):
+            for start in range(0, self.height, TRIAD):
+                signs[begin:end, start : start + TRIAD] = rng.integers(0, 2, (end - begin, TRIAD)) * 2.0 - 1.0
+        return signs
+
     def rows(self, part: slice) -> Floats:
         """Return the rows of both triads, or of the one that has these timestamps, (n, 6 or 3, w), of some readings."""
-        trajectory, index, imu = self._trajectory, self.data.imu, self._imu
         places, data = self._places.some(part), some_readings(self.data, part)
+        triads = [(kind, triad) for kind, triad in enumerate((data.gyroscope, data.accelerometer)) if triad is not None]
+        rows = self._compiled_rows(places, data) if library.loaded() is not None else self._rows(places, data)
+        if self._signs is not None:
+            for number, (kind, triad) in enumerate(triads):
+                own = slice(TRIAD * number, TRIAD * (number + 1))
+                rows[:, own, self.columns.side + 1 + kind] = self._signs[part, own] * triad.used[:, None]
+        return rows
+
+    def _rows(self, places: Places, data: InertialData) -> Floats:
+        trajectory, index, imu = self._trajectory, self.data.imu, self._imu
         bases = Bases.at(places, trajectory.grid)
         motion = motion_of_imu(trajectory, places, bases, imu) if index else trajectory.motion(places, bases)
         at = _Readings(
@@ -95,16 +125,55 @@ class InertialTerms:
             A=acceleration_by_place(motion.omega, motion.alpha) if self._has_places else None,
         )
         biases = trajectory.bias(places, index)
-        triads = (data.gyroscope, data.accelerometer)
-        rows = np.zeros((len(places.u), TRIAD * sum(triad is not None for triad in triads), self._columns.width))
+        rows = np.zeros((len(places.u), self.height, self.columns.width))
         begin = 0
-        for kind, triad in enumerate(triads):
-            if triad is None:
-                continue
-            fill = (self._fill_gyroscope, self._fill_accelerometer)[kind]
-            fill(rows[:, begin : begin + TRIAD], at, biases[kind], triad)
-            begin += TRIAD
+        for kind, triad in enumerate((data.gyroscope, data.accelerometer)):
+            if triad is not None:
+                fill = (self._fill_gyroscope, self._fill_accelerometer)[kind]
+                fill(rows[:, begin : begin + TRIAD], at, biases[kind], triad)
+                begin += TRIAD
         return rows
+
+    def _compiled_rows(self, places: Places, data: InertialData) -> Floats:
+        """Return the same as `_rows`, by the compiled kernel."""
+        trajectory, grid, own = self._trajectory, self._trajectory.grid, self.columns.own
+        found = (own.get(name, own.get(f"imu{self.data.imu}.{name}")) for name in library.BLOCKS[:-1])
+        gyroscope, accelerometer = (
+            None if triad is None else (triad.values, triad.used / sigma)
+            for triad, sigma in (
+                (data.gyroscope, self._noise.gyroscope),
+                (data.accelerometer, self._noise.accelerometer),
+            )
+        )
+        rows, chi2 = library.inertial_rows(
+            first=places.first,
+            u=places.u,
+            segment=places.segment,
+            references=grid.references(),
+            bases=np.stack([basis_polynomials(grid.order, d) / grid.spacing_s**d for d in range(4)]),
+            controls=trajectory.controls,
+            bias_at=POSE + BIAS * self.data.imu,
+            bias_offset=grid.bias_offset,
+            spacing_s=grid.spacing_s,
+            imu=self._packed(),
+            blocks=[*(-1 if at is None else at.start for at in found), self.columns.side],
+            gyroscope=gyroscope,
+            accelerometer=accelerometer,
+            width=self.columns.width,
+        )
+        self._chi2 = [before + more for before, more in zip(self._chi2, chi2.tolist(), strict=True)]
+        return rows
+
+    def _packed(self) -> Floats:
+        """Return what the kernel needs of the IMU and of gravity, in its order (Imu in kernel.c)."""
+        imu, gravity = self._imu, self._parameters
+        parts = (
+            *(imu.gyroscope_sensitivity, imu.B_g, imu.C_bg, imu.S_g, LOWER.matrix(imu.M_g)),
+            *(imu.accelerometer_sensitivity, imu.S_a, LOWER.matrix(imu.M_a), imu.R_imu_body),
+            *(origin_places(imu), accelerometer_places(imu), imu.places_by_arms, gravity.gravity),
+            *(-gravity.gravity_m_s2 * gravity.gravity_plane, -gravity.gravity_direction),
+        )
+        return np.concatenate([np.ravel(part) for part in parts])
 
     @property
     def _has_places(self) -> bool:
@@ -114,7 +183,7 @@ class InertialTerms:
 
     def _has(self, *blocks: str) -> bool:
         """Tell whether any of the blocks of this IMU has columns."""
-        return any(self._layout.get(f"imu{self.data.imu}.{block}") is not None for block in blocks)
+        return any(f"imu{self.data.imu}.{block}" in self.columns.own for block in blocks)
 
     def chi2(self) -> tuple[float, float]:
         """Return the sum of squared whitened residuals of gyroscope and accelerometer that `rows` has met so far."""
@@ -191,7 +260,7 @@ class InertialTerms:
         kind: int,
     ) -> None:
         """Fill in the columns of pose, bias and right-hand sides; `kind` is 0 for the gyroscope, 1 for the other."""
-        n, columns = len(weight), self._columns
+        n, columns = len(weight), self.columns
         weighted = weight[:, None]
         pose = rows[:, :, : columns.pose].reshape(n, TRIAD, columns.order, POSE)  # a view
         bases = [(basis * weighted)[:, None, :, None] for basis in (at.bases.value, at.bases.rate)]
@@ -204,15 +273,12 @@ class InertialTerms:
             if by.phi_acceleration is not None:
                 pose[..., :3] += basis * by.phi_acceleration[:, :, None, :]
         for knot, share in enumerate((1 - at.places.u, at.places.u)):
-            start = columns.bias(self.data.imu, knot).start + TRIAD * kind
+            start = columns.bias(knot).start + TRIAD * kind
             for i in range(TRIAD):
                 rows[:, i, start + i] = share * weight
         whitened = residual * weighted
         self._chi2[kind] += float(np.vdot(whitened, whitened))
         rows[:, :, columns.side] = -whitened
-        if self._probe is not None:
-            signs = self._rng.integers(0, 2, (n, TRIAD)) * 2.0 - 1.0
-            rows[:, :, columns.side + self._probe + kind] = signs * (weighted > 0)
 
     def _fill_border(self, rows: Floats, own: _Columns, by_acceleration: Floats | None, weight: Floats) -> None:
         """Fill in the border columns: those of the triad's own parameters, and gravity's."""
@@ -222,11 +288,10 @@ class InertialTerms:
             g, plane, direction = parameters.gravity_m_s2, parameters.gravity_plane, parameters.gravity_direction
             blocks["gravity.direction"] = lambda: by_acceleration @ (-g * plane)
             blocks["gravity.magnitude"] = lambda: by_acceleration @ -direction[:, None]
-        start = self._columns.border
         for name, derivative in blocks.items():
-            at = self._layout.get(name)
+            at = self.columns.own.get(name)
             if at is not None:
-                rows[:, :, start + at.start : start + at.stop] = derivative() * weight[:, None, None]
+                np.multiply(derivative(), weight[:, None, None], out=rows[:, :, at])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

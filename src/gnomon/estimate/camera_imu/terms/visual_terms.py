@@ -72,7 +72,6 @@ class VisualTerms:
         parameters: Parameters,
         *,
         layout: Layout,
-        columns: Columns,
         noise: CornerNoise,
         used: np.ndarray,
         probe: int | None,
@@ -84,7 +83,6 @@ class VisualTerms:
         ----------
         data : corners
         trajectory, parameters, layout : where to linearise
-        columns : of the rows
         noise : weights
         used : (e,) exposures that shall take part
         probe : right-hand side of the probe, or None
@@ -120,8 +118,11 @@ class VisualTerms:
             offsets=offsets,
         )
         self._exposures, self._offsets = exposures, offsets
-        self._maps = _maps(layout, data, entry, self._motion)
-        self._columns, self._probe = columns, probe
+        mine = (f"{entry.name}.", "target.scale")
+        self.columns = Columns.of(
+            layout, grid.order, lambda name: name.startswith(mine), imu=None, probes=() if probe is None else (probe,)
+        )
+        self._maps, self._dense = _maps(self.columns.blocks, data, entry, self._motion), layout.dense
         self.known = places.inside & (self.sums.valid > 0)
         self.inside = self.known & used
         chosen = np.flatnonzero(self.inside)
@@ -138,37 +139,48 @@ class VisualTerms:
         """Robust cost of all exposures that take part."""
         return float(self.sums.cost[self.inside].sum())
 
-    def coupling(self) -> Coupling | None:
-        """Return what the offsets of the corners have in common with everything else, where they have columns."""
+    @property
+    def height(self) -> int:
+        """Number of rows of each exposure."""
+        return self.sums.sums.shape[1]
+
+    def coupling(self, sides: int) -> Coupling | None:
+        """Return what the offsets of the corners have in common with everything else, where they have columns.
+
+        Parameters
+        ----------
+        sides : number of right-hand sides
+        """
         if self._offsets is None or self._exposures.point is None:
             return None
-        products, columns, order = self._offsets, self._columns, self._order
+        products, order = self._offsets, self._order
         corner, place = corners_of(order, self._exposures.start)
         parts, points = self._parts, len(products.squares) // self._parts
         shape = len(order), points
         by_twist = spread_out(place, self._exposures.point[corner], products.by_twist[corner], shape)
         turned = np.swapaxes(self._by_pose()[order], 1, 2)
         rest = products.rest.reshape(-1, parts, points * 3)
-        border = np.zeros((parts, columns.parameters, points * 3))
+        border = np.zeros((parts, self._dense, points * 3))
         edges = TWIST * np.searchsorted(self._part[order], np.arange(parts + 1))
-        for at, way in self._maps.twists:
+        for name, way in self._maps.twists:
+            at = self.columns.blocks[name]
             along = np.broadcast_to(way, (len(self._part), *way.shape[1:]))[order].reshape(-1, way.shape[2])
             for part, (start, stop) in enumerate(pairwise(edges.tolist())):
                 if start < stop:
                     border[part, at] = (by_twist[start:stop].T @ along[start:stop]).T
-        for column, index in self._maps.own:
-            border[:, column] = rest[index]
-        residual = len(self._maps.own)
-        sides = np.zeros((parts, points * 3, columns.sides))
-        sides[:, :, 0] = -rest[residual]
-        if self._probe is not None:
-            sides[:, :, self._probe] = rest[residual + 1]
+        for name, index in self._maps.own:
+            border[:, self.columns.blocks[name]] = rest[index].swapaxes(0, 1)
+        residual = self._maps.count
+        right = np.zeros((parts, points * 3, sides))
+        right[:, :, 0] = -rest[residual]
+        for number, probe in enumerate(self.columns.sides[1:], 1):
+            right[:, :, probe] = rest[residual + number]
         return Coupling(
             first=self._first,
             value=self._bases.value[order],
             by_pose=multiplied(turned, by_twist),
             border=border,
-            sides=sides,
+            sides=right,
             squares=products.squares.reshape(parts, points, 3, 3),
         )
 
@@ -188,7 +200,7 @@ class VisualTerms:
 
     def _mapped(self, roots: Floats, chosen: Integers) -> Floats:
         """Return the rows (e, r, w) from rows (e, r, ...) in the columns of `corner_sums`."""
-        entry, columns, motion = self._entry, self._columns, self._motion
+        entry, columns, motion = self._entry, self.columns, self._motion
         count, height, _ = roots.shape
         R, x = entry.R_cam_imu, entry.p_cam_imu
         turn = -np.vstack([R, skew(x) @ R])  # (6, 3)
@@ -199,16 +211,15 @@ class VisualTerms:
         value = self._bases.value[chosen][:, None, :, None]
         np.multiply(value, by_turn[:, :, None, :], out=pose[..., :3])
         np.multiply(value, by_move[:, :, None, :], out=pose[..., 3:])
-        start = columns.border
-        for at, twist in self._maps.twists:
+        for name, twist in self._maps.twists:
             of_exposure = twist if len(twist) == 1 else twist[chosen]
-            rows[:, :, start + at.start : start + at.stop] = roots[:, :, :TWIST] @ of_exposure
-        for column, index in self._maps.own:
-            rows[:, :, start + column] = roots[:, :, TWIST + index]
-        residual = TWIST + len(self._maps.own)
+            rows[:, :, columns.own[name]] = roots[:, :, :TWIST] @ of_exposure
+        for name, index in self._maps.own:
+            rows[:, :, columns.own[name]] = roots[:, :, TWIST + index.start : TWIST + index.stop]
+        residual = TWIST + self._maps.count
         rows[:, :, columns.side] = -roots[:, :, residual]  # np.negative(x, out=y) errs where x has a stride of 64 bytes
-        if self._probe is not None:
-            rows[:, :, columns.side + self._probe] = roots[:, :, residual + 1]
+        if len(columns.sides) > 1:
+            rows[:, :, columns.side + 1] = roots[:, :, residual + 1]
         return rows
 
 
@@ -226,31 +237,34 @@ def _own_columns(layout: Layout, entry: CameraParameters) -> tuple[Integers, boo
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Maps:
-    """How border parameters act: (border columns, twist (e or 1, 6, b)) and (border column, own column of the sums)."""
+    """How blocks of the border act: by a twist (e or 1, 6, b), or as own columns of the sums, `count` of them."""
 
-    twists: list[tuple[slice, Floats]]
-    own: list[tuple[int, int]]
+    twists: list[tuple[str, Floats]]
+    own: list[tuple[str, slice]]
+
+    @property
+    def count(self) -> int:
+        return self.own[-1][1].stop if self.own else 0
 
 
-def _maps(layout: Layout, data: VisualData, entry: CameraParameters, motion: Motion) -> _Maps:
+def _maps(blocks: dict[str, slice], data: VisualData, entry: CameraParameters, motion: Motion) -> _Maps:
     name, R, x = entry.name, entry.R_cam_imu, entry.p_cam_imu
-    twists: list[tuple[slice, Floats]] = []
-    if (at := layout.get(f"{name}.T_cam_imu.rotation")) is not None:
-        twists.append((at, np.vstack([R, skew(x) @ R])[None]))
-    if (at := layout.get(f"{name}.T_cam_imu.translation")) is not None:
-        twists.append((at, np.vstack([np.zeros((3, 3)), np.eye(3)])[None]))
-    shift, delay = layout.get(f"{name}.time_shift_cam_imu"), layout.get(f"{name}.line_delay")
-    if shift is not None or delay is not None:
+    shift, delay = f"{name}.time_shift_cam_imu", f"{name}.line_delay"
+    moving = np.zeros((0, TWIST, 1))
+    if shift in blocks or delay in blocks:
         moving = _body_twists(entry, motion, motion.omega, motion.velocity)[:, :, None]
-        if shift is not None:
-            twists.append((shift, moving))
-        if delay is not None:
-            twists.append((delay, moving * data.exposures.delay_rows[:, None, None]))
-    own: list[tuple[int, int]] = []
-    for block in (f"{name}.intrinsics", f"{name}.distortion_coeffs", "target.scale"):
-        if (at := layout.get(block)) is not None:
-            own += [(column, len(own) + i) for i, column in enumerate(range(at.start, at.stop))]
-    return _Maps(twists=twists, own=own)
+    twists = {
+        f"{name}.T_cam_imu.rotation": np.vstack([R, skew(x) @ R])[None],
+        f"{name}.T_cam_imu.translation": np.vstack([np.zeros((3, 3)), np.eye(3)])[None],
+        shift: moving,
+        delay: moving * (data.exposures.delay_rows if len(moving) else np.zeros(0))[:, None, None],
+    }
+    own = [block for block in (f"{name}.intrinsics", f"{name}.distortion_coeffs", "target.scale") if block in blocks]
+    ends = np.cumsum([0, *(blocks[block].stop - blocks[block].start for block in own)]).tolist()
+    return _Maps(
+        twists=[(block, twist) for block, twist in twists.items() if block in blocks],
+        own=[(block, slice(*edges)) for block, edges in zip(own, pairwise(ends), strict=True)],
+    )
 
 
 def _body_twists(entry: CameraParameters, motion: Motion, turn: Floats, move: Floats) -> Floats:

@@ -1,0 +1,44 @@
+"""The innermost loops, compiled where a C compiler was found at installation; `kernel.c` says what they do.
+
+Everything works without it, more slowly. GNOMON_KERNEL=0 in the environment switches it off.
+"""
+
+import ctypes
+import os
+import sys
+from functools import cache
+from pathlib import Path
+
+_INTERFACE = 1  # of kernel.c, which `library` is written for
+
+
+def file_name() -> str:
+    """Return the name of the compiled file, which lies beside this one."""
+    return "kernel." + {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so")
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    path = Path(__file__).with_name(file_name())
+    if not path.is_file():
+        return None
+    try:
+        found = ctypes.CDLL(str(path))
+        found.gnomon_interface.restype = ctypes.c_int64
+        if found.gnomon_interface() != _INTERFACE:
+            return None
+        for function in (found.gnomon_inertial_rows, found.gnomon_corner_sums, found.gnomon_add_spans):
+            function.restype = None
+    except (OSError, AttributeError):  # of another processor, damaged, of another version
+        return None
+    return found
+
+
+def loaded() -> ctypes.CDLL | None:
+    """Return the compiled loops, or None where there are none or they are switched off."""
+    return None if os.environ.get("GNOMON_KERNEL") == "0" else _library()
+
+
+def described() -> str:
+    """Return in words whether the compiled loops are used."""
+    return "compiled kernel" if loaded() is not None else "NumPy only, no compiled kernel"

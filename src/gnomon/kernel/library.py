@@ -1,0 +1,157 @@
+"""The compiled loops, called through ctypes: only where `loaded` found them."""
+
+import ctypes
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import loaded
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+MOST_COLUMNS = 64
+"""Of a corner (WIDTH in kernel.c)."""
+
+BLOCKS = (
+    *("S_g", "M_g", "q_bg", "B_g", "S_a", "M_a", "lever_arms", "T_imu_body.rotation", "T_imu_body.translation"),
+    *("time_shift", "accelerometer_shift", "gravity.direction", "gravity.magnitude", "side"),
+)
+"""The fields of Blocks in kernel.c, in their order."""
+
+
+def _at(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
+    """Return where what is only read begins: an array, or a contiguous copy that lives as long as this."""
+    return ctypes.c_void_p() if array is None else _out(np.ascontiguousarray(array))
+
+
+def _out(array: NDArray[np.generic] | None) -> ctypes.c_void_p:
+    """Return where an array begins that is written to."""
+    assert array is None or array.flags.c_contiguous
+    return ctypes.c_void_p() if array is None else array.ctypes.data_as(ctypes.c_void_p)
+
+
+def _long(value: int) -> ctypes.c_int64:
+    return ctypes.c_int64(value)
+
+
+def inertial_rows(
+    *,
+    first: Integers,
+    u: Floats,
+    segment: Integers,
+    references: Floats,
+    bases: Floats,
+    controls: Floats,
+    bias_at: int,
+    bias_offset: int,
+    spacing_s: float,
+    imu: Floats,
+    blocks: Sequence[int],
+    gyroscope: tuple[Floats, Floats] | None,
+    accelerometer: tuple[Floats, Floats] | None,
+    width: int,
+) -> tuple[Floats, Floats]:
+    """Return rows (n, 6 or 3, width) of readings, and the sums of squared residuals (2,); see `InertialTerms`.
+
+    Parameters
+    ----------
+    first, u, segment : (n,) places of the readings on the grid
+    references : (s, 3, 3) of the segments
+    bases : (4, k, k) basis functions and three derivatives by time, by powers of u
+    controls : (c, d), bias_at, bias_offset, spacing_s : of the trajectory; first bias of this IMU, and of a span
+    imu : the fields of Imu in kernel.c, one behind the other
+    blocks : first columns of `BLOCKS` in the rows, or -1
+    gyroscope, accelerometer : readings (n, 3) and weights (n,), or None
+    """
+    library = loaded()
+    assert library is not None
+    height = 3 * ((gyroscope is not None) + (accelerometer is not None))
+    rows, chi2 = np.empty((len(u), height, width)), np.zeros(2)
+    read = (
+        None if triad is None else values for triad in (gyroscope, accelerometer) for values in triad or (None,) * 2
+    )
+    library.gnomon_inertial_rows(
+        *(_long(len(u)), _long(bases.shape[1]), _long(width), _at(first), _at(u), _at(segment), _at(references)),
+        *(_at(bases), _at(controls), _long(controls.shape[1]), _long(bias_at), _long(bias_offset)),
+        *(ctypes.c_double(spacing_s), _at(imu), _at(np.array(blocks, dtype=np.int64)), *map(_at, read)),
+        *(_out(rows), _out(chi2)),
+    )
+    return rows, chi2
+
+
+def corner_sums(
+    *,
+    start: Integers,
+    apart: Floats,
+    valid: NDArray[np.bool_],
+    by_point: Floats,
+    by_parameters: Floats | None,
+    own: Integers,
+    point: Floats,
+    turned: Floats | None,
+    scale: float,
+    spread: Floats | None,
+    sign: Floats | None,
+    sigma_px: float,
+    huber: float,
+    sums: Floats,
+    of_exposure: tuple[Floats, Floats, Integers],
+    of_corner: tuple[Floats, Floats],
+    offsets: tuple[Floats, Integers, NDArray[np.bool_], Floats, Floats, Floats] | None,
+) -> None:
+    """Sum up the corners of exposures, in place; see `corner_sums` of the estimation, and kernel.c.
+
+    Parameters
+    ----------
+    start : (e + 1,) first corner of each exposure, counted from the first given
+    apart, valid, by_point, by_parameters, point, turned : of the corners, (m, 2), (m,), (m, 2, 3), (m, 2, p), (3, m)
+    own : which parameters have columns
+    turned, scale, spread, sign, sigma_px, huber : see there; None where not wanted
+    sums : (e, w, w) or (e, 2, w)
+    of_exposure : cost, mean square, number of valid corners (e,)
+    of_corner : robust cost, robust weight (m,)
+    offsets : R_cam_target (e, 3, 3), number and whether it counts (m,); products with the twist (m, 6, 3), with the
+        other columns (w - 6, k, 3) and with each other (k, 3, 3), to which they are added
+    """
+    library = loaded()
+    assert library is not None
+    R, number, counted, by_twist, rest, squares = offsets or (None,) * 6
+    library.gnomon_corner_sums(
+        *(_long(len(start) - 1), _long(len(apart)), *map(_at, (start, apart, valid, by_point, by_parameters))),
+        *(_long(0 if by_parameters is None else by_parameters.shape[2]), _at(own), _long(len(own)), _at(point)),
+        *(_at(turned), ctypes.c_double(scale), _at(spread), _at(sign), ctypes.c_double(sigma_px)),
+        *(ctypes.c_double(huber), _long(sums.shape[1] != sums.shape[2]), _out(sums)),
+        *(*map(_out, of_exposure), *map(_out, of_corner), *map(_at, (R, number, counted))),
+        *(_long(0 if squares is None else len(squares)), *map(_out, (by_twist, rest, squares))),
+    )
+
+
+def add_spans(
+    *,
+    order: int,
+    sums: Floats,
+    spans: Integers,
+    bias_offset: int,
+    band: Sequence[Floats | None],
+    tail: Floats,
+    bias_at: int,
+    columns: Integers,
+) -> None:
+    """Add the products of the rows of spans to the normal equations, in place; see the assembly, and kernel.c.
+
+    Parameters
+    ----------
+    order : of the splines
+    sums : (s, b, w), spans : (s,) first control point of each
+    bias_offset : of a span's first bias knot from it
+    band : pose by pose, pose by bias, bias by pose, bias by bias, (n, 6, k, 6) each; None without biases
+    tail : (n, d, t), bias_at : first scalar of the biases, columns : (w - b,) in the tail
+    """
+    library = loaded()
+    assert library is not None
+    library.gnomon_add_spans(
+        *(_long(len(spans)), _long(order), _long(sums.shape[2]), _at(sums), _at(spans), _long(bias_offset)),
+        *(*map(_out, band), _out(tail), _long(tail.shape[1]), _long(tail.shape[2]), _long(bias_at), _at(columns)),
+    )

@@ -1,0 +1,88 @@
+"""The compiled kernel gives what NumPy gives; without it, or with another one, NumPy does the work."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from camera_imu_problem import problem
+from gnomon import kernel
+from gnomon.estimate.camera_imu.batch import linearised
+
+ROOT = Path(__file__).parents[3]
+compiled = pytest.mark.skipif(kernel.loaded() is None, reason="the kernel was not compiled")
+
+PROBLEMS = {
+    "two lenses": {},
+    "rolling shutter": {"rolling": True},
+    "board": {"board": 12, "flat": False},
+    "board and rolling shutter": {"board": 12, "rolling": True},
+    "two IMUs": {"imus": 2, "segments": 2},
+    "triads apart": {"imus": 2, "apart": True, "order": 6},
+    "hardly turned": {"length": 1e-4, "order": 4},
+    "turned by half a radian": {"length": 0.5},
+    "turned far": {"length": 4.0, "huber": np.inf},
+    "all omni": {"models": (("omni", "radtan5"), ("eucm", "equidistant"))},
+}
+
+
+def equations(given):
+    """Return all that a linearisation says, name -> array; sums on the board's corners too."""
+    lin = linearised(given.measurements, given.state, given.layout, given.noise, probing=True)
+    system = lin.system
+    found = {f"band {g} {h}": part for g, row in enumerate(system.band) for h, part in enumerate(row)}
+    found |= {"tail": system.tail, "corner": system.corner, "corner_rhs": system.corner_rhs}
+    found |= {"cost": np.array(lin.cost), "chi2": np.array(lin.inertial_chi2)}
+    if system.wide is not None:
+        found["wide"] = system.wide.transposed_times(np.ones((len(system.tail), system.tail.shape[1], 1)))
+    for number, sums in enumerate(lin.sums):
+        known = lin.known[number]
+        of_exposure = (sums.gram, sums.cost, sums.mean_square, sums.valid)
+        found |= {f"exposure {number} {i}": values[known].copy() for i, values in enumerate(of_exposure)}
+        found |= {f"corner {number}": np.column_stack([sums.residual, sums.weight, sums.corner_cost])}
+    return found
+
+
+@compiled
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_the_kernel_gives_what_numpy_gives(name, monkeypatch):
+    given = problem(**PROBLEMS[name], seed=3)
+    monkeypatch.delenv("GNOMON_KERNEL", raising=False)
+    fast = equations(given)
+    monkeypatch.setenv("GNOMON_KERNEL", "0")
+    plain = equations(given)
+    assert fast.keys() == plain.keys()
+    for key, values in plain.items():
+        sizes = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+        np.testing.assert_allclose(fast[key], values, rtol=1e-12, atol=1e-12 * sizes, err_msg=key)
+
+
+def test_it_can_be_switched_off(monkeypatch):
+    monkeypatch.setenv("GNOMON_KERNEL", "0")
+    assert kernel.loaded() is None
+    assert "NumPy" in kernel.described()
+
+
+@pytest.mark.parametrize("content", [b"", b"no library"])
+def test_a_damaged_kernel_is_not_used(content, tmp_path):
+    package = tmp_path / "kernel"
+    shutil.copytree(Path(kernel.__file__).parent, package, ignore=shutil.ignore_patterns("kernel.*"))
+    (package / kernel.file_name()).write_bytes(content)
+    run = "import kernel; print(kernel.loaded(), kernel.described())"
+    done = subprocess.run([sys.executable, "-c", run], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout == "None NumPy only, no compiled kernel\n"
+
+
+@pytest.mark.parametrize("compiler", ["false", "no-such-compiler"])
+def test_without_a_compiler_the_build_goes_on(compiler, tmp_path, monkeypatch):
+    for file in ("hatch_build.py", "src/gnomon/kernel/kernel.c"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / file, tmp_path / file)
+    monkeypatch.setenv("CC", compiler)
+    done = subprocess.run([sys.executable, "hatch_build.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    if sys.platform != "win32":
+        assert done.stdout == "no C compiler that works\n"
+        assert not (tmp_path / "src" / "gnomon" / "kernel" / kernel.file_name()).exists()
