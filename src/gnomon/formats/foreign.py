@@ -1,14 +1,14 @@
 """What other projects' calibration files tell: the sensors, and what else they hold."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Self
 
 import numpy as np
 
 from .._version import __version__
 from ..errors import FormatError
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
 from ..models.noise import ImuNoise
 from ..models.target import Target
@@ -34,7 +34,7 @@ FOREIGN_METHOD = "foreign"
 """`Provenance.method` of a calibration that another project made."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Statistics:
     """Mean, median and standard deviation of the lengths of residual vectors."""
 
@@ -51,7 +51,7 @@ class Statistics:
         return f"mean {self.mean}, median {self.median}, std: {self.std}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Residuals:
     """Residuals of one camera or triad in units of its noise, and in px, rad/s or m/s^2."""
 
@@ -59,7 +59,7 @@ class Residuals:
     plain: Statistics
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ForeignImu:
     """What a file says of an IMU besides its sensor model.
 
@@ -93,7 +93,7 @@ class ForeignImu:
         return replace(imu, T_imu_body=self.T_imu_body, time_shift_s=self.time_offset_s or 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ForeignCalibration:
     """What was read from another project's files.
 

@@ -8,11 +8,11 @@ The third column of (14) is not exactly a unit vector, 1 - sin^2(x) sin^2(y) is 
 takes that up, so that the sensor is the same.
 """
 
-from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 
+from ..frozen import value_class
 from .forms import AccelerometerForm, in_frame, inverse, unit_diagonal
 from .frames import Floats
 
@@ -63,7 +63,7 @@ def angles_and_scales(correction: Floats, geometry: Geometry) -> tuple[Floats, F
     return angles, K / np.array([1.0, cz, cx * cy])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoTriad(AccelerometerForm):
     """Angrisano, Eqs. (1) and (3), in its own nine parameters: s = T(angles) K (s_out - b).
 

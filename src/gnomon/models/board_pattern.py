@@ -4,13 +4,13 @@ The tags are those of AprilTag's family 36h11, whose codes OpenCV knows: it draw
 180 degrees against Kalibr's boards.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .target import Floats, Integers, Target
 
 Cells = NDArray[np.bool_]
@@ -25,7 +25,7 @@ _SIDES = 96  # of the polygon that stands for a disc
 _ONE = np.ones((1, 1), dtype=np.bool_)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Pattern:
     """Black on white in the plane of a board, in the frame of its points.
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .distortions import DISTORTIONS, Bent
 from .lens_names import LINEAR, DistortionName, ProjectionName
 from .projections import PROJECTIONS
@@ -26,7 +27,7 @@ _NOMINAL_FOCAL = 0.785  # over the width: 65 degrees from left to right
 _BLOCK = 8192  # points at a time: the intermediate arrays of a block stay in the cache
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Projected:
     """Image of points, and its derivatives.
 
@@ -46,7 +47,7 @@ class Projected:
     by_parameters: Floats | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Camera:
     """A camera with its intrinsics.
 

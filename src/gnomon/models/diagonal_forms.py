@@ -4,15 +4,15 @@ Definitions as stated in those projects' code. They cannot hold misalignment; th
 that remains is least.
 """
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
+from ..frozen import value_class
 from .frames import Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DiagonalTriad:
     """PX4 and ArduPilot, the accelerometer: x = scale (s - offset), element by element.
 

@@ -15,7 +15,6 @@ after Brown 1966 (radtan, in Bouguet's letters), Kannala and Brandt 2006 (equidi
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import inf, pi, tan
 from typing import NamedTuple
 
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .lens_names import COEFFICIENTS, DistortionName
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Bent(NamedTuple):
     by_coeffs: tuple[Pair, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Distortion:
     """One distortion.
 

@@ -3,16 +3,16 @@
 Definitions as stated in those projects' code; the frame and the methods are as in `models.forms`.
 """
 
-from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
+from ..frozen import value_class
 from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes, inverse
 from .frames import Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class OpenVinsTriad(TriadForm):
     """OpenVINS: s = T R x + b; it corrects with the lower triangle of D = T^-1 ("kalibr"), or the upper one ("rpng").
 
@@ -39,7 +39,7 @@ class OpenVinsTriad(TriadForm):
         return truth @ self.R.T @ self.T.T + self.b
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class OpenVinsAccelerometer(OpenVinsTriad, AccelerometerForm):
     """OpenVINS: m = Ta R_IMUtoACC f + b; with the model "kalibr", Ta is lower triangular and R_IMUtoACC the identity.
 
@@ -51,7 +51,7 @@ class OpenVinsAccelerometer(OpenVinsTriad, AccelerometerForm):
     """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class OpenVinsGyroscope(OpenVinsTriad, GyroscopeForm):
     """OpenVINS: y = Tw R_IMUtoGYRO w + Tg f + b; with the model "kalibr", Tw is lower triangular.
 
@@ -79,7 +79,7 @@ class OpenVinsGyroscope(OpenVinsTriad, GyroscopeForm):
         return self._measured(rate) + force @ self.Tg.T
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BasaltTriad:
     """Basalt, either triad: x = (I + S) s - b. It has no g-sensitivity.
 

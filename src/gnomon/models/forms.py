@@ -15,12 +15,12 @@ How a document writes one triad, its matrix and its bias, is the same for accele
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .frames import Floats, fixed_entries, frame_rotation
 
 KrebsReading = Literal["chapter 3", "chapter 4"]
@@ -102,7 +102,7 @@ class GyroscopeForm(TriadForm):
         """Return measurements (n, 3) [unit] of angular rate [rad/s] and specific force [m/s^2], (n, 3) both."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CorrectedTriad(TriadForm):
     """Tedaldi and Angrisano write the correction of a measurement: x = T K (s - b), or x = T K (s + b) in Tedaldi.
 
@@ -133,7 +133,7 @@ class CorrectedTriad(TriadForm):
         return (truth @ inverse(self.T).T) / self.K + self.bias_sign * self.b
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TedaldiAccelerometer(CorrectedTriad, AccelerometerForm):
     """Tedaldi, Eqs. (2.6), (3.3): a_O = T K (a_S + b), with T = [1 -yz zy; 0 1 -zx; 0 0 1].
 
@@ -149,7 +149,7 @@ class TedaldiAccelerometer(CorrectedTriad, AccelerometerForm):
     bias_sign: ClassVar[int] = -1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TedaldiGyroscope(CorrectedTriad, GyroscopeForm):
     """Tedaldi, Eqs. (2.7), (3.5): w_O = T K (w_S + b), with T = [1 -yz zy; xz 1 -zx; -xy yx 1].
 
@@ -179,7 +179,7 @@ class TedaldiGyroscope(CorrectedTriad, GyroscopeForm):
         return self._measured(rate) + force @ self.B.T
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoAccelerometer(CorrectedTriad, AccelerometerForm):
     """Angrisano, Eqs. (1), (2): s = T K (s_out - b), with T = [1 az ay; 0 1 ax; 0 0 1].
 
@@ -195,7 +195,7 @@ class AngrisanoAccelerometer(CorrectedTriad, AccelerometerForm):
     bias_sign: ClassVar[int] = 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoGyroscope(CorrectedTriad, GyroscopeForm):
     """Angrisano, Eqs. (1), (2), for the gyroscope, in an orthogonal frame G of its own: w_G = T K (y - b).
 
@@ -230,7 +230,7 @@ class AngrisanoGyroscope(CorrectedTriad, GyroscopeForm):
         return self._measured(rate @ self.C_gb.T) + force @ self.B.T
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsTriad(TriadForm):
     """Krebs writes the measurement: s = S M x + b, with M unit lower triangular.
 
@@ -258,7 +258,7 @@ class KrebsTriad(TriadForm):
         return (truth @ self.M.T) * self.S + self.b
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsAccelerometer(KrebsTriad, AccelerometerForm):
     """Krebs, chapter 3: a~ = S M f + b, with M unit lower triangular, [1 0 0; yz 1 0; zy zx 1].
 
@@ -272,7 +272,7 @@ class KrebsAccelerometer(KrebsTriad, AccelerometerForm):
     """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KrebsGyroscope(KrebsTriad, GyroscopeForm):
     """Krebs: w~ = S M C_bg' w + B C_bg' f + b (chapter 3), or with B f in place of B C_bg' f (chapter 4).
 

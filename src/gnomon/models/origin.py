@@ -12,13 +12,14 @@ model with one place, whether or not the places differ, and whatever is known of
 of a single accelerometer is known far worse.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from ..frozen import value_class
 from ..geometry.rigid_body import acceleration_by_place
 
 Floats = NDArray[np.float64]
@@ -39,7 +40,7 @@ accelerometers."""
 EVEN_WEIGHTS.flags.writeable = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Origin:
     """Which point of an IMU its origin is.
 

@@ -5,15 +5,15 @@ component of v: for the unknown X_ij the derivative of X v is e_i v_j. (The Jaco
 and 17, have the wrong component and the wrong order of factors.)
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from ..frozen import value_class
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Pattern:
     """The unknown entries (row, column) of a 3 x 3 matrix, in the order of its parameters; the others are of I."""
 

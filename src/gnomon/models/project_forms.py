@@ -4,16 +4,16 @@ Definitions as stated in those projects' code and compared in docs/theory; the f
 `models.forms`.
 """
 
-from dataclasses import dataclass
 from typing import ClassVar, Self
 
 import numpy as np
 
+from ..frozen import value_class
 from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_own_axes, inverse, unit_diagonal
 from .frames import Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KalibrTriad(TriadForm):
     """Kalibr, "scale-misalignment": s = M x + b with M lower triangular and its diagonal free.
 
@@ -38,7 +38,7 @@ class KalibrTriad(TriadForm):
         return truth @ self.M.T + self.b
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KalibrAccelerometer(KalibrTriad, AccelerometerForm):
     """Kalibr, "scale-misalignment": m = M f + b with M lower triangular and its diagonal free.
 
@@ -49,7 +49,7 @@ class KalibrAccelerometer(KalibrTriad, AccelerometerForm):
     """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KalibrGyroscope(KalibrTriad, GyroscopeForm):
     """Kalibr, "scale-misalignment": y = M C w + A C f + b with M lower triangular and C = C_gyro_i.
 
@@ -77,7 +77,7 @@ class KalibrGyroscope(KalibrTriad, GyroscopeForm):
         return self._measured(rate @ self.C_gyro_i.T) + force @ self.C_gyro_i.T @ self.A.T
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuTkTriad:
     """imu_tk, either triad: y = T K (x - B). It has no g-sensitivity.
 
@@ -114,7 +114,7 @@ class ImuTkTriad:
         return (truth @ inverse(self.T).T) / self.K + self.B
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImucalTriad(TriadForm):
     """imucal (Ferraris): s = K R x + b with the rows of R of unit length; any body frame.
 
@@ -142,7 +142,7 @@ class ImucalTriad(TriadForm):
         return (truth @ self.R.T) * self.K + self.b
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImucalAccelerometer(ImucalTriad, AccelerometerForm):
     """imucal (Ferraris): m = K R f + b with the rows of R of unit length; any body frame.
 
@@ -154,7 +154,7 @@ class ImucalAccelerometer(ImucalTriad, AccelerometerForm):
     """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImucalGyroscope(ImucalTriad, GyroscopeForm):
     """imucal (Ferraris): y = K R w + K_ga f + b with the rows of R of unit length; any body frame.
 

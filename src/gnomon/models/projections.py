@@ -20,7 +20,6 @@ Up to the first bound (xi <= 1, alpha <= 0.5) the image of the cone is the whole
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import sqrt
 from typing import NamedTuple
 
@@ -28,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from ..frozen import value_class
 from .lens_names import SHAPES, ProjectionName
 
 Floats = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Divisor(NamedTuple):
     by_shape: tuple[Floats, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Projection:
     """One projection.
 

@@ -14,7 +14,7 @@ The board's frame is the world of a camera calibration; z = 0 on the board.
                   rows of squares from the upper left, from first_tag.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import isfinite
 from typing import Literal, Self
 
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import OptionError, RecordingError
+from ..frozen import value_class
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -36,7 +37,7 @@ _LENGTHS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Target:
     """A calibration board; made by `Target.aprilgrid`, `.checkerboard`, `.circlegrid` or `.charuco`.
 

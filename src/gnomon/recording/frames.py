@@ -1,17 +1,17 @@
 """What cameras saw of a board: corners, frame by frame, and how good each image was."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from ..errors import RecordingError
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
 from .arrays import Floats, Integers, frozen_array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FrameQuality:
     """What the images themselves were like, one entry a frame of `CameraFrames.t_ns`.
 
@@ -33,7 +33,7 @@ class FrameQuality:
         object.__setattr__(self, "dropped", FrozenMapping(self.dropped))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraFrames:
     """What one camera saw of the board: the corners that were detected, frame by frame.
 
@@ -115,7 +115,7 @@ class CameraFrames:
             raise RecordingError(f"quality must hold one entry a frame, {len(self.t_ns)}.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KnownRig:
     """Cameras as a calibration without an IMU knows them: their poses to cam0, and how sure that is.
 

@@ -1,12 +1,12 @@
 """Cameras that were recorded as images: streams of frames that are decoded only where they are needed."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..models.camera import Camera
 from . import Floats, ImuSamples, Integers, Source, frozen_array
 
@@ -14,7 +14,7 @@ Grey = NDArray[np.uint8]
 """An image (height, width); [0, 0] is the top left pixel."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Frame:
     """One image as its file holds it.
 
@@ -31,7 +31,7 @@ class Frame:
     decode: Callable[[], Grey]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Arrivals:
     """When the messages of a stream were stamped, and when they reached the recorder.
 
@@ -49,7 +49,7 @@ class Arrivals:
         object.__setattr__(self, "received_ns", frozen_array(self.received_ns, np.int64))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImageStream:
     """The images of one camera.
 
@@ -74,7 +74,7 @@ class ImageStream:
     arrivals: Arrivals | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImageRecording:
     """A recording whose cameras are images still.
 

@@ -1,14 +1,13 @@
 """Mean readings at rest, attitude by attitude."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..errors import RecordingError
+from ..frozen import value_class
 from .arrays import Floats, Integers, frozen_array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Poses:
     """Averages of an IMU at rest in several attitudes, one row a pose: a table that somebody made, or a file per pose.
 

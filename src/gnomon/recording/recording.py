@@ -1,7 +1,7 @@
 """A recording: samples, frames and what is known of them beforehand."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Self
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import RecordingError
 from ..findings import Finding
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units
 from .arrays import frozen_array, ns_from_s
 from .fingerprint import fingerprint
@@ -19,7 +19,7 @@ from .samples import ImuSamples, TriadSamples
 from .sources import Piece, Source, samples_fingerprint
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Recording:
     """What was measured in one go.
 

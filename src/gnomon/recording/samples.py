@@ -1,15 +1,14 @@
 """Samples of an IMU or of one triad, as recorded, with their timestamps and their unit."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..errors import RecordingError
+from ..frozen import value_class
 from ..models.noise import ImuNoise
 from .arrays import Floats, Integers, frozen_array, usual_step
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadSamples:
     """Samples of one three-axis sensor.
 
@@ -63,7 +62,7 @@ class TriadSamples:
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self) else 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuSamples:
     """The triads of one IMU; they may differ in rate and timestamps, but share one clock.
 

@@ -2,13 +2,14 @@
 
 import hashlib
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import field
 
+from ..frozen import value_class
 from .fingerprint import alike
 from .samples import ImuSamples
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Piece:
     """A part of a recording that was recorded on its own, as one file a pose.
 
@@ -23,7 +24,7 @@ class Piece:
     stop: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Source:
     """A file that was read.
 

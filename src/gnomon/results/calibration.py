@@ -4,14 +4,14 @@ The sensors themselves are described in `sensors`, the names of their scalars in
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Self
 
 import numpy as np
 
 from ..errors import FormatError, OptionError
 from ..findings import Finding
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from ..models.origin import Origin
 from ..recording import Floats, Source, frozen_array
@@ -53,7 +53,7 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraImuFit:
     """What a camera-IMU calibration rests on.
 
@@ -74,7 +74,7 @@ class CameraImuFit:
     converged: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CamerasFit:
     """What a calibration of cameras alone rests on.
 
@@ -111,7 +111,7 @@ class CamerasFit:
     converged: bool = True
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Gravity:
     """Magnitude of gravity that the calibration rests on [m/s^2], its sigma, and where it came from."""
 
@@ -126,7 +126,7 @@ UNSTATED_GRAVITY = Gravity(
 """What gravity is taken for where nothing tells it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Covariance:
     """Covariance of named scalars.
 
@@ -145,7 +145,7 @@ class Covariance:
             raise FormatError(f"covariance of {len(self.names)} names has shape {self.matrix.shape}.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Holdout:
     """Errors on data that the estimate had not seen.
 
@@ -164,7 +164,7 @@ class Holdout:
     field_rms: float = float("nan")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Assessment:
     """How far the calibration can be trusted.
 
@@ -196,7 +196,7 @@ class Assessment:
     trust: TrustNote = field(default_factory=TrustNote)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Provenance:
     """Where a calibration comes from; holds no clock time, so that a second run gives the same bytes.
 
@@ -216,7 +216,7 @@ class Provenance:
     seed: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Calibration:
     """A calibration with its uncertainty, its assessment and its origin.
 

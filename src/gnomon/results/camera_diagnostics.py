@@ -1,14 +1,13 @@
 """How a calibration of cameras, alone or with IMUs, came about. Values only."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats, FrameQuality
 from .trust import Trust
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SignalFit:
     """A triad of an IMU as measured, and as the estimated trajectory and calibration predict it (Figs. 5.6 and 5.7).
 
@@ -31,7 +30,7 @@ class SignalFit:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BiasTrack:
     """A bias over time.
 
@@ -50,7 +49,7 @@ class BiasTrack:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CornerFit:
     """The corners of one camera as detected, and how far the prediction is from them.
 
@@ -89,7 +88,7 @@ class CornerFit:
     quality: FrameQuality | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TrajectoryTrack:
     """The estimated trajectory at the timestamps of imu0, where it is known.
 
@@ -112,7 +111,7 @@ class TrajectoryTrack:
     attitude_sigma: Floats | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class EstimatedParameter:
     """One scalar parameter of the batch estimation.
 
@@ -135,7 +134,7 @@ class EstimatedParameter:
     status: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class NoiseLevel:
     """A noise level: as stated beforehand, as found in the residuals, and as used.
 
@@ -153,7 +152,7 @@ class NoiseLevel:
     used: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SolverStep:
     """One Gauss-Newton iteration: cost before it, largest step in sigmas of a parameter, damping, and if accepted."""
 
@@ -163,7 +162,7 @@ class SolverStep:
     accepted: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraImuDiagnostics:
     """How a camera-IMU calibration came about.
 
@@ -206,7 +205,7 @@ class CameraImuDiagnostics:
     trust: Trust | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LensTrial:
     """One lens model of one camera, with its error on views that it had not seen.
 
@@ -229,7 +228,7 @@ class LensTrial:
     parameters: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ViewPose:
     """The board as one view saw it.
 
@@ -248,7 +247,7 @@ class ViewPose:
     information: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CamerasDiagnostics:
     """How a calibration of cameras alone came about.
 

@@ -1,14 +1,13 @@
 """How a calibration of an IMU from rests and rotations came about. Values only."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats
 from .trust import Trust
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class SignalEnvelope:
     """A three-axis signal reduced to the extremes of consecutive bins, so that no peak is lost.
 
@@ -25,7 +24,7 @@ class SignalEnvelope:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DetectorTrace:
     """The static detector of Eq. (3.9) over the recording.
 
@@ -44,7 +43,7 @@ class DetectorTrace:
     candidates: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class IntervalTable:
     """Static intervals, in order of time.
 
@@ -77,7 +76,7 @@ class IntervalTable:
     reason: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RotationTable:
     """Rotations between consecutive static intervals.
 
@@ -110,7 +109,7 @@ class RotationTable:
     reason: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AllanCurve:
     """Allan deviation of the gyroscope over the initial static part, Eq. (3.17).
 
@@ -128,7 +127,7 @@ class AllanCurve:
     static_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ModelTrial:
     """One candidate model with its held-out errors, accelerometer [m/s^2] and rotation [rad]."""
 
@@ -139,7 +138,7 @@ class ModelTrial:
     parameters: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BiasSegments:
     """A triad's bias in the parts of a recording between which it stepped.
 
@@ -159,7 +158,7 @@ class BiasSegments:
     published: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuDiagnostics:
     """How an IMU calibration came about.
 

@@ -1,16 +1,15 @@
 """Runs of samples in which the sensor rested."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frozen import value_class
 from ..recording import Floats, Integers, frozen_array
 
 Booleans = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class StaticIntervals:
     """Runs of static samples.
 

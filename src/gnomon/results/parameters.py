@@ -6,12 +6,12 @@ by its rotation vector; its covariance is that of a small rotation on the right 
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import OptionError
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..geometry.rotation_vector import rotvec_from_rotation
 from ..geometry.so3 import skew
 from ..models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
@@ -68,7 +68,7 @@ def covariance_names(
     return tuple(name for path, value in parameters(imus, cameras) for name in element_names(path, value.shape))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Moved:
     """Sensors in another body frame, or with another origin of it.
 
@@ -176,7 +176,7 @@ def moved_to_origin(
     return Moved(imus=moved, cameras=placed or dict(cameras), jacobian=jacobian)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Shift:
     """How far an origin moves (3,) [m], IMU's axes, and its derivative (3, 9) by the lever arms in some columns."""
 

@@ -1,7 +1,6 @@
 """A calibration, and how it came about: what a report draws and `diagnostics.npz` keeps. Values only."""
 
-from dataclasses import dataclass
-
+from ..frozen import value_class
 from ..recording import Floats
 from .calibration import Calibration
 from .camera_diagnostics import CameraImuDiagnostics, CamerasDiagnostics
@@ -9,7 +8,7 @@ from .imu_diagnostics import ImuDiagnostics
 from .triad_diagnostics import TriadDiagnostics
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class JoinedRecording:
     """One of several recordings of one sensor, calibrated for itself.
 
@@ -37,7 +36,7 @@ class JoinedRecording:
     diagnostics: ImuDiagnostics | TriadDiagnostics
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class JoinedDiagnostics:
     """How the calibration of one sensor from several recordings came about.
 
@@ -58,7 +57,7 @@ class JoinedDiagnostics:
     recordings: tuple[JoinedRecording, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Result:
     """A calibration, and how it came about."""
 

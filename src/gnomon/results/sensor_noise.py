@@ -9,7 +9,7 @@ noise sampled at a rate f has a standard deviation of N sqrt(f) a sample.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import log, nan, pi, sqrt
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..findings import Finding
-from ..frozen import FrozenMapping
+from ..frozen import FrozenMapping, value_class
 from ..models.noise import ImuNoise
 from ..recording import Floats
 from .calibration import Provenance, Verdict
@@ -54,7 +54,7 @@ FLOOR = sqrt(2 * log(2) / pi)
 """Floor of the Allan deviation of 1/f noise, in units of B: 0.664."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Coefficient:
     """A coefficient of the noise: an estimate, or an upper bound where the recording does not show this kind of noise.
 
@@ -80,7 +80,7 @@ class Coefficient:
         return self.value if self.found else self.bound
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class AxisNoise:
     """The noise of one axis; the names are those of COEFFICIENTS.
 
@@ -119,7 +119,7 @@ class AxisNoise:
         return np.sqrt(np.sum(squares, axis=0)) if squares else np.zeros(len(tau_s))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TriadNoise:
     """The noise of an accelerometer or a gyroscope.
 
@@ -162,7 +162,7 @@ def _rms(values: list[float]) -> float:
     return sqrt(sum(value**2 for value in values) / len(values))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class SensorNoise:
     """The noise of an IMU, identified from a recording at rest.
 
@@ -207,7 +207,7 @@ class SensorNoise:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AllanTable:
     """The overlapping Allan deviation of a triad.
 
@@ -226,7 +226,7 @@ class AllanTable:
     fitted: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class NoiseResult:
     """The noise of an IMU, and how it came about.
 

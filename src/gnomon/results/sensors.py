@@ -10,19 +10,20 @@ field m [uT, or the local field's strength] in the body frame, and measurements 
 The models of Tedaldi, Krebs and Angrisano and of other projects are exact views of it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, OptionError
+from ..frozen import value_class
 from ..models.camera import Camera
 from ..models.origin import Origin
 from ..recording import Floats, ImuSamples, Integers, TriadSamples, frozen_array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AccelerometerCalibration:
     """measured = sensitivity @ f + bias.
 
@@ -67,7 +68,7 @@ class AccelerometerCalibration:
         return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class GyroscopeCalibration:
     """measured = sensitivity @ omega + bias + g_sensitivity @ f.
 
@@ -107,7 +108,7 @@ def _mapped(matrix: NDArray[np.floating[Any]], vectors: Floats) -> Floats:
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix], axis=-1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MagnetometerCalibration:
     """measured = sensitivity @ m + bias.
 
@@ -135,7 +136,7 @@ class MagnetometerCalibration:
         return _mapped(np.linalg.inv(self.sensitivity), values - self.bias)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuCalibration:
     """The triads of one IMU, in one body frame; those that were not calibrated are None.
 
@@ -257,7 +258,7 @@ def interpolate_triad(source: TriadSamples, target: TriadSamples) -> Floats:
     return np.column_stack([np.interp(t_target, t_source, source.values[:, axis]) for axis in range(3)])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraCalibration:
     """How one camera sees what imu0 feels; or, of cameras that were calibrated without an IMU, what cam0 sees.
 

@@ -1,10 +1,11 @@
 """How a calibration by known magnitudes came about: poses, turntable, magnetometer. Values only."""
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
 import numpy as np
 
+from ..frozen import value_class
 from ..recording import Floats
 from .calibration import Gravity
 from .trust import Trust
@@ -12,7 +13,7 @@ from .trust import Trust
 TriadKind = Literal["poses", "turntable", "magnetometer"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PoseTable:
     """Poses in which one triad measured a vector of known magnitude, in the order of the recording.
 
@@ -47,7 +48,7 @@ class PoseTable:
     reason: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class IterationHistory:
     """The paper's iteration (preset angrisano): after each step the residual quadratic form q, and X, (k, 9)."""
 
@@ -55,7 +56,7 @@ class IterationHistory:
     parameters: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadRecord:
     """One triad of a calibration from magnitudes.
 
@@ -79,7 +80,7 @@ class TriadRecord:
     history: IterationHistory | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class GyroscopeAtRest:
     """Gyroscope at rest in several attitudes (the static experiment of Krebs, section 5.2).
 
@@ -103,7 +104,7 @@ class GyroscopeAtRest:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TurntableRate:
     """One speed of a turntable.
 
@@ -125,7 +126,7 @@ class TurntableRate:
     turns: float = float("nan")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PeriodCurve:
     """What a video of the platter showed.
 
@@ -142,7 +143,7 @@ class PeriodCurve:
     phase_error_turns: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DipTable:
     """Angle between magnetic field and horizontal in each attitude in which the accelerometer rested [rad]."""
 
@@ -152,7 +153,7 @@ class DipTable:
     sigma_rad: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadTrial:
     """One candidate model: its held-out error of the magnitude [SI] and its number of parameters."""
 
@@ -162,7 +163,7 @@ class TriadTrial:
     parameters: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadDiagnostics:
     """How a calibration from magnitudes came about.
 

@@ -5,16 +5,17 @@ Parameters are grouped in blocks, named by their path in the calibration file, s
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Literal
 
+from ..frozen import value_class
 from ..recording import Floats
 
 Verdict = Literal["pass", "warn", "fail"]
 CovarianceKind = Literal["cluster-robust", "ordinary", "between-recordings"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Clusters:
     """Clusters of time whose residuals are taken for independent of each other.
 
@@ -30,7 +31,7 @@ class Clusters:
     memory_s: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class SigmaRatio:
     """How much larger the published sigmas of a block are than those for independent errors (Fisher).
 
@@ -44,7 +45,7 @@ class SigmaRatio:
     ratio: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class BlockAgreement:
     """How parts of one recording agree on a block of parameters.
 
@@ -68,7 +69,7 @@ class BlockAgreement:
     where: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Splits:
     """Parts of one recording, each calibrated for itself and compared.
 
@@ -87,7 +88,7 @@ class Splits:
     limit: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ParameterChange:
     """A block of parameters that differs between two parts of one recording, all others being common to both.
 
@@ -109,7 +110,7 @@ class ParameterChange:
     chance: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class BlockChange:
     """How far a step of the model moved a block: largest change [unit], and in sigmas of the larger model."""
 
@@ -119,7 +120,7 @@ class BlockChange:
     sigmas: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ModelStep:
     """One step of the model choice: a block of parameters that may be added to the model.
 
@@ -145,7 +146,7 @@ class ModelStep:
     changes: tuple[BlockChange, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class WeakDirection:
     """A combination of parameters that the recording hardly determines.
 
@@ -165,7 +166,7 @@ class WeakDirection:
     held: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Trust:
     """All that one recording tells of its own calibration's uncertainty.
 
@@ -193,7 +194,7 @@ class Trust:
     changes: tuple[ParameterChange, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Need:
     """What a use needs of a block, and what the calibration offers.
 
@@ -218,7 +219,7 @@ class Need:
     floor: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class QuantityChange:
     """A quantity that changed during the recording.
 
@@ -239,7 +240,7 @@ class QuantityChange:
     where: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TrustNote:
     """What the calibration file keeps of all this.
 

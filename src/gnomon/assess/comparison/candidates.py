@@ -7,14 +7,14 @@ the derivatives of all of it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal, Self, cast
 
 import numpy as np
 
 from ...errors import OptionError
 from ...formats.foreign import FOREIGN_METHOD, ForeignCalibration
-from ...frozen import FrozenMapping
+from ...frozen import FrozenMapping, value_class
 from ...models.camera import Camera
 from ...recording import Floats, Source, frozen_array
 from ...results.calibration import Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
@@ -32,7 +32,7 @@ _UNITS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Candidate:
     """One of the calibrations that are compared.
 

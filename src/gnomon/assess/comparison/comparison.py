@@ -6,13 +6,14 @@ the mean v of the variances; the square root of the mean of s^2 / v is the z rms
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from math import nan
 from statistics import NormalDist
 
 import numpy as np
 
 from ...findings import Finding
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ...geometry.so3 import skew
 from ...models.camera import Camera
@@ -26,7 +27,7 @@ _LEAST_SHARE = 0.2
 _SAME_PX = 1e-9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class LensDifference:
     """How far the images of one ray lie apart, over the image that two models share.
 
@@ -135,7 +136,7 @@ UNJUDGED: tuple[Kind, ...] = ("bias",)
 """Kinds that may change from recording to recording, so that a difference is no error."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ComparedCalibration:
     """One of the calibrations, for tables.
 
@@ -166,7 +167,7 @@ class ComparedCalibration:
     one_occasion: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Difference:
     """Two calibrations on one block.
 
@@ -203,7 +204,7 @@ class Difference:
         return set(self.basis) == {self.first, self.second}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Repeatability:
     """All calibrations on one block, as in tables B.3 to B.9 of Krebs.
 
@@ -240,7 +241,7 @@ class Repeatability:
     judged: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Comparison:
     """What calibrations of one rig have in common, and where they differ.
 
@@ -301,7 +302,7 @@ class Comparison:
         raise KeyError(f"{path} was not compared. There are: {', '.join(block.path for block in self.blocks)}.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Scatter:
     """Scalars of several calibrations, for what is pooled over all of them.
 

@@ -1,12 +1,13 @@
 """What a comparison of calibrations says in words: who agrees, who stands out and in what, and why that may be."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
 from ...geometry.so3 import inverse
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
@@ -23,7 +24,7 @@ _ARM_M = 0.1  # what a turn of one radian moves, for adding turns and distances
 _SHIFT_S = 1e-3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Placed:
     """A sensor with its pose: `link` is the name of T, p_sensor = T p_body, `shift` that of its time shift."""
 

@@ -1,11 +1,12 @@
 """The quantities of a calibration that are compared, block by block, with their joint covariance."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Literal
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse, skew
 from ...models.forms import in_own_axes
 from ...models.frames import frame_turn, rotation_jacobian
@@ -33,7 +34,7 @@ _TILT_NAMES = ("yz", "zy", "zx")
 _NINE = tuple(f"{row}{column}" for row in _AXES for column in _AXES)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Quantity:
     """A block of numbers of one calibration.
 
@@ -59,7 +60,7 @@ class Quantity:
     rows: slice = field(default_factory=lambda: slice(0, 0))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Statement:
     """All that one calibration states.
 
@@ -78,7 +79,7 @@ class Statement:
     by_gravity: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Part:
     """A quantity and the derivative (k, n) of its scalars by those of its sensor."""
 

@@ -1,7 +1,5 @@
 """What a multi-position calibration was made of and how well it explains it, as tables for the report."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...detect.samples.noise import allan_deviation, averaging_time
@@ -14,6 +12,7 @@ from ...estimate.multiposition.problem import MultiPositionProblem, TriadStream
 from ...estimate.multiposition.rotations import MotionSegments, integrate, propagate
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.trust.cluster_trust import Instability
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.imu_diagnostics import (
     AllanCurve,
@@ -34,7 +33,7 @@ _BINS = 1500
 _ALLAN_FROM_S, _ALLAN_TO_S = 1.0, 225.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuEvidence:
     """Everything that a multi-position calibration was made of.
 

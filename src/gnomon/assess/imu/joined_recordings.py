@@ -1,7 +1,7 @@
 """Several recordings of one sensor: whether it is one sensor, what stands out, and what they say together."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from math import isfinite, nan
 
@@ -10,6 +10,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...estimate.trust.between_recordings import Block, join_estimates
 from ...findings import Finding, Severity, make_finding
+from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats
 from ...results.calibration import Assessment, Calibration, Holdout
@@ -38,7 +39,7 @@ _REPLACED = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope", 
 _PLACE = "[%d,%d]"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Scalars:
     """The scalars of several calibrations of one sensor, in SI units; of one in counts relative to its scale.
 

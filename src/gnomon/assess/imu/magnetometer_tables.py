@@ -1,7 +1,5 @@
 """What a magnetometer's calibration was made of and how well it explains it, as tables for the report."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...estimate.triads.dip import DipFit
@@ -9,6 +7,7 @@ from ...estimate.triads.field_poses import FieldPoses, field_of
 from ...estimate.triads.gravity_along import GravityFit
 from ...estimate.triads.magnetometer import MagnetometerFit
 from ...estimate.trust.cluster_trust import Trusted
+from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.calibration import Gravity
 from ...results.intervals import Booleans
@@ -22,7 +21,7 @@ _FEWEST_IN_STRETCH = 4
 _MAD = 1.4826
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FieldEvidence:
     """Everything that a magnetometer's calibration was made of.
 
@@ -73,7 +72,7 @@ class FieldEvidence:
         return self.fit.direction @ self.dip.rotation.T if aligned and self.dip is not None else self.fit.direction
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Strays:
     """Samples far off the ellipsoid: stretches of time [s], (m, 2), and how many stand alone."""
 

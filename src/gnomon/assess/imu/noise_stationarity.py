@@ -1,7 +1,7 @@
 """Is the noise of a resting sensor the same all the time? Levels by segments, frozen and clipped samples, patterns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import erf, sqrt
 
 import numpy as np
@@ -10,6 +10,7 @@ from ...detect.samples.rest import RestTable
 from ...estimate.allan.high_pass import HighPass, find_high_pass
 from ...estimate.allan.patterns import Pattern, find_pattern
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 
@@ -24,7 +25,7 @@ _CLIPPED = 4.0  # times as many samples at the end as a normal law has there
 _WORDS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Stationarity:
     """How the noise of a triad changes over the recording.
 

@@ -1,7 +1,7 @@
 """Verdict and advice on the noise of an IMU: which coefficients a recording shows, and what a longer one would."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite, pi
 
 import numpy as np
@@ -10,6 +10,7 @@ from ...detect.samples.rest import RestTable
 from ...errors import RecordingError
 from ...estimate.allan.fit import AxisFit
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.sensor_noise import TriadNoise
@@ -29,7 +30,7 @@ _COARSE = 0.5  # steps of the converter in a standard deviation
 _STUCK = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Stir:
     """When something moved, (k,) windows, and the share of the squares that it added."""
 

@@ -1,7 +1,5 @@
 """What a calibration from rests was made of and how well it explains them, as tables for the report."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...estimate.triads.angrisano import AngrisanoFit
@@ -12,6 +10,7 @@ from ...estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ...estimate.triads.triad import TriadFit
 from ...estimate.trust.cluster_trust import Trusted
 from ...findings import Finding, make_finding
+from ...frozen import value_class
 from ...recording import Floats, Integers, Poses
 from ...results.calibration import AccelerometerCalibration, Gravity
 from ...results.intervals import Booleans
@@ -22,7 +21,7 @@ from .imu_tables import uncalibrated_error
 _PREDICTABLE = 0.9  # leverage; beyond it the other poses say nothing of this one
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestingGyroscope:
     """A gyroscope calibrated from its means at rest.
 
@@ -70,7 +69,7 @@ class RestingGyroscope:
         return np.asarray(1 / np.linalg.norm(self.sensitivity, axis=1), dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PoseEvidence:
     """Everything that a calibration from rests was made of.
 

@@ -5,8 +5,6 @@ uncertainty that the accelerometer's parameters would have with its intervals, a
 out reveals: more data lower it, intervals that hold motion raise it.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...detect.samples.noise import resting_noise
@@ -16,6 +14,7 @@ from ...errors import InitialisationError
 from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
 from ...estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
 from ...estimate.multiposition.problem import TriadStream, rest_means
+from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
 
@@ -29,7 +28,7 @@ _REWEIGHTINGS = 6
 _NO_WEIGHT = 1e-6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ThresholdTrial:
     """One threshold: its rests, the weighted fit to their means, and the criterion (smaller is better)."""
 
@@ -46,7 +45,7 @@ class ThresholdTrial:
         return self.rests.intervals
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestDetection:
     """The rests of a recording at the threshold that was taken.
 

@@ -1,7 +1,5 @@
 """What a calibration on a turntable was made of and how well it explains it, as tables."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...estimate.triads.triad import TriadFit, TriadPoses
@@ -9,6 +7,7 @@ from ...estimate.triads.triad_trust import together
 from ...estimate.trust.cluster_trust import Trusted
 from ...estimate.turntable.fit import TurntableFit
 from ...estimate.turntable.parts import TurntableParts
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.calibration import Gravity
 from ...results.triad_diagnostics import (
@@ -22,7 +21,7 @@ from ...results.triad_diagnostics import (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TurntableEvidence:
     """Everything that a calibration on a turntable was made of.
 

@@ -9,11 +9,12 @@ wander.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 
 from ...errors import InitialisationError
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from .magnitude import fit_magnitude
 
@@ -26,13 +27,13 @@ DECAYS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)  # time constants over the leng
 _FINER_DECAYS = np.array([0.7, 0.84, 1.0, 1.19, 1.41]), np.array([0.92, 0.96, 1.0, 1.04, 1.08])  # times the best
 _FINER_PLACES = (np.linspace(-0.9, 0.9, 19).round(1),)  # beside the best of them
 _WITHIN = 4.0  # of log-likelihood by which a step within a rest must be likelier than one beside it
-_TOLD = 1e-7  # of a column that the model does not explain already
+_TOLD = 1e-13  # squared, of a column that the model does not explain already
 _LEAST_SCALE = 0.3  # of the white noise that is known: less is chance
 _FEWEST = 12  # rests
 _FEW, _ENOUGH = 5, 11  # rests on either side that tell a common scale with the bias, and scales and axes with it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BiasChanges:
     """How the bias of one triad changed.
 
@@ -56,7 +57,7 @@ class BiasChanges:
         return bool(self.steps or self.warm_up_s)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestMeans:
     """Means at rest, of which the search is made: of whole static intervals, and of parts of long ones.
 
@@ -101,7 +102,7 @@ def _decay(t_s: Floats, half_s: Floats, tau_s: Floats | float) -> Floats:
     return np.asarray(np.exp(-(t_s - t_s[0]) / tau_s) * np.sinh(ratio) / ratio, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Series:
     """Series of measurements with one design.
 
@@ -119,7 +120,7 @@ class _Series:
     pull: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Candidates:
     """What may be added: functions of time (n, c), how many places they were chosen from, and what they are."""
 
@@ -290,7 +291,7 @@ def _blocks(series: _Series, candidates: _Candidates) -> Floats:
     return blocks
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Whitened:
     """Series and candidates divided by the root of one kind of noise.
 
@@ -409,8 +410,11 @@ def _explained_before(one: _Whitened, base: Floats, left: Floats, before: Floats
     columns = np.moveaxis(np.cumsum(one.root[:, :, None] * before, axis=1)[:, cuts - 1], 1, 0)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(size > 0, size, 1.0)
-    u, s, _ = np.linalg.svd(columns - base @ (base.T @ columns), full_matrices=False)
-    return np.square(np.einsum("knc,na->kca", u * (s > _TOLD)[:, None, :], left)).sum(axis=1)
+    columns = columns - base @ (base.T @ columns)
+    across = np.swapaxes(columns, 1, 2)
+    by_left = across @ left
+    gram = across @ columns + _TOLD * np.eye(before.shape[1])
+    return np.sum(by_left * np.linalg.solve(gram, by_left), axis=1)
 
 
 def _orthonormal(design: Floats) -> Floats:

@@ -5,11 +5,12 @@ what the others show are gated, and what the noise at rest does not explain beco
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import SolveError
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...models.frames import frame_rotation
 from ...recording import Floats
@@ -60,7 +61,7 @@ Knowledge = Callable[[State], tuple[Floats, Floats]]
 """What is known beforehand: at a state, precision (30, 30) and information vector (30,) of theta, linearised there."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Task:
     """What stays the same during a fit.
 
@@ -84,7 +85,7 @@ class Task:
     prior_precision: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Point:
     """Where a fit stands: the state, its linearisation, and the step and covariance that follow from it."""
 
@@ -96,7 +97,7 @@ class Point:
     converged: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MultiPositionFit:
     """The minimum, in the scaled units of its data.
 

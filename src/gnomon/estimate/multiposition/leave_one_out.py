@@ -4,10 +4,9 @@ The fit without an interval or a rotation is one Gauss-Newton step away from the
 the step needs is at hand; nothing is fitted again.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse, tangent_basis
 from ...recording import Floats
 from ...results.intervals import Booleans
@@ -25,7 +24,7 @@ from .model import (
 from .noise_levels import interval_rows, rotation_rows
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class HeldOut:
     """Errors of each interval and rotation when it was left out.
 

@@ -5,12 +5,12 @@ the correction f = C (m - b), C = inv(S), has nine unknowns.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ...errors import InitialisationError
+from ...frozen import value_class
 from ...recording import Floats
 from ...solve.levenberg_marquardt import LeastSquaresSolution, levenberg_marquardt
 
@@ -54,7 +54,7 @@ def ellipsoid_start(measured: Floats) -> tuple[Floats, Floats]:
     return upper / spread, centre + spread * offset
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MagnitudeFit:
     """A triangular calibration from magnitudes.
 

@@ -14,10 +14,9 @@ the mean), a straight line, an exponential as of a sensor that warms up, and ste
 is then that of one segment). What an accelerometer's bias does matters at rest alone.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import skew, tangent_basis
 from ...recording import Floats
 from ...solve.arrow import ArrowSystem
@@ -31,7 +30,7 @@ there is one the accelerometer's drift (3)."""
 S_, B_, CG_, BG_, G_ = slice(0, 6), slice(6, 9), slice(9, 18), slice(18, 21), slice(21, 30)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class BiasFunctions:
     """Functions of time that a bias follows beside its constant; each has three coefficients.
 
@@ -67,7 +66,7 @@ class BiasFunctions:
         return np.array([kind in kinds for kind in self.kind], dtype=bool)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MultiPositionData:
     """Means of n static intervals and samples of the n - 1 rotations between them, in scaled sensor units.
 
@@ -131,7 +130,7 @@ class MultiPositionData:
         return self.drift[0].shape[1] + self.trend.shape[1]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class State:
     """A point in the space of unknowns: parameters theta (30 + 3 j,) and directions u (n, 3)."""
 
@@ -162,7 +161,7 @@ class State:
         return State(theta=self.theta + d_theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Linearisation:
     """Residuals, not yet divided by their sigma, and their derivatives.
 
@@ -209,7 +208,7 @@ class Linearisation:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Whitening:
     """Inverse square roots of the residuals' covariances; zero switches a residual off.
 

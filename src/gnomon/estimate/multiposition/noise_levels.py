@@ -4,10 +4,11 @@ What the noise at rest does not explain is put into three extra variances: of th
 between static intervals, and of the rotations. Each is zero unless the residuals prove otherwise.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats
 from ...results.intervals import Booleans
@@ -15,7 +16,7 @@ from ...solve.arrow import ArrowSolution
 from .model import Linearisation, MultiPositionData, State, Whitening
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ExtraVariance:
     """Variances beyond the noise at rest.
 

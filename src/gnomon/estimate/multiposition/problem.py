@@ -1,9 +1,8 @@
 """From a recording and its static intervals to the multi-position problem."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans, StaticIntervals, interval_means, split_long
 from .bias_changes import RestMeans
@@ -16,7 +15,7 @@ _LONGEST_GAP_PERIODS = 3.5
 _PARTS_OF_A_REST = 8  # most of them, between which a bias is looked at
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadStream:
     """Samples of a triad as estimation needs them.
 
@@ -42,7 +41,7 @@ class TriadStream:
     intervals: StaticIntervals
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MultiPositionProblem:
     """The problem in scaled units, and the way back.
 

@@ -4,17 +4,16 @@ Within a rotation the rate is omega(t) = C z(t): C (3, 7) is linear in what is s
 measured rate y, a one for the bias and the specific force f for the g-sensitivity.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...recording import Floats, Integers, frozen_array
 
 _PART = 100_000  # samples
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MotionSegments:
     """The samples of all rotations, one after the other.
 
@@ -100,7 +99,7 @@ def cut_segments(
     return MotionSegments(gyroscope=gyroscope[index], accelerometer=accelerometer[index], dt_s=dt, lengths=lengths)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Turns:
     """Integrated rotations.
 

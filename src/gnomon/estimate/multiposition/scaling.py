@@ -3,18 +3,18 @@
 Every axis is centred and divided by its spread, so that offsets and scales of any size are the same problem.
 """
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, frozen_array
 from ...results.intervals import Booleans
 from .model import B_, BG_, CG_, G_, LOWER, S_, State
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Scaling:
     """scaled = (measured - centre) / spread, axis by axis.
 
@@ -41,7 +41,7 @@ class Scaling:
         return (values - self.centre) / self.spread
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuEstimate:
     """An IMU's parameters in the sensors' units, in frame accel-x, with their covariance.
 

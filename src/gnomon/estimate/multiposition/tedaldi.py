@@ -4,12 +4,12 @@ Three published forms differ in details that matter (see docs/theory): the thesi
 MATLAB script behind Table 4.8, and the C++ program imu_tk.
 """
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ...errors import SolveError
+from ...frozen import value_class
 from ...geometry.so3 import skew
 from ...recording import Floats
 from ...results.intervals import StaticIntervals, interval_means
@@ -18,7 +18,7 @@ from .magnitude import MagnitudeFit, fit_magnitude
 from .rotations import MotionSegments, integrate, linear_start, propagate
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class TedaldiRules:
     """What distinguishes the published forms of the method.
 
@@ -127,7 +127,7 @@ def fit_accelerometer(samples: Floats, rules: TedaldiRules, gravity: float) -> M
     return fit_magnitude(samples, gravity, residual=rules.residual)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class GyroscopeFit:
     """The minimum of Eq. (3.8).
 

@@ -11,10 +11,11 @@ the gain of likelihood, at the best of a few levels of the scatter between stati
 which is added to the covariance. Where nothing changed the odds are next to nothing, and so is this.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...solve.arrow import reduced_normal_equations
 from .bias_changes import DECAYS, before
@@ -29,7 +30,7 @@ _SCATTER = (1.0, 0.3, 0.0)  # of the extra variance that was taken
 _RARE = 4.6  # logarithm of how many recordings there are to one in which a bias changed unseen: a hundred
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Level:
     """The reduced normal equations at one level of scatter, and the log-likelihood at the minimum of the fit."""
 

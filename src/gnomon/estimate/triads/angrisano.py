@@ -13,12 +13,12 @@ Fig. 6). That is a status of the result here, not an error. `estimate.triads.tri
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ...errors import InitialisationError
+from ...frozen import value_class
 from ...models.angrisano import AngrisanoTriad, Geometry, alignment, alignment_derivatives, angles_and_scales
 from ...recording import Floats
 
@@ -37,7 +37,7 @@ _ROUNDING = 1e-9
 """The same where measurements have no noise."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class AngrisanoFit:
     """What Angrisano's iteration came to.
 
@@ -226,7 +226,7 @@ def sensor_jacobian(X: Floats, geometry: Geometry) -> Floats:
     return jacobian
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Rule:
     """When to stop; see `fit_components`."""
 

@@ -7,10 +7,10 @@ Estimates that rest on earlier ones move along with them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 
 _CELLS_S = 0.25
@@ -20,7 +20,7 @@ FEWEST_BLOCKS = 15
 _SHORTEST_S = 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Stage:
     """One least-squares estimate, linearised at its solution; residuals in units of their sigma.
 
@@ -56,7 +56,7 @@ def memory_s(t_s: Floats, residual: Floats) -> float:
     return most * _CELLS_S
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Blocks:
     """Blocks of time.
 

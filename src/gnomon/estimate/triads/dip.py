@@ -10,10 +10,9 @@ both sensors are right-handed and the accelerometer shows specific force, up at 
 otherwise.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...geometry.so3 import nearest_rotation, skew
 from ...recording import Floats
@@ -26,7 +25,7 @@ _TUNING = 4.685  # Tukey's biweight in units of the spread
 _MAD = 1.4826
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class DipFit:
     """The rotation and the dip.
 

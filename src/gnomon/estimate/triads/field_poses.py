@@ -4,10 +4,11 @@ A rest becomes a few poses with little noise, a fast turn one pose a sample: wha
 sensor was, not how long it stayed there.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
@@ -26,7 +27,7 @@ _GATE = 5.0
 _MAD = 1.4826
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FieldPoses:
     """Means of a magnetometer.
 

@@ -1,9 +1,8 @@
 """An accelerometer that was turned by hand with a magnetometer: where up is, and how well that is known meanwhile."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats
 from ...results.intervals import Booleans
@@ -16,7 +15,7 @@ _NEAR_S, _AROUND_S = 0.4, 1.0
 _QUIET = 0.1  # quantile of the unrest below which poses count alike
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class GravityFit:
     """The accelerometer's parameters, and its direction of up in each pose.
 

@@ -4,11 +4,11 @@ The sensor lies in its jig in some way that nobody knows; but the angles between
 directions. An attitude that was stated wrongly, a sign lost or two axes swapped, stands out by tens of degrees.
 """
 
-from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 
@@ -19,7 +19,7 @@ _MOST_PAIRS = 600
 _APART = 0.3  # sine of the least angle between two poses that are to give the turn
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class StatedAttitudes:
     """How stated and shown directions agree.
 

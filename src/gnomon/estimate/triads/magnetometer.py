@@ -4,12 +4,13 @@ A triad like any other (triad.py), but for three things: it has thousands of sam
 iron nearby disturbs some of them; and what remains is correlated in time (blocks.py).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from ...errors import InitialisationError
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
@@ -27,7 +28,7 @@ _MOST_WEIGHT = 8.0  # of a pose with many samples, in units of the usual one
 _MAD = 1.4826
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Iron:
     """A magnetometer's parameters as their estimator leaves them; of p free numbers theta the twelve are basis @ theta.
 
@@ -60,7 +61,7 @@ class Iron:
     iterations: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class MagnetometerFit:
     """A magnetometer's parameters, their covariance, and how each pose agrees.
 

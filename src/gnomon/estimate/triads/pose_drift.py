@@ -6,10 +6,11 @@ what such sensors do, and counts in the sigmas of all other parameters. A bias t
 evenly: beside the line it is taken to have walked at random, about as far (a Brownian bridge), and sigmas count that.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from .triad import TriadFit, fit_triad
 from .triad_poses import B_, G_, PARAMETERS, TriadPoses, TriadPrior
@@ -20,7 +21,7 @@ _LARGE, _WIDER, _ROUNDS = 2.0, 2.0, 3  # usual drifts; what is found, that the n
 _BY_TIME = np.arange(PARAMETERS)[G_][::3]  # the first column of the g-sensitivity, whose force is time here
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class PoseDrift:
     """How far the bias moved from the first pose to the last.
 

@@ -13,10 +13,9 @@ known beforehand to half a turn over the angle: by the unit of the samples (3 %)
 vertical gravity shows no angle.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse, skew, tangent_basis
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
@@ -28,7 +27,7 @@ _LEAST_TURN_RAD = 0.17
 _KNOWN = 0.5  # sigma after over sigma before from which on a scale is measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestRotations:
     """Rotations between consecutive rests.
 
@@ -48,7 +47,7 @@ class RestRotations:
     reason: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RotationSensitivity:
     """What rotations say of a gyroscope's sensitivity.
 

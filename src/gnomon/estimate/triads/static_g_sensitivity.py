@@ -10,11 +10,10 @@ beyond the noise within the rests is white. How large walk and scatter are is re
 average over all sizes, each weighed by how well it explains them, so that few poses give an honest sigma.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...errors import InitialisationError
+from ...frozen import value_class
 from ...recording import Floats, frozen_array
 
 FEWEST_POSES = 6
@@ -26,7 +25,7 @@ _LEAST_SINE = 0.1  # of the spread of the attitudes along the axis that they cov
 _LEAST_APART = 0.03  # of drift and g-sensitivity
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class RestingRates:
     """What a gyroscope showed in n poses.
 
@@ -49,7 +48,7 @@ class RestingRates:
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class StaticGSensitivity:
     """What the rests say.
 
@@ -77,7 +76,7 @@ class StaticGSensitivity:
     degrees_of_freedom: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Axis:
     """One axis, averaged over all sizes of scatter and walk; p parameters: bias, g-sensitivity, drift."""
 
@@ -89,7 +88,7 @@ class _Axis:
     extra: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Trials:
     """Generalised least squares of one axis at g sizes of scatter and walk."""
 

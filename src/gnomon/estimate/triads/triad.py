@@ -5,11 +5,10 @@ measures m_k = S (w_k u_k) + b + G f_k in pose k, with known magnitude w_k and a
 eliminated (triad_rows.py). Poses whose direction is known give three equations instead of one, Eqs. (4)-(7).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
@@ -25,7 +24,7 @@ _HELD = 0.3  # posterior sigma over that of the weak prior beyond which a parame
 __all__ = ["TriadFit", "TriadPoses", "TriadPrior", "fit_triad"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadLines:
     """Residuals and derivatives at a solution, by the f free parameters in scaled units.
 
@@ -45,7 +44,7 @@ class TriadLines:
     unscaled: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadFit:
     """A triad's parameters in the unit of the sensor, their covariance, and how well each pose agrees.
 

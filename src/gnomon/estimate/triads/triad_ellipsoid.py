@@ -1,9 +1,8 @@
 """Ellipsoids through measurements of known magnitude, in closed form."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats
 
@@ -11,7 +10,7 @@ _LEVEL_STEPS = 20
 _LARGEST_RATIO = 30.0  # between the axes of an ellipsoid in scaled units; beyond, the fit has followed the noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Ellipsoid:
     """Measured vectors of magnitude w lie where |C (m - b)| = w; C is lower triangular, (3, 3)."""
 

@@ -1,12 +1,12 @@
 """What the magnitude estimator is given: poses of one triad, and what is known of it from elsewhere."""
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...recording import Floats, Integers, frozen_array
 from ...results.intervals import Booleans
 
@@ -15,7 +15,7 @@ S_, B_, G_ = slice(0, 9), slice(9, 12), slice(12, 21)
 """Where sensitivity (row order), bias and g-sensitivity (row order) stand among the 21 parameters."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadPoses:
     """Means of one triad in n poses, and the magnitude of what it measured in them.
 
@@ -115,7 +115,7 @@ class TriadPoses:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadPrior:
     """What is known of a triad from elsewhere, in sensor units: another calibration, stated values, held values.
 

@@ -11,10 +11,11 @@ Noise across u lengthens a vector on the average. That is taken off (`excess`), 
 not agree on a wrong scale.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import inverse
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
@@ -26,7 +27,7 @@ _LARGEST_EXCESS = 0.1  # of the magnitude; noise that large is no perturbation
 _TINY = 1e-18  # variance below all rounding, in scaled units
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadProblem:
     """Poses in scaled units, and what is known beforehand. The parameters are S, b, G and p relative magnitude errors.
 
@@ -66,7 +67,7 @@ class TriadProblem:
         return replace(self, **some)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Noise:
     """What stays the same while the parameters settle.
 
@@ -80,7 +81,7 @@ class Noise:
     excess: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Latent:
     """Where the poses are, by some parameters: all poses of one equation first, then those of three.
 
@@ -103,7 +104,7 @@ class Latent:
     length: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Rows:
     """Residuals with unit variance and their derivatives, all poses of one equation first, then those of three.
 

@@ -4,10 +4,11 @@ Every axis is centred and divided by its spread, and magnitudes by the largest, 
 scales of any size are the same problem.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
@@ -19,7 +20,7 @@ _COMMON_SIGMA = 1.0  # of a factor that all magnitudes share and nobody knows
 WEAK = 0.3  # sigma of the weak prior: of a scale, of the largest reading, and of that at one g
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class TriadScaling:
     """parameters = turn * scaled parameters + shift.
 

@@ -1,9 +1,10 @@
 """Steps of the fit of a triad: minimum at a given noise, robust reweighting, extra variance, outliers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.levenberg_marquardt import levenberg_marquardt
@@ -22,7 +23,7 @@ _ROUGH, _FINE = (1e-6, 30), (1e-11, 100)  # relative length of the last step, an
 _FEWEST_REDUNDANT = 2.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Minimum:
     """Where a fit stands.
 
@@ -42,7 +43,7 @@ class Minimum:
     converged: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Linear:
     """A fit linearised where it stands.
 

@@ -18,10 +18,10 @@ large it stays of the order of f, and joining makes the result better than one r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 
 _NODES = 160
@@ -29,7 +29,7 @@ _LEAST, _MOST = 1e-2, 1e4  # of the variances between which tau^2 is looked for
 _LEAST_CORRELATION = 1e-9  # of the eigenvalues of a correlation matrix
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Block:
     """Scalars that change alike from recording to recording.
 
@@ -43,7 +43,7 @@ class Block:
     usual: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class JoinedEstimate:
     """What several recordings say together.
 

@@ -21,11 +21,12 @@ to average out no further.
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.trust import ParameterChange
@@ -49,7 +50,7 @@ _SAME = 1e-8  # of the largest: rounding
 _LOOSE = 1e-6  # of the information: keeps open what a part does not determine
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Cut:
     """A course of a change: its share (n,) in each stretch, zero in the first part and one in the second, in words."""
 
@@ -57,7 +58,7 @@ class _Cut:
     words: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Term:
     """A change in the model: of the directions G (p, q), by the shares of a cut."""
 
@@ -65,7 +66,7 @@ class _Term:
     directions: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Estimate:
     """What one change is estimated to be.
 
@@ -88,7 +89,7 @@ class _Estimate:
     common: Floats
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Block:
     """A block of scalars: path, rows (k,) among all scalars, directions (p, q) of the parameters that move it alone."""
 
@@ -137,7 +138,7 @@ def parameter_changes(
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Scan:
     """A search for changes: in `looks` looks, beside the changes that were found before.
 
@@ -342,12 +343,15 @@ def _design(sums: ClusterSums, terms: Sequence[_Term]) -> tuple[Floats, Floats]:
 def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Floats) -> tuple[Floats, Floats]:
     """Return matrix (k, k) and right-hand side (k,) of the parameters, scaled, and of all changes."""
     p, k = design.shape
-    normal, right = np.zeros((k, k)), np.zeros(k)
-    patterns, which = np.unique(on, axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        used, own = design * pattern, which.ravel() == number
-        normal += used.T @ sums.information[own].sum(axis=0) @ used
-        right += used.T @ sums.pull[own].sum(axis=0)
+    right = np.einsum("pk,nk,np->k", design, on, sums.pull, optimize=True)
+    normal = np.zeros((k, k))
+    starts = [0, *(np.flatnonzero(np.any(on[:, 1:] != on[:, :-1], axis=0)) + 1), k]  # columns that act alike
+    alike = [slice(low, high) for low, high in pairwise(starts)]
+    for i, one in enumerate(alike):
+        for other in alike[: i + 1]:
+            shared = np.tensordot(on[:, one.start] * on[:, other.start], sums.information, 1)
+            normal[one, other] = design[:, one].T @ shared @ design[:, other]
+            normal[other, one] = normal[one, other].T
     normal[:p, :p] += sums.prior_information * np.outer(size, size)
     right[:p] += sums.prior_pull * size
     normal[p:, p:] += _LOOSE * np.eye(k - p)
@@ -355,14 +359,18 @@ def _normal_equations(sums: ClusterSums, design: Floats, on: Floats, size: Float
 
 
 def _chance(found: _Estimate | None, n: int, least: float = 0.0) -> float:
-    """Return how often chance alone makes a change as large; at once where it cannot be less than `least`."""
+    """Return how often chance alone makes a change as large; a lower bound where it cannot be less than `least`."""
     if found is None:
         return 1.0
     if least and _chi_square_tail(float(found.w @ found.w) * _INFLATED, len(found.w)) > least:
         return 1.0
     *shorter, longest = _clusters(n)
-    by_length = [_chance_with(found, cluster, least, lasting=False) for cluster in shorter]
-    return max([*by_length, _chance_with(found, longest, least, lasting=True)])
+    largest = _chance_with(found, longest, least, lasting=True)
+    for cluster in shorter:
+        if largest > least > 0:
+            break
+        largest = max(largest, _chance_with(found, cluster, least, lasting=False))
+    return largest
 
 
 def _clusters(n: int) -> list[Integers]:

@@ -1,12 +1,13 @@
 """From pulls and information of stretches of time to sigmas that hold, and to what parts of the recording say."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.trust import Clusters, SigmaRatio, Splits, Trust
@@ -20,7 +21,7 @@ _NTH = {2: ("first", "second"), 3: ("first", "middle", "last")}
 _CHANCE = 0.01  # that the bias of a sensor which stays is called unstable
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Instability:
     """How far a bias differed between parts that follow each other.
 
@@ -40,7 +41,7 @@ class Instability:
     proven: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Trusted:
     """What stretches of time say of an estimate's uncertainty.
 
@@ -126,7 +127,7 @@ def _ratios(found: Robust, paths: NDArray[np.object_], estimated: Booleans) -> t
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Comparison:
     """Parts of a recording, compared: its stretches, and the scalars with the paths (m,) of their blocks."""
 

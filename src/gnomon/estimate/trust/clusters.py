@@ -11,14 +11,15 @@ within a cluster are correlated. A part of a recording has the estimate that its
 model that of its own parameters: halves, thirds and submodels cost no further solution.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ClusterSums:
     """Pulls and information of stretches of time at an estimate, the rest eliminated.
 

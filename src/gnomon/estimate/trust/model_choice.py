@@ -8,10 +8,11 @@ tried the more is needed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from .clusters import ClusterSums, held_out_costs, whole_estimate
 
@@ -25,7 +26,7 @@ _MOST_SIGNS = 1_000
 _TOGETHER = 1_000  # draws
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Candidate:
     """A block of parameters that a model may have or not.
 
@@ -45,7 +46,7 @@ class Candidate:
     least: float = 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Step:
     """What one candidate brings.
 
@@ -147,7 +148,7 @@ class _Bench:
         return self._models[names]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class _Model:
     """A model by its cluster sums.
 

@@ -6,11 +6,11 @@ would be by chance.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.trust import BlockAgreement, Splits
@@ -22,7 +22,7 @@ _ROUNDING_ERRORS = 100.0  # that a variance must be above; it is as a rule above
 _MOST_PRIOR = 0.3  # of a difference's variance; beyond, it tells more of what was assumed than of the parts
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Split:
     """One way to cut a recording.
 
@@ -40,7 +40,7 @@ class Split:
     counts: Booleans
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Differences:
     """Differences between the estimates of pairs of parts, d in number.
 

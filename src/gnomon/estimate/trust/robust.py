@@ -8,10 +8,10 @@ shrunk by what others show: to that of its block of parameters, and that one to 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...recording import Floats, Integers
 from .clusters import ClusterSums, left_out, whole_estimate
 
@@ -24,7 +24,7 @@ _MOST_MEMORY = 4  # stretches
 _CORRELATED = 0.1, 1.5  # correlation that counts as some, and in units of its own sigma
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Robust:
     """How the variances of m scalars compare with those for independent errors.
 

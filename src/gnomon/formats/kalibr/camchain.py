@@ -1,7 +1,7 @@
 """Kalibr's camchain.yaml and camchain-imucam.yaml: cameras with lens, pose and time shift."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from os import PathLike
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.lens_names import COEFFICIENTS, LINEAR, SHAPES, DistortionName, ProjectionName
 from ...recording import Floats, frozen_array
@@ -63,7 +64,7 @@ _LONGEST_SHIFT_S = 9e9  # clocks may have unrelated origins, but timestamps fit 
 _CONTRADICTION = 0.02  # [rad] and [m]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class CameraInput:
     """What Kalibr's camchain.yaml says of one camera.
 

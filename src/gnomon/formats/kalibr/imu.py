@@ -1,12 +1,12 @@
 """Kalibr's imu.yaml as input: noise, rate and topic of each IMU; flat, or keyed imu0, imu1, ... as Kalibr writes it."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.noise import ImuNoise
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
 from ...recording import Floats
@@ -34,7 +34,7 @@ _MODEL = {"accelerometers", "gyroscopes", "Tw", "Ta", "Tg", "R_IMUtoGYRO", "R_IM
 _IGNORED = {"rostopic", "model", "T_i_b", "time_offset", *_UNITS, *_INPUT_RATES, *_MODEL}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class ImuInput:
     """What Kalibr's imu.yaml says of one IMU.
 
@@ -270,7 +270,7 @@ _IDEAL_EQUATIONS = """\
 _SEVERAL = "Several IMUs: p_imu = T_i_b p_imu0 [m], t_imu0 = t_imu + time_offset [s]."
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KalibrModel:
     """One IMU as Kalibr describes it, for samples in m/s^2 and rad/s.
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, OptionError
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
 from ...models.project_forms import KalibrAccelerometer, KalibrGyroscope
@@ -330,7 +331,7 @@ LENS_NAMES = {"pinhole": (), "omni": ("Omni xi",), "eucm": ("EUCM alpha", "EUCM 
 _UNITS = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class KalibrResults:
     """What `results-imucam.txt` is made of.
 

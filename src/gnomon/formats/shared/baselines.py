@@ -1,9 +1,8 @@
 """Poses of cameras to each other and in the body frame."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.so3 import skew
 from ...recording import Floats
 from ...results.calibration import Calibration
@@ -17,7 +16,7 @@ def inverse_pose(T: Floats) -> Floats:
     return pose
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Baseline:
     """One camera as another one sees it.
 

@@ -1,10 +1,10 @@
 """Units of derived quantities, as people write them."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
+from ...frozen import value_class
 from ...geometry.quaternion import quaternion_from_rotation
 from ...geometry.so3 import skew
 from ...models.camera import Camera
@@ -91,7 +91,7 @@ _FORCE, _RATE = "m/s^2", "rad/s"
 _LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Entry:
     """One scalar of a form."""
 
@@ -101,7 +101,7 @@ class Entry:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class _Maker:
     """Makes the entries of one triad; si is the unit of what it measures."""
 

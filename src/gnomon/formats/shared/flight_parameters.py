@@ -6,12 +6,12 @@ and rad/s. Files are those of ground stations, of "param set NAME VALUE", and NA
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from os import PathLike
 
 import numpy as np
 
 from ...errors import FormatError, OptionError
+from ...frozen import value_class
 from ...models.diagonal_forms import DiagonalTriad
 from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
@@ -103,7 +103,7 @@ def _gyroscope(triad: DiagonalTriad) -> GyroscopeCalibration:
 _NOTHING = 1e-12
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class FlightImu:
     """One IMU by offsets and scales; a triad that was not calibrated is None."""
 
@@ -140,7 +140,7 @@ def require_flight_imus(calibration: Calibration, whose: str, most: int) -> dict
     return imus
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class ParameterNames:
     """What a program calls the parameters of one IMU, with {axis} for X, Y or Z."""
 

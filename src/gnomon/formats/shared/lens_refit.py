@@ -5,13 +5,14 @@ covariance says how far each pixel's image may move. Rays stay as they are, so t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...errors import InitialisationError, OptionError
 from ...estimate.cameras.first_lens import fitted
 from ...findings import listed
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.lens_programs import knows, models_of, refit_models
 from ...recording import Floats
@@ -37,7 +38,7 @@ _KINDS = {
 """The fullest model of a kind, and all models of it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Refit:
     """A lens of another model, and how far its pixels are from those of the first over where that one is known.
 

@@ -1,10 +1,11 @@
 """A lens with k3 (radtan5) for programs that know radtan without: the coefficients that come nearest over the image."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.projections import PROJECTIONS
 from ...results.calibration import Calibration, CameraCalibration
@@ -13,7 +14,7 @@ from .losses import Loss
 _GRID = 40  # pixels of the grid along each side of the image
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class NearestLens:
     """A lens of a simpler model, and how far its pixels are from those of the first [px]."""
 

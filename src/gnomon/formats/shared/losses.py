@@ -1,7 +1,7 @@
 """What a format cannot represent, in words and numbers, and what a conversion knows besides the calibration."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, field
 from itertools import groupby
 from math import degrees
 from textwrap import wrap
@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...findings import listed
+from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.frames import Floats, frame_rotation
 from ...models.lens_programs import PROGRAMS, knows
@@ -21,7 +22,7 @@ from ...units import STANDARD_GRAVITY_M_S2
 from ..foreign import FOREIGN_METHOD
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Loss:
     """One thing that a converted file does not say, or says otherwise.
 
@@ -40,7 +41,7 @@ class Loss:
         return f"{self.what}{f' ({self.size})' if self.size else ''}: {self.why}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Export:
     """A calibration in a foreign format: texts by file name, and what they do not say."""
 
@@ -168,7 +169,7 @@ def numbers_text(values: Floats, separator: str = " ") -> str:
 _WIDTH = 116
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class StatedImu:
     """What is known of an IMU besides its model.
 
@@ -196,7 +197,7 @@ def stated_entry(stated: StatedImu) -> dict[str, Any]:
     return entry | ({"rostopic": stated.topic} if stated.topic else {})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Context:
     """What goes into the files of a format besides the calibration.
 

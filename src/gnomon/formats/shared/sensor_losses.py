@@ -1,13 +1,13 @@
 """What a format can represent, and what of a calibration it cannot: the losses follow from that."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import islice
 from typing import Literal
 
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...models.noise import ImuNoise
 from ...recording import Floats
 from ...results.calibration import Calibration, ImuCalibration
@@ -29,7 +29,7 @@ _NOTHING = 1e-12
 _SIGNIFICANT = 3.0  # sigmas; lever arms that a model holds may be no more than its noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@value_class(eq=True)
 class Holds:
     """What the files of a program can represent.
 

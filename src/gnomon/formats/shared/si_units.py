@@ -6,12 +6,13 @@ left to the project's model, and its file states the conversion.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import degrees
 
 import numpy as np
 
 from ...errors import OptionError
+from ...frozen import value_class
 from ...recording import Floats
 from ...results.calibration import (
     AccelerometerCalibration,
@@ -24,7 +25,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_G
 from .losses import Loss, numbers_text
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Conversion:
     """SI = (sample - offset) * factor.
 

@@ -8,7 +8,6 @@ import json
 import re
 import stat
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, RecordingError
+from ...frozen import value_class
 from ...recording import Floats
 
 LARGEST_BYTES, LARGEST_YAML_BYTES = 32 << 20, 8 << 20
@@ -147,7 +147,7 @@ _LONGEST = 240
 """Characters of a value or a path that a message repeats."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@value_class
 class Node:
     """A value of a structured file.
 
