@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gnomon.detect.corners.corner_fit import _crossing_or_tip, _frame, _normal_equations
+from gnomon.detect.corners.corner_fit import _columns, _crossing_or_tip, _frame, _normal_equations
 from gnomon.detect.corners.corner_windows import Windows
 
 _SIDE = 9
@@ -41,7 +41,7 @@ def test_the_jacobian_is_that_of_the_picture(state, kind):
     place = np.stack([x, y, np.ones_like(x)])[None]
     values = np.random.default_rng(0).uniform(0, 254, (1, x.size)).astype(np.float32) + 0.5
     windows = Windows(values=values, place=place, weight=np.ones_like(values), saturated=False)
-    normal, _ = _normal_equations(windows, state[None], kind)
+    normal, _ = _normal_equations(_columns(windows, state[None], kind)[0])
     residual = values[0] - modelled(state, place, kind)
     assert normal[0, -1, -1] == pytest.approx(residual @ residual, rel=1e-4)
     columns = []

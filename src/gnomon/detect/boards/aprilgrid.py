@@ -35,7 +35,7 @@ from .marker_boards import (
     quads_searched,
     view_of,
 )
-from .plane_map import LensGuess
+from .plane_map import LensGuess, PlaneMap
 from .quads import Search, search_scale
 from .tag_places import (
     TAG,
@@ -58,6 +58,8 @@ _DOUBTS = 0.5
 _ASKED = 9  # tags that tell whether there are squares
 _FEWEST_FOR_CHART = 4  # tags; fewer tell only in straight lines where the others are
 _GROWTHS = 12
+_SMOOTH_PX, _MOST = 0.2, 0.9  # of a map through all corners: the farthest one, and how many are near
+_SAME_PX = 0.5  # places from which a fit finds the same corner
 _LEAST_LIKENESS, _NOT_ANOTHER = 0.5, 0.4  # of a tag that is where it should be
 _NEXT_TO = np.array([[3, 1], [0, 2], [1, 3], [2, 0]])  # the corners before and after each
 _ARM = 0.45  # of a side that is looked at from the tip of a plain tag
@@ -195,6 +197,7 @@ class TagGrid:
         self.kind: CornerKind = kind
         self.seen = _Seen(number=np.empty(0, np.int64), fits=self._fit(np.empty((0, 4, 2))))
         self._expected = np.zeros(target.tags, dtype=bool)  # tags that should be inside the image as a whole
+        self._tried = np.full((target.tags, 4, 2), np.inf)  # from where corners were fitted [px]
         self._parts: dict[int, tuple[float, CornerFits]] = {}  # tags that are not sure: likeness, and corners
 
     @classmethod
@@ -202,6 +205,7 @@ class TagGrid:
         """Return the board that is found from some of its tags (k,), read at corners (k, 4, 2) [px]."""
         grid = cls(image, target, _kind(image, corners, target))
         fits = grid._fit(corners)
+        grid._tried[number] = corners
         # a corner that could not be fitted is where the quadrilateral has it
         pixels = np.where(fits.good[:, None], fits.pixels, corners.reshape(-1, 2))
         grid.seen = _Seen(number=number, fits=replace(fits, pixels=pixels))
@@ -296,6 +300,7 @@ class TagGrid:
     def _confirmed(self, number: Integers, expected: Floats, contrast: Floats) -> _Seen | None:
         """Return the tags that are there: with corners where they should be, and their code, as far as it is seen."""
         fits = self._fit(expected)
+        self._tried[number] = expected
         pixels = fits.pixels.reshape(-1, 4, 2)
         good = (
             fits.good.reshape(-1, 4)
@@ -346,16 +351,27 @@ class TagGrid:
         kept = seen.fits.good & alike
         point, fits = self._points(seen.number)[kept], seen.fits.only(kept)
         board = self._target.points[:, :2]
-        kept, most = consistent(board[point], fits.pixels, fits.sigma_px)
-        dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
-        point, fits = point[kept], fits.only(kept)
-        single, found = self._single(point, fits, dropped)
+        through = self._plane_map(point, fits, lens or LensGuess())
+        if through is None:
+            kept, most = consistent(board[point], fits.pixels, fits.sigma_px)
+            dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
+            point, fits = point[kept], fits.only(kept)
+        else:
+            most = float(np.quantile(np.linalg.norm(through.residual_px, axis=1), _MOST))
+        single, found = self._single(point, fits, dropped, through)
         if len(single):
             point, fits = np.concatenate([point, single]), joined(fits, found)
             kept = added(board[point], fits.pixels, fits.sigma_px, len(single), most)
             dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
             point, fits = point[kept], fits.only(kept)
-        return self._as_view(point, fits, dropped, lens)
+        kept = inside(self._image, fits.pixels, BORDER_PX)
+        point, fits = point[kept], fits.only(kept)
+        return view_of(self._image, point, board[point], fits, dropped, lens=lens, seen=through)
+
+    def _plane_map(self, point: Integers, fits: CornerFits, lens: LensGuess) -> PlaneMap | None:
+        """Return a smooth map through all corners, so near to each that none is astray; None where there is none."""
+        seen = lens.plane_map(self._target.points[point, :2], fits.pixels, self._image.shape[::-1])
+        return seen if seen is not None and np.square(seen.residual_px).sum(axis=1).max() < _SMOOTH_PX**2 else None
 
     def _alike(self, fits: CornerFits, others: CornerFits) -> Booleans:
         """Return which corners look like a corner as much as the others do, and are told as well."""
@@ -364,14 +380,16 @@ class TagGrid:
     def _points(self, number: Integers) -> Integers:
         return self._target.point_of_tag_corner(np.repeat(number, 4), np.tile(np.arange(4), len(number)))
 
-    def _single(self, point: Integers, fits: CornerFits, dropped: Counter[str]) -> tuple[Integers, CornerFits]:
+    def _single(
+        self, point: Integers, fits: CornerFits, dropped: Counter[str], through: PlaneMap | None
+    ) -> tuple[Integers, CornerFits]:
         """Return corners of tags of which not all, or not the code, was found, where those around say they are."""
         found, more = point[:0], fits.only(np.empty(0, np.int64))
         if len(point) < _FEWEST_CORNERS:
             return found, more
         for number, corners in self._of_parts():
             found, more = np.concatenate([found, self._points(np.array([number]))]), joined(more, corners)
-        again = self._again(point, fits)
+        again = self._again(point, fits, through)
         found, more = np.concatenate([found, again[0]]), joined(more, again[1])
         good = more.good & self._alike(more, fits)
         dropped[COVERED] += int(np.count_nonzero(~good & inside(self._image, more.pixels, BORDER_PX)))
@@ -390,7 +408,7 @@ class TagGrid:
             if number not in self.seen.number and (block if np.isnan(likeness) else likeness > _NOT_ANOTHER)
         ]
 
-    def _again(self, point: Integers, fits: CornerFits) -> tuple[Integers, CornerFits]:
+    def _again(self, point: Integers, fits: CornerFits, through: PlaneMap | None) -> tuple[Integers, CornerFits]:
         """Return the corners of tags that were read which could not be fitted, from where those around them say."""
         seen, board = self.seen, self._target.points[:, :2]
         left_out = ~_within(point, len(self._target))[self._points(seen.number)].reshape(-1, 4)
@@ -398,18 +416,20 @@ class TagGrid:
         if not len(tag):
             return point[:0], fits.only(np.empty(0, np.int64))
         corners = self._points(seen.number[tag])
-        expected = charted(board[point], fits.pixels, board[corners]).reshape(-1, 4, 2)
-        missing = left_out[tag] & inside(self._image, expected, BORDER_PX)
+        if through is None:
+            expected = charted(board[point], fits.pixels, board[corners])
+        else:
+            expected = through.seen(board[corners], seen.corners[tag].reshape(-1, 2))
+        expected = expected.reshape(-1, 4, 2)
+        tried = np.square(expected - self._tried[seen.number[tag]]).sum(axis=2) < _SAME_PX**2
+        missing = left_out[tag] & ~tried & inside(self._image, expected, BORDER_PX)
+        if not missing.any():
+            return point[:0], fits.only(np.empty(0, np.int64))
         found = self._fit(expected, missing)
         limit = MOVED_PX + MOVED * np.repeat(shortest_side(expected), 4)[missing.ravel()]
         near = np.linalg.norm(found.pixels - expected[missing], axis=1) < limit
         bright = found.white - found.black > CONTRAST * middle_of(fits.white - fits.black)
         return corners[missing.ravel()], replace(found, good=found.good & near & bright)
-
-    def _as_view(self, point: Integers, fits: CornerFits, dropped: Counter[str], lens: LensGuess | None) -> BoardView:
-        kept = inside(self._image, fits.pixels, BORDER_PX)
-        places = self._target.points[point[kept], :2]
-        return view_of(self._image, point[kept], places, fits.only(kept), dropped, lens=lens)
 
 
 def _within(numbers: Integers, count: int) -> Booleans:

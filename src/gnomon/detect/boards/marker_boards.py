@@ -10,7 +10,7 @@ from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.fitted_corners import CornerFits, PointFits
 from .board import BoardView, middle_of, nothing_seen
-from .plane_map import LensGuess, corrected
+from .plane_map import LensGuess, PlaneMap, corrected
 from .quads import LARGE_IMAGE_PX, Search, black_quads
 
 BORDER_PX = 5.0
@@ -73,6 +73,7 @@ def view_of(
     dropped: Counter[str],
     *,
     lens: LensGuess | None = None,
+    seen: PlaneMap | None = None,
 ) -> BoardView:
     """Return what is seen of a board.
 
@@ -84,14 +85,17 @@ def view_of(
     fits : of them
     dropped : reason -> number of corners that were left out
     lens : from the image before
+    seen : the map through the corners, where it is known
     """
     order = np.argsort(point)
     if not len(order):
         return nothing_seen(+dropped)
-    fits = fits.only(order)
+    fits, size = fits.only(order), image.shape[::-1]
+    if seen is None:
+        seen = (lens or LensGuess()).plane_map(places[order], fits.pixels, size)
     return BoardView(
         point=point[order],
-        pixels=corrected(places[order], fits, image.shape[::-1], lens),
+        pixels=corrected(fits, size, seen),
         sigma_px=fits.sigma_px,
         blur_px=middle_of(fits.blur_px),
         black=middle_of(fits.black),

@@ -9,8 +9,10 @@ from pose: the numbers mean nothing by themselves, but the map is smooth, and ri
 
 The fit of a corner takes its edges for straight ones. A lens bends them, by l^2 / 2 times their curvature at the
 distance l from the corner, and the fit lays a straight line through what it sees: with a usual lens it is 0.001 to
-0.005 px beside the corner, towards the axis, and so all images together tell another distortion. The board as a whole
-tells how the lens bends it; each fit tells what it makes of that (`CornerFits.bow`). Light that falls off towards the
+0.005 px beside the corner, towards the axis, and so all images together tell another distortion. What is straight on
+the board is straight where (x, y) is drawn along (x - c_x, y - c_y) / g(r^2); so g alone tells how an edge with the
+normal n bends at d = (x - c_x, y - c_y), by (n d) (2 g' + 4 g'' b^2) / (g - 2 r^2 g') with b^2 = r^2 - (n d)^2, and
+each fit tells what it makes of that (`CornerFits.bow`). Light that falls off towards the
 border (vignetting) displaces corners, too, by 0.0005 px outwards and by more with black wedges one way or the other;
 its slope is that of a paraboloid through the grey levels of all corners.
 """
@@ -19,9 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...models.camera import Booleans
 from ...recording import Floats
 from ..corners.fitted_corners import CornerFits
-from .tag_places import homography
+from .tag_places import homography, through
 
 _TERMS = ((36, 5), (20, 4), (0, 3))  # of g, for so many points; more of them go astray beyond the points
 _ITERATIONS = 12
@@ -32,7 +35,7 @@ _FIRST_DAMPING = 1e-4  # far from the best map, where an undamped step leads ast
 _DAMPING, _AXIS = 1e-7, 1e-4  # of all parameters, and of the axis, which is near the middle of the image
 _LEAST_G = 0.05  # where the lens is a first guess
 _FEWEST_CORNERS = 16  # corners that tell how the lens bends the board
-_BEND_STEP = 0.08  # along the board, over its size, to both sides of a corner
+_BEYOND = 1.1  # over how far from the axis a lens is known
 _ASTRAY_PX = 1.0  # a map that is so far from half of the corners tells nothing
 _MOST_CORRECTED_PX = 0.1  # that a corner is moved
 _NEAR_AXIS = 0.05  # weights of equations do not grow further there
@@ -64,9 +67,19 @@ class PlaneMap:
         """Mean square of the residuals [px^2]."""
         return float(np.square(self.residual_px).mean())
 
-    def has_lens_of(self, other: "PlaneMap") -> bool:
-        """Return whether both have the same lens."""
-        return np.array_equal(self.parameters[9:], other.parameters[9:])
+    def curvature(self, pixels: Floats, normals: Floats) -> Floats:
+        """Return how edges at pixels (m, 2) bend towards their normals (m, k, 2), (m, k) [1/px]."""
+        away = (pixels - self.middle_px) / self.scale_px - self.parameters[-2:]
+        s = np.square(away).sum(axis=1)[:, None]
+        coefficients = self.parameters[9:-2]
+        g, slope = _polynomial(coefficients, s)
+        second = np.zeros_like(s)
+        for k in range(len(coefficients), 1, -1):
+            second = second * s + k * (k - 1) * coefficients[k - 1]
+        across = np.matmul(normals, away[:, :, None])[:, :, 0]
+        bottom = g - 2 * s * slope
+        bottom = np.where(bottom < _LEAST_G, np.inf, bottom)  # beyond the edge of what such a lens sees
+        return across * (2 * slope + 4 * second * (s - across * across)) / bottom / self.scale_px
 
     def pixels(self, points: Floats, beside: int) -> Floats:
         """Return where points (n, k, 2) of the board are in the image, (n, k, 2) [px], k beside each one fitted to."""
@@ -74,12 +87,69 @@ class PlaneMap:
         seen = _seen(self.parameters, plane, _radius(self.parameters, plane, np.repeat(self.radius, beside)))
         return self.middle_px + self.scale_px * seen.reshape(points.shape)
 
+    def seen(self, points: Floats, near: Floats) -> Floats:
+        """Return where points (n, 2) of the board are in the image, (n, 2), sought from pixels near there [px]."""
+        radius = self.from_axis(near)
+        plane = (points - self.origin) / self.scale
+        return self.middle_px + self.scale_px * _seen(self.parameters, plane, _radius(self.parameters, plane, radius))
+
+    def from_axis(self, pixels: Floats) -> Floats:
+        """Return how far pixels (n, 2) are from the axis, (n,), in the units of the radius."""
+        return np.hypot(*((pixels - self.middle_px) / self.scale_px - self.parameters[-2:]).T)
+
     def away_px(self, points: Floats, pixels: Floats) -> Floats:
         """Return how far pixels (m, 2) are from where points (m, 2) are seen, (m,) [px]."""
-        radius = np.hypot(*((pixels - self.middle_px) / self.scale_px - self.parameters[-2:]).T)
-        plane = (points - self.origin) / self.scale
-        seen = _seen(self.parameters, plane, _radius(self.parameters, plane, radius))
-        return np.linalg.norm(self.middle_px + self.scale_px * seen - pixels, axis=1)
+        return np.linalg.norm(self.seen(points, pixels) - pixels, axis=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Units:
+    """Points of a board and their pixels, so moved and scaled that they are about one."""
+
+    origin: Floats
+    scale: float
+    middle_px: Floats
+    scale_px: float
+
+    @classmethod
+    def of(cls, points: Floats, size: tuple[int, int]) -> "_Units":
+        origin = points.mean(axis=0)
+        scale = float(np.abs(points - origin).max())
+        return cls(origin=origin, scale=scale, middle_px=(np.array(size) - 1) / 2, scale_px=max(size) / 2)
+
+    def both(self, points: Floats, pixels: Floats) -> tuple[Floats, Floats]:
+        return (points - self.origin) / self.scale, (pixels - self.middle_px) / self.scale_px
+
+    def plane_map(self, parameters: Floats, radius: Floats, residual: Floats) -> PlaneMap:
+        return PlaneMap(
+            parameters=parameters,
+            origin=self.origin,
+            scale=self.scale,
+            middle_px=self.middle_px,
+            scale_px=self.scale_px,
+            radius=radius,
+            residual_px=self.scale_px * residual,
+        )
+
+
+def through_lens(points: Floats, pixels: Floats, size: tuple[int, int], lens: PlaneMap) -> PlaneMap:
+    """Return the map with the lens of another one that goes through points; see `plane_map`."""
+    units = _Units.of(points, size)
+    plane, seen = units.both(points, pixels)
+    known = lens.parameters
+    axis = known[-2:]
+    away = seen - axis
+    s = np.square(away).sum(axis=1)
+    g, slope = _polynomial(known[9:-2], s)
+    g = np.maximum(g, _LEAST_G)
+    straight = axis + away / g[:, None]
+    H = homography(plane, straight)
+    apart = straight - through(H[None], plane)[0]
+    # to first order: by the inverse of the derivatives of away / g
+    stretch = 2 * slope / np.maximum(g - 2 * s * slope, _LEAST_G)
+    residual = g[:, None] * (apart + (stretch * (away * apart).sum(axis=1))[:, None] * away)
+    parameters = np.concatenate([(H / np.linalg.norm(H) * np.sign(H[2, 2])).ravel(), known[9:]])
+    return units.plane_map(parameters, np.sqrt(s), residual)
 
 
 def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: PlaneMap | None = None) -> PlaneMap:
@@ -92,17 +162,18 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: Plane
     size : width and height of the image [px]
     near : of another image of the same camera and size, whose lens is taken, or else the first guess
     """
-    origin, middle = points.mean(axis=0), (np.array(size) - 1) / 2
-    scale, scale_px = float(np.abs(points - origin).max()), max(size) / 2
-    plane, seen = (points - origin) / scale, (pixels - middle) / scale_px
+    units = _Units.of(points, size)
+    plane, seen = units.both(points, pixels)
     if near is None:
         parameters, damping = _first(plane, seen), _FIRST_DAMPING
     else:
-        parameters, damping = _through_lens(near.parameters, plane, seen), _DAMPING
+        found = through_lens(points, pixels, size, near)
+        if found.mean_square_px < _AS_GOOD * near.mean_square_px:
+            return found
+        parameters, damping = found.parameters, _DAMPING
     radius = _radius(parameters, plane, np.hypot(*(seen - parameters[-2:]).T))
     fitted = _seen(parameters, plane, radius)
-    good_enough = near is not None and np.square(scale_px * (seen - fitted)).mean() < _AS_GOOD * near.mean_square_px
-    for _ in range(0 if good_enough else _ITERATIONS):
+    for _ in range(_ITERATIONS):
         J = _jacobian(parameters, plane, radius)
         normal, slope = J @ J.T, J @ (seen - fitted).ravel()
         normal[-2:, -2:] += _AXIS * np.eye(2)
@@ -110,31 +181,14 @@ def plane_map(points: Floats, pixels: Floats, size: tuple[int, int], near: Plane
         step = np.linalg.solve(normal + np.diag(damping * np.diag(normal) + 1e-12), slope)
         at = _radius(parameters + step, plane, radius)
         moved = _seen(parameters + step, plane, at)
-        settled = np.abs(moved - fitted).max() < _SETTLED_PX / scale_px
+        settled = np.abs(moved - fitted).max() < _SETTLED_PX / units.scale_px
         if np.square(seen - moved).sum() < np.square(seen - fitted).sum():
             parameters, fitted, radius, damping = parameters + step, moved, at, max(damping / 10, _DAMPING)
         else:
             damping = max(10 * damping, _FIRST_DAMPING)
         if settled:
             break
-    return PlaneMap(
-        parameters=parameters,
-        origin=origin,
-        scale=scale,
-        middle_px=middle,
-        scale_px=scale_px,
-        radius=radius,
-        residual_px=scale_px * (seen - fitted),
-    )
-
-
-def _through_lens(known: Floats, plane: Floats, seen: Floats) -> Floats:
-    """Return parameters with the lens of others, and the H that maps points to where they are seen through it."""
-    axis = known[-2:]
-    g, _ = _polynomial(known[9:-2], np.square(seen - axis).sum(axis=1))
-    g = np.maximum(g, _LEAST_G)[:, None]
-    H = homography(plane, axis + (seen - axis) / g)
-    return np.concatenate([(H / np.linalg.norm(H) * np.sign(H[2, 2])).ravel(), known[9:]])
+    return units.plane_map(parameters, radius, seen - fitted)
 
 
 def _first(plane: Floats, seen: Floats) -> Floats:
@@ -237,44 +291,42 @@ class LensGuess:
 
     def __init__(self) -> None:
         self._last: PlaneMap | None = None
+        self._reach = 0.0  # how far from the axis this lens was seen to fit
 
     def plane_map(self, points: Floats, pixels: Floats, size: tuple[int, int]) -> PlaneMap | None:
-        """Return the map through points as `plane_map` does; None where it goes astray."""
+        """Return the map through points (n, 2) as `plane_map` does; None where it goes astray, or they are too few."""
+        if len(points) < _FEWEST_CORNERS or np.ptp(points, axis=0).min() <= 0:
+            return None
         for near in dict.fromkeys((self._last, None)):
             found = plane_map(points, pixels, size, near)
             if np.median(np.abs(found.residual_px)) < _ASTRAY_PX:
-                if near is None or not found.has_lens_of(near):
-                    self._last = found
+                if near is None or not np.array_equal(found.parameters[9:], near.parameters[9:]):
+                    self._last, self._reach = found, 0.0
+                self._reach = max(self._reach, float(found.radius.max()))
                 return found
         return None
 
+    def through_lens(self, points: Floats, pixels: Floats, size: tuple[int, int]) -> PlaneMap | None:
+        """Return the map through points with the lens of the image before; None where that is not known."""
+        return None if self._last is None else through_lens(points, pixels, size, self._last)
 
-def corrected(points: Floats, fits: CornerFits, size: tuple[int, int], lens: LensGuess | None = None) -> Floats:
+    def knows(self, seen: PlaneMap, pixels: Floats) -> Booleans:
+        """Return which pixels (n, 2) are hardly farther from the axis of a map than where its lens was seen to fit."""
+        return seen.from_axis(pixels) < _BEYOND * self._reach
+
+
+def corrected(fits: CornerFits, size: tuple[int, int], seen: PlaneMap | None) -> Floats:
     """Return where the corners are, (m, 2) [px], without what bent edges and uneven light did to their fits.
 
     Parameters
     ----------
-    points : (m, 2) on the board, whose edges are along both axes
     fits : of the corners, all of them good
     size : width and height of the image [px]
-    lens : from the image before
+    seen : the map through the corners; None where none is known
     """
-    spans = np.ptp(points, axis=0) if len(points) else np.zeros(2)
-    if len(points) < _FEWEST_CORNERS or spans.min() <= 0:
-        return fits.pixels
-    seen = (lens or LensGuess()).plane_map(points, fits.pixels, size)
     if seen is None:
         return fits.pixels
-    step = _BEND_STEP * float(spans.max())
-    offsets = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    pixels = seen.pixels(points[:, None] + offsets, len(offsets))
-    ahead, behind = pixels[:, 1::2] - pixels[:, :1], pixels[:, 2::2] - pixels[:, :1]
-    along, bent = (ahead - behind) / 2, ahead + behind  # (m, axis of the board, 2)
-    bent /= np.square(along).sum(axis=2, keepdims=True)
-    along /= np.linalg.norm(along, axis=2, keepdims=True)
-    # the axis of the board along which each edge runs
-    axis = np.abs(np.einsum("mei,mai->mea", fits.normals, along)).argmin(axis=2)
-    curvature = np.einsum("mei,mei->me", fits.normals, np.take_along_axis(bent, axis[:, :, None], axis=1))
+    curvature = seen.curvature(fits.pixels, fits.normals)
     moved = np.einsum("mie,me->mi", fits.bow, curvature) + np.einsum("mie,me->mi", fits.slope, _light_slope(fits, size))
     moved[~(np.abs(moved).max(axis=1) < _MOST_CORRECTED_PX)] = 0.0
     return fits.pixels - moved

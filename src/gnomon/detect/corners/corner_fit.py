@@ -16,6 +16,7 @@ levels) are fitted to the pixels of a window by Gauss-Newton, all corners of an 
 count where the model says that they should not be.
 """
 
+from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -106,29 +107,51 @@ def fit_corners(
         free = np.broadcast_to(np.asarray(radius, float), count)
         inner = np.clip(free - _UNBLURRED * (state[:, _BLURS.start] - _SHARP_PX), 0.8, reach)
         windows = arms_of(values, seen, grid, (centre, edges), (reach, inner, arms))
-    place, variance = np.zeros((count, 2, 2)), np.full(count, np.inf)
-    active = np.flatnonzero(inside)
-    for k in range(_ITERATIONS):
-        if not len(active):
-            break
-        normal, pixels = _normal_equations(windows.only(active), state[active], kind)
-        step, place[active] = _step(normal, state[active])
-        variance[active] = _variance(normal, pixels, step)
-        state[active] = _moved(state[active], step)
-        unsettled = (np.abs(step[:, : _BLURS.stop]) > _CONVERGED).any(axis=1)
-        if k >= _SOON:
-            unsettled &= variance[active] < np.square(_HOPELESS * 2 * state[active, _AMPLITUDE])
-        if unsettled.sum() < _MOST * len(active):  # to pick out a few less would cost more than it saves
-            active = active[unsettled]
+    place, variance, bow, slope = _descend(windows, state, np.flatnonzero(inside), kind)
     place = _by_normals(state, _by_normals(state, place).transpose(0, 2, 1))
     crowded = (
         np.zeros(count) if kind == "crossing" else _crowding(state, np.broadcast_to(np.asarray(radius, float), count))
     )
     fits = _judged(state, place, variance, crowded, (guess - middle, middle, reach))
-    good = np.flatnonzero(fits.good)
-    if len(good):
-        fits.bow[good], fits.slope[good] = _left_out(windows.only(good), state[good], kind)
-    return fits
+    return replace(fits, bow=bow, slope=slope)
+
+
+def _descend(
+    windows: Windows, state: Floats, active: Integers, kind: CornerKind
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Move the states (m, 9) of the active corners, in place, to where their windows are met best.
+
+    Returns covariances of the offsets for residuals of unit variance (m, 2, 2), variances of the residuals (m,), and
+    `_left_out`'s moves, (m, 2, 2) each. The last step is so small that these are told where it starts.
+    """
+    place, bow, slope = np.zeros((3, len(state), 2, 2))
+    variance = np.full(len(state), np.inf)
+    for k in range(_ITERATIONS):
+        if not len(active):
+            break
+        chosen, at = windows.only(active), state[active]
+        columns, leavers = _columns(chosen, at, kind)
+        normal, pixels = _normal_equations(columns)
+        step, place[active] = _step(normal, at)
+        variance[active] = _variance(normal, pixels, step)
+        state[active] = _moved(at, step)
+        if k == _ITERATIONS - 1:
+            unsettled = np.zeros(len(active), dtype=bool)
+        else:
+            unsettled = (np.abs(step[:, : _BLURS.stop]) > _CONVERGED).any(axis=1)
+        if k >= _SOON:
+            unsettled &= variance[active] < np.square(_HOPELESS * 2 * state[active, _AMPLITUDE])
+        if unsettled.sum() < _MOST * len(active):  # to pick out a few less would cost more than it saves
+            done = np.flatnonzero(~unsettled)
+            bow[active[done]], slope[active[done]] = _left_out(
+                chosen.only(done), at[done], _rows(columns, done), _rows(leavers, done), normal[done]
+            )
+            active = active[unsettled]
+    return place, variance, bow, slope
+
+
+def _rows(values: Singles, chosen: Integers) -> Singles:
+    return values if len(chosen) == len(values) else values[chosen]
 
 
 def _no_fits() -> CornerFits:
@@ -191,36 +214,38 @@ def _blur(values: Singles, grid: Grid, contrast: Singles) -> Floats:
     return (_SLOPE_TO_BLUR * np.sqrt(np.maximum(wide.astype(np.float64) ** 2 - 1 / 3, 0))).clip(*_FIRST_BLUR_PX)
 
 
-def _normal_equations(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Floats, Floats]:
-    """Return J'J with J'r as last row and column, (m, 10, 10), and how many pixels count (m,).
-
-    The columns are offsets of the corner along both normals, angles, blurs, correlation, grey levels, residual.
-    """
-    columns, _ = _columns(windows, state, kind)
+def _normal_equations(columns: Singles) -> tuple[Floats, Floats]:
+    """Return J'J with J'r as last row and column, (m, 10, 10), and how many pixels count (m,), of `_columns`."""
     normal = np.matmul(columns, columns.transpose(0, 2, 1)).astype(np.float64)
     return normal, np.square(columns[:, _MID]).sum(axis=1)
 
 
-def _left_out(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Floats, Floats]:
-    """Return the moves in pixels (m, 2, 2) that the fit makes of edges that bend, l^2 / 2, and of light that grows."""
-    columns, leavers = _columns(windows, state, kind)
-    both = np.empty((len(state), _PARAMETERS + 4, columns.shape[2]), dtype=np.float32)
-    known, bent, lit = both[:, :_PARAMETERS], both[:, _PARAMETERS:-2], both[:, -2:]
-    known[:] = columns[:, :-1]
-    np.multiply(columns[:, :2], leavers, out=bent)
-    bent *= leavers
+def _left_out(
+    windows: Windows, state: Floats, columns: Singles, leavers: Singles, normal: Floats
+) -> tuple[Floats, Floats]:
+    """Return the moves in pixels (m, 2, 2) that the fit makes of edges that bend, and of light that grows.
+
+    Where it is blurred by s, an edge that bends by l^2 / 2 is seen at (l^2 + s^2) / 2.
+    """
+    left_out = np.empty((len(state), 4, columns.shape[2]), dtype=np.float32)
+    bent, lit = left_out[:, :2], left_out[:, 2:]
+    np.multiply(columns[:, _ANGLES], leavers, out=bent)
+    bent += columns[:, :2] * np.square(state[:, _BLURS, None]).astype(np.float32)
     bent /= 2
     np.subtract(windows.place[:, :2], state[:, _U : _V + 1, None].astype(np.float32), out=lit)
     lit *= (columns[:, _MID] * windows.values)[:, None]
-    products = np.matmul(known, both.transpose(0, 2, 1)).astype(np.float64)
-    matrix, sides = products[:, :, :_PARAMETERS], products[:, :, _PARAMETERS:]
+    matrix = normal[:, :_PARAMETERS, :_PARAMETERS].copy()
+    sides = np.matmul(columns[:, :_PARAMETERS], left_out.transpose(0, 2, 1)).astype(np.float64)
     damp(matrix)
     moves = _by_normals(state, np.asarray(np.linalg.solve(matrix, sides), np.float64)[:, :2])
     return moves[:, :, :2], moves[:, :, 2:]
 
 
 def _columns(windows: Windows, state: Floats, kind: CornerKind) -> tuple[Singles, Singles]:
-    """Return the derivatives of the pixels with their residuals as last row, (m, 10, n), and `_frame`'s leavers."""
+    """Return the derivatives of the pixels with their residuals as last row, (m, 10, n), and `_frame`'s leavers.
+
+    The derivatives are by offsets of the corner along both normals, angles, blurs, correlation, grey levels.
+    """
     distances, leavers = _frame(windows.place, state)
     s = state.astype(np.float32)
     picture, by_distance, by_rho = _crossing_or_tip(distances, s[:, _RHO, None], kind)
