@@ -15,7 +15,7 @@ import numpy as np
 from gnomon.detect.boards.worker import BoardProcess
 from gnomon.models.target import Target
 process = BoardProcess(Target.checkerboard(cols=6, rows=5, row_spacing_m=0.03, col_spacing_m=0.03))
-assert len(process.views([np.full((64, 64), 128, np.uint8)])) == 1
+assert len(process.views([np.full((64, 64), 128, np.uint8)], follows=False)) == 1
 process.close()
 """
 POOL = """

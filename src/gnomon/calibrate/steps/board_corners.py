@@ -2,8 +2,8 @@
 
 for every camera: read frames -> decode and detect, several at a time -> number flipped boards alike -> CameraFrames
 
-Frames are handed out in short runs of consecutive ones, so that a detector may track the board from frame to frame; the
-runs do not depend on the number of workers, and neither does the result.
+Frames are handed out in runs of consecutive ones, so that a detector may track the board from frame to frame; the runs
+do not depend on the number of workers, and neither does the result.
 """
 
 import os
@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ...detect.boards.board import DIFFERS, NOT_WITH_NEIGHBOURS, BoardView, nothing_seen, tag_spacing
-from ...detect.boards.worker import BoardProcess, ProcessLostError, detector
+from ...detect.boards.worker import BoardFinder, BoardProcess, ProcessLostError
 from ...errors import DetectionError, RecordingError
 from ...formats.kalibr.camchain import CameraInput
 from ...models.camera import Camera
@@ -30,9 +30,10 @@ from ...recording.images import Frame, Grey, ImageStream
 Progress = Callable[[str], None]
 Processes = SimpleQueue[BoardProcess]
 
-_RUN = 8  # consecutive frames that one worker takes; bounds the memory
+_RUN, _RUN_PX = (8, 32), 16e6  # consecutive frames that one worker takes, and pixels of them that bound the memory
+_DECODED = 8  # frames of a run that are decoded at once
 _MANY_IMAGES = 80  # from which on it pays to start processes, which takes as long as some fifty images
-_WAITING = 2  # runs for each worker that are read ahead
+_WAITING = 1  # runs that are read ahead
 _SAMPLES = 12  # images that are looked at to say which board they show
 _TOLD = 10  # times that progress is told
 _MANY = 0.15  # share of the corners that are not where their neighbours say, from which on the board is doubted
@@ -102,7 +103,7 @@ def detect_corners(
     tell = progress or (lambda _: None)
     seen: list[_Seen] = []
     step = max(images.stream.count // _TOLD, 1)
-    for item in _all_frames(images.stream.frames(notes), target, workers or os.cpu_count() or 1, images.stream.count):
+    for item in _all_frames(images, notes, target, workers or os.cpu_count() or 1):
         _check_size(images, item, seen)
         if len(seen) % step == 0:
             of = f" of {images.stream.count}" if images.stream.count else ""
@@ -114,15 +115,18 @@ def detect_corners(
     return BoardCorners(frames=_camera_frames(seen, views, images.known), notes=tuple(notes))
 
 
-def _all_frames(source: Iterator[Frame], target: Target, workers: int, count: int) -> Iterator[_Seen]:
+def _all_frames(images: CameraImages, notes: list[str], target: Target, workers: int) -> Iterator[_Seen]:
     """Yield what every frame shows, in the order of the recording."""
+    source, count = images.stream.frames(notes), images.stream.count
+    width, height = images.known.camera.resolution
+    length = int(np.clip(_RUN_PX / (width * height), *_RUN))
     waiting: deque[Future[list[_Seen]]] = deque()
     workers = workers if count >= _MANY_IMAGES else 1  # threads alone only wait for each other
     with _one_thread_each(), _processes(target, workers) as processes:
         pool = ThreadPoolExecutor(workers, thread_name_prefix="gnomon-board")
         try:
             while True:
-                while len(waiting) < _WAITING * workers and (run := list(islice(source, _RUN))):
+                while len(waiting) < workers + _WAITING and (run := list(islice(source, length))):
                     waiting.append(pool.submit(_run, run, target, processes))
                 if not waiting:
                     return
@@ -165,14 +169,28 @@ def _one_thread_each() -> Generator[None]:
 
 def _run(frames: list[Frame], target: Target, processes: Processes) -> list[_Seen]:
     """Return what consecutive frames show: decoded here, looked at in a process that is free, else here."""
-    images = [_decoded(frame) for frame in frames]
-    views = iter(_views([image for image in images if not isinstance(image, str)], target, processes))
-    return [
-        _Seen(t_ns=frame.t_ns, where=frame.where, view=nothing_seen(), size=None, damage=image)
-        if isinstance(image, str)
-        else _Seen(t_ns=frame.t_ns, where=frame.where, view=next(views), size=(image.shape[1], image.shape[0]))
-        for frame, image in zip(frames, images, strict=True)
-    ]
+    try:
+        process = processes.get_nowait()
+        found = _looked_at(frames, process)
+    except (Empty, ProcessLostError):  # a process that was lost is not put back
+        return _looked_at(frames, BoardFinder(target))
+    processes.put(process)
+    return found
+
+
+def _looked_at(frames: list[Frame], finder: BoardProcess | BoardFinder) -> list[_Seen]:
+    found: list[_Seen] = []
+    for first in range(0, len(frames), _DECODED):
+        some = frames[first : first + _DECODED]
+        images = [_decoded(frame) for frame in some]
+        views = iter(finder.views([image for image in images if not isinstance(image, str)], follows=first > 0))
+        found += [
+            _Seen(t_ns=frame.t_ns, where=frame.where, view=nothing_seen(), size=None, damage=image)
+            if isinstance(image, str)
+            else _Seen(t_ns=frame.t_ns, where=frame.where, view=next(views), size=(image.shape[1], image.shape[0]))
+            for frame, image in zip(some, images, strict=True)
+        ]
+    return found
 
 
 def _decoded(frame: Frame) -> Grey | str:
@@ -181,17 +199,6 @@ def _decoded(frame: Frame) -> Grey | str:
         return frame.decode()
     except RecordingError as error:
         return str(error)
-
-
-def _views(images: list[Grey], target: Target, processes: Processes) -> list[BoardView]:
-    try:
-        process = processes.get_nowait()
-        found = process.views(images)
-    except (Empty, ProcessLostError):  # a process that was lost is not put back
-        find = detector(target)
-        return [find(image) for image in images]
-    processes.put(process)
-    return found
 
 
 def _check_size(images: CameraImages, item: _Seen, before: list[_Seen]) -> None:

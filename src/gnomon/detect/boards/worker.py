@@ -1,7 +1,7 @@
 """A process of its own that finds boards in images: Python lets threads of one process take turns only.
 
 It is started with `python -P -m gnomon.detect.boards.worker` and speaks over its standard input and output: in come the
-target, then runs of images; for each run the views go out. `BoardProcess` is the other end.
+target, then pieces of runs of images; for each piece the views go out. `BoardProcess` is the other end.
 """
 
 import os
@@ -47,8 +47,8 @@ class BoardProcess:
         except (OSError, ValueError) as error:
             raise ProcessLostError from error
 
-    def views(self, images: Sequence[Grey]) -> list[BoardView]:
-        """Return what consecutive images show.
+    def views(self, images: Sequence[Grey], follows: bool) -> list[BoardView]:
+        """Return what consecutive images show; `follows` says that they follow those of the call before.
 
         Raises
         ------
@@ -57,7 +57,7 @@ class BoardProcess:
         """
         assert self._process.stdout is not None
         try:
-            self._send(list(images))
+            self._send((list(images), follows))
             found: list[dict[str, Any]] = pickle.load(self._process.stdout)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
             raise ProcessLostError from error
@@ -72,6 +72,25 @@ class BoardProcess:
         assert self._process.stdin is not None
         pickle.dump(message, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
         self._process.stdin.flush()
+
+
+class BoardFinder:
+    """What finds a board in runs of consecutive images.
+
+    Parameters
+    ----------
+    target : the board
+    """
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+        self._find = detector(target)
+
+    def views(self, images: Sequence[Grey], follows: bool) -> list[BoardView]:
+        """Return what consecutive images show; `follows` says that they follow those of the call before."""
+        if not follows:
+            self._find = detector(self._target)
+        return [self._find(image) for image in images]
 
 
 def detector(target: Target) -> Detector:
@@ -109,14 +128,13 @@ def main() -> None:
     cv2.setNumThreads(1)
     source, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a library prints must not come between
-    target = Target(**pickle.load(source))
+    finder = BoardFinder(Target(**pickle.load(source)))
     while True:
         try:
-            images: list[Grey] = pickle.load(source)
+            images, follows = pickle.load(source)
         except EOFError:
             return
-        find = detector(target)
-        views = [find(image) for image in images]
+        views = finder.views(images, follows)
         found = [{name: getattr(view, name) for name in _FIELDS} | {"dropped": dict(view.dropped)} for view in views]
         pickle.dump(found, answers, protocol=pickle.HIGHEST_PROTOCOL)
         answers.flush()
