@@ -60,7 +60,7 @@ def test_the_second_run_looks_at_no_image(first, again, monkeypatch):
     def never(*_):
         raise AssertionError("an image was looked at")
 
-    monkeypatch.setattr(board_corners, "detector", never)
+    monkeypatch.setattr(board_corners, "BoardFinder", never)
     monkeypatch.setattr(cv2, "imdecode", never)
     code, text, err, out = again()
     assert code == 0, err
