@@ -118,3 +118,19 @@ def test_the_map_of_a_board_is_found_whatever_the_lens_and_the_tilt(coeffs):
             found = plane_map(points, pixels, LENS.resolution, lens_of)
             assert np.sqrt(found.mean_square_px) < 0.025
         near = found if near is None else near
+
+
+def test_edges_bend_as_the_lens_says():
+    points = BOARD.points[:, :2]
+    pixels = LENS.project(BOARD.points @ FACING.T + [-0.2, 0.2, 0.5]).pixels
+    seen = plane_map(points, pixels, LENS.resolution)
+    step = 0.004
+    offsets = step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    at = seen.pixels(points[:, None] + offsets, len(offsets))
+    ahead, behind = at[:, 1::2] - at[:, :1], at[:, 2::2] - at[:, :1]
+    along, bent = (ahead - behind) / 2, ahead + behind
+    length = np.linalg.norm(along, axis=2, keepdims=True)
+    normals = (along / length)[:, :, ::-1] * [-1, 1]
+    expected = (normals * bent / length**2).sum(axis=2)
+    assert np.abs(expected).max() > 2e-4
+    np.testing.assert_allclose(seen.curvature(at[:, 0], normals), expected, atol=0.01 * np.abs(expected).max())
