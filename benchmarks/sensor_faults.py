@@ -305,6 +305,28 @@ def _as_it_is(values: Floats, rng: np.random.Generator) -> Floats:
     return values
 
 
+def _drawn_at_rest(seed: int) -> NoiseScenario:
+    """Return a sensor of any quality and a length, drawn."""
+    rng = np.random.default_rng([seed, 1])
+    white = _N * 10 ** rng.uniform(-1, 1)
+    flicker = white * 10 ** rng.uniform(-1.2, -0.1)  # [1/sqrt(s)]: the floor is reached after 0.2 to 100 s
+    return replace(
+        _AT_REST,
+        duration_s=float(np.exp(rng.uniform(np.log(1200.0), np.log(7200.0)))),
+        rate_hz=float(rng.choice([50.0, 100.0, 200.0])),
+        gyroscope_white_noise=white,
+        gyroscope_bias_instability=flicker,
+        gyroscope_random_walk=flicker * 10 ** rng.uniform(-1.6, -0.7),
+        gyroscope_quantisation=white * float(rng.choice([0.0, 0.03])),
+    )
+
+
+def _rounded(values: Floats, rng: np.random.Generator) -> Floats:
+    """Return readings of a converter with steps of a fiftieth to two thirds of the standard deviation, and a bias."""
+    step = float(values.std(axis=0).min()) * 10 ** rng.uniform(-1.7, -0.2)
+    return np.rint((values + 30 * step * rng.standard_normal(3)) / step) * step
+
+
 def noise_cases() -> Iterator[tuple[str, Case]]:
     """Yield cases by name."""
     edits: dict[str, NoiseEdit] = {
@@ -330,6 +352,7 @@ def noise_cases() -> Iterator[tuple[str, Case]]:
         "3 h, healthy": _as_it_is,
     }.items():
         yield name, lambda seed, edit=edit: _noise_outcome(seed, edit, long)
+    yield "healthy: drawn sensors, 20 min to 2 h", lambda seed: _noise_outcome(seed, _rounded, _drawn_at_rest(seed))
     quiet = replace(_AT_REST, duration_s=1800.0, gyroscope_bias_instability=0.0, gyroscope_random_walk=0.0)
     yield "healthy: half an hour of white noise", lambda seed: _noise_outcome(seed, _as_it_is, quiet)
     walking = replace(_AT_REST, gyroscope_random_walk=4 * _K)

@@ -214,6 +214,7 @@ def check_samples(table: RestTable, step: Floats, sensor: str) -> list[Finding]:
 
 _DIFFERENT = 2.0
 _LONG_S = 3 * 3600.0
+_SHORT_S = 900.0  # nine times the 100 s over which a bias is taken to stay: shorter recordings bound nothing of use
 _OTHER_SLOPE_INFO, _OTHER_SLOPE_WARN = 0.01, 0.1  # of the white noise
 _USUAL = {"accelerometer": (1e-6, 0.1), "gyroscope": (1e-8, 5e-3)}
 """White noise densities of sensors that exist, in SI."""
@@ -270,7 +271,7 @@ def _length(name: str, triad: TriadNoise) -> list[Finding]:
     return [
         make_finding(
             "noise-length/bound",
-            severity="warning" if short else "info",
+            severity="warning" if triad.duration_s < _SHORT_S else "info",
             case="short" if short else "",
             message=message,
             hidden=_named(hidden),
@@ -284,11 +285,10 @@ def _walk(name: str, triad: TriadNoise) -> list[Finding]:
     if not hidden:
         return []
     none = len(hidden) == 3
-    short = triad.duration_s < _LONG_S
     return [
         make_finding(
             "noise-walk-bound",
-            severity="warning" if none and short else "info",
+            severity="warning" if none and triad.duration_s < _SHORT_S else "info",
             case="none" if none else "",
             name=name,
             hidden=_named(hidden),
@@ -301,13 +301,13 @@ def _walk(name: str, triad: TriadNoise) -> list[Finding]:
 def _misfit(name: str, triad: TriadNoise) -> list[Finding]:
     worst = int(np.argmax([axis.misfit for axis in triad.axes]))
     misfit = triad.axes[worst].misfit
-    severity = grade("noise misfit", misfit)
-    if severity == "good":
+    if misfit == 0:
         return []
+    severity = grade("noise misfit", misfit)
     return [
         make_finding(
             "noise-misfit",
-            severity=severity,
+            severity="info" if severity == "good" else severity,
             name=name,
             axis="xyz"[worst],
             misfit=misfit,

@@ -3,11 +3,19 @@
 The Allan variance is linear in the squares of the coefficients, which are fitted by generalised least squares with none
 below zero. The covariance of the estimates is that of the fitted noise itself, not of the observed variances, which are
 low where their weights would be high; a few rounds settle it. A kind of noise that is not significant is taken out, and
-gets an upper bound. Where the curve is not made of these kinds of noise alone, as no real one quite is, a relative
-misfit of the model at every averaging time, found from the residuals, widens all sigmas; and where noise of a slope
-between these kinds explains the curve better, so does what it would change. Where the shortest averaging times are left
-out for a filter's sake, its effect on the longer ones is in the fit. Where the deviation falls faster than that of
-white noise up to the end, the sensor takes its slow errors away, and only shorter averaging times tell of its noise.
+gets an upper bound.
+
+Whether the curve is made of these kinds alone is told by the weighted squares of the residuals, which follow the law of
+chi-square where it is (Hansen 1982; for wavelet variances, which these are, Guerrier et al. 2013). Where they do not:
+
+* Noise of a slope between these kinds is added, if all averaging times are explained then. What it changes, and its own
+  sigmas, widen those of all kinds; it does so as well where it is likely without being needed.
+* Else the shortest averaging times are left out for a filter's sake, and what it does to the longer ones is in the fit.
+  Sigmas are widened by what leaving out one more changes (Hausman 1978).
+* What then is left makes a relative misfit of the model at every averaging time, which widens all sigmas.
+
+Where the deviation falls faster than that of white noise up to the end, the sensor takes its slow errors away, and only
+shorter averaging times tell of its noise.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,7 +40,9 @@ _ALL = np.array([column in KINDS for column in COLUMNS])
 _SLOW = np.array([column in {*KINDS[1:], "filter"} for column in COLUMNS])
 _BETWEEN = tuple(COLUMNS.index(column) for column in ("below_white", "below_flicker"))
 _FILTER = COLUMNS.index("filter")
+_BOUND = 7.0  # of twice the log likelihood; four is two sigma of a normal law, and long averaging times have none
 _OTHER_SLOPE = 4.0  # of twice the log likelihood, for noise of another slope to widen sigmas
+_OTHER_SLOPE_FITTED = 10.0  # the same, for it to be in the fit
 _LOOK_BACK, _FALLEN, _NO_CHANCE = 5, 0.6, 1e-5  # of the variance of white noise, at the longest averaging times
 _BEFORE_FALL = 3  # averaging times between those that fall and those that tell of the noise
 
@@ -116,12 +126,28 @@ class AllanFit:
         if unfiltered is not None:
             stop = min(stop, max(unfiltered, _FEWEST))
         falls = stop < len(straight)
-        first, misfit = self._part(0, stop)._without_filter(straight[:stop], optional)
+        first, kinds, misfit = self._part(0, stop)._explained(straight[:stop], optional)
         part = self._part(first, stop)
-        found = part._fit(straight[first:stop], slope, _SLOW if first else _ALL, misfit, bounded=_SLOWEST & falls)
+        found = part._fit(straight[first:stop], slope, kinds, misfit, bounded=_SLOWEST & falls)
         noise = np.where(np.arange(len(COLUMNS)) == _FILTER, 0.0, found.fitted)
         scatter = np.sqrt(np.diag(self._scatter(noise))) / (self.design @ noise)
         return replace(found, first=first, stop=stop, falls=falls, scatter=scatter)
+
+    def _explained(self, straight: Floats, optional: int) -> tuple[int, Booleans, float]:
+        """Return how many of the shortest averaging times to leave out, of what the rest is made (7,), and its misfit.
+
+        Noise of a slope between the kinds comes before a filter: it explains all averaging times.
+        """
+        plain = self._solved(straight, _ALL, 0.0).unlikely
+        for others in ((), _BETWEEN[:1], _BETWEEN[1:], _BETWEEN):
+            kinds = _ALL | np.isin(np.arange(len(COLUMNS)), others)
+            if not self._misfit(straight, kinds):
+                between = [kinds | (np.arange(len(COLUMNS)) == column) for column in _BETWEEN]
+                likely = min(between, key=lambda one: self._solved(straight, one, 0.0).unlikely)
+                worth = plain - self._solved(straight, likely, 0.0).unlikely > _OTHER_SLOPE_FITTED
+                return 0, likely if worth else kinds, 0.0
+        first, misfit = self._without_filter(straight, optional)
+        return first, _SLOW if first else _ALL, misfit
 
     def _without_filter(self, straight: Floats, optional: int) -> tuple[int, float]:
         """Return how many of the shortest averaging times to leave out, and the misfit of the others."""
@@ -174,8 +200,6 @@ class AllanFit:
                 break
             found = without[weakest]
         strong = [evidence.get(i, np.inf) > _SIGNIFICANT**2 for i in range(len(KINDS))]
-        sure = (found.kinds & (found.theta > 0))[: len(KINDS)] & np.array(strong) & ~bounded
-        bound = np.array([np.nan if sure[i] else self._bound(straight, found, i, misfit) for i in range(len(KINDS))])
         count = len(KINDS)
         theta = found.theta[:count]
         # What was left out may be there, up to its bound, and the others would then be other ones.
@@ -183,11 +207,16 @@ class AllanFit:
         if (left_out := _SLOWEST & ~found.kinds[:count]).any():
             all_slow = found.kinds | np.append(left_out, np.zeros(len(COLUMNS) - count, dtype=bool))
             sigma = np.fmax(sigma, self._solved(straight, all_slow, misfit).sigma[:count])
+        change, other_sigma = self._other_slopes(straight, found, misfit)
+        sigma = np.hypot(np.hypot(np.fmax(sigma, other_sigma), change), self._next(straight, found, misfit))
+        # what noise of another slope could make as well was not found
+        sure = found.kinds[:count] & (2 * theta > change) & np.array(strong) & ~bounded
+        bound = np.array([np.nan if sure[i] else self._bound(straight, found, i, misfit) for i in range(count)])
+        bound += 2 * change
         spread = float(np.sqrt(self.slope_variance[:count] @ np.where(sure, theta, bound)))
-        change = self._other_slopes(straight, found, misfit)
         return AxisFit(
             theta=np.where(sure, theta, 0.0),
-            sigma=np.where(sure, np.hypot(sigma, change), np.nan),
+            sigma=np.where(sure, sigma, np.nan),
             bound=bound,
             slope=slope,
             slope_sigma=spread,
@@ -198,14 +227,27 @@ class AllanFit:
             other_slope=float(change[_WHITE] / theta[_WHITE]) if theta[_WHITE] > 0 else 0.0,
         )
 
-    def _other_slopes(self, straight: Floats, found: "_Found", misfit: float) -> Floats:
-        """Return by how much noise of a slope between the kinds, where it explains more, changes theta (4,)."""
-        change = np.zeros(len(KINDS))
+    def _other_slopes(self, straight: Floats, found: "_Found", misfit: float) -> tuple[Floats, Floats]:
+        """Return by how much noise of a slope between the kinds, where it explains more, changes theta (4,).
+
+        Then the largest sigma (4,) with such noise.
+        """
+        change, sigma = np.zeros(len(KINDS)), np.zeros(len(KINDS))
         for column in _BETWEEN:
-            other = self._solved(straight, found.kinds | (np.arange(len(COLUMNS)) == column), misfit)
-            if found.unlikely - other.unlikely > _OTHER_SLOPE:
+            inside = bool(found.kinds[column])
+            kinds = found.without(column) if inside else found.kinds | (np.arange(len(COLUMNS)) == column)
+            other = self._solved(straight, kinds, misfit)
+            if inside or found.unlikely - other.unlikely > _OTHER_SLOPE:
                 change = np.maximum(change, np.abs(other.theta - found.theta)[: len(KINDS)])
-        return change
+                sigma = np.fmax(sigma, (found if inside else other).sigma[: len(KINDS)])
+        return change, sigma
+
+    def _next(self, straight: Floats, found: "_Found", misfit: float) -> Floats:
+        """Return by how much theta (4,) changes if one averaging time more is left out for a filter's sake."""
+        if not found.kinds[_FILTER] or len(straight) <= _FEWEST:
+            return np.zeros(len(KINDS))
+        other = self._part(1)._solved(straight[1:], found.kinds, misfit)
+        return np.abs(other.theta - found.theta)[: len(KINDS)]
 
     def _solved(self, variance: Floats, kinds: Booleans, misfit: float, held: Floats | None = None) -> "_Found":
         """Return the estimate with some kinds of noise only, besides those whose theta is held."""
@@ -262,13 +304,13 @@ class AllanFit:
         return high
 
     def _bound(self, variance: Floats, found: "_Found", kind: int, misfit: float) -> float:
-        """Return what theta of a kind is at most: twice the log likelihood falls by four there."""
+        """Return what theta of a kind is at most: the likelihood falls by so much there that 97 % of bounds hold."""
         held = np.zeros(len(found.kinds))
         step = np.diag(_inverse(found.weights @ self.straight[:, [kind]]))[0] ** 0.5
 
         def likely(theta: float) -> bool:
             held[kind] = theta
-            return self._solved(variance, found.without(kind), misfit, held).unlikely < found.unlikely + 4
+            return self._solved(variance, found.without(kind), misfit, held).unlikely < found.unlikely + _BOUND
 
         low, high = 0.0, float(found.theta[kind] + step)
         for _ in range(60):
