@@ -14,7 +14,7 @@ import numpy as np
 
 from ...recording import Floats
 
-_PIECE = 1 << 16  # of the running sum; it and what is multiplied with it stay in the processor's memory
+_PIECE = 1 << 17  # of the running sum; it and what is multiplied with it stay in the processor's memory
 _EPSILON = float(np.finfo(np.float64).eps)
 
 
@@ -38,37 +38,57 @@ class AxisProducts:
 
 def product_sums(values: Floats, levels: int) -> list[AxisProducts]:
     """Return the sums of each axis of samples (n, 3), for so many averaging times; 2^levels samples are the least."""
+    pieces = range(0, len(values) + 1, _PIECE)
     with ThreadPoolExecutor(min(3, cpu_count() or 1)) as pool:
-        return list(pool.map(lambda axis: _axis_sums(axis, levels), values.T))
+        sums = list(pool.map(_running_sum, values.T))
+        work = [pool.map(lambda start, x=x: _lagged_products(x, start, levels + 1), pieces) for x in sums]
+        ends = pool.map(lambda x: _end_sums(x, levels), sums)
+        lagged = [np.sum(list(one), axis=0) for one in work]
+        return [_axis_products(*one) for one in zip(sums, lagged, ends, strict=True)]
 
 
-def _axis_sums(y: Floats, levels: int) -> AxisProducts:
-    n = len(y)
-    x = np.empty(n + 1)
+def _running_sum(y: Floats) -> Floats:
+    x = np.empty(len(y) + 1)
     x[0] = 0.0
     np.cumsum(y, out=x[1:])
     _without_line(x)
-    lagged = _lagged_products(x, levels + 1)
+    return x
+
+
+def _axis_products(x: Floats, lagged: Floats, ends: Floats) -> AxisProducts:
+    """Return the sums of an axis from its running sum (n + 1,), its products (k + 1,), and sums at its ends (8, k)."""
+    n, levels = len(x) - 1, ends.shape[1]
     square, total = float(np.dot(x, x)), float(x.sum())
-    means, totals = np.empty(levels), np.empty(levels)
-    for level in range(levels):
-        m = 1 << level
-        first, second, last, before = x[:m], x[m : 2 * m], x[n - m + 1 :], x[n - 2 * m + 1 : n - m + 1]
-        ends = _squares(first), _squares(second), _squares(before), _squares(last)
-        middle = 4 * (square - ends[0] - ends[3])
-        outer = 2 * square - sum(ends)
-        next_to = 2 * lagged[level] - float(np.dot(first, second)) - float(np.dot(before, last))
-        terms = n - 2 * m + 1
-        means[level] = (outer + middle - 4 * next_to + 2 * lagged[level + 1]) / terms
-        ends = float(first.sum()), float(second.sum()), float(before.sum()), float(last.sum())
-        totals[level] = (ends[0] - ends[1] - ends[2] + ends[3]) / terms
-    least = float((means * (n - 2.0 ** np.arange(1, levels + 1))).min())
+    terms = n + 1 - 2.0 ** np.arange(1, levels + 1)
+    squares, products, sums = ends[:4], ends[4:6].sum(axis=0), ends[6:]
+    middle = 4 * (square - squares[0] - squares[3])
+    outer = 2 * square - squares.sum(axis=0)
+    means = (outer + middle - 4 * (2 * lagged[:-1] - products) + 2 * lagged[1:]) / terms
+    least = float((means * (terms - 1)).min())
     return AxisProducts(
         means=means,
-        totals=totals,
+        totals=(sums[0] + sums[1]) / terms,
         slope=-total / (n * (n * n - 1.0) / 12),
         rounding=16 * _EPSILON * square / least if least > _EPSILON * square else np.inf,
     )
+
+
+def _end_sums(x: Floats, levels: int) -> Floats:
+    """Return sums over the first and the last m and 2 m values of x, of m = 1, 2, 4, ..., (8, levels).
+
+    Squares of the first, the second, the last but one and the last m; products of the first with the second, and of the
+    last two; the sum of the first without that of the second, and of the last without that of the one before.
+    """
+    found, n = np.zeros((8, levels)), len(x)
+    for rows, last in (([0, 1, 4, 6], False), ([3, 2, 5, 7], True)):
+        square, total = float(x[-int(last)] ** 2), float(x[-int(last)])
+        for level in range(levels):
+            m = 1 << level
+            near, far = (x[n - m :], x[n - 2 * m : n - m]) if last else (x[:m], x[m : 2 * m])
+            far_square, far_total = float(np.dot(far, far)), float(far.sum())
+            found[rows, level] = square, far_square, float(np.dot(near, far)), total - far_total
+            square, total = square + far_square, total + far_total
+    return found
 
 
 def _without_line(x: Floats) -> None:
@@ -81,18 +101,8 @@ def _without_line(x: Floats) -> None:
         piece -= slope * start
 
 
-def _squares(x: Floats) -> float:
-    return float(np.dot(x, x))
-
-
-def _lagged_products(x: Floats, count: int) -> list[float]:
-    """Return the products of x with itself 1, 2, 4, ... places later, `count` of them."""
-    products = [0.0] * count
-    for start in range(0, len(x), _PIECE):
-        piece = x[start : start + _PIECE]
-        for k in range(count):
-            later = x[start + (1 << k) : start + (1 << k) + len(piece)]
-            if not len(later):
-                break
-            products[k] += float(np.dot(piece[: len(later)], later))
-    return products
+def _lagged_products(x: Floats, start: int, count: int) -> list[float]:
+    """Return the products of a piece of x with the values 1, 2, 4, ... places later, `count` of them."""
+    piece = x[start : start + _PIECE]
+    later = [x[start + (1 << k) : start + (1 << k) + len(piece)] for k in range(count)]
+    return [float(np.dot(piece[: len(one)], one)) for one in later]
