@@ -4,12 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...assess.checks.doctor import check
 from ...assess.checks.signals import check_signal
-from ...assess.imu.threshold import detect_rests
 from ...detect.samples.noise import resting_noise
 from ...detect.samples.repair import repaired
-from ...detect.samples.rests import Rests
 from ...detect.samples.rounding import rounding_variance
 from ...detect.samples.saturation import saturated
 from ...detect.samples.static import (
@@ -28,7 +25,7 @@ from ...findings import Finding
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
-from .preparation import assumed, refuse
+from .preparation import assumed, check_and_detect, refuse
 
 TOLERATED = frozenset({"attitudes", "gyroscope-silent"})
 """What the data doctor holds against a multi-position recording, and what does not matter here."""
@@ -120,11 +117,14 @@ def _from_table(poses: Poses) -> PreparedPoses:
 def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
     """Find the rests of one recording."""
     name, samples = next(iter(recording.imus.items()))
-    findings = (
-        *check(replace(recording, imus={name: samples}), window_s=options.window_s, multiplier=options.multiplier),
-        *map(assumed, recording.assumptions),
-    )
+    checked, detection = check_and_detect(recording, name, options)
+    findings = (*checked, *map(assumed, recording.assumptions))
     refuse(findings, tolerated=TOLERATED)
+    if detection is None:
+        raise DetectionError(
+            f"the recording of {samples.accelerometer.duration_s:.1f} s is too short for windows of "
+            f"{options.window_s:g} s. Let the sensor rest for 2 to 4 s in each attitude."
+        )
     counted = options.time_base == "uniform"
     accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
     origin = int(accelerometer.t_ns[0])
@@ -133,7 +133,7 @@ def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
     if np.array_equal(accelerometer.t_ns, gyroscope.t_ns):
         t_gyro = t_s
     accelerometer, gyroscope = _without_gaps(accelerometer), _without_gaps(gyroscope)
-    rests = _rests(accelerometer, gyroscope, t_s, t_gyro, options)
+    rests = detection.chosen.rests
     intervals, number = rests.intervals, np.flatnonzero(rests.used)
     at_rest = gyroscope_intervals(t_gyro, t_s[intervals.start], t_s[intervals.stop - 1])
     means = _means(accelerometer, gyroscope, intervals, at_rest)
@@ -181,26 +181,6 @@ def _rotations(
             for a, n in zip(first, lengths, strict=True)
         ),
     )
-
-
-def _rests(
-    accelerometer: TriadSamples, gyroscope: TriadSamples, t_s: Floats, t_gyro: Floats, options: ImuOptions
-) -> Rests:
-    """Return the static intervals, at the threshold that serves best where there are enough of them to tell."""
-    detection = detect_rests(
-        accelerometer,
-        gyroscope,
-        saturated(accelerometer, options.accelerometer_range),
-        t_s=(t_s, t_gyro),
-        window_s=options.window_s,
-        multiplier=options.multiplier,
-    )
-    if detection is None:
-        raise DetectionError(
-            f"the recording of {accelerometer.duration_s:.1f} s is too short for windows of {options.window_s:g} s. "
-            "Let the sensor rest for 2 to 4 s in each attitude."
-        )
-    return detection.chosen.rests
 
 
 def _means(
