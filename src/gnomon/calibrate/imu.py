@@ -95,7 +95,7 @@ def calibrate_imu(
     tolerated = LEFT_TO_RESTS if options.preset == "gnomon" else frozenset[str]()
     prepared = prepare(recording, options, tolerated=tolerated)
     if tolerated and left_to_rests(prepared):
-        return calibrate_poses(recording, options, progress, prior)
+        return calibrate_poses(recording, options, progress, prior, prepared)
     if options.preset != "gnomon":
         refuse_evidence(options, prior)
         return calibrate_as_published(recording, prepared, options, tell)
@@ -113,7 +113,7 @@ def calibrate_imu(
     touched = disturbed(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
     if np.sum(problem.data.linked) < FEWEST_ROTATIONS:
-        return calibrate_poses(recording, options, progress, prior)
+        return calibrate_poses(recording, options, progress, prior, prepared)
     units = {"accelerometer": prepared.accelerometer.unit, "gyroscope": prepared.gyroscope.unit}
     known = known_beforehand(prior, options, units, free=options.free, gravity=gravity)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")

@@ -24,7 +24,7 @@ from ..detect.samples.rounding import smallest_steps
 from ..errors import RecordingError
 from ..estimate.allan.deviation import AllanSums, AllanVariance
 from ..estimate.allan.fit import AllanFit, AxisFit
-from ..estimate.allan.high_pass import longest_unfiltered_s
+from ..estimate.allan.high_pass import HighPass, longest_unfiltered_s
 from ..estimate.allan.model import KINDS
 from ..findings import Finding, make_finding
 from ..options import NoiseOptions
@@ -232,13 +232,26 @@ def _fitted(curves: dict[str, AllanVariance], steady: dict[str, Stationarity]) -
     for name, curve in curves.items():
         if curve.samples not in known:
             known[curve.samples] = AllanFit.of(curve.factors, curve.samples)
-        fit = known[curve.samples]
-        slopes = curve.slope / curve.rate_hz
-        optional = int(np.count_nonzero(curve.tau_s < _FILTERED_S))
-        longest_s = [longest_unfiltered_s(steady[name].high_pass, i) for i in range(3)]
-        unfiltered = [int(np.count_nonzero(curve.tau_s <= one)) if one < np.inf else None for one in longest_s]
-        fits[name] = tuple(fit.fit(curve.straight[:, i], float(slopes[i]), optional, unfiltered[i]) for i in range(3))
+        fits[name] = _fitted_triad(known[curve.samples], curve, steady[name].high_pass)
     return fits
+
+
+def _fitted_triad(fit: AllanFit, curve: AllanVariance, high_pass: HighPass | None) -> tuple[AxisFit, ...]:
+    slopes = (curve.slope / curve.rate_hz).tolist()
+    optional = int(np.count_nonzero(curve.tau_s < _FILTERED_S))
+    triad = np.sum([fit.other_slopes(curve.straight[:, i]) for i in range(3)], axis=0)
+
+    def fitted(axis: int, *, filtered: bool) -> AxisFit:
+        longest_s = longest_unfiltered_s(high_pass, axis) if filtered else np.inf
+        unfiltered = int(np.count_nonzero(curve.tau_s <= longest_s)) if longest_s < np.inf else None
+        return fit.fit(curve.straight[:, axis], slopes[axis], optional, unfiltered, triad)
+
+    found = [fitted(axis, filtered=True) for axis in range(3)]
+    if high_pass is not None and not high_pass.sure:  # bounds that hold with the filter and without it
+        short, found = found, [fitted(axis, filtered=False) for axis in range(3)]
+        bounds = [np.where(w.theta > 0, np.nan, np.fmax(w.bound, s.bound)) for w, s in zip(found, short, strict=True)]
+        found = [replace(one, bound=bound) for one, bound in zip(found, bounds, strict=True)]
+    return tuple(found)
 
 
 def _triad_noise(curve: AllanVariance, fits: tuple[AxisFit, ...], steady: Stationarity) -> TriadNoise:

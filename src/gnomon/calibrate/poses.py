@@ -87,6 +87,7 @@ def calibrate_poses(
     options: ImuOptions | None = None,
     progress: Progress | None = None,
     prior: Priors = None,
+    checked: PreparedImu | None = None,
 ) -> Result:
     """Calibrate an accelerometer, and where there is a gyroscope its g-sensitivity, from rests in several attitudes.
 
@@ -96,6 +97,7 @@ def calibrate_poses(
     options : see ImuOptions
     progress : called with a sentence at each step
     prior : other calibrations of the same sensor, which count as evidence; see `gnomon.assess.priors`
+    checked : the recording as it was prepared before, with its rests
 
     Raises
     ------
@@ -114,7 +116,7 @@ def calibrate_poses(
             "averaged poses or files of one pose each choose the default preset or angrisano."
         )
     tell("finding the poses")
-    prepared = prepare_poses(recording, options)
+    prepared = prepare_poses(recording, options, checked)
     gravity = _gravity(prepared.poses, options)
     if options.preset == "angrisano":
         refuse_evidence(options, prior)

@@ -37,6 +37,7 @@ def test_noise_that_stays_is_not_warned_of() -> None:
     assert not codes.keys() & {
         "noise-frozen", "noise-clipped", "noise-uneven", "noise-pattern", "noise-falls", "noise-other-slope"
     }  # fmt: skip
+    assert noise.verdict == "pass"
     for axis in noise.gyroscope.axes:
         assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma < 0.05 * N
 
@@ -99,6 +100,25 @@ def test_behind_a_low_pass_the_density_is_that_of_low_frequencies(hz, order) -> 
         assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma < 0.3 * N
 
 
+@pytest.mark.parametrize("size", [0.3, 1.0])
+def test_noise_between_the_usual_kinds_is_said_and_widens_their_sigmas(size) -> None:
+    """Noise of spectrum 1/f^0.5 is not taken for a filter: white noise comes out right, with a sigma that holds."""
+    values = at_rest(2)
+    f = np.fft.rfftfreq(len(values), 1 / SCENARIO.rate_hz)
+    white = np.fft.rfft(N * np.sqrt(SCENARIO.rate_hz) * np.random.default_rng(2).standard_normal(values.shape), axis=0)
+    shape = np.where(f > 0, np.maximum(f, 1e-9), np.inf) ** -0.25
+    noise, codes = identified(values + size * np.fft.irfft(white * shape[:, None], len(values), axis=0))
+    assert "noise-filtered" not in codes
+    assert codes["noise-other-slope"] == ("info" if size < 1 else "warning")
+    truth = SCENARIO.of("gyroscope")
+    for axis in noise.gyroscope.axes:
+        assert abs(axis.white_noise.value - N) < 4 * axis.white_noise.sigma
+        for kind in ("bias_instability", "random_walk"):
+            found = axis.coefficients()[kind]
+            assert not found.found or abs(found.value - truth[kind]) < 4 * found.sigma
+            assert found.found or truth[kind] < 1.5 * found.bound
+
+
 def test_behind_an_auto_zero_no_bound_hides_a_random_walk() -> None:
     values = at_rest()
     parts = values.reshape(-1, 500, 3)
@@ -134,7 +154,8 @@ def test_a_slow_auto_zero_of_one_axis_is_seen() -> None:
 @pytest.mark.parametrize("walk", [0.0, 0.005, 0.3])
 def test_noise_alone_is_behind_no_high_pass(walk) -> None:
     for seed in range(5):
-        assert find_high_pass(drifting_means(100 + seed, walk), 1.0) is None
+        found = find_high_pass(drifting_means(100 + seed, walk), 1.0)
+        assert found is None or not found.sure
     assert find_high_pass(drifting_means(1, walk)[:60], 1.0) is None
 
 

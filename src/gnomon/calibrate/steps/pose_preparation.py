@@ -25,7 +25,7 @@ from ...findings import Finding
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
-from .preparation import assumed, check_and_detect, refuse
+from .preparation import PreparedImu, assumed, check_and_detect, refuse
 
 TOLERATED = frozenset({"attitudes", "gyroscope-silent"})
 """What the data doctor holds against a multi-position recording, and what does not matter here."""
@@ -63,8 +63,8 @@ class PreparedPoses:
     findings: tuple[Finding, ...] = ()
 
 
-def prepare_poses(recording: Recording, options: ImuOptions) -> PreparedPoses:
-    """Return the means of a recording's rests.
+def prepare_poses(recording: Recording, options: ImuOptions, checked: PreparedImu | None = None) -> PreparedPoses:
+    """Return the means of a recording's rests; those that were found already where it was `checked`.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def prepare_poses(recording: Recording, options: ImuOptions) -> PreparedPoses:
     elif recording.pieces:
         prepared = _from_pieces(next(iter(recording.imus.values())), recording.pieces, options)
     else:
-        prepared = _from_rests(recording, options)
+        prepared = _from_rests(recording, options, checked)
     said = () if not recording.pieces and recording.poses is None else tuple(map(assumed, recording.assumptions))
     return replace(prepared, findings=(*prepared.findings, *said))
 
@@ -114,11 +114,14 @@ def _from_table(poses: Poses) -> PreparedPoses:
     )
 
 
-def _from_rests(recording: Recording, options: ImuOptions) -> PreparedPoses:
+def _from_rests(recording: Recording, options: ImuOptions, checked: PreparedImu | None) -> PreparedPoses:
     """Find the rests of one recording."""
     name, samples = next(iter(recording.imus.items()))
-    checked, detection = check_and_detect(recording, name, options)
-    findings = (*checked, *map(assumed, recording.assumptions))
+    if checked is None:
+        noticed, detection = check_and_detect(recording, name, options)
+        findings = (*noticed, *map(assumed, recording.assumptions))
+    else:
+        findings, detection = checked.findings, checked.rests
     refuse(findings, tolerated=TOLERATED)
     if detection is None:
         raise DetectionError(

@@ -43,6 +43,7 @@ _FILTER = COLUMNS.index("filter")
 _BOUND = 7.0  # of twice the log likelihood; four is two sigma of a normal law, and long averaging times have none
 _OTHER_SLOPE = 4.0  # of twice the log likelihood, for noise of another slope to widen sigmas
 _OTHER_SLOPE_FITTED = 10.0  # the same, for it to be in the fit
+_OF_TRIAD = 6.0  # more of both, where all axes together tell
 _LOOK_BACK, _FALLEN, _NO_CHANCE = 5, 0.6, 1e-5  # of the variance of white noise, at the longest averaging times
 _BEFORE_FALL = 3  # averaging times between those that fall and those that tell of the noise
 
@@ -114,8 +115,23 @@ class AllanFit:
             dof=np.sqrt(factors.astype(np.float64)),
         )
 
-    def fit(self, straight: Floats, slope: float, optional: int = 0, unfiltered: int | None = None) -> AxisFit:
+    def other_slopes(self, straight: Floats) -> Floats:
+        """Return by how much noise of each slope between the kinds raises twice the log likelihood of an axis, (2,)."""
+        straight = np.maximum(straight, _TINY * straight.max())
+        one, *others = (self._solved(straight, kinds, 0.0) for kinds in (_ALL, *map(_with, _BETWEEN)))
+        return np.array([one.unlikely - other.unlikely for other in others])
+
+    def fit(
+        self,
+        straight: Floats,
+        slope: float,
+        optional: int = 0,
+        unfiltered: int | None = None,
+        triad: Floats | None = None,
+    ) -> AxisFit:
         """Fit the Allan variances (k,) of one axis without the straight line through its samples, of this slope.
+
+        What all axes of the `triad` together tell of noise of other slopes (2,), from `other_slopes`, counts as well.
 
         Only so many averaging times are `unfiltered` where a filter is known to take slow errors away.
         So many of the shortest averaging times may be left out, where a filter or vibration makes them misfit: up to
@@ -126,26 +142,26 @@ class AllanFit:
         if unfiltered is not None:
             stop = min(stop, max(unfiltered, _FEWEST))
         falls = stop < len(straight)
-        first, kinds, misfit = self._part(0, stop)._explained(straight[:stop], optional)
+        triad = np.zeros(len(_BETWEEN)) if triad is None else triad - _OF_TRIAD
+        first, kinds, misfit = self._part(0, stop)._explained(straight[:stop], optional, triad)
         part = self._part(first, stop)
-        found = part._fit(straight[first:stop], slope, kinds, misfit, bounded=_SLOWEST & falls)
+        triad = triad if first == 0 else np.zeros(len(_BETWEEN))  # which was told from all averaging times
+        found = part._fit(straight[first:stop], slope, kinds, misfit, triad=triad, bounded=_SLOWEST & falls)
         noise = np.where(np.arange(len(COLUMNS)) == _FILTER, 0.0, found.fitted)
         scatter = np.sqrt(np.diag(self._scatter(noise))) / (self.design @ noise)
         return replace(found, first=first, stop=stop, falls=falls, scatter=scatter)
 
-    def _explained(self, straight: Floats, optional: int) -> tuple[int, Booleans, float]:
+    def _explained(self, straight: Floats, optional: int, triad: Floats) -> tuple[int, Booleans, float]:
         """Return how many of the shortest averaging times to leave out, of what the rest is made (7,), and its misfit.
 
         Noise of a slope between the kinds comes before a filter: it explains all averaging times.
         """
-        plain = self._solved(straight, _ALL, 0.0).unlikely
         for others in ((), _BETWEEN[:1], _BETWEEN[1:], _BETWEEN):
-            kinds = _ALL | np.isin(np.arange(len(COLUMNS)), others)
+            kinds = _with(*others)
             if not self._misfit(straight, kinds):
-                between = [kinds | (np.arange(len(COLUMNS)) == column) for column in _BETWEEN]
-                likely = min(between, key=lambda one: self._solved(straight, one, 0.0).unlikely)
-                worth = plain - self._solved(straight, likely, 0.0).unlikely > _OTHER_SLOPE_FITTED
-                return 0, likely if worth else kinds, 0.0
+                gains = np.maximum(self.other_slopes(straight), triad)
+                worth = float(gains.max()) > _OTHER_SLOPE_FITTED
+                return 0, kinds | _with(_BETWEEN[int(np.argmax(gains))]) if worth else kinds, 0.0
         first, misfit = self._without_filter(straight, optional)
         return first, _SLOW if first else _ALL, misfit
 
@@ -186,7 +202,9 @@ class AllanFit:
             dof=self.dof[first:stop],
         )
 
-    def _fit(self, straight: Floats, slope: float, kinds: Booleans, misfit: float, bounded: Booleans) -> AxisFit:
+    def _fit(
+        self, straight: Floats, slope: float, kinds: Booleans, misfit: float, *, triad: Floats, bounded: Booleans
+    ) -> AxisFit:
         """Take out the kinds of noise that are not worth their place, the least one first.
 
         Kinds (4,) that are `bounded` get an upper bound even where they show.
@@ -207,7 +225,7 @@ class AllanFit:
         if (left_out := _SLOWEST & ~found.kinds[:count]).any():
             all_slow = found.kinds | np.append(left_out, np.zeros(len(COLUMNS) - count, dtype=bool))
             sigma = np.fmax(sigma, self._solved(straight, all_slow, misfit).sigma[:count])
-        change, other_sigma = self._other_slopes(straight, found, misfit)
+        change, other_sigma = self._other_slopes(straight, found, misfit, triad)
         sigma = np.hypot(np.hypot(np.fmax(sigma, other_sigma), change), self._next(straight, found, misfit))
         # what noise of another slope could make as well was not found
         sure = found.kinds[:count] & (2 * theta > change) & np.array(strong) & ~bounded
@@ -227,17 +245,17 @@ class AllanFit:
             other_slope=float(change[_WHITE] / theta[_WHITE]) if theta[_WHITE] > 0 else 0.0,
         )
 
-    def _other_slopes(self, straight: Floats, found: "_Found", misfit: float) -> tuple[Floats, Floats]:
+    def _other_slopes(self, straight: Floats, found: "_Found", misfit: float, triad: Floats) -> tuple[Floats, Floats]:
         """Return by how much noise of a slope between the kinds, where it explains more, changes theta (4,).
 
         Then the largest sigma (4,) with such noise.
         """
         change, sigma = np.zeros(len(KINDS)), np.zeros(len(KINDS))
-        for column in _BETWEEN:
+        for column, gain in zip(_BETWEEN, triad.tolist(), strict=True):
             inside = bool(found.kinds[column])
             kinds = found.without(column) if inside else found.kinds | (np.arange(len(COLUMNS)) == column)
             other = self._solved(straight, kinds, misfit)
-            if inside or found.unlikely - other.unlikely > _OTHER_SLOPE:
+            if inside or max(found.unlikely - other.unlikely, gain) > _OTHER_SLOPE:
                 change = np.maximum(change, np.abs(other.theta - found.theta)[: len(KINDS)])
                 sigma = np.fmax(sigma, (found if inside else other).sigma[: len(KINDS)])
         return change, sigma
@@ -321,6 +339,11 @@ class AllanFit:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if likely(middle) else (low, middle)
         return high
+
+
+def _with(*columns: int) -> Booleans:
+    """Return the mask (7,) of all kinds of noise and of other columns."""
+    return _ALL | np.isin(np.arange(len(COLUMNS)), columns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -29,6 +29,7 @@ _UPDATES = 80
 _LINES, _LINE_CHANCE = 3, 1e-3  # bands with a spectral line, that are left out
 _UNFILTERED = 0.2  # of the filter's time constant
 _SURE, _OWN = 26.0, 4.0  # of twice the log likelihood: of one axis or of all together; of an axis that others confirm
+_PERHAPS = 3.0  # of all together, for bounds that hold behind a filter, too; chance alone may reach it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,11 +41,13 @@ class HighPass:
     corner_hz : frequency below which it does
     axes : (3,) bool, behind it
     gain : of twice the log likelihood, of these axes
+    sure : whether chance does not explain it
     """
 
     corner_hz: float
     axes: Booleans
     gain: float
+    sure: bool = True
 
 
 def find_high_pass(means: Floats, interval_s: float) -> HighPass | None:
@@ -71,6 +74,9 @@ def find_high_pass(means: Floats, interval_s: float) -> HighPass | None:
         best = int(np.argmax(gains.max(axis=0)))
     axes = gains[:, best] > (_OWN if best == together else _SURE)
     gain = float(gains[axes, best].sum())
+    if gain < _SURE and gains[:, together].sum() > _PERHAPS:
+        all_axes, hz = np.ones(power.shape[1], dtype=bool), float(corners[together % _CORNERS]) / interval_s
+        return HighPass(corner_hz=hz, axes=all_axes, gain=float(gains[:, together].sum()), sure=False)
     if gain < _SURE:
         return None
     return HighPass(corner_hz=float(corners[best % _CORNERS]) / interval_s, axes=axes, gain=gain)
