@@ -24,7 +24,7 @@ _SHORTEST_OVERLAP_S = 3.0
 _FINE_S = 0.02  # search about the coarse shift
 _STEPS, _FINER = 8, 3
 _ROBUST, _ROUNDS = 3.0, 3
-_EXPLAINED, _PROPER = 0.3, 0.9
+_EXPLAINED, _PROPER, _PLAIN = 0.3, 0.9, 0.95
 _SCALE = 0.5
 _FILLED_S, _SPARSEST, _LONGEST_S = 1.0, 20.0, 600.0  # a longer step is a gap; times of what is filled, and beside it
 
@@ -234,6 +234,11 @@ def _explains(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral, 
     """Tell whether a window's rotation is explained best about a shift, or is too slow to be asked."""
     spread = _principal_rates(window, np.ones(len(window.first), dtype=bool))
     if spread[1] < _WINDOW_RAD_S:
+        return True
+    off = np.linspace(-_FINE_S, _FINE_S, 17)
+    trials = _hand_eyes(window, integral, shift + off)
+    best = int(np.argmin([trial.cost for trial in trials]))
+    if trials[best].explained > _PLAIN and abs(off[best]) <= _LEAST_STEP_S / 4:  # finer steps would not lead away
         return True
     found = _refined(poses, window, integral, shift)
     return found is not None and found.score > _PROPER and abs(found.time_shift_s - shift) < _LEAST_STEP_S / 2
