@@ -23,7 +23,15 @@ _FEWEST_FOR_DRIFT = 18
 _STEADY = 2.5  # sigmas of a straight line in time that is no chance
 _FARTHEST = 60  # intervals between two that are compared
 _LEAST_VARIANCE = 1e-14
-_NODES = 7  # of the quadrature over a static interval
+_NODES = (  # and weights, by Gauss and Legendre, of the quadrature over a static interval
+    (-0.9491079123427586, 0.12948496616886973),
+    (-0.7415311855993945, 0.27970539148927687),
+    (-0.4058451513773972, 0.3818300505051187),
+    (0.0, 0.4179591836734693),
+    (0.4058451513773972, 0.3818300505051187),
+    (0.7415311855993945, 0.27970539148927687),
+    (0.9491079123427586, 0.12948496616886973),
+)
 _DRIFT_SIGMA = 0.1  # of what gravity shows: the accelerometer's bias over the recording
 _ZERO_MEAN_WEIGHT = 1e6  # of the walk's own precision: the mean over time belongs to the bias
 
@@ -186,8 +194,7 @@ def mean_at_rest(data: MultiPositionData, function: Callable[[Floats], Floats]) 
     """Return means of functions of time over the static intervals, (n, j), by Gauss and Legendre."""
     if data.half_s is None:
         return function(data.interval_s)
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    values = [0.5 * w * function(data.interval_s + x * data.half_s) for x, w in zip(nodes, weights, strict=True)]
+    values = [0.5 * weight * function(data.interval_s + node * data.half_s) for node, weight in _NODES]
     return np.asarray(np.sum(values, axis=0), dtype=np.float64)
 
 
