@@ -93,9 +93,10 @@ def _candidates(fit: MultiPositionFit, triad: str) -> tuple[BiasFunctions, Float
         np.array(DECAYS) * (data.span_s[1] - data.span_s[0]),
         np.array(_BESIDE) * changes.warm_up_s if changes.warm_up_s else [],
     )
-    found = BiasFunctions.none(n)
-    for place in at:
-        found = found.beside(step_functions(np.array([place]), n, triad))
+    segments = step_functions(at, n, triad)
+    found = replace(  # one step each
+        segments, at_rest=np.cumsum(segments.at_rest, axis=1), in_motion=np.cumsum(segments.in_motion, axis=1)
+    )
     for one in tau:
         found = found.beside(decay_functions(data, float(one), triad))
     mean = _published(fit, triad) @ found.at_rest
