@@ -467,26 +467,27 @@ KINDS: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = {
 }
 
 
-def main() -> None:
+def main(kinds: dict[str, Callable[[], Iterator[tuple[str, Case]]]] = KINDS, about: str | None = __doc__) -> None:
     """Print one row a case."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(KINDS)}; all where none is named")
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kinds", nargs="*", help=f"of {', '.join(kinds)}; all where none is named")
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--first", type=int, default=1000)
     parser.add_argument("--only", default="", help="part of the name of a case")
     stated = parser.parse_args()
-    for kind in stated.kinds or KINDS:
+    for kind in stated.kinds or kinds:
         print(f"## {kind}\n")
-        for name, case in KINDS[kind]():
+        for name, case in kinds[kind]():
             if stated.only not in name:
                 continue
-            outcomes = [case(seed) for seed in range(stated.first, stated.first + stated.seeds)]
-            verdicts = Counter(outcome.verdict for outcome in outcomes)
-            codes = Counter(code for outcome in outcomes for code in outcome.codes)
-            worst = sorted((o.sigmas for o in outcomes if o.verdict != "refused"), reverse=True)[:3]
+            outcomes = {seed: case(seed) for seed in range(stated.first, stated.first + stated.seeds)}
+            verdicts = Counter(outcome.verdict for outcome in outcomes.values())
+            codes = Counter(code for outcome in outcomes.values() for code in outcome.codes)
+            worst = sorted((o.sigmas for o in outcomes.values() if o.verdict == "pass"), reverse=True)[:3]
+            missed = [seed for seed, outcome in outcomes.items() if outcome.missed]
             print(
-                f"{name:38s} {dict(verdicts)}  missed {sum(o.missed for o in outcomes)}  "
-                f"worst {', '.join(f'{z:.1f}' for z in worst)}  {dict(codes)}",
+                f"{name:38s} {dict(verdicts)}  missed {len(missed)} {missed or ''} "
+                f"worst of a pass {', '.join(f'{z:.1f}' for z in worst)}  {dict(codes)}",
                 flush=True,
             )
         print()

@@ -100,7 +100,7 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     board = with_board(first, options if all(lens.fits for lens in lenses) else replace(options, board="stated"))
     solution = board.solution
     tell("testing it on views that it has not seen")
-    left_out, uncompared = _tested(board, options)
+    left_out, uncompared = _tested(board)
     others = unused(start.every, solution)
     bad = misfits(solution, others)
     mixed = other_size(start.every, solution, bad)
@@ -150,12 +150,12 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     return Result(calibration=with_changes(calibration, evidence.trust), diagnostics=diagnostics)
 
 
-def _tested(board: BoardChoice, options: CameraOptions) -> tuple[Unseen, list[Finding]]:
+def _tested(board: BoardChoice) -> tuple[Unseen, list[Finding]]:
     """Return how well views that were left out are predicted, and what of such comparisons could not be made."""
     solution = board.solution
     uncompared = [comparison_left_out("another shape of the board", board.failed)] if board.failed else []
     try:
-        return unseen(solution, time_clusters(solution), board.estimated, options.max_iterations), uncompared
+        return unseen(solution, time_clusters(solution), board.estimated), uncompared
     except (GnomonError, np.linalg.LinAlgError) as error:
         uncompared.append(comparison_left_out("views that were left out", str(error)))
         used = {name: rms_of(seen) for name, seen in solution.corners.items()}

@@ -18,6 +18,7 @@ _FEWEST_SHARED = 3
 _NEAR_ROTATION = np.radians(5.0)
 _NEAR_SHARE = 0.05  # of the distance of the board
 _CANDIDATES = 60
+_ENOUGH = 120  # shared views that tell where a camera is to another, before anything is estimated
 
 
 def first_rig(views: Views, models: Mapping[str, str], lenses: Mapping[str, Camera] | None = None) -> Rig:
@@ -89,8 +90,11 @@ def cameras_apart(views: Views, cameras: Mapping[str, Camera]) -> Floats:
     T = np.tile(np.eye(4), (len(cameras), 1, 1))
     if len(cameras) == 1:
         return T
+    pairs = _pairs(views)
+    some = [_shared(views, *pair) for pair in pairs]
+    views = views.where(np.unique(np.concatenate([one[:: max(len(one) // _ENOUGH, 1)] for one in some])))
     poses = [_poses(views, number, cameras) for number in range(len(cameras))]
-    for known, new in _pairs(views):
+    for known, new in pairs:
         shared = _shared(views, known, new)
         T[new] = _usual(poses[new][shared] @ np.linalg.inv(poses[known][shared])) @ T[known]
     return T

@@ -130,7 +130,8 @@ class _Trial:
     @classmethod
     def of(cls, state: _State, rig: Rig, equations: Reduced, shared: Floats) -> "_Trial":
         """Return the rig after a step of the shared parameters that the poses follow."""
-        poses = equations.poses(shared)
+        with np.errstate(over="ignore", invalid="ignore"):  # of what runs away; it is no better then
+            poses = equations.poses(shared)
         if not (np.isfinite(shared).all() and np.isfinite(poses).all()):
             return cls(rig=rig, at=state.at, cost=np.inf)
         moved = state.problem.layout.moved(rig, poses, shared)

@@ -123,6 +123,7 @@ def parameter_changes(
     if n < 2 * _FEWEST_IN_PART:
         return ()
     judged = np.ones(len(names), dtype=bool) if judged is None else judged
+    sums, jacobian = _followed(sums, jacobian)
     blocks, wandering = _blocks(sums, jacobian, names, judged, biases)
     courses = _courses(sums.t_s, np.arange(n) if order is None else order)
     looks = len(blocks) * sum(min(len(course), _BORDERS_COUNT) for course in courses)
@@ -222,6 +223,44 @@ class _Scan:
     def _estimate(self, block: _Block, cut: _Cut) -> _Estimate | None:
         biases = () if self.wandering is None else (_Term(cut=cut, directions=self.wandering),)
         return _estimate(self.sums, (*biases, *self.given), block, cut)
+
+
+def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]:
+    """Return the sums and the jacobian with parameters that no scalar shows only as they follow the others.
+
+    Of hundreds of such (the points of a board) a change asks for few combinations: those in which the whole recording
+    moves them where the others are moved.
+    """
+    free = np.flatnonzero((jacobian != 0).any(axis=0))
+    held = np.setdiff1d(np.arange(jacobian.shape[1]), free)
+    if len(held) <= len(free):
+        return sums, jacobian
+    size, total = _size(sums), sums.total
+    scaled = total * np.outer(size, size)
+    follow = np.linalg.solve(scaled[np.ix_(held, held)], scaled[np.ix_(held, free)])
+    basis, _, _ = np.linalg.svd(follow, full_matrices=False)
+    way = size[held, None] * basis
+    kept = sums.of_parameters(free)
+    cross = sums.information[:, free[:, None], held] @ way
+    own = way.T @ (sums.information[:, held[:, None], held] @ way)
+    prior = sums.prior_information[np.ix_(held, held)] @ way
+    beside = sums.prior_information[np.ix_(free, held)] @ way
+    return (
+        replace(
+            sums,
+            pull=np.concatenate([kept.pull, sums.pull[:, held] @ way], axis=1),
+            information=np.concatenate(
+                [
+                    np.concatenate([kept.information, cross], axis=2),
+                    np.concatenate([cross.swapaxes(1, 2), own], axis=2),
+                ],
+                axis=1,
+            ),
+            prior_pull=np.concatenate([kept.prior_pull, sums.prior_pull[held] @ way]),
+            prior_information=np.block([[kept.prior_information, beside], [beside.T, way.T @ prior]]),
+        ),
+        np.concatenate([jacobian[:, free], np.zeros((len(jacobian), len(free)))], axis=1),
+    )
 
 
 def _squares(information: Floats, score: Floats, starts: Integers) -> list[float]:
