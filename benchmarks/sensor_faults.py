@@ -364,7 +364,7 @@ def noise_cases() -> Iterator[tuple[str, Case]]:
 _RPM = np.pi / 30
 
 
-def _turntable_outcome(seed: int, scenario: TurntableScenario, said: tuple[float, ...], factor: float = 1.0) -> Outcome:
+def _turntable_outcome(seed: int, scenario: TurntableScenario, said: tuple[float, ...], factor: float | Floats = 1.0) -> Outcome:
     simulation = simulate_turntable(scenario, seed)
     rng = np.random.default_rng(seed)
     name = "imu0.gyroscope.sensitivity"
@@ -400,6 +400,18 @@ def turntable_cases() -> Iterator[tuple[str, Case]]:
         )
     drifting = replace(usual, gyroscope_drift=0.02)
     yield "bias drifts by 0.02 rad/s", lambda seed: _turntable_outcome(seed, drifting, (33.33,))
+    for name, scenario in {
+        **{f"wow of {wow:.0%}": replace(usual, wow=wow) for wow in (0.01, 0.05)},
+        **{f"platter tilted by {tilt:g} deg": replace(usual, tilt_deg=tilt) for tilt in (2.0, 10.0)},
+        "speed scatters by 1 %": replace(usual, speed_scatter=0.01),
+    }.items():
+        yield name, lambda seed, s=scenario: _turntable_outcome(seed, s, (33.33,))
+    for axis in range(3):
+        sign = np.where(np.arange(3) == axis, -1.0, 1.0)
+        yield (
+            f"gyroscope axis {'xyz'[axis]} negated",
+            lambda seed, sign=sign: _turntable_outcome(seed, usual, (33.33,), sign),
+        )
     yield "healthy: 33.33", lambda seed: _turntable_outcome(seed, usual, (33.33,))
     alone = replace(usual, accelerometer=False)
     yield "healthy: without accelerometer", lambda seed: _turntable_outcome(seed, alone, (33.33,))
@@ -409,7 +421,13 @@ def turntable_cases() -> Iterator[tuple[str, Case]]:
 
 
 def _pose_outcome(
-    seed: int, scenario: PoseScenario, size: float, shape: Callable[[Floats], Floats], *, in_order: bool = False
+    seed: int,
+    scenario: PoseScenario,
+    size: float,
+    shape: Callable[[Floats], Floats],
+    *,
+    in_order: bool = False,
+    first: int | None = None,
 ) -> Outcome:
     simulation = simulate_poses(scenario, seed)
     n, rng = len(simulation.poses), np.random.default_rng(seed)
@@ -417,12 +435,13 @@ def _pose_outcome(
     way = shape(np.linspace(0, 1, n))
     direction = rng.standard_normal(3)
     drift = size * (way - way.mean())[:, None] * direction / np.linalg.norm(direction)
+    kept = slice(first)
     poses = Poses(
-        name=tuple(map(str, range(n))),
-        accelerometer=simulation.accelerometer[order] + drift,
+        name=tuple(map(str, range(n)))[kept],
+        accelerometer=(simulation.accelerometer[order] + drift)[kept],
         accelerometer_unit="m/s^2",
-        accelerometer_sigma=np.full((n, 3), 2e-3),
-        t_s=simulation.t_s,
+        accelerometer_sigma=np.full((n, 3), 2e-3)[kept],
+        t_s=None if simulation.t_s is None else simulation.t_s[kept],
     )
     names = "imu0.accelerometer.sensitivity", "imu0.accelerometer.bias"
     options = gnomon.ImuOptions(gravity=9.80665, frame="accel-z")
@@ -449,6 +468,18 @@ def pose_cases() -> Iterator[tuple[str, Case]]:
                     f"{attitudes}, {name} of {size} m/s^2",
                     lambda seed, s=scenario, size=size, shape=shape: _pose_outcome(seed, s, size, shape),
                 )
+        for size in (0.05, 0.5):
+            yield (
+                f"{attitudes}, one pose off by {size} m/s^2",
+                lambda seed, s=scenario, size=size: _pose_outcome(
+                    seed, s, size, lambda x: (np.arange(len(x)) == len(x) // 2).astype(np.float64)
+                ),
+            )
+        for count in (7, 9, 12):
+            yield (
+                f"{attitudes}, {count} poses",
+                lambda seed, s=scenario, count=count: _pose_outcome(seed, s, 0.0, shapes["line"], first=count),
+            )
         yield f"healthy: {attitudes}", lambda seed, s=scenario: _pose_outcome(seed, s, 0.0, shapes["line"])
     downwards = PoseScenario(sensor="drawn", units="si", attitudes="sphere", poses=24)  # from above to below
     for name, shape in shapes.items():

@@ -20,28 +20,31 @@ P = len(NAMES)
 ROWS = 4
 
 
-def pulls(seed, n=40, changed=None, share=None, memory=0.0, noise=1.0):
+def pulls(seed, n=40, changed=None, share=None, memory=0.0, noise=1.0, beside=0):
     """Return the sums of `n` stretches at their minimum, of which a share has other parameters."""
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(n, ROWS, P))
+    if beside:  # parameters that no scalar shows, and that look like the others in part
+        unseen = rng.normal(size=(n, ROWS, beside)) + rows @ rng.normal(size=(P, beside)) / P
+        rows = np.concatenate([rows, unseen], axis=2)
     error = noise * rng.normal(size=(n, ROWS))
     for k in range(1, n):
         error[k] = memory * error[k - 1] + np.sqrt(1 - memory**2) * error[k]
     if changed is not None:
-        error = error + np.einsum("nip,p,n->ni", rows, changed, share)
+        error = error + np.einsum("nip,p,n->ni", rows[:, :, :P], changed, share)
     information = np.swapaxes(rows, 1, 2) @ rows
     whole = np.linalg.solve(information.sum(axis=0), np.einsum("nip,ni->p", rows, error))
     return ClusterSums(
         t_s=np.arange(n) * 2.0,
         pull=np.einsum("nip,ni->np", rows, error - rows @ whole),
         information=information,
-        prior_pull=np.zeros(P),
-        prior_information=np.zeros((P, P)),
+        prior_pull=np.zeros(P + beside),
+        prior_information=np.zeros((P + beside, P + beside)),
     )
 
 
 def found(sums, **options):
-    return parameter_changes(sums, np.eye(P), NAMES, biases=("imu0.gyroscope.bias",), **options)
+    return parameter_changes(sums, np.eye(P, sums.pull.shape[1]), NAMES, biases=("imu0.gyroscope.bias",), **options)
 
 
 def step(at, n=40):
@@ -58,6 +61,20 @@ def only(path, values):
 @pytest.mark.parametrize("options", [{}, {"memory": 0.6}, {"noise": 5.0}, {"n": 14}], ids=str)
 def test_nothing_is_found_where_nothing_changed(options):
     assert [found(pulls(seed, **options)) for seed in range(12)] == [()] * 12
+
+
+def test_parameters_that_no_scalar_shows_make_no_difference_when_only_their_common_ways_are_kept(monkeypatch):
+    block = "imu0.gyroscope.sensitivity"
+    sums = pulls(3, n=150, changed=only(block, [0.8, -0.5, 0.4, 0.6]), share=step(80, 150), beside=60)
+    quick = found(sums)
+    monkeypatch.setattr("gnomon.estimate.trust.changes._followed", lambda sums, jacobian: (sums, jacobian))
+    exact = found(sums)
+    assert [one.block for one in quick] == [one.block for one in exact] == [block]
+    sigma = np.sqrt(np.diag(exact[0].covariance))
+    assert quick[0].where == exact[0].where
+    assert np.abs(quick[0].values - exact[0].values).max() < 0.1 * sigma.min()
+    np.testing.assert_allclose(np.sqrt(np.diag(quick[0].covariance)), sigma, rtol=0.08)
+    assert [found(pulls(seed, n=150, beside=60)) for seed in range(4)] == [()] * 4
 
 
 def test_nothing_is_found_where_a_change_takes_all_data_up():

@@ -151,6 +151,16 @@ def test_handedness_that_was_not_checked_is_said(latitude) -> None:
     assert found["magnetometer-handedness"] == "info"
 
 
+def test_a_field_from_below_with_turned_axes_warns_where_nothing_tells_the_handedness() -> None:
+    recording, _ = simulate_magnetometer(FieldScenario(rests=6, duration_s=60.0), 4)
+    imu = recording.imus["imu0"]
+    negated = replace(imu.magnetometer, values=imu.magnetometer.values * [1.0, -1.0, 1.0])
+    result = calibrate_magnetometer(Recording(imus={"imu0": replace(imu, magnetometer=negated)}), IN_UT)
+    assert result.calibration.verdict == "warn"
+    found = {f.code: f.severity for f in result.calibration.assessment.findings}
+    assert found["magnetometer-handedness"] == "warning"
+
+
 def test_hard_iron_model_has_one_scale() -> None:
     scenario = FieldScenario(accelerometer=False, soft_iron=0.0)
     scaled, _, result = errors(scenario, 4, replace(IN_UT, model="hard-iron"))

@@ -18,6 +18,7 @@ _LEAST_DIP_DEG = 3.0
 _TELLING_LATITUDE_DEG = 20.0
 """Farther from the equator than this the field dips as on that hemisphere everywhere on Earth."""
 _OFF_DEG = 5.0
+_TURNED_RAD = np.radians(60.0)  # as chips are mounted on purpose, or as an axis of the wrong sign looks
 
 
 def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
@@ -32,12 +33,14 @@ def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
     elif latitude is not None and abs(latitude) >= _TELLING_LATITUDE_DEG:
         expected, by = float(np.sign(latitude)), f"latitude {latitude:g} deg"
     else:
-        return [_unchecked(found, near_equator=stated is None and latitude is not None)]
+        near_equator = stated is None and latitude is not None
+        turned = _turned_rad(evidence) if telling and found < 0 and not near_equator else 0.0
+        return [_unchecked(found, near_equator=near_equator, turned_rad=turned)]
     if not telling:
         return [_unchecked(found, near_equator=True)]
     if np.sign(found) != expected:
-        return [make_finding("magnetometer-handedness/good", found=found, by=by)]
-    checked = make_finding("magnetometer-handedness/wrong", by=by)
+        return [make_finding("magnetometer-handedness/wrong", found=found, by=by)]
+    checked = make_finding("magnetometer-handedness/good", by=by)
     if stated is None or abs(found - stated) <= max(_OFF_DEG, _MAGNETOMETER_HANDEDNESS_SIGNIFICANT * sigma):
         return [checked]
     return [
@@ -46,15 +49,29 @@ def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
     ]
 
 
-def _unchecked(found_deg: float, *, near_equator: bool) -> Finding:
-    hemisphere = "north" if found_deg > 0 else "south"
-    why = "there the sign of the dip tells nothing" if near_equator else "neither --dip nor --latitude was stated"
+def _turned_rad(evidence: FieldEvidence) -> float:
+    """Return by what angle the magnetometer's axes are turned to the accelerometer's [rad]."""
+    assert evidence.imu.magnetometer is not None
+    left, _, right = np.linalg.svd(evidence.imu.magnetometer.sensitivity)
+    return float(np.arccos(np.clip((np.trace(left @ right) - 1) / 2, -1, 1)))
+
+
+def _unchecked(found_deg: float, *, near_equator: bool, turned_rad: float = 0.0) -> Finding:
+    """Say that nothing told the handedness; loudly where the field dips as for few people, and the axes are turned.
+
+    An axis that was negated north of the equator makes both. Boards whose magnetometer lies otherwise than the
+    accelerometer turn the axes alone, and a field in the south alone dips upwards.
+    """
+    likely = turned_rad > _TURNED_RAD
+    turned = f" The magnetometer's axes are turned by {np.degrees(turned_rad):.0f} deg to the accelerometer's."
     return make_finding(
         "magnetometer-handedness/unchecked",
+        severity="warning" if likely else "info",
         case="near-equator" if near_equator else "",
-        why=why,
+        why="there the sign of the dip tells nothing" if near_equator else "neither --dip nor --latitude was stated",
         found_deg=found_deg,
-        hemisphere=hemisphere,
+        hemisphere="north" if found_deg > 0 else "south",
+        turned=turned if likely else "",
     )
 
 

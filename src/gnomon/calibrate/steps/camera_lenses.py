@@ -163,6 +163,7 @@ class _Tried:
     stated : its model, or None
     fits : model -> its estimate, or why there is none
     costs : model -> what it loses on clusters of views that it has not seen, (c,)
+    px : model -> rms of the corners, and of those in views that were left out [px]
     """
 
     name: str
@@ -170,18 +171,18 @@ class _Tried:
     stated: str | None
     fits: Mapping[str, RigSolution | GnomonError]
     costs: Mapping[str, Floats]
+    px: Mapping[str, tuple[float, float]]
 
     def holdout_ratio(self, model: str) -> float:
         """Return the error of a model on hold-out views over that of the best."""
-        px = {one: rms_px(fit, self.name)[1] for one, fit in self.fits.items() if isinstance(fit, RigSolution)}
-        return px[model] / min(px[one] for one in self.costs)
+        return self.px[model][1] / min(self.px[one][1] for one in self.costs)
 
     def choice(self, model: str, *, restricted: bool) -> LensChoice:
         """Return what follows where a model is taken; `restricted` where a person had a say in it."""
         fit = self.fits[model]
         assert isinstance(fit, RigSolution)
         gain, sigma, better = _gained(self.costs, model) if self.stated or restricted else (0.0, 0.0, "")
-        trials = [_trial(self.name, one, found, model) for one, found in self.fits.items()]
+        trials = [_trial(self.name, one, self.px.get(one), model) for one in self.fits]
         trials.sort(key=lambda trial: (not trial.chosen, np.nan_to_num(trial.holdout_rms_px, nan=np.inf)))
         return LensChoice(
             camera=self.name,
@@ -235,7 +236,8 @@ def _tried(
     if not found or (stated is not None and stated not in found):
         raise SolveError(f"{name}: {stated or 'no lens'} cannot be estimated from its views. {fits[models[0]]}")
     costs = _held_out(found, views, name)
-    return _Tried(name=name, resolution=general.resolution, stated=stated, fits=fits, costs=costs)
+    px = {model: rms_px(fit, name) for model, fit in fits.items() if isinstance(fit, RigSolution)}
+    return _Tried(name=name, resolution=general.resolution, stated=stated, fits=fits, costs=costs, px=px)
 
 
 def _agreed(one: _Tried, tried: Sequence[_Tried], among: Sequence[str]) -> str:
@@ -335,8 +337,8 @@ def _difference(one: Floats, other: Floats) -> tuple[float, float]:
     return float(apart.sum()), float(np.sqrt(len(apart)) * np.std(apart, ddof=1)) if len(apart) > 1 else 0.0
 
 
-def _trial(name: str, model: str, fit: RigSolution | GnomonError, chosen: str) -> LensTrial:
-    rms, unseen = (float("nan"), float("nan")) if isinstance(fit, GnomonError) else rms_px(fit, name)
+def _trial(name: str, model: str, px: tuple[float, float] | None, chosen: str) -> LensTrial:
+    rms, unseen = px or (float("nan"), float("nan"))
     return LensTrial(
         camera=name,
         model=model,

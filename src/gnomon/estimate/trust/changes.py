@@ -229,17 +229,19 @@ def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]
     """Return the sums and the jacobian with parameters that no scalar shows only as they follow the others.
 
     Of hundreds of such (the points of a board) a change asks for few combinations: those in which the whole recording
-    moves them where the others are moved.
+    and its first half move them where the others are moved.
     """
     free = np.flatnonzero((jacobian != 0).any(axis=0))
     held = np.setdiff1d(np.arange(jacobian.shape[1]), free)
-    if len(held) <= len(free):
+    if len(held) <= 2 * len(free):
         return sums, jacobian
-    size, total = _size(sums), sums.total
-    scaled = total * np.outer(size, size)
-    follow = np.linalg.solve(scaled[np.ix_(held, held)], scaled[np.ix_(held, free)])
+    scale, half = np.outer(_size(sums), _size(sums)), len(sums) // 2
+    whole = sums.total * scale
+    first = sums.information[:half].sum(axis=0) * scale
+    pairs = np.ix_(held, free)
+    follow = np.linalg.solve(whole[np.ix_(held, held)], np.concatenate([whole[pairs], first[pairs]], axis=1))
     basis, _, _ = np.linalg.svd(follow, full_matrices=False)
-    way = size[held, None] * basis
+    way = _size(sums)[held, None] * basis
     kept = sums.of_parameters(free)
     cross = sums.information[:, free[:, None], held] @ way
     own = way.T @ (sums.information[:, held[:, None], held] @ way)
@@ -259,7 +261,7 @@ def _followed(sums: ClusterSums, jacobian: Floats) -> tuple[ClusterSums, Floats]
             prior_pull=np.concatenate([kept.prior_pull, sums.prior_pull[held] @ way]),
             prior_information=np.block([[kept.prior_information, beside], [beside.T, way.T @ prior]]),
         ),
-        np.concatenate([jacobian[:, free], np.zeros((len(jacobian), len(free)))], axis=1),
+        np.concatenate([jacobian[:, free], np.zeros((len(jacobian), way.shape[1]))], axis=1),
     )
 
 
