@@ -364,7 +364,9 @@ def noise_cases() -> Iterator[tuple[str, Case]]:
 _RPM = np.pi / 30
 
 
-def _turntable_outcome(seed: int, scenario: TurntableScenario, said: tuple[float, ...], factor: float | Floats = 1.0) -> Outcome:
+def _turntable_outcome(
+    seed: int, scenario: TurntableScenario, said: tuple[float, ...], factor: float | Floats = 1.0
+) -> Outcome:
     simulation = simulate_turntable(scenario, seed)
     rng = np.random.default_rng(seed)
     name = "imu0.gyroscope.sensitivity"
