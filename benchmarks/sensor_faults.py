@@ -430,13 +430,14 @@ def _pose_outcome(
     *,
     in_order: bool = False,
     first: int | None = None,
+    centred: bool = True,
 ) -> Outcome:
     simulation = simulate_poses(scenario, seed)
     n, rng = len(simulation.poses), np.random.default_rng(seed)
     order = rng.permutation(n) if scenario.attitudes == "sphere" and not in_order else np.arange(n)
     way = shape(np.linspace(0, 1, n))
     direction = rng.standard_normal(3)
-    drift = size * (way - way.mean())[:, None] * direction / np.linalg.norm(direction)
+    drift = size * (way - centred * way.mean())[:, None] * direction / np.linalg.norm(direction)
     kept = slice(first)
     poses = Poses(
         name=tuple(map(str, range(n)))[kept],
@@ -474,7 +475,7 @@ def pose_cases() -> Iterator[tuple[str, Case]]:
             yield (
                 f"{attitudes}, one pose off by {size} m/s^2",
                 lambda seed, s=scenario, size=size: _pose_outcome(
-                    seed, s, size, lambda x: (np.arange(len(x)) == len(x) // 2).astype(np.float64)
+                    seed, s, size, lambda x: (np.arange(len(x)) == len(x) // 2).astype(np.float64), centred=False
                 ),
             )
         for count in (7, 9, 12):
