@@ -237,7 +237,7 @@ def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: "File
 def _write(found: Found, parts: Parts, staging: Path, terminal: Terminal) -> list[str]:
     """Write tables and page, and return the names of the files."""
     from ..output import write_whole
-    from ..report.page_html import render
+    from ..report.page import render
 
     contents: dict[str, str | bytes] = {f"{table.name}.csv": table.csv() for table in parts.tables(found)}
     terminal.progress("drawing the page")

@@ -26,7 +26,7 @@ def write_report(result: Result, path: str | Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    from .page_html import render
+    from .page import render
 
     calibration, diagnostics = result.calibration, result.diagnostics
     if isinstance(diagnostics, CameraImuDiagnostics):

@@ -16,8 +16,7 @@ from .drawing import svg
 from .drawing.figures import RIGHT, Sheet, dots
 from .drawing.panel import Panel
 from .numbers import MISSING, fixed, number, readable_unit
-from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, typeset
-from .page_html import render
+from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
 
 _MOST_PAIRS = 10  # calibrations of which all pairs are shown
 

@@ -22,8 +22,7 @@ from ..results.sensor_noise import (
 from .drawing.figures import AXES, Sheet, limits, log_limits, zigzag
 from .drawing.panel import DASHED, Panel
 from .numbers import finite, highest, number, prefixed, quantity, with_sigma
-from .page import Code, Figure, KeyNumber, Legend, Page, Prose, Section, Table, typeset
-from .page_html import render
+from .page import Code, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
 from .sections import provenance_section
 
 _HEADLINES = {

@@ -1,15 +1,24 @@
 """One page for every kind of calibration: verdict, findings, parameters, sections of figures and tables, provenance.
 
-A kind of calibration (imu.py) fills in the values below; `page_html`, which writes them, knows nothing of sensors.
+A kind of calibration (imu.py) fills in the values below; the template page.html.jinja knows nothing of sensors.
 """
 
+import base64
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, SupportsFloat
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, SupportsFloat
 
-from ..findings import Finding
+from ..findings import Finding, printable
 from ..results.calibration import Verdict
 from .numbers import with_sigma
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+_HERE = Path(__file__).parent
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,3 +182,35 @@ def typeset(finding: Finding) -> Finding:
     return replace(
         finding, message=fine(finding.message), consequence=fine(finding.consequence), cure=fine(finding.cure)
     )
+
+
+def render(page: Page) -> bytes:
+    """Return the page as one UTF-8 HTML document that refers to nothing outside itself."""
+    from markupsafe import Markup
+
+    script = (_HERE / "page.js").read_text(encoding="utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    html = _template().render(
+        page=page,
+        style=Markup((_HERE / "page.css").read_text(encoding="utf-8")),
+        script=Markup(script),
+        # The page may run this one script and load nothing, whatever a file name might try to smuggle in.
+        policy=f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'",
+    )
+    # A file name may hold bytes that are no text, or steer a terminal that shows the file; they are shown as escapes.
+    return printable(html).encode("utf-8", "backslashreplace")
+
+
+@cache
+def _template() -> "Template":
+    """Return the template, compiled once: that takes longer than to fill it in."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html.jinja")

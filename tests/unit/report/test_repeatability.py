@@ -8,7 +8,7 @@ from gnomon.formats.foreign import ForeignCalibration
 from gnomon.geometry.quaternion import normalised, rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.report.comparison import comparison_page
-from gnomon.report.page_html import render
+from gnomon.report.page import render
 from gnomon.results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from gnomon.writers.tables import comparison_csv
 from html_page import Page

@@ -5,8 +5,6 @@ multiplied by `--plot-text`, which the page raises on small screens. (A drawing 
 one report as the calibration itself: 0.8 s to load, 0.15 s a figure; this takes 0.01 s a figure.)
 """
 
-from html import escape
-
 import numpy as np
 
 from ...recording import Floats
@@ -62,6 +60,8 @@ class Sheet:
         height : height in figure units
         alt : what a person who does not see the figure should know
         """
+        from markupsafe import escape
+
         frame = f'viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{escape(alt)}"'
         panels = (panel.svg(f"{name}-{i}") for i, panel in enumerate(self.panels))
         return f'<svg class="plot" {frame}>{"".join([*panels, *self._texts])}</svg>'

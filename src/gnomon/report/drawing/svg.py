@@ -1,7 +1,6 @@
 """Pieces of SVG: paths with two decimals, their styles in the colours of the page, and texts."""
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
 
@@ -90,6 +89,8 @@ def text_style(color: str, size: float, align: str, *, bold: bool = False) -> st
 
 def text_element(text: str, x: float, y: float, style: str = "") -> str:
     """Return a line of text with its baseline at y; without a style it has that of its group."""
+    from markupsafe import escape
+
     drawable = text.encode("utf-8", "backslashreplace").decode()  # bytes that were no text, shown as escapes
     styled = f' style="{style}"' if style else ""
     return f'<text{styled} x="{short(x)}" y="{short(y)}">{escape(drawable)}</text>'
