@@ -29,7 +29,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems
 import cv2
 from imu import HERE, Table, child, machine
 
-from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners, detector
+from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
+from gnomon.detect.boards.worker import detector
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras
 from gnomon.models.target import Target
@@ -156,6 +157,7 @@ mark("starting")
 import gnomon, scipy.linalg, scipy.optimize, cv2, rosbags.highlevel
 from gnomon.calibrate import calibrate_camera_imu
 from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
+from gnomon.detect.boards.worker import detector
 from gnomon.readers.images.image_recording import open_images
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras, read_imus
