@@ -23,7 +23,7 @@ from detection import Score, Truth  # noqa: E402
 from gnomon.detect.boards.aprilgrid import detect_aprilgrid  # noqa: E402
 from gnomon.detect.boards.board import BoardView  # noqa: E402
 from gnomon.detect.boards.charuco import detect_charuco  # noqa: E402
-from gnomon.detect.boards.checkerboard_order import ambiguous_turns, renumbered  # noqa: E402
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns, renumber_view  # noqa: E402
 from gnomon.detect.boards.circlegrid import detect_circlegrid  # noqa: E402
 from gnomon.models.target import Target  # noqa: E402
 from gnomon.recording import Floats  # noqa: E402
@@ -71,7 +71,7 @@ def nearest_end(view: BoardView, true: Floats, target: Target) -> BoardView:
         return view
     turns = ambiguous_turns(target)
     return min(
-        (renumbered(view, target, turn) for turn in turns),
+        (renumber_view(view, target, turn) for turn in turns),
         key=lambda end: float(np.nanmean(np.abs(end.pixels - true[end.point]))),
     )
 

@@ -30,7 +30,7 @@ import cv2
 from imu import HERE, Table, child, machine
 
 from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
-from gnomon.detect.boards.worker import detector
+from gnomon.detect.boards.worker import make_detector
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras
 from gnomon.models.target import Target
@@ -157,7 +157,7 @@ mark("starting")
 import gnomon, scipy.linalg, scipy.optimize, cv2, rosbags.highlevel
 from gnomon.calibrate import calibrate_camera_imu
 from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
-from gnomon.detect.boards.worker import detector
+from gnomon.detect.boards.worker import make_detector
 from gnomon.readers.images.image_recording import open_images
 from gnomon.formats.kalibr.target import read_target
 from gnomon.formats.sensor_inputs import read_cameras, read_imus
@@ -243,10 +243,10 @@ def per_image(boards: dict[str, Path]) -> tuple[Table, dict[str, float]]:
         _, target, frames = opened(folder)
         decoding: list[float] = []
         finding: list[float] = []
-        find = detector(target)
+        find = make_detector(target)
         for number, frame in enumerate(frames):
             if number % 32 == 0:
-                find = detector(target)
+                find = make_detector(target)
             start = time.process_time()
             image = frame.decode()
             middle = time.process_time()

@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: the problems
 import numpy as np
 
 import gnomon
-from gnomon.calibrate.steps.preparation import prepare
+from gnomon.calibrate.steps.preparation import prepare_imu
 from gnomon.detect.samples.static import static_statistic, window_samples
 
 HERE = Path(__file__).resolve().parent
@@ -106,7 +106,7 @@ def in_memory(recording: gnomon.Recording) -> Table:
     presets = ("gnomon", "imu_tk", "tedaldi2014", "tedaldi2014-text")
     whole = {name: median_cpu(lambda name=name: gnomon.calibrate_imu(recording, gnomon.ImuOptions(preset=name)))
              for name in presets}  # fmt: skip
-    samples = prepare(recording, default).accelerometer
+    samples = prepare_imu(recording, default).accelerometer
     window = window_samples(samples, default.window_s)
     detector = median_cpu(lambda: static_statistic(samples.values, window))
     baseline = whole["imu_tk"]

@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 import gnomon
-from gnomon.geometry.quaternion import multiply
-from gnomon.simulate.trajectory import Motions, exponential
+from gnomon.geometry.quaternion import quaternion_product
+from gnomon.simulate.trajectory import Motions, rotvec_quaternions
 
 RATE_HZ, REST_S, MOVE_S, FIRST_S = 100.0, 4.0, 2.0, 30.0
 GRAVITY = 9.81
@@ -43,7 +43,7 @@ def simulated(seed):
     start = FIRST_S + (MOVE_S + REST_S) * np.arange(len(turn))
     attitudes = [np.array([1.0, 0.0, 0.0, 0.0])]
     for one in turn:
-        attitudes.append(multiply(attitudes[-1], exponential(one[None], np.ones((1, 1)))[0]))
+        attitudes.append(quaternion_product(attitudes[-1], rotvec_quaternions(one[None], np.ones((1, 1)))[0]))
     nothing = np.zeros_like(turn)
     motions = Motions(
         start_s=start, duration_s=np.full(len(turn), MOVE_S), q_before_wxyz=np.array(attitudes[:-1]),

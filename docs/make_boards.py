@@ -120,9 +120,9 @@ _SMALL = {
 
 def sizes(views: int = 12) -> None:
     """Print which share of the points is found in images of 752 x 480 px, tilted by up to 40 degrees."""
-    from gnomon.detect.boards.worker import detector
+    from gnomon.detect.boards.worker import make_detector
     from gnomon.geometry.rotation_vector import rotation_from_rotvec
-    from gnomon.simulate.images.rendering import Optics, render
+    from gnomon.simulate.images.rendering import Optics, render_board
 
     focal = 460.0
     camera = Camera(
@@ -145,8 +145,8 @@ def sizes(views: int = 12) -> None:
                 R = rotation_from_rotvec(tilt * np.array([np.cos(way), np.sin(way), 0.0])) @ np.diag([1.0, -1, -1])
                 R = rotation_from_rotvec(np.array([0, 0, roll])) @ R
                 p = np.array([*rng.uniform(-0.02, 0.02, 2), focal * 0.05 / size]) - R @ middle
-                image = render(pattern, camera, R, p, options=Optics(blur_px=0.7, noise=2.0), rng=rng)
-                share += len(detector(target)(image)) / len(target) / views
+                image = render_board(pattern, camera, R, p, options=Optics(blur_px=0.7, noise=2.0), rng=rng)
+                share += len(make_detector(target)(image)) / len(target) / views
             found.append(share)
         sys.stdout.write(f"{name:<14}" + "".join(f"{100 * share:>5.0f}%" for share in found) + "\n")
 

@@ -18,7 +18,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
 import gnomon
-from gnomon.cli.arguments import unannotated
+from gnomon.cli.arguments import split_annotation
 from gnomon.cli.commands import COMMANDS
 from gnomon.findings import read_catalogue
 from gnomon.options import (
@@ -247,7 +247,7 @@ def command_options(command: type) -> Iterator[Option]:
             continue
         words = metavar or _metavar(hint)
         flag = f"--{_name_of(hints[field.name], field.name).replace('_', '-')}"
-        if unannotated(hints[field.name])[1].positional:
+        if split_annotation(hints[field.name])[1].positional:
             written, default = words or field.name.upper(), ""
         elif hint is bool:
             written, default = (flag.replace("--", "--no-", 1) if field.default else flag), ""

@@ -6,16 +6,16 @@ from itertools import product
 import numpy as np
 
 from camera_imu_reference import Problem
-from gnomon.estimate.camera_imu.batch import Measurements, Noise, State
-from gnomon.estimate.camera_imu.blocks import blocks
-from gnomon.estimate.camera_imu.layout import layout
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.batch import Measurements, NoiseLevels, RigState
+from gnomon.estimate.camera_imu.blocks import parameter_blocks
+from gnomon.estimate.camera_imu.layout import border_layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.start.first_guess import per_corner
-from gnomon.estimate.camera_imu.terms.board import Board
+from gnomon.estimate.camera_imu.terms.board import BoardPoints
 from gnomon.estimate.camera_imu.terms.corner_sums import Exposures
 from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
-from gnomon.estimate.camera_imu.terms.visual_terms import VisualData, board_in_camera, instants
-from gnomon.estimate.camera_imu.trajectory import Bases, Grid, Segment, Trajectory
+from gnomon.estimate.camera_imu.terms.visual_terms import VisualData, board_in_camera, exposure_times
+from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.models.origin import Origin, single_point_weights
@@ -72,9 +72,9 @@ def problem(
         reference = R_target_imu @ rotation_from_rotvec(middle).T
         pieces.append(Segment(start_s=start_s, spans=spans, first=number * count, R_reference=reference))
         controls.append(np.hstack([phi, position, biases]))
-    grid = Grid(segments=tuple(pieces), spacing_s=SPACING_S, order=order)
+    grid = KnotGrid(segments=tuple(pieces), spacing_s=SPACING_S, order=order)
     trajectory = Trajectory(grid=grid, controls=np.concatenate(controls))
-    parameters = Parameters(
+    parameters = RigParameters(
         gravity_axes=gravity_axes(rng.normal(size=3)),
         gravity_m_s2=9.7,
         target_scale=1.1,
@@ -94,15 +94,15 @@ def problem(
         places = rng.uniform(-0.12, 0.3, (board, 3)) * [1, 1, 0 if flat else 0.2]
         parameters = replace(
             parameters,
-            board=Board(points=places, offsets=0.01 * rng.normal(size=(board, 3)), sigma_m=0.02, pitch_m=0.1),
+            board=BoardPoints(points=places, offsets=0.01 * rng.normal(size=(board, 3)), sigma_m=0.02, pitch_m=0.1),
         )
-    noise = Noise(
+    noise = NoiseLevels(
         imus=tuple(InertialNoise(gyroscope=0.02 + 0.01 * i, accelerometer=0.1) for i in range(imus)),
         walks=tuple((0.05, 0.3 + 0.1 * i) for i in range(imus)),
         pixel_sigma=tuple(0.5 + 0.1 * i for i in range(len(models))),
         huber=huber,
     )
-    state = State(trajectory=trajectory, parameters=parameters)
+    state = RigState(trajectory=trajectory, parameters=parameters)
     visual = tuple(seen(state, i, rng, flat=flat, rolling=rolling) for i in range(len(models)))
     measurements = Measurements(
         inertial=tuple(data for i in range(imus) for data in readings(grid, i, rng, apart=apart)),
@@ -131,10 +131,12 @@ def errors_of_an_imu(rng, origin=ORIGINS[0], number=0):
 
 def columns(parameters, fixed, rng):
     """Return columns for all scalars, with priors about values that they do not have."""
-    status = {name: "fixed" if name in fixed else "estimated" for b in blocks(parameters) for name in b.scalars()}
+    status = {
+        name: "fixed" if name in fixed else "estimated" for b in parameter_blocks(parameters) for name in b.scalars()
+    }
     assert set(fixed) <= set(status)
     sigma = {name: 10.0 ** rng.uniform(-2, 0) for name in status}
-    found = layout(parameters, status, sigma, consider=[b.name for b in blocks(parameters)])
+    found = border_layout(parameters, status, sigma, consider=[b.name for b in parameter_blocks(parameters)])
     off = np.array([not any(word in name for word in ("direction", "rotation", "q_bg")) for name in found.names])
     return replace(found, prior_mean=found.prior_mean + off * rng.normal(size=len(found)) * 0.01)
 
@@ -178,7 +180,7 @@ def seen(state, camera, rng, *, flat, rolling):
     if rolling:
         of = data.exposures.of_corner
         data = replace(data, exposures=per_corner(data.exposures), t_s=data.t_s[of])
-    places = grid.places(instants(data, entry))
+    places = grid.places(exposure_times(data, entry))
     R, p = board_in_camera(state.trajectory.motion(places, Bases.at(places, grid)), entry)
     of = data.exposures.of_corner
     truth = np.einsum("nij,nj->ni", R[of], state.parameters.target_scale * points) + p[of]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnomon.estimate.camera_imu.batch import Measurements, Noise, State
-from gnomon.estimate.camera_imu.layout import Layout
+from gnomon.estimate.camera_imu.batch import Measurements, NoiseLevels, RigState
+from gnomon.estimate.camera_imu.layout import BorderLayout
 from gnomon.geometry.bspline import basis_matrix
 
 STEP = 1e-30
@@ -23,9 +23,9 @@ class Problem:
     """All that `linearised` is given."""
 
     measurements: Measurements
-    state: State
-    layout: Layout
-    noise: Noise
+    state: RigState
+    layout: BorderLayout
+    noise: NoiseLevels
 
 
 @dataclass(frozen=True, kw_only=True)

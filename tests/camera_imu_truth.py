@@ -7,12 +7,12 @@ import numpy as np
 
 import gnomon
 from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu
-from gnomon.estimate.camera_imu.batch import Measurements, Noise, State, linearised
-from gnomon.estimate.camera_imu.choices import choices
+from gnomon.estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, linearize_batch
+from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
-from gnomon.estimate.camera_imu.layout import layout
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
-from gnomon.estimate.camera_imu.start.first_guess import imu_stream, looks
+from gnomon.estimate.camera_imu.layout import border_layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
+from gnomon.estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
 from gnomon.estimate.camera_imu.terms.inertial_data import InertialNoise
 from gnomon.estimate.camera_imu.terms.visual_terms import VisualData
@@ -141,11 +141,13 @@ def cramer_rao_sigma(simulation, options, gravity_plane, origin) -> dict[str, fl
     """
     prepared = prepare_camera_imu(simulation.recording, simulation.target, options)
     stream = imu_stream(prepared.inertial)
-    found = looks(simulation.recording.cameras, simulation.target, prepared.origin_ns, stream)
+    found = align_cameras(simulation.recording.cameras, simulation.target, prepared.origin_ns, stream)
     parameters = true_parameters(simulation, gravity_plane, origin)
-    state = State(trajectory=true_trajectory(simulation, stream.t_s, found, parameters, options), parameters=parameters)
+    state = RigState(
+        trajectory=true_trajectory(simulation, stream.t_s, found, parameters, options), parameters=parameters
+    )
     imu, root = simulation.recording.imus["imu0"].noise, np.sqrt(simulation.scenario.imu_rate_hz)
-    noise = Noise(
+    noise = NoiseLevels(
         imus=(
             InertialNoise(
                 gyroscope=imu.gyroscope_noise_density * root, accelerometer=imu.accelerometer_noise_density * root
@@ -161,18 +163,18 @@ def cramer_rao_sigma(simulation, options, gravity_plane, origin) -> dict[str, fl
     measurements = Measurements(
         inertial=prepared.inertial, visual=visual, used=tuple(np.ones(len(d.exposures), dtype=bool) for d in visual)
     )
-    chosen = choices(parameters, options)
-    columns = layout(parameters, chosen.status, chosen.prior_sigma)
-    step = gauss_newton_step(linearised(measurements, state, columns, noise, probing=False))
+    chosen = estimation_choices(parameters, options)
+    columns = border_layout(parameters, chosen.status, chosen.prior_sigma)
+    step = gauss_newton_step(linearize_batch(measurements, state, columns, noise, probing=False))
     names = np.array(columns.names)[columns.free]
     return dict(zip(names.tolist(), np.sqrt(np.diag(step.covariance)).tolist(), strict=True))
 
 
-def true_parameters(simulation, gravity_plane, origin) -> Parameters:
+def true_parameters(simulation, gravity_plane, origin) -> RigParameters:
     truth = simulation.truth_parameters
     down = simulation.gravity_target / np.linalg.norm(simulation.gravity_target)
     plane = gravity_plane - np.outer(down, down @ gravity_plane)  # nearly the same, and across the true gravity
-    return Parameters(
+    return RigParameters(
         gravity_axes=np.column_stack([np.linalg.qr(plane)[0] * [-1, -1], down]),
         gravity_m_s2=float(truth["gravity.magnitude"]),
         target_scale=float(truth["target.scale"]),

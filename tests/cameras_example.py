@@ -9,7 +9,7 @@ from gnomon.recording import Source
 from gnomon.results.calibration import UNSTATED_GRAVITY, Assessment, Calibration, CamerasFit, Covariance, Provenance
 from gnomon.results.parameters import covariance_names
 from gnomon.results.sensors import CameraCalibration
-from gnomon.results.trust import TrustNote
+from gnomon.results.trust import UncertaintySummary
 
 LENSES = {
     "cam0": Camera(
@@ -54,7 +54,7 @@ def cameras_calibration(seed=0, cameras=2, *, findings=True) -> Calibration:
             findings=told if findings else (),
             model="cam0 pinhole-radtan",
             cameras=_fit(tuple(found)),
-            trust=TrustNote(covariance="cluster-robust", clusters=60, added=("target.bow",), tries=3),
+            trust=UncertaintySummary(covariance="cluster-robust", clusters=60, added=("target.bow",), tries=3),
         ),
         provenance=Provenance(
             gnomon_version="0.1.0",

@@ -28,7 +28,7 @@ from gnomon.results.camera_diagnostics import (
 from gnomon.results.parameters import covariance_names
 from gnomon.results.result import Result
 from gnomon.results.sensors import CameraCalibration
-from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust, TrustNote
+from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust, UncertaintySummary
 
 PIXEL_SIGMA = 0.15
 ROBUST = 1.3
@@ -349,7 +349,7 @@ def _assessment(case, corners) -> Assessment:
             bow_m=case.bow_m,
             bow_sigma_m=5e-5 if case.bow_m else 0.0,
         ),
-        trust=TrustNote(covariance="cluster-robust" if case.trust else "ordinary", clusters=case.used),
+        trust=UncertaintySummary(covariance="cluster-robust" if case.trust else "ordinary", clusters=case.used),
     )
 
 

@@ -23,8 +23,8 @@ from gnomon.results.calibration import (
     Holdout,
     ImuCalibration,
     Provenance,
+    calibration_parameters,
     covariance_names,
-    parameters,
 )
 from gnomon.results.imu_diagnostics import (
     AllanCurve,
@@ -256,7 +256,7 @@ def random_calibration() -> Callable[..., Calibration]:
         )
         imus = {"imu0": ImuCalibration(accelerometer=accelerometer, gyroscope=gyro if gyroscope else None)}
         names = covariance_names(imus)
-        free = np.concatenate([(value != 0).ravel() for _, value in parameters(imus)])
+        free = np.concatenate([(value != 0).ravel() for _, value in calibration_parameters(imus)])
         size = np.array([scale[0 if "accelerometer" in name else 1] for name in names]) * 1e-4 * free
         root = rng.normal(size=(len(names), len(names))) * size[:, None]
         return Calibration(

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.simulate.images.board_outlines import coverage
+from gnomon.simulate.images.board_outlines import pixel_coverage
 from rendered import FACING
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -67,7 +67,7 @@ def drawn(paths, size, px_per_mm=PX_PER_MM):
     """Share of black of each pixel of the sheet, exact; row 0 is its upper edge."""
     start, end = (px_per_mm * (side * [1, -1] + [0, size[1]]) for side in ends(paths))
     shape = tuple(round(px_per_mm * side) for side in size[::-1])
-    return np.abs(coverage(start, end, shape))
+    return np.abs(pixel_coverage(start, end, shape))
 
 
 def photographed(sheet, px_per_mm, camera, R_cam_sheet, p_cam_sheet, finer=4):

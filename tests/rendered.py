@@ -13,7 +13,7 @@ from gnomon.models.target import Target
 from gnomon.recording import Floats, Integers
 from gnomon.recording.images import Grey
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 
 Range = tuple[float, float]
 
@@ -99,7 +99,7 @@ def rendered_views(
             gradient=(float(gradient[0]), float(gradient[1])),
         )
         wall = cluttered_wall(int(rng.integers(6))) if ranges.clutter else None
-        image = render(pattern, camera, R, p, options=optics, wall=wall, occluders=covers, rng=rng)
+        image = render_board(pattern, camera, R, p, options=optics, wall=wall, occluders=covers, rng=rng)
         far = _far_from(covers, pixels, BORDER_PX + 2 * blur_px)
         point = np.flatnonzero(seen & far)
         tags, side = _tags(target, pixels, seen & far, covers)

@@ -17,8 +17,8 @@ from gnomon.results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
     Provenance,
+    calibration_parameters,
     covariance_names,
-    parameters,
 )
 
 TRIADS = ("accelerometer", "gyroscope", "magnetometer")
@@ -54,7 +54,7 @@ def subset_calibration(
     }
     imus = {"imu0": ImuCalibration(**{name: made[name] for name in triads})}
     names = covariance_names(imus)
-    free = np.concatenate([(value != 0).ravel() for _, value in parameters(imus)])
+    free = np.concatenate([(value != 0).ravel() for _, value in calibration_parameters(imus)])
     size = np.array([scale[TRIADS.index(name.split(".")[1])] for name in names]) * 1e-4 * free
     root = rng.normal(size=(len(names), len(names))) * size[:, None]
     held = {"accelerometer": "accelerometer_rms", "gyroscope": "rate_rms", "magnetometer": "field_rms"}

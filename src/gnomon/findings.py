@@ -104,17 +104,17 @@ _STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2
 """Control characters but tab and new line, and those that turn the direction of writing."""
 
 
-def printable(text: str) -> str:
+def printable_text(text: str) -> str:
     """Return a text in which characters that steer a terminal are shown as escapes; files bring them in names."""
     return re.sub(_STEERING, lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
-def listed(names: tuple[str, ...]) -> str:
+def join_with_or(names: tuple[str, ...]) -> str:
     """Return names as a choice.
 
     Examples
     --------
-    >>> listed(("kalibr", "openvins", "basalt"))
+    >>> join_with_or(("kalibr", "openvins", "basalt"))
     'kalibr, openvins or basalt'
     """
     *first, last = names

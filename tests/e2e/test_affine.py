@@ -7,7 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.models.frames import frame_rotation
-from gnomon.results.calibration import ImuCalibration, rotated
+from gnomon.results.calibration import ImuCalibration, rotate_imu
 
 OPTIONS = gnomon.ImuOptions(gravity=9.81)
 
@@ -59,7 +59,7 @@ class Distortion:
             g_sensitivity=rows(imu.gyroscope.g_sensitivity, 1),
         )
         original = ImuCalibration(accelerometer=accelerometer, gyroscope=gyroscope)
-        return rotated(original, frame_rotation(accelerometer.sensitivity, "accel-x"))
+        return rotate_imu(original, frame_rotation(accelerometer.sensitivity, "accel-x"))
 
 
 def worst_differences(samples, plain, seed):

@@ -115,10 +115,10 @@ def test_errors_and_sigmas_of_a_noisy_recording():
 def test_published_values_have_the_covariance_of_their_errors():
     simulation, result, _ = usual()
     found, true = result.calibration, simulation.truth
-    truth = dict(gnomon.results.calibration.parameters(true.imus, true.cameras))
+    truth = dict(gnomon.results.calibration.calibration_parameters(true.imus, true.cameras))
     truth["imu0.accelerometer.lever_arms_m"] = np.zeros((3, 3))
     error = []
-    for name, a in gnomon.results.calibration.parameters(found.imus, found.cameras):
+    for name, a in gnomon.results.calibration.calibration_parameters(found.imus, found.cameras):
         b = truth[name]
         turn = "rotation" in name
         error.append(rotvec_from_rotation(rotation_from_rotvec(b).T @ rotation_from_rotvec(a)) if turn else a - b)

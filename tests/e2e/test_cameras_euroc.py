@@ -6,9 +6,9 @@ import pytest
 from gnomon.calibrate.cameras import calibrate_cameras
 from gnomon.calibrate.steps.camera_reading import read_camera_views
 from gnomon.calibrate.steps.camera_views import rms_of
-from gnomon.estimate.cameras.board_shape import stated
-from gnomon.estimate.cameras.holdout import posed
-from gnomon.estimate.cameras.rig import Rig
+from gnomon.estimate.cameras.board_shape import stated_shape
+from gnomon.estimate.cameras.holdout import held_out_residuals
+from gnomon.estimate.cameras.rig import CameraRig
 from gnomon.estimate.cameras.views import gathered_views
 from gnomon.models.camera import Camera
 from gnomon.options import CameraOptions
@@ -39,14 +39,14 @@ def published_rms(recording, target, name):
         distortion_coeffs=np.array(coeffs),
         resolution=(752, 480),
     )
-    rig = Rig(
+    rig = CameraRig(
         cameras={name: lens},
         T_cam_cam0=np.eye(4)[None],
         R_cam0_target=np.empty((0, 3, 3)),
         p_cam0_target=np.empty((0, 3)),
-        board=stated(target),
+        board=stated_shape(target),
     )
-    return rms_of(posed(alone, rig)[name])
+    return rms_of(held_out_residuals(alone, rig)[name])
 
 
 def test_unseen_views_are_predicted_better_than_by_the_published_lenses(views):

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.multiposition.rotations import cut_segments, integrate, propagate, segments_between
+from gnomon.estimate.multiposition.rotations import (
+    cut_segments,
+    integrate_rates,
+    propagate_directions,
+    segments_between,
+)
 
 SCALE_PERCENT = np.array([[0.363, 0.315, 0.647], [0.471, 0.482, 0.932], [0.382, 0.355, 0.780]])
 BIAS_M_S2 = np.array([[0.103, 0.097, 0.344], [0.090, 0.070, 0.338], [0.096, 0.008, -0.045]])
@@ -73,7 +78,7 @@ def rotation_rms(recording, result, sensitivity):
     cut = segments_between(t_s, table.start_s, table.stop_s)
     segments = cut_segments(t_s, samples.gyroscope.values, samples.accelerometer.values, *cut)
     rate = (segments.gyroscope - imu.gyroscope.bias) @ np.linalg.inv(sensitivity).T
-    error = u[1:] - propagate(integrate(segments, rate).rotation, u[:-1])
+    error = u[1:] - propagate_directions(integrate_rates(segments, rate).rotation, u[:-1])
     return np.sqrt(np.mean(np.sum(error**2, axis=1)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.results.calibration import parameters
+from gnomon.results.calibration import calibration_parameters
 
 SCENARIO = gnomon.Scenario(g_sensitivity=1e-4, earth_rate_latitude=45.0)
 OPTIONS = gnomon.ImuOptions(gravity=9.80665, latitude=45.0, model="g-sensitivity")
@@ -35,7 +35,7 @@ def calibrated(seed, scenario):
     assert warned <= {"parts-disagree"} or scenario != SCENARIO
     assert calibration.verdict != "fail"
     assert assessment.intervals_used >= scenario.intervals - 1  # five sigma happen once in fifty recordings
-    pairs = zip(parameters(calibration.imus), parameters(truth.imus), strict=True)
+    pairs = zip(calibration_parameters(calibration.imus), calibration_parameters(truth.imus), strict=True)
     errors = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs])
     covariance = calibration.uncertainty.matrix
     free = np.diag(covariance) > 0

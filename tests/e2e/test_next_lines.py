@@ -15,7 +15,7 @@ from gnomon.cli import main
 from gnomon.cli.output_folder import owner_of
 from gnomon.report.cameras import NEXT as CAMERA_LINES
 from gnomon.report.page import Code
-from gnomon.report.sections import use_section
+from gnomon.report.sections import imu_use_section
 
 STARTS = {
     "imu": "simulate -o log.npz --intervals 14 --t-init-s 12",
@@ -136,7 +136,7 @@ def lines_of(section):
 def test_the_lines_in_a_report_on_an_imu_run_in_its_folder(run, tmp_path, monkeypatch):
     run(shlex.split(STARTS["imu"]))
     run(["imu", "log.npz"])
-    lines = lines_of(use_section(gnomon.load("log-imu")))
+    lines = lines_of(imu_use_section(gnomon.load("log-imu")))
     monkeypatch.chdir(tmp_path / "log-imu")
     assert {words[0] for words in lines} == {"apply", "show", "convert"}
     for words in lines:

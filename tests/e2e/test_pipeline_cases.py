@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.geometry.quaternion import multiply, normalised, rk4n_steps, rotation_from_quaternion, running_products
-from gnomon.results.calibration import parameters
+from gnomon.geometry.quaternion import (
+    normalise_quaternion,
+    quaternion_product,
+    rk4n_steps,
+    rotation_from_quaternion,
+    running_products,
+)
+from gnomon.results.calibration import calibration_parameters
 
 GRAVITY = 9.80665
 STATED = gnomon.ImuOptions(gravity=GRAVITY)
@@ -25,7 +31,7 @@ def codes(calibration, *severities):
 
 def errors_in_sigmas(calibration, truth):
     """Return errors over sigmas of all scalars that have one, and the NEES over their number."""
-    pairs = zip(parameters(calibration.imus), parameters(truth.imus), strict=True)
+    pairs = zip(calibration_parameters(calibration.imus), calibration_parameters(truth.imus), strict=True)
     errors = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs])
     covariance = calibration.uncertainty.matrix
     free = np.diag(covariance) > 0
@@ -46,7 +52,7 @@ class Protocol:
 
     def __init__(self, seed=0):
         self.rng = np.random.default_rng(seed)
-        self.q = normalised(self.rng.normal(size=4))
+        self.q = normalise_quaternion(self.rng.normal(size=4))
         self.t, self.rate, self.force = 0.0, [], []
         self.stamps = []
 
@@ -54,7 +60,7 @@ class Protocol:
         n = len(rate)
         steps = rk4n_steps(rate[:-1], rate[1:], np.full(n - 1, 1 / RATE_HZ))
         turned = running_products(steps, np.array([n - 1])) if n > 1 else np.empty((0, 4))
-        attitude = multiply(self.q, np.concatenate([[[1.0, 0, 0, 0]], turned]))
+        attitude = quaternion_product(self.q, np.concatenate([[[1.0, 0, 0, 0]], turned]))
         self.force.append(np.einsum("kij,i->kj", rotation_from_quaternion(attitude), [0, 0, GRAVITY]))
         self.rate.append(rate)
         self.stamps.append(self.t + np.arange(n) / RATE_HZ)
@@ -71,7 +77,7 @@ class Protocol:
 
     def pause(self, seconds=5.0):
         """Turn to another attitude while nothing is recorded."""
-        self.q, self.t = normalised(self.rng.normal(size=4)), self.t + seconds
+        self.q, self.t = normalise_quaternion(self.rng.normal(size=4)), self.t + seconds
         return self
 
     def recording(self, noise=1.0):
@@ -341,7 +347,7 @@ def test_units_do_not_matter(simulated):
     si, mixed = calibrate(recording), calibrate(other)
     per_g, per_deg = 1 / 9.80665, 180 / np.pi
     units = {"accelerometer": per_g, "gyroscope": per_deg}
-    for path, value in parameters(si.imus):
+    for path, value in calibration_parameters(si.imus):
         unit = units[path.split(".")[1]]
         for found, expected in (
             (mixed.parameter(path), value * unit),
@@ -360,7 +366,7 @@ def test_frames_of_a_result(simulated):
     direct = calibrate(recording, frame="accel-z")
     assert direct.frame == "accel-z"
     back = direct.in_frame("accel-x")
-    for path, value in parameters(plain.imus):
+    for path, value in calibration_parameters(plain.imus):
         np.testing.assert_allclose(back.parameter(path), value, atol=1e-10 * np.abs(value).max())
         np.testing.assert_allclose(back.sigma(path), plain.sigma(path), atol=1e-6 * plain.sigma(path).max())
     assert (direct.parameter("imu0.accelerometer.sensitivity")[np.tril_indices(3, -1)] == 0).all()
@@ -411,7 +417,7 @@ def test_users_frame_stands_as_its_poses_say(repeated, poses):
     askew = np.abs(np.arccos(x @ y) - np.pi / 2)
     assert error_x == pytest.approx(askew / 2, abs=1e-6)
     assert error_y == pytest.approx(askew / 2, abs=1e-6)
-    for path, value in parameters(plain.imus):
+    for path, value in calibration_parameters(plain.imus):
         moved = value @ turn.T if value.ndim == 2 else value
         np.testing.assert_allclose(user.parameter(path), moved, atol=1e-9 * np.abs(value).max())
 
@@ -424,7 +430,7 @@ def test_sigmas_in_a_frame_are_what_repetitions_scatter_by(repeated, poses, fram
     options = {"frame": name, "model": "g-sensitivity"}
     truth = calibrate(recording, **options)
     found = [calibrate(one, **options) for one in noisy]
-    for path, value in parameters(truth.imus):
+    for path, value in calibration_parameters(truth.imus):
         sigma = np.mean([one.sigma(path) for one in found], axis=0)
         free = sigma > 1e-9 * np.abs(value).max()
         scatter = np.sqrt(np.mean([(one.parameter(path) - value) ** 2 for one in found], axis=0))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.cli.poses import averages, joined
+from gnomon.cli.poses import join_poses, pose_averages
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.recording import ImuSamples, Piece, Poses, Recording, TriadSamples
 from gnomon.simulate import PoseScenario, simulate_poses
@@ -48,7 +48,7 @@ def without_gyroscope(recording):
 @pytest.fixture(params=["table", "table without sigma", "folder", "files", "recording"])
 def given(request, simulation, tmp_path):
     """The same poses in every form, as paths."""
-    means = averages(simulation)
+    means = pose_averages(simulation)
     if request.param.startswith("table"):
         sigma = means.accelerometer_sigma if request.param == "table" else None
         table = Poses(
@@ -57,7 +57,7 @@ def given(request, simulation, tmp_path):
         save_poses(table, tmp_path / "poses.csv")
         return [tmp_path / "poses.csv"]
     if request.param == "recording":
-        return save_recording(without_gyroscope(joined(simulation)), tmp_path / "one.csv")
+        return save_recording(without_gyroscope(join_poses(simulation)), tmp_path / "one.csv")
     files = save_pose_files(
         [without_gyroscope(Recording(imus={"imu0": p})).imus["imu0"] for p in simulation.poses], tmp_path
     )
@@ -91,7 +91,7 @@ def test_words_on_the_terminal(simulation, run, tmp_path):
 
 
 def test_the_frame_of_named_poses(simulation):
-    recording = Recording(imus={}, poses=averages(simulation))
+    recording = Recording(imus={}, poses=pose_averages(simulation))
     result = gnomon.calibrate_imu(recording, gnomon.ImuOptions(gravity=9.80665, frame="x=1 y=2"))
     calibration = result.calibration
     assert calibration.frame == "user"
@@ -105,7 +105,7 @@ class TestKnownAttitudes:
     SCENARIO = PoseScenario(**SI, known=True, attitude_error_deg=0.02, jig_rotation_deg=(3.0, -5.0, 2.0), samples=400)
 
     def poses(self, seed=1):
-        return averages(simulate_poses(self.SCENARIO, seed))
+        return pose_averages(simulate_poses(self.SCENARIO, seed))
 
     def in_jig(self, seed):
         """Return the true sensitivity by the axes of the jig."""
@@ -159,8 +159,8 @@ class TestKnownAttitudes:
         assert np.abs(calibration.parameter(PATHS[0]) - self.in_jig(1)[0]).max() < 2e-3
 
     def test_attitudes_to_ten_degrees_give_the_same_accelerometer(self):
-        rough = averages(simulate_poses(replace(self.SCENARIO, attitude_error_deg=10.0), 2))
-        exact = averages(simulate_poses(self.SCENARIO, 2))
+        rough = pose_averages(simulate_poses(replace(self.SCENARIO, attitude_error_deg=10.0), 2))
+        exact = pose_averages(simulate_poses(self.SCENARIO, 2))
         shapes = []
         for means in (rough, exact):
             calibration = gnomon.calibrate_imu(Recording(imus={}, poses=means), STATED).calibration
@@ -179,7 +179,7 @@ class TestPresetAngrisano:
     OPTIONS = gnomon.ImuOptions(preset="angrisano", gravity=9.80665, bits=16, full_scale=50.0)
 
     def test_table_1(self, simulation, run, tmp_path):
-        save_poses(averages(simulation), tmp_path / "poses.csv")
+        save_poses(pose_averages(simulation), tmp_path / "poses.csv")
         options = ["--preset", "angrisano", "--bits", 16, "--full-scale", 50, "--gravity", 9.80665]
         code, out, err = run("imu", tmp_path / "poses.csv", *options, "-o", tmp_path / "result")
         assert code == 0, err
@@ -190,7 +190,7 @@ class TestPresetAngrisano:
         assert np.abs(in_sigmas(calibration, simulation.truth)).max() < 4
 
     def test_iterations_and_history(self, simulation):
-        result = gnomon.calibrate_imu(Recording(imus={}, poses=averages(simulation)), self.OPTIONS)
+        result = gnomon.calibrate_imu(Recording(imus={}, poses=pose_averages(simulation)), self.OPTIONS)
         history = result.diagnostics.triads["accelerometer"].history
         assert 3 <= len(history.q) <= 6
         assert history.parameters.shape == (len(history.q), 9)
@@ -198,7 +198,7 @@ class TestPresetAngrisano:
         assert {f.code for f in result.calibration.assessment.findings} >= {"iteration", "preset-start"}
 
     def test_the_default_finds_the_same_minimum(self, simulation):
-        recording = Recording(imus={}, poses=averages(simulation))
+        recording = Recording(imus={}, poses=pose_averages(simulation))
         ours = gnomon.calibrate_imu(recording, STATED).calibration
         theirs = gnomon.calibrate_imu(recording, self.OPTIONS).calibration.in_frame("accel-x")
         for path in PATHS:
@@ -206,7 +206,7 @@ class TestPresetAngrisano:
             assert np.abs((ours.parameter(path) - theirs.parameter(path)) / sigma).max() < 1.0
 
     def test_both_geometries_are_one_sensor(self, simulation):
-        recording = Recording(imus={}, poses=averages(simulation))
+        recording = Recording(imus={}, poses=pose_averages(simulation))
         found = [
             gnomon.calibrate_imu(recording, replace(self.OPTIONS, geometry=geometry)).calibration.parameter(PATHS[0])
             for geometry in ("small-angle", "exact")
@@ -214,7 +214,7 @@ class TestPresetAngrisano:
         np.testing.assert_allclose(found[0], found[1], rtol=1e-6, atol=1e-4)
 
     def test_a_wrong_start_is_condemned(self, simulation, run, tmp_path):
-        save_poses(averages(simulation), tmp_path / "poses.csv")
+        save_poses(pose_averages(simulation), tmp_path / "poses.csv")
         options = ["--preset", "angrisano", "--bits", 12, "--full-scale", 50, "--gravity", 9.80665]
         code, out, err = run("imu", tmp_path / "poses.csv", *options, "--json", "-o", tmp_path / "result")
         document = json.loads(out)
@@ -226,18 +226,20 @@ class TestPresetAngrisano:
 
     def test_counts_need_the_data_sheet(self, simulation):
         with pytest.raises(gnomon.OptionError, match="--bits 16 --full-scale 50"):
-            gnomon.calibrate_imu(Recording(imus={}, poses=averages(simulation)), gnomon.ImuOptions(preset="angrisano"))
+            gnomon.calibrate_imu(
+                Recording(imus={}, poses=pose_averages(simulation)), gnomon.ImuOptions(preset="angrisano")
+            )
 
     def test_units_start_from_themselves(self):
         simulation = simulate_poses(PoseScenario(**SI), 4)
-        recording = Recording(imus={}, poses=averages(simulation))
+        recording = Recording(imus={}, poses=pose_averages(simulation))
         options = gnomon.ImuOptions(preset="angrisano", gravity=9.80665)
         calibration = gnomon.calibrate_imu(recording, options).calibration
         assert np.abs(in_sigmas(calibration, simulation.truth)).max() < 4.5
 
     def test_components_where_attitudes_are_known(self):
         simulation = simulate_poses(PoseScenario(**SI, known=True, attitude_error_deg=0.0), 4)
-        recording = Recording(imus={}, poses=averages(simulation))
+        recording = Recording(imus={}, poses=pose_averages(simulation))
         options = gnomon.ImuOptions(preset="angrisano", gravity=9.80665)
         calibration = gnomon.calibrate_imu(recording, options).calibration
         assert np.abs(in_sigmas(calibration, simulation.truth)).max() < 4.5

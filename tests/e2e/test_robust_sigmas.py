@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 import gnomon
-from gnomon.results.calibration import parameters
+from gnomon.results.calibration import calibration_parameters
 
 SCENARIO = gnomon.Scenario(g_sensitivity=1e-4, earth_rate_latitude=45.0)
 OPTIONS = gnomon.ImuOptions(gravity=9.80665, latitude=45.0, model="g-sensitivity")
@@ -51,7 +51,7 @@ def calibrated(seed, kind):
         )
     result = gnomon.calibrate_imu(recording, OPTIONS)
     calibration, trust = result.calibration, result.diagnostics.trust
-    pairs = zip(parameters(calibration.imus), parameters(truth.imus), strict=True)
+    pairs = zip(calibration_parameters(calibration.imus), calibration_parameters(truth.imus), strict=True)
     errors = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs]) - shift
     free = np.diag(calibration.uncertainty.matrix) > 0
     assert free.sum() == PARAMETERS

@@ -12,7 +12,7 @@ import pytest
 
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.results.parameters import parameters
+from gnomon.results.parameters import calibration_parameters
 
 OPTIONS = CameraImuOptions(gravity=9.80665, model="full", covariance="ordinary")
 RUNS = max(3, round(50 * float(os.environ.get("GNOMON_STUDY", "1"))))
@@ -43,8 +43,11 @@ SETS = {
 
 def errors(result, simulation):
     """Return names, errors and covariance of all scalars that were estimated, biases as their means."""
-    calibration, truth = result.calibration, dict(parameters(simulation.truth.imus, simulation.truth.cameras))
-    found = dict(parameters(calibration.imus, calibration.cameras))
+    calibration, truth = (
+        result.calibration,
+        dict(calibration_parameters(simulation.truth.imus, simulation.truth.cameras)),
+    )
+    found = dict(calibration_parameters(calibration.imus, calibration.cameras))
     assert found.keys() == truth.keys()
     error = [
         rotvec_from_rotation(rotation_from_rotvec(truth[path]).T @ rotation_from_rotvec(value))

@@ -8,7 +8,7 @@ import pytest
 import gnomon
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.cli import main
-from gnomon.detect.boards.worker import detector
+from gnomon.detect.boards.worker import make_detector
 from gnomon.readers.images.image_recording import open_images
 from gnomon.simulate.cameras import CamerasScenario, simulate_cameras
 from gnomon.simulate.images.board_images import rendered_cameras, simulated_images
@@ -84,7 +84,7 @@ def test_every_board_is_found_where_it_is(tmp_path, board):
     frames, truth, detect = (
         simulation.recording.cameras["cam0"],
         simulation.corners["cam0"],
-        detector(simulation.target),
+        make_detector(simulation.target),
     )
     errors = []
     for k, frame in enumerate(stream.frames([])):

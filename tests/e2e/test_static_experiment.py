@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.cli.poses import averages, joined
+from gnomon.cli.poses import join_poses, pose_averages
 from gnomon.recording import Recording
 from gnomon.results.calibration import Covariance, covariance_names
 from gnomon.simulate import PoseScenario, simulate_poses
@@ -47,7 +47,7 @@ def known_sensor(truth, *, scale=1e-4):
 
 
 def _paths(calibration):
-    return [path for path, _ in gnomon.results.calibration.parameters(calibration.imus)]
+    return [path for path, _ in gnomon.results.calibration.calibration_parameters(calibration.imus)]
 
 
 def runs(count, *, prior, scenario=SIX):
@@ -57,7 +57,7 @@ def runs(count, *, prior, scenario=SIX):
         simulation = simulate_poses(scenario, seed)
         known = known_sensor(simulation.truth) if prior else None
         options = replace(OPTIONS, free=("imu0.gyroscope.g_sensitivity",)) if prior else OPTIONS
-        calibration = gnomon.calibrate_imu(joined(simulation), options, prior=known).calibration
+        calibration = gnomon.calibrate_imu(join_poses(simulation), options, prior=known).calibration
         error = calibration.parameter(G) - simulation.truth.in_frame("accel-x").parameter(G)
         z.append((error / calibration.sigma(G)).ravel())
         errors.append(error.ravel())
@@ -103,8 +103,8 @@ def test_every_form_of_the_seven_segments(run, tmp_path):
     simulation = simulate_poses(replace(SIX, attitudes="seven"), 2)
     (tmp_path / "poses").mkdir()
     save_pose_files(simulation.poses, tmp_path / "poses")
-    save_poses(averages(simulation), tmp_path / "table.csv")
-    save_recording(joined(simulation), tmp_path / "one.npz")
+    save_poses(pose_averages(simulation), tmp_path / "table.csv")
+    save_recording(join_poses(simulation), tmp_path / "one.npz")
     found = []
     for name in ("poses", "table.csv", "one.npz"):
         folder = tmp_path / f"{name}-result"
@@ -127,8 +127,8 @@ def test_the_earth_is_taken_off_where_the_latitude_is_known():
         SIX, attitudes="seven", gyroscope_noise_density=1e-7, g_sensitivity=(0.0,) * 9, attitude_error_deg=0.0
     )
     simulation = simulate_poses(replace(still, earth_rate_latitude=90.0), 1)
-    unknown = gnomon.calibrate_imu(joined(simulation), gnomon.ImuOptions(gravity=9.80665)).calibration
-    known = gnomon.calibrate_imu(joined(simulation), gnomon.ImuOptions(gravity=9.80665, latitude=90.0)).calibration
+    unknown = gnomon.calibrate_imu(join_poses(simulation), gnomon.ImuOptions(gravity=9.80665)).calibration
+    known = gnomon.calibrate_imu(join_poses(simulation), gnomon.ImuOptions(gravity=9.80665, latitude=90.0)).calibration
     earth = 7.292e-5 / 9.80665
     np.testing.assert_allclose(np.diag(unknown.parameter(G)), earth, rtol=0.05)
     assert (np.abs(np.diag(unknown.parameter(G)) / np.diag(unknown.sigma(G))) < 2).all()
@@ -142,7 +142,7 @@ class TestWithoutUnit:
     SIMULATION = simulate_poses(PoseScenario(samples=300), 5)
 
     def test_what_is_missing_is_said(self):
-        result = gnomon.calibrate_imu(Recording(imus={}, poses=averages(self.SIMULATION)), OPTIONS)
+        result = gnomon.calibrate_imu(Recording(imus={}, poses=pose_averages(self.SIMULATION)), OPTIONS)
         assert result.calibration.imus["imu0"].gyroscope is None
         messages = {f.code: str(f) for f in result.calibration.assessment.findings}
         assert "--prior" in messages["gyroscope-scale-unknown"]
@@ -151,7 +151,7 @@ class TestWithoutUnit:
 
     def test_a_prior_calibration_gives_it(self):
         known = known_sensor(self.SIMULATION.truth)
-        recording = Recording(imus={}, poses=averages(self.SIMULATION))
+        recording = Recording(imus={}, poses=pose_averages(self.SIMULATION))
         calibration = gnomon.calibrate_imu(recording, OPTIONS, prior=known).calibration
         np.testing.assert_allclose(calibration.parameter(S), known.parameter(S))
         np.testing.assert_allclose(calibration.sigma(S), known.sigma(S), rtol=1e-6)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from gnomon.study.krebs import study_krebs
-from gnomon.study.krebs_claims import claims
-from gnomon.study.krebs_thesis import columns
+from gnomon.study.krebs_claims import krebs_claims
+from gnomon.study.krebs_thesis import group_columns
 from gnomon.study.runs import Workers
 
 OPEN = ("of the same size", "mean lies on the true value")
@@ -20,10 +20,10 @@ OPEN = ("of the same size", "mean lies on the true value")
 @pytest.mark.slow
 def test_the_study_of_document_b():
     study = study_krebs(runs=100, workers=Workers(jobs=os.cpu_count() or 1), progress=print)
-    found = {claim.claim: claim for claim in claims(study)}
+    found = {claim.claim: claim for claim in krebs_claims(study)}
     assert [
         claim for text, claim in found.items() if not claim.holds and not any(words in text for words in OPEN)
     ] == []
     for sample in study.noise_levels:
         np.testing.assert_allclose(sample.sigma / sample.scatter, 1.0, atol=0.3)
-    assert np.abs(study.basic.mean[columns("p_cb")]).max() > 1e-3
+    assert np.abs(study.basic.mean[group_columns("p_cb")]).max() > 1e-3

@@ -10,7 +10,7 @@ import pytest
 
 from gnomon.study.runs import Workers
 from gnomon.study.tedaldi import study_tedaldi
-from gnomon.study.tedaldi_claims import GROUPS, claims, group_errors
+from gnomon.study.tedaldi_claims import GROUPS, group_errors, tedaldi_claims
 from gnomon.study.tedaldi_trial import METHODS
 
 
@@ -19,6 +19,8 @@ def test_the_study_of_document_a():
     study = study_tedaldi(runs=30, workers=Workers(jobs=os.cpu_count() or 1), progress=print)
     for method in METHODS:
         print(method, dict(zip(GROUPS, 1e3 * group_errors(study, method), strict=True)))
-    assert all(claim.holds for claim in claims(study)), [claim for claim in claims(study) if not claim.holds]
+    assert all(claim.holds for claim in tedaldi_claims(study)), [
+        claim for claim in tedaldi_claims(study) if not claim.holds
+    ]
     for (name, (_, theirs)), ours in zip(GROUPS.items(), group_errors(study, "gnomon"), strict=True):
         assert ours <= (0.6 if name.startswith("gyroscope") else 1.0) * theirs, name

@@ -13,7 +13,7 @@ from gnomon.calibrate.turntable import calibrate_turntable
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.turntable.fit import magnitude_poses
 from gnomon.options import StatedRate, TurntableOptions
-from gnomon.results.calibration import parameters
+from gnomon.results.calibration import calibration_parameters
 from gnomon.simulate import TurntableScenario, simulate_turntable
 
 DEFAULT = TurntableScenario()
@@ -68,7 +68,7 @@ def test_scales_to_2e_4_and_misalignment_to_3e_4_when_the_rate_is_known_to_1e_4(
 def normalised(scenario, seed):
     """Return squared errors in units of the covariance, over their number, and errors over sigma."""
     calibration, truth = calibrated(scenario, seed, 1e-3)
-    pairs = zip(parameters(calibration.imus), parameters(truth.imus), strict=True)
+    pairs = zip(calibration_parameters(calibration.imus), calibration_parameters(truth.imus), strict=True)
     error = np.concatenate([(found - true).ravel() for (_, found), (_, true) in pairs])
     covariance = calibration.uncertainty.matrix
     free = np.diag(covariance) > 0

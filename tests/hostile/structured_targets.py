@@ -18,7 +18,7 @@ from cameras_result import make_cameras_result
 from gnomon.calibrate.steps.board_reading import kept_corners
 from gnomon.cli.inputs import read_priors
 from gnomon.findings import Finding
-from gnomon.formats.conversion import exported
+from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import load_any, load_foreign
 from gnomon.formats.kalibr.cam_results import camera_texts
@@ -90,7 +90,7 @@ def converted(form: str) -> Mapping[str, str]:
     stated = {"imu0": StatedImu(noise=NOISE, update_rate_hz=200.0, topic="/imu0")}
     calibration = gnomon.load(GOLDEN / "calibration-gnomon-1.yaml") if form in _OF_IMUS else camera_imu()
     scales = {"accelerometer_lsb_per_g": 4096.0, "gyroscope_lsb_per_deg_s": 83.267} if form in _OF_SI else {}
-    return exported(calibration, form, imu=stated if form in _NOISY else None, **scales).files
+    return export_texts(calibration, form, imu=stated if form in _NOISY else None, **scales).files
 
 
 _OF_SI = ("px4", "ardupilot")
@@ -144,7 +144,7 @@ def _golden() -> list[bytes]:
 
 
 def _own_json() -> list[bytes]:
-    alone = exported(cameras_calibration(), "json").files
+    alone = export_texts(cameras_calibration(), "json").files
     return [next(iter(files.values())).encode() for files in (converted("json"), alone)]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gnomon.models.angrisano import AngrisanoTriad, alignment, angles_and_scales
+from gnomon.models.angrisano import AngrisanoTriad, alignment_matrix, angles_and_scales
 
 angle = st.floats(-1.4, 1.4)
 scale = st.floats(1e-4, 1e4)
@@ -13,10 +13,10 @@ geometry = st.sampled_from(["small-angle", "exact"])
 
 @given(st.tuples(angle, angle, angle), st.tuples(scale, scale, scale), geometry, geometry)
 def test_a_sensor_in_one_geometry_is_the_same_in_the_other(angles, scales, one, other):
-    correction = alignment(np.array(angles), one) * np.array(scales)
+    correction = alignment_matrix(np.array(angles), one) * np.array(scales)
     back, K = angles_and_scales(correction, other)
     np.testing.assert_allclose(
-        alignment(back, other) * K, correction, rtol=1e-12, atol=1e-12 * np.abs(correction).max()
+        alignment_matrix(back, other) * K, correction, rtol=1e-12, atol=1e-12 * np.abs(correction).max()
     )
     np.testing.assert_allclose(angles_and_scales(correction, one)[0], angles, rtol=1e-9, atol=1e-9)
 

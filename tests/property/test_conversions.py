@@ -41,7 +41,7 @@ from gnomon.results.calibration import (
     ImuCalibration,
     Provenance,
 )
-from gnomon.results.parameters import covariance_names, parameters
+from gnomon.results.parameters import calibration_parameters, covariance_names
 
 entry = st.floats(-0.2, 0.2)
 matrices = st.lists(entry, min_size=9, max_size=9).map(lambda x: np.eye(3) + np.reshape(x, (3, 3)))
@@ -190,7 +190,7 @@ def check_pair(one, other, S_a, b_a, S_g, b_g, G, seed):
         close(force @ turn.T @ imu.accelerometer.sensitivity.T + imu.accelerometer.bias, measured[0], 10)
         response = rate @ turn.T @ imu.gyroscope.sensitivity.T + force @ turn.T @ imu.gyroscope.g_sensitivity.T
         close(response + imu.gyroscope.bias, measured[1], 10)
-    begin, end = (dict(parameters(c.in_frame("accel-x").imus)) for c in (first, now))
+    begin, end = (dict(calibration_parameters(c.in_frame("accel-x").imus)) for c in (first, now))
     for path, value in begin.items():
         close(end[path], value, 1.0)
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gnomon.geometry.quaternion import (
-    multiply,
-    normalised,
+    normalise_quaternion,
+    quaternion_product,
     rk4n_steps,
     rotation_from_quaternion,
     running_products,
@@ -29,15 +29,15 @@ def close(found, expected, scale=1.0):
 @given(a=quaternions, b=quaternions, c=quaternions)
 def test_product_is_associative_and_keeps_the_norm(a, b, c):
     size = np.linalg.norm(a) * np.linalg.norm(b) * np.linalg.norm(c)
-    close(multiply(multiply(a, b), c), multiply(a, multiply(b, c)), size)
-    close(np.linalg.norm(multiply(a, b)), np.linalg.norm(a) * np.linalg.norm(b), size)
+    close(quaternion_product(quaternion_product(a, b), c), quaternion_product(a, quaternion_product(b, c)), size)
+    close(np.linalg.norm(quaternion_product(a, b)), np.linalg.norm(a) * np.linalg.norm(b), size)
 
 
 @given(a=quaternions)
 def test_conjugate_over_square_is_the_inverse(a):
     inverse = a * [1, -1, -1, -1] / (a @ a)
-    close(multiply(a, inverse), [1, 0, 0, 0])
-    close(multiply(inverse, a), [1, 0, 0, 0])
+    close(quaternion_product(a, inverse), [1, 0, 0, 0])
+    close(quaternion_product(inverse, a), [1, 0, 0, 0])
 
 
 @given(a=units, b=units, v=vectors)
@@ -45,9 +45,9 @@ def test_rotation_matrices_are_a_faithful_image(a, b, v):
     rotation = rotation_from_quaternion(a)
     close(rotation @ rotation.T, np.eye(3))
     close(np.linalg.det(rotation), 1.0)
-    close(rotation_from_quaternion(multiply(a, b)), rotation @ rotation_from_quaternion(b))
+    close(rotation_from_quaternion(quaternion_product(a, b)), rotation @ rotation_from_quaternion(b))
     close(rotation_from_quaternion(-a), rotation)
-    turned = multiply(multiply(a, np.array([0.0, *v])), a * [1, -1, -1, -1])  # v_world = q v q*
+    turned = quaternion_product(quaternion_product(a, np.array([0.0, *v])), a * [1, -1, -1, -1])  # v_world = q v q*
     close(turned, [0.0, *(rotation @ v)], np.linalg.norm(v))
 
 
@@ -78,12 +78,12 @@ def test_nearest_rotation_is_nearest(q, noise, other):
 @settings(deadline=None)
 @given(lengths=lengths, seed=st.integers(0, 2**32 - 1))
 def test_running_products_are_those_of_a_plain_loop(lengths, seed):
-    steps = normalised(np.random.default_rng(seed).normal(size=(sum(lengths), 4)))
+    steps = normalise_quaternion(np.random.default_rng(seed).normal(size=(sum(lengths), 4)))
     expected, k = np.empty_like(steps), 0
     for length in lengths:
         attitude = np.array([1.0, 0, 0, 0])
         for _ in range(length):
-            attitude = multiply(attitude, steps[k])
+            attitude = quaternion_product(attitude, steps[k])
             expected[k] = attitude
             k += 1
     np.testing.assert_allclose(running_products(steps, np.array(lengths)), expected, rtol=0, atol=1e-13)
@@ -95,4 +95,4 @@ def test_rk4n_backwards_in_time_undoes_itself(rates, dt):
     # Reversed, the sums of Eqs. (3.12)-(3.15) are the conjugate ones, term by term; coarse steps are no exception.
     there = rk4n_steps(rates[:-1], rates[1:], np.full(8, dt))
     back = rk4n_steps(-rates[1:], -rates[:-1], np.full(8, dt))
-    close(multiply(there, back), np.tile([1.0, 0, 0, 0], (8, 1)))
+    close(quaternion_product(there, back), np.tile([1.0, 0, 0, 0], (8, 1)))

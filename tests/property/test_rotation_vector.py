@@ -6,12 +6,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gnomon.geometry.rotation_vector import (
+    body_rotation,
     nearest_branch,
     right_jacobian,
     rotation_from_rotvec,
     rotvec_from_rotation,
-    turning,
-    unwrapped,
+    unwrap_rotvecs,
 )
 
 component = st.floats(-6, 6, allow_subnormal=False)
@@ -52,7 +52,7 @@ def test_right_jacobian_turns_small_changes(phi, d):
 
 @given(phi=vectors, rate=vectors)
 def test_turning_agrees_with_the_plain_functions(phi, rate):
-    R, J, omega, by_phi = (value[0] for value in turning(phi[None], rate[None]))
+    R, J, omega, by_phi = (value[0] for value in body_rotation(phi[None], rate[None]))
     close(R, rotation_from_rotvec(phi), 1e-14)
     close(J, right_jacobian(phi), 1e-14)
     close(omega, J @ rate, 1e-13 * (1 + np.linalg.norm(rate)))
@@ -86,5 +86,5 @@ def test_unwrapped_gives_a_continuous_track_back(seed, bend, reach):
     axis = rng.normal(size=3) + wandering
     truth = angle[:, None] * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     assume(np.linalg.norm(np.diff(truth, axis=0), axis=1).max() < 0.4)
-    found = unwrapped(rotvec_from_rotation(rotation_from_rotvec(truth)))
+    found = unwrap_rotvecs(rotvec_from_rotation(rotation_from_rotvec(truth)))
     close(found, truth, 1e-11)

@@ -12,7 +12,7 @@ from gnomon.recording import Floats, ImuSamples, Recording, TriadSamples
 from gnomon.results.sensors import ImuCalibration
 from gnomon.simulate.imu import simulate_imu
 from gnomon.simulate.scenarios import Scenario
-from gnomon.simulate.sensor import Converter, converters
+from gnomon.simulate.sensor import Converter, sensor_converters
 
 from .fault_recordings import seconds, some, warming
 from .wild import (
@@ -132,7 +132,7 @@ def _digitised(case: WildCase, scenario: Scenario, drawn: ImuCalibration) -> Wil
     What moves the sensor, or its bias, does so before the converter, which it carries from step to step.
     """
     samples, imu = _samples(case), case.imus["imu0"]
-    to_force, to_rate = converters(scenario)
+    to_force, to_rate = sensor_converters(scenario)
     force, rate = imu.required_accelerometer, imu.gyroscope
     assert rate is not None
     assert drawn.gyroscope is not None

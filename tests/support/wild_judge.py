@@ -24,7 +24,7 @@ from gnomon.models.gravity import EARTH_RATE_RAD_S
 from gnomon.options import CameraImuOptions, ImuOptions
 from gnomon.recording import Floats
 from gnomon.results.calibration import Calibration, Verdict
-from gnomon.results.parameters import element_names, moved_to_origin, parameters
+from gnomon.results.parameters import calibration_parameters, element_names, moved_to_origin
 from gnomon.study.runs import HERE, Progress, Workers, carry_out
 
 from .wild import WildCase, WildKind
@@ -192,9 +192,9 @@ def _errors(case: WildCase, calibration: Calibration) -> tuple[list[str], Floats
         calibration = calibration.in_frame("accel-x")
     origins = {name: imu.origin for name, imu in calibration.imus.items() if imu.origin is not None}
     true = moved_to_origin(case.imus, case.cameras, origins)
-    truth = dict(parameters(true.imus, true.cameras))
+    truth = dict(calibration_parameters(true.imus, true.cameras))
     difference: dict[str, float] = {}
-    for path, found in parameters(calibration.imus, calibration.cameras):
+    for path, found in calibration_parameters(calibration.imus, calibration.cameras):
         true = truth.get(path, np.zeros(found.shape))  # accelerometers without lever arms sit at one point
         if path.endswith("T_cam_imu.rotation"):
             error = rotvec_from_rotation(rotation_from_rotvec(true).T @ rotation_from_rotvec(found))
@@ -230,7 +230,7 @@ def _taken_off(options: ImuOptions, calibration: Calibration, truth: Mapping[str
     if options.latitude is None or not _taken_from_the_unit(calibration).any():
         return np.zeros((3, 3))
     path = "imu0.gyroscope.sensitivity"
-    assumed = dict(parameters(calibration.imus))[path] - truth[path]
+    assumed = dict(calibration_parameters(calibration.imus))[path] - truth[path]
     return assumed * EARTH_RATE_RAD_S * np.sin(np.radians(options.latitude)) / calibration.gravity.value
 
 
@@ -239,7 +239,7 @@ def _beyond_what_is_published(case: WildCase, calibration: Calibration, names: l
     if getattr(case.options, "preset", "gnomon") == "gnomon":
         return error
     allowed = np.zeros(len(names))
-    truth = dict(parameters(case.imus))
+    truth = dict(calibration_parameters(case.imus))
     for i, name in enumerate(names):
         path = name.partition("[")[0]
         triad = path.rpartition(".")[0]

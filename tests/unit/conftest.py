@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibrate.steps.preparation import stream
+from gnomon.calibrate.steps.preparation import weighted_stream
 from gnomon.detect.samples.static import runs_below, static_statistic, window_samples
 from gnomon.estimate.multiposition.problem import MultiPositionProblem, build_problem
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
@@ -32,7 +32,9 @@ def multiposition() -> Callable[..., tuple[MultiPositionProblem, gnomon.Calibrat
         statistic = static_statistic(samples.values, window_samples(samples, 1.0))
         still = runs_below(statistic, 100.0, round(0.5 * samples.rate_hz))
         clipped = np.zeros(len(imu.accelerometer), dtype=bool)
-        streams = [stream(samples, samples.t_s, clipped, still) for samples in (imu.accelerometer, imu.gyroscope)]
+        streams = [
+            weighted_stream(samples, samples.t_s, clipped, still) for samples in (imu.accelerometer, imu.gyroscope)
+        ]
         return build_problem(*streams, earth_rate_variance), truth
 
     return make

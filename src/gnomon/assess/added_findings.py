@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..estimate.camera_imu.layout import Layout
-from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
+from ..estimate.camera_imu.layout import BorderLayout
+from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 from ..findings import Finding, make_finding
 from ..recording import Floats
 
@@ -16,7 +16,7 @@ _DELAYED, _CERTAIN = "triads-apart", 3.0
 
 
 def added_findings(
-    added: tuple[str, ...], start: Parameters, found: Parameters, *, board_told: bool, arms_told: bool = False
+    added: tuple[str, ...], start: RigParameters, found: RigParameters, *, board_told: bool, arms_told: bool = False
 ) -> list[Finding]:
     """Say what was added to the model.
 
@@ -77,7 +77,7 @@ def comparison_left_out(what: str, reason: str) -> Finding:
     return make_finding("comparison-left-out", what=what, reason=reason)
 
 
-def out_of_order(columns: Layout, found: Parameters) -> list[Finding]:
+def out_of_order(columns: BorderLayout, found: RigParameters) -> list[Finding]:
     """Say where g-sensitivity is estimated and what matters more, scale and misalignment, is taken for ideal."""
     findings: list[Finding] = []
     for i, imu in enumerate(found.imus):

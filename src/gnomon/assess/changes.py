@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..findings import Finding, make_finding
-from ..geometry.so3 import inverse
+from ..geometry.so3 import invert_3x3
 from ..models.camera import Camera
 from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
 from ..recording import Floats
 from ..results.calibration import Calibration
 from ..results.trust import ParameterChange, QuantityChange, Trust
-from .verdict import graded, merge_by_cause, verdict_of
+from .verdict import grade_value, merge_by_cause, verdict_of
 
 CHANGED = "parameter-changed"
 
@@ -111,7 +111,7 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
         own = [change for change in changes if (change.block, change.where) == place]
         needed = [_needed(change, use) for change in own]
         grades = [
-            graded(change.size, need, (10.0 if use is None else use.fails_at) * need) if need else "good"
+            grade_value(change.size, need, (10.0 if use is None else use.fails_at) * need) if need else "good"
             for change, need in zip(own, needed, strict=True)
         ]
         severity = "problem" if "problem" in grades else "warning" if "warning" in grades else "info"
@@ -186,7 +186,7 @@ def _sizes(
         magnetometer = calibration.imus[sensor].magnetometer
         assert magnetometer is not None
         field = FIELD_UT if magnetometer.field_unit == "uT" else 1.0
-        yield "heading", *_largest(change, _OF_HEADING / field * inverse(magnetometer.sensitivity))
+        yield "heading", *_largest(change, _OF_HEADING / field * invert_3x3(magnetometer.sensitivity))
     elif rest.endswith(".g_sensitivity"):
         matrix = getattr(calibration.imus[sensor], rest.partition(".")[0]).sensitivity
         yield "gyroscope_g_sensitivity", *_largest(change, np.diag(1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)))

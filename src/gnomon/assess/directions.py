@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ..recording import Floats, Integers
-from ..results.parameters import covariance_names, parameters
+from ..results.parameters import calibration_parameters, covariance_names
 from ..results.sensors import CameraCalibration, ImuCalibration
 
 Kind = Literal["rotation", "translation", "time_shift", "gyroscope", "g_sensitivity", "accelerometer"]
@@ -85,7 +85,7 @@ class Relative:
     covariance: Floats
 
 
-def relative(
+def relative_covariance(
     imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration], covariance: Floats
 ) -> Relative:
     """Return the covariance (n, n) of sensors and cameras, whatever the unit of their measurements.
@@ -96,7 +96,7 @@ def relative(
     names = covariance_names(imus, cameras)
     factor = np.ones(len(names))
     start = 0
-    for path, value in parameters(imus, cameras):
+    for path, value in calibration_parameters(imus, cameras):
         sensor, _, rest = path.partition(".")
         triad, _, parameter = rest.partition(".")
         if sensor in imus and parameter in ("sensitivity", "bias", "g_sensitivity"):
@@ -107,7 +107,7 @@ def relative(
     return Relative(names=names, covariance=covariance * np.outer(factor, factor))
 
 
-def parts(names: tuple[str, ...], covariance: Floats, R_sensor_body: Mapping[str, Floats]) -> Iterator[Part]:
+def estimated_parts(names: tuple[str, ...], covariance: Floats, R_sensor_body: Mapping[str, Floats]) -> Iterator[Part]:
     """Yield the parts of which anything was estimated.
 
     Parameters
@@ -234,7 +234,7 @@ def seconds_more(part: Part, wanted: float, duration_s: float, worst: int = 0) -
     return best, False
 
 
-def amount(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Return a time for people, rounded up, or nothing where it would be longer than anyone waits."""
     if not isfinite(seconds) or seconds > _PATIENCE_S:
         return ""
@@ -242,18 +242,18 @@ def amount(seconds: float) -> str:
     return f"{max(10, step * ceil(seconds / step)):d} s more"
 
 
-def cure(part: Part, wanted: float, duration_s: float, R_cam_imu: Floats | None = None) -> str:
+def motion_advice(part: Part, wanted: float, duration_s: float, R_cam_imu: Floats | None = None) -> str:
     """Return the motion that determines the worst direction of a part.
 
     Parameters
     ----------
-    part : see `parts`
+    part : see `estimated_parts`
     wanted : standard deviation [unit of the part]
     duration_s : of the recording; nan where not known
     R_cam_imu : (3, 3) where there is a camera, whose axes a person sees
     """
     seconds, as_before = seconds_more(part, wanted, duration_s)
-    time = amount(seconds)
+    time = duration_text(seconds)
     if as_before and time:
         return f"Go on with the same motion for {time}."
     motion = _motion(part, R_cam_imu)

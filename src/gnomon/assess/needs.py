@@ -20,9 +20,9 @@ from ..recording import Floats
 from ..results.calibration import Assessment, Calibration
 from ..results.trust import Need
 from .changes import CHANGED, change_findings
-from .directions import Kind, Part, amount, cure, one_direction, parts, relative
+from .directions import Kind, Part, duration_text, estimated_parts, motion_advice, one_direction, relative_covariance
 from .observability import LIMITS
-from .verdict import graded, merge_by_cause, verdict_of
+from .verdict import grade_value, merge_by_cause, verdict_of
 from .weak_findings import PLACES_AND_CLOCKS
 
 _PRECISION = ("imprecise", "uncertainty-accelerometer", "uncertainty-gyroscope")
@@ -91,17 +91,17 @@ class Achieved:
         return f"{words} of {self.sensor}"
 
 
-def offers(calibration: Calibration) -> Iterator[Achieved]:
+def achieved_quantities(calibration: Calibration) -> Iterator[Achieved]:
     """Yield what a calibration offers of every quantity that it has.
 
     Gravity's part is taken off the accelerometer's scale: see `requirements`.
     """
-    found = relative(calibration.imus, calibration.cameras, calibration.uncertainty.matrix)
+    found = relative_covariance(calibration.imus, calibration.cameras, calibration.uncertainty.matrix)
     column = {name: i for i, name in enumerate(found.names)}
     placed = {name: imu.T_imu_body for name, imu in calibration.imus.items() if imu.T_imu_body is not None}
     turns = {name: camera.T_cam_imu[:3, :3] for name, camera in calibration.cameras.items()}
     turns |= {name: T[:3, :3] for name, T in placed.items()}
-    known = {(part.sensor, part.kind): part for part in parts(found.names, found.covariance, turns)}
+    known = {(part.sensor, part.kind): part for part in estimated_parts(found.names, found.covariance, turns)}
     spread = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
 
     def offer(quantity: str, sensor: str, sigma: float) -> Achieved:
@@ -204,16 +204,16 @@ def _heading(calibration: Calibration, name: str) -> float:
     return float(np.sqrt(worst))
 
 
-def needs(calibration: Calibration, use: Use) -> tuple[Need, ...]:
+def needs_of_use(calibration: Calibration, use: Use) -> tuple[Need, ...]:
     """Return what a use needs of a calibration, quantity by quantity, and whether it is there.
 
-    What was not estimated is left out; see `judged`.
+    What was not estimated is left out; see `judge_for_use`.
     """
     return tuple(_need(calibration, offer, use) for offer in _asked(calibration, use) if offer.sigma > 0)
 
 
 def _asked(calibration: Calibration, use: Use) -> list[Achieved]:
-    return [offer for offer in offers(calibration) if offer.quantity in use.needs]
+    return [offer for offer in achieved_quantities(calibration) if offer.quantity in use.needs]
 
 
 _ROUNDING = 1.05
@@ -232,7 +232,7 @@ def _need(calibration: Calibration, offer: Achieved, use: Use) -> Need:
     quantity, needed = QUANTITIES[offer.quantity], use.needs[offer.quantity]
     floor = _floor(calibration, offer.quantity, use)
     counted = _within(calibration, offer) if offer.quantity in TURN_ON else float(np.hypot(offer.sigma, floor))
-    grade = "problem" if offer.held else graded(counted, needed, use.fails_at * needed)
+    grade = "problem" if offer.held else grade_value(counted, needed, use.fails_at * needed)
     return Need(
         block=offer.words,
         sigma=_rounded(offer.sigma / quantity.size),
@@ -267,13 +267,13 @@ def _cure(calibration: Calibration, offer: Achieved, needed: float) -> str:
         return _more_attitudes(calibration, offer, needed)
     duration_s = float("nan") if fit is None else fit.duration_s
     if part is None:
-        more = amount(duration_s * ((offer.sigma / needed) ** 2 - 1))
+        more = duration_text(duration_s * ((offer.sigma / needed) ** 2 - 1))
         if offer.quantity == "accelerometer_bias" and not more:
             return "Tilt it so that each axis of the IMU points up, down and level."
         return f"Go on for {more}." if more else "Record for longer, with a quieter or steadier sensor."
     camera = next(iter(calibration.cameras.values()), None)
     wanted = needed * float(part.sigma[0]) / offer.sigma  # a matrix' direction gathers all rows
-    return cure(part, wanted, duration_s, None if camera is None else camera.T_cam_imu[:3, :3])
+    return motion_advice(part, wanted, duration_s, None if camera is None else camera.T_cam_imu[:3, :3])
 
 
 def _rounded(number: float) -> float:
@@ -294,7 +294,7 @@ def _more_attitudes(calibration: Calibration, offer: Achieved, needed: float) ->
     return "Rest longer in each attitude, in more of them; a quieter sensor may be needed."
 
 
-def judged(calibration: Calibration, use: Use | None) -> Calibration:
+def judge_for_use(calibration: Calibration, use: Use | None) -> Calibration:
     """Return a calibration with the verdict for a use; for no special use where None.
 
     Findings on standard deviations are those on what the use needs; what priors hold is a problem only if the use
@@ -303,7 +303,7 @@ def judged(calibration: Calibration, use: Use | None) -> Calibration:
     general = _general(calibration)
     if use is None:
         return replace(calibration, assessment=general)
-    found = needs(calibration, use)
+    found = needs_of_use(calibration, use)
     asked = _asked(calibration, use)
     serious = any(offer.held for offer in asked) or any(need.verdict == "fail" for need in found)
     kept = [
@@ -419,7 +419,7 @@ def _general(calibration: Calibration) -> Assessment:
 
 def general_precision(calibration: Calibration) -> Iterator[Finding]:
     """Yield what is known worse than general use asks."""
-    for need in needs(calibration, GENERAL_RIG if calibration.cameras else GENERAL_IMU):
+    for need in needs_of_use(calibration, GENERAL_RIG if calibration.cameras else GENERAL_IMU):
         if need.verdict != "pass":
             yield make_finding(
                 "imprecise/general",

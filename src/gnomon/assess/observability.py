@@ -16,14 +16,14 @@ from .directions import (
     Kind,
     Part,
     across_words,
-    amount,
     axis_words,
     badly_known,
-    cure,
+    duration_text,
+    estimated_parts,
     imu_axis,
+    motion_advice,
     one_direction,
-    parts,
-    relative,
+    relative_covariance,
     seconds_more,
     trades_with_bias,
 )
@@ -78,7 +78,7 @@ _FOCAL, _PRINCIPAL = "focal length", "principal point"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Known:
+class AvailableInformation:
     """What a recording and priors know of a calibration.
 
     Attributes
@@ -114,7 +114,7 @@ def known_of(
     *,
     stated: Mapping[str, float] | None = None,
     duration_s: float = float("nan"),
-) -> Known:
+) -> AvailableInformation:
     """Return what is known of published sensors.
 
     Parameters
@@ -124,7 +124,7 @@ def known_of(
     stated : names of scalars, or of all below a path, of which something was stated beforehand -> standard deviation
     duration_s : of the recording; nan where its length says nothing
     """
-    found = relative(imus, cameras, covariance)
+    found = relative_covariance(imus, cameras, covariance)
     priors = _CAMERA_IMU_PRIORS if cameras else _IMU_PRIORS
     sigma, weak = np.full(len(found.names), np.inf), np.ones(len(found.names), dtype=bool)
     for i, name in enumerate(found.names):
@@ -133,7 +133,7 @@ def known_of(
         for text, size in (stated or {}).items():
             if name == text or name.startswith((f"{text}[", f"{text}.")):
                 sigma[i], weak[i] = size, False
-    return Known(
+    return AvailableInformation(
         names=found.names,
         covariance=found.covariance,
         prior_sigma=sigma,
@@ -144,7 +144,7 @@ def known_of(
     )
 
 
-def weak_directions(known: Known, limits: Mapping[Kind, float] = LIMITS) -> tuple[WeakDirection, ...]:
+def weak_directions(known: AvailableInformation, limits: Mapping[Kind, float] = LIMITS) -> tuple[WeakDirection, ...]:
     """Return the directions that a recording hardly determines, the weakest first.
 
     Parameters
@@ -159,15 +159,15 @@ def weak_directions(known: Known, limits: Mapping[Kind, float] = LIMITS) -> tupl
     return tuple(sorted((weak for weak in found if weak is not None), key=lambda weak: weak.determined))
 
 
-def _parts(known: Known) -> Iterator[Part]:
-    return parts(known.names, known.covariance, {**known.R_cam_imu, **known.R_imu_body})
+def _parts(known: AvailableInformation) -> Iterator[Part]:
+    return estimated_parts(known.names, known.covariance, {**known.R_cam_imu, **known.R_imu_body})
 
 
-def _held(known: Known, part: Part) -> bool:
+def _held(known: AvailableInformation, part: Part) -> bool:
     return bool(part.sigma[0] > HELD * _prior_along(known, part))
 
 
-def _weak(known: Known, part: Part, limit: float) -> WeakDirection | None:
+def _weak(known: AvailableInformation, part: Part, limit: float) -> WeakDirection | None:
     held = _held(known, part)
     if part.sigma[0] <= limit and not held:
         return None
@@ -182,12 +182,12 @@ def _weak(known: Known, part: Part, limit: float) -> WeakDirection | None:
         shares=_shares(known, part),
         determined=float(np.clip(1 - (part.sigma[0] / prior) ** 2, 0.0, 1.0)),
         words=f"{subject} {known_how}: {_reason(known, part, limit)}.",
-        cure=cure(part, limit, known.duration_s, known.main_camera(part)),
+        cure=motion_advice(part, limit, known.duration_s, known.main_camera(part)),
         held=held,
     )
 
 
-def _prior_along(known: Known, part: Part) -> float:
+def _prior_along(known: AvailableInformation, part: Part) -> float:
     """Return the prior's standard deviation of the worst direction, over all rows of a matrix."""
     sigma = np.where(known.weak[part.index], known.prior_sigma[part.index], np.inf)
     if len(part.index) == 9:
@@ -197,7 +197,7 @@ def _prior_along(known: Known, part: Part) -> float:
     return float(np.sqrt(np.sum((sigma * part.places[0]) ** 2))) if np.isfinite(sigma).all() else float("inf")
 
 
-def _shares(known: Known, part: Part) -> tuple[tuple[str, float], ...]:
+def _shares(known: AvailableInformation, part: Part) -> tuple[tuple[str, float], ...]:
     """Return how all scalars move along with the worst direction, in sigmas of what was assumed beforehand."""
     together = known.covariance[:, part.index] @ part.places[0]
     units = np.where(np.isfinite(known.prior_sigma), known.prior_sigma, np.inf)
@@ -252,9 +252,9 @@ def _size(part: Part) -> str:
     return f"{sigma:.2g} rad/s per m/s^2" if part.kind == "g_sensitivity" else f"{100 * sigma:.2g} %"
 
 
-def _reason(known: Known, part: Part, limit: float) -> str:
+def _reason(known: AvailableInformation, part: Part, limit: float) -> str:
     seconds, as_before = seconds_more(part, limit, known.duration_s)
-    if as_before and amount(seconds):
+    if as_before and duration_text(seconds):
         return "the recording is short"
     if part.kind in _OF_A_POSE:
         return _pose_reason(part)
@@ -283,7 +283,7 @@ def _imu_reason(part: Part, R_cam_imu: Floats | None) -> str:
     return f"the force {'that it felt' if count == 3 else f'along the {axis}'} hardly changed"
 
 
-def _through_lens(known: Known) -> Iterator[WeakDirection]:
+def _through_lens(known: AvailableInformation) -> Iterator[WeakDirection]:
     """Yield directions of a camera's place that are known only as well as its lens was known beforehand."""
     column = {name: i for i, name in enumerate(known.names)}
     for camera in known.R_cam_imu:
@@ -298,7 +298,9 @@ def _through_lens(known: Known) -> Iterator[WeakDirection]:
                 yield weak
 
 
-def _known_through(known: Known, camera: str, words: str, at: int, lens: list[int]) -> WeakDirection | None:
+def _known_through(
+    known: AvailableInformation, camera: str, words: str, at: int, lens: list[int]
+) -> WeakDirection | None:
     """Return the direction in which a coordinate of the camera (at) follows its lens, where only a prior knows that."""
     spread, prior = np.sqrt(np.diag(known.covariance)), known.prior_sigma
     lens = [i for i in lens if spread[i] > 0.5 * prior[i]]

@@ -4,13 +4,13 @@ import numpy as np
 
 from ..findings import Finding, make_finding
 from ..recording import Floats
-from .priors import NAMES, Evidence, Known
+from .priors import NAMES, KnownScalars, Prior
 
 _TELLS = 0.1  # information of the recording against that of the prior, from which on it can contradict it
 _SURE = 3.7  # sigmas of a normal variable: one healthy recording of ten thousand
 
 
-def prior_findings(known: Evidence, values: Floats, covariance: Floats) -> list[Finding]:
+def prior_findings(known: Prior, values: Floats, covariance: Floats) -> list[Finding]:
     """Return what was taken from elsewhere, and whether the recording contradicts it.
 
     Parameters
@@ -47,7 +47,7 @@ def cameras_disagree(
     return [make_finding("prior-disagrees/cameras", chi2=chi2, degrees=degrees, worst_name=names[worst])]
 
 
-def pulled_findings(known: Evidence, values: Floats, covariance: Floats) -> list[Finding]:
+def pulled_findings(known: Prior, values: Floats, covariance: Floats) -> list[Finding]:
     """Return what was taken from elsewhere, and whether an estimate that rests on it, too, contradicts it.
 
     For recordings that determine too little on their own.
@@ -91,7 +91,7 @@ def _pulled(difference: Floats, prior: Floats, ordinary: Floats, covariance: Flo
     return float(np.sum(by_recording / (1 + wider / information))), int(told.sum())
 
 
-def prior_used(known: Evidence) -> list[Finding]:
+def prior_used(known: Prior) -> list[Finding]:
     """Return what was taken from elsewhere; nothing where nothing was."""
     if not known:
         return []
@@ -102,7 +102,7 @@ def prior_used(known: Evidence) -> list[Finding]:
     return [make_finding("prior-used", parts="; ".join(parts))]
 
 
-def _disagreement(part: Known, values: Floats, covariance: Floats) -> tuple[float, int, int]:
+def _disagreement(part: KnownScalars, values: Floats, covariance: Floats) -> tuple[float, int, int]:
     """Return chi squared of recording minus prior, its degrees of freedom, and the place of the worst scalar."""
     shown = part.index < len(values)
     index = part.index[shown]

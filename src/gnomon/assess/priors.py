@@ -65,7 +65,7 @@ NAMES = _names()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Known:
+class KnownScalars:
     """Scalars that are known with a joint uncertainty.
 
     Attributes
@@ -83,7 +83,7 @@ class Known:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Evidence:
+class Prior:
     """What is known beforehand, in body frame accel-x and the units of the recording.
 
     Attributes
@@ -93,7 +93,7 @@ class Evidence:
     value : (45,) prior calibration's value, or the nominal one; what is fixed is held at it, nan where there is none
     """
 
-    known: tuple[Known, ...]
+    known: tuple[KnownScalars, ...]
     fixed: np.ndarray
     value: Floats
 
@@ -151,7 +151,7 @@ class Evidence:
         return TriadPrior(mean=mean, precision=precision, fixed=fixed)
 
 
-NOTHING = Evidence(known=(), fixed=np.zeros(SCALARS, dtype=bool), value=np.full(SCALARS, np.nan))
+NOTHING = Prior(known=(), fixed=np.zeros(SCALARS, dtype=bool), value=np.full(SCALARS, np.nan))
 """Nothing is known beforehand."""
 
 
@@ -184,14 +184,14 @@ def refuse_own_data(prior: Priors, sources: Collection[Source], triads: Collecti
             )
 
 
-def known_beforehand(
+def gather_prior(
     prior: Priors,
     stated: Stated,
     units: Mapping[str, str],
     *,
     free: Iterable[str] = (),
     gravity: Gravity | None = None,
-) -> Evidence:
+) -> Prior:
     """Gather what is known of an IMU beforehand.
 
     Parameters
@@ -223,7 +223,7 @@ def known_beforehand(
     for one, (mean, covariance) in zip(priors, read, strict=True):
         covariance[overruled] = covariance[:, overruled] = 0.0
         known += _parts(mean, covariance, _OWN_FRAMES.get(one.frame, ""))
-    return Evidence(known=tuple(known), fixed=fixed, value=value)
+    return Prior(known=tuple(known), fixed=fixed, value=value)
 
 
 def _best_value(nominal: Floats, read: Sequence[tuple[Floats, Floats]]) -> Floats:
@@ -302,7 +302,7 @@ def gravity_part(calibration: Calibration) -> Floats:
     return calibration.gravity.sigma**2 * np.outer(by_gravity, by_gravity)
 
 
-def _parts(value: Floats, covariance: Floats, own: str) -> tuple[Known, ...]:
+def _parts(value: Floats, covariance: Floats, own: str) -> tuple[KnownScalars, ...]:
     """Return what is known, the triad that is known in its own frame alone apart from the rest."""
     variance = np.diag(covariance)
     known = np.flatnonzero((variance > 0) & np.isfinite(value))
@@ -310,7 +310,7 @@ def _parts(value: Floats, covariance: Floats, own: str) -> tuple[Known, ...]:
     if own:
         apart = (known >= TRIADS[own].start) & (known < TRIADS[own].start + 9)
         apart |= (known >= TRIADS[own].start + 12) & (known < TRIADS[own].stop)
-    found: list[Known] = []
+    found: list[KnownScalars] = []
     for index, frame in ((known[~apart], ""), (known[apart], own)):
         if len(index):
             sigma = np.sqrt(variance[index])
@@ -319,12 +319,14 @@ def _parts(value: Floats, covariance: Floats, own: str) -> tuple[Known, ...]:
             size, axes = np.linalg.eigh(correlation)
             inverse = (axes / np.maximum(size, 1e-10)) @ axes.T
             found.append(
-                Known(index=index, mean=value[index], precision=inverse / np.outer(sigma, sigma), own_frame=frame)
+                KnownScalars(
+                    index=index, mean=value[index], precision=inverse / np.outer(sigma, sigma), own_frame=frame
+                )
             )
     return tuple(found)
 
 
-def _in_own_frame(part: Known, x: Floats) -> tuple[Floats, Floats]:
+def _in_own_frame(part: KnownScalars, x: Floats) -> tuple[Floats, Floats]:
     """Return derivative (k, 45) and value (k,) of the known scalars, seen in the triad's own body frame."""
     at = TRIADS[part.own_frame]
 

@@ -12,7 +12,7 @@ from math import radians
 from ..estimate.trust.cluster_trust import Instability
 from ..findings import Finding, Severity, make_finding
 from ..results.calibration import Gravity, Verdict
-from ..results.trust import SigmaRatio, Splits, Trust, TrustNote
+from ..results.trust import SigmaRatio, Splits, Trust, UncertaintySummary
 from ..units import STANDARD_GRAVITY_M_S2
 
 SEVERITIES: dict[Severity, int] = {"problem": 0, "warning": 1, "info": 2, "good": 3}
@@ -137,10 +137,10 @@ _INCOMPLETE = 2.0
 _SHOWN = 3
 
 
-def trust_note(trust: Trust) -> TrustNote:
+def uncertainty_summary(trust: Trust) -> UncertaintySummary:
     """Return what the calibration file keeps."""
     clusters = trust.clusters
-    return TrustNote(
+    return UncertaintySummary(
         covariance="ordinary" if clusters is None else "cluster-robust",
         clusters=0 if clusters is None else clusters.count,
         cluster_s=0.0 if clusters is None else clusters.length_s,
@@ -149,7 +149,7 @@ def trust_note(trust: Trust) -> TrustNote:
     )
 
 
-def incomplete(trust: Trust) -> list[SigmaRatio]:
+def underestimated_blocks(trust: Trust) -> list[SigmaRatio]:
     """Return the blocks whose errors are larger than independent errors would be, the worst first."""
     wide = [entry for entry in trust.ratios if entry.ratio > _INCOMPLETE]
     return sorted(wide, key=lambda entry: -entry.ratio) if trust.clusters is not None else []
@@ -164,7 +164,7 @@ def model_incomplete(trust: Trust, likely: Sequence[str] = (), cure: str = "") -
     likely : what the residuals show to be missing, as parts of a sentence
     cure : the next step
     """
-    wide = incomplete(trust)
+    wide = underestimated_blocks(trust)
     if not wide or trust.clusters is None:
         return []
     listed = ", ".join(f"{entry.block} {entry.ratio:.2g} times" for entry in wide[:_SHOWN])
@@ -274,13 +274,13 @@ LIMITS: dict[str, tuple[float, float]] = {
 """What is judged -> from which value on it is a warning, and a problem."""
 
 
-def grade(quantity: str, value: float, of: float = 1.0) -> Severity:
+def grade_by_limits(quantity: str, value: float, of: float = 1.0) -> Severity:
     """Return the severity of a value by LIMITS, which are parts of `of`."""
     warn, fail = LIMITS[quantity]
-    return graded(value, warn * of, fail * of)
+    return grade_value(value, warn * of, fail * of)
 
 
-def graded(value: float, warn: float, fail: float) -> Severity:
+def grade_value(value: float, warn: float, fail: float) -> Severity:
     """Return "problem" beyond fail, "warning" beyond warn, "good" else."""
     return "problem" if not value <= fail else "warning" if value > warn else "good"
 

@@ -16,7 +16,7 @@ from .directions import axis_words
 from .observability import known_of, weak_directions
 
 if TYPE_CHECKING:  # an IMU alone needs no SciPy
-    from ..estimate.camera_imu.result.publish import Published
+    from ..estimate.camera_imu.result.publish import PublishedRig
     from ..estimate.camera_imu.result.uncertainty import Uncertainty
 
 _PUBLISHED = {
@@ -44,7 +44,7 @@ _MAINLY = 0.3
 
 
 def camera_imu_weak(
-    published: "Published", found: "Uncertainty", parameters: Sequence[EstimatedParameter], duration_s: float
+    published: "PublishedRig", found: "Uncertainty", parameters: Sequence[EstimatedParameter], duration_s: float
 ) -> tuple[WeakDirection, ...]:
     """Return the weak directions of cameras and IMU.
 

@@ -11,37 +11,37 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.added_findings import added_findings, delays_found, out_of_order, steps_left_out
-from ..assess.cameras.camera_imu_tables import CameraImuEvidence, describe
-from ..assess.cameras.camera_imu_verdict import assess
+from ..assess.cameras.camera_imu_tables import CameraImuFitSummary, describe_camera_imu
+from ..assess.cameras.camera_imu_verdict import assess_camera_imu
 from ..assess.cameras.camera_views import without_copies
 from ..assess.changes import with_changes
 from ..assess.checks.early_findings import judged_again, unmodelled_effects
 from ..assess.prior_findings import prior_used
 from ..assess.priors import Priors, refuse_own_data
-from ..assess.verdict import incomplete, model_incomplete, parts_disagree, trust_note
+from ..assess.verdict import model_incomplete, parts_disagree, uncertainty_summary, underestimated_blocks
 from ..assess.weak_findings import camera_imu_weak
 from ..errors import InitialisationError, SolveError
-from ..estimate.camera_imu.choices import choices
+from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.layout import Status
 from ..estimate.camera_imu.result.origin import moved_to_origins, single_place_origins
-from ..estimate.camera_imu.result.publish import published
+from ..estimate.camera_imu.result.publish import publish_rig
 from ..estimate.camera_imu.result.recording_trust import recording_trust
-from ..estimate.camera_imu.result.uncertainty import Uncertainty, uncertainty, with_detector_scale
+from ..estimate.camera_imu.result.uncertainty import Uncertainty, solution_uncertainty, with_detector_scale
 from ..estimate.camera_imu.solution import Solution
-from ..estimate.camera_imu.start.first_guess import imu_stream, looks
-from ..estimate.camera_imu.start.imu_alignment import aligned_beside
+from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
+from ..estimate.camera_imu.start.imu_alignment import align_imus
 from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
 from ..recording import Recording
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
-from .steps.board_order import numbered_alike
-from .steps.camera_imu_estimation import Rig, basic_model, estimated
+from .steps.board_order import number_cameras_alike
+from .steps.camera_imu_estimation import RigBeforehand, basic_model, estimate_rig
 from .steps.camera_imu_model import (
     LINE_DELAY,
-    chosen_model,
-    considered,
+    candidate_blocks,
+    select_model,
     shutters_estimated,
     with_line_delays,
     with_stated_shutters,
@@ -50,9 +50,9 @@ from .steps.camera_imu_preparation import (
     cameras_moved,
     evidence_of_imu,
     known_imu,
+    likely_cause,
     prepare_camera_imu,
     refuse_clock_jumps,
-    suspected,
     with_looks,
 )
 from .steps.preparation import check_arguments, local_gravity, stated_options
@@ -108,38 +108,40 @@ def _calibrated(
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
     tell("finding the board's poses, the time shift and the camera's axes")
     streams = [imu_stream(prepared.inertial, i) for i in range(len(prepared.imus))]
-    cameras, ends = numbered_alike(recording.cameras, target, prepared.origin_ns, streams[0])
+    cameras, ends = number_cameras_alike(recording.cameras, target, prepared.origin_ns, streams[0])
     recording = replace(recording, cameras=cameras)
     used = [finding for one in known for finding in prior_used(one)]
     prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *ends))
     try:
-        found = looks(recording.cameras, target, prepared.origin_ns, streams[0])
-        beside = aligned_beside(found, streams, list(recording.imus.items()), prepared.epochs_s)
+        found = align_cameras(recording.cameras, target, prepared.origin_ns, streams[0])
+        beside = align_imus(found, streams, list(recording.imus.items()), prepared.epochs_s)
     except InitialisationError as error:
         refuse_clock_jumps(prepared, recording.cameras, target, streams)
-        raise InitialisationError(f"{error}{suspected(prepared.findings)}") from error
+        raise InitialisationError(f"{error}{likely_cause(prepared.findings)}") from error
     prepared = with_looks(prepared, found, target, streams, beside)
     stated = options
     options, rolling = with_line_delays(options, found, prepared.findings)
     tell("estimating")
-    rig = Rig(recording=recording, prepared=prepared, looks=found, beside=beside, streams=tuple(streams))
+    rig = RigBeforehand(recording=recording, prepared=prepared, looks=found, beside=beside, streams=tuple(streams))
     try:
-        first = estimated(rig, gravity, options, [known_imu(one) for one in known], tell)
+        first = estimate_rig(rig, gravity, options, [known_imu(one) for one in known], tell)
     except SolveError as error:
-        raise SolveError(f"{error}{suspected(prepared.findings, prepared.move)}") from error
+        raise SolveError(f"{error}{likely_cause(prepared.findings, prepared.move)}") from error
     detectors = {name: frames.detector_scale_sigma for name, frames in recording.cameras.items()}
-    chosen = chosen_model(first, options, tell, own_detector=not any(detectors.values()))
+    chosen = select_model(first, options, tell, own_detector=not any(detectors.values()))
     solution, start = chosen.solution, chosen.solution.layout.start
     certain = with_detector_scale(
-        uncertainty(solution, considered(start), chosen.sums if options.covariance == "robust" else None),
+        solution_uncertainty(
+            solution, candidate_blocks(start), chosen.sums if options.covariance == "robust" else None
+        ),
         solution.state.parameters,
         detectors,
     )
-    solution, certain = _with_origins(solution, certain, choices(start, options).status)
+    solution, certain = _with_origins(solution, certain, estimation_choices(start, options).status)
     basic, uncompared = basic_model(start, solution, options, tell)
     tell("assessing the result")
-    result = published(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
-    evidence = CameraImuEvidence(
+    result = publish_rig(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
+    evidence = CameraImuFitSummary(
         recording=recording,
         target=target,
         imus=prepared.imus,
@@ -152,11 +154,11 @@ def _calibrated(
         gravity=gravity,
         published=result,
     )
-    described = describe(evidence)
+    described = describe_camera_imu(evidence)
     weak = camera_imu_weak(result, certain, described.parameters, solution.state.trajectory.grid.duration_s)
     trust = replace(recording_trust(result, certain), weak=weak, models=chosen.steps)
     diagnostics = replace(described, trust=trust)
-    likely = unmodelled_effects(solution, described.signals) if incomplete(trust) else []
+    likely = unmodelled_effects(solution, described.signals) if underestimated_blocks(trust) else []
     took_up = added_findings(
         chosen.added,
         start,
@@ -181,7 +183,7 @@ def _calibrated(
         diagnostics,
         converged=solution.converged,
     )
-    assessment = assess((*noticed, *doubts), evidence, diagnostics)
+    assessment = assess_camera_imu((*noticed, *doubts), evidence, diagnostics)
     added, tries = (*chosen.added, *((LINE_DELAY,) if rolling else ())), chosen.tries + rolling
     calibration = Calibration(
         imus=result.imus,
@@ -189,7 +191,7 @@ def _calibrated(
         frame="accel-x",
         gravity=gravity,
         uncertainty=uncertain,
-        assessment=replace(assessment, trust=replace(trust_note(trust), added=added, tries=tries)),
+        assessment=replace(assessment, trust=replace(uncertainty_summary(trust), added=added, tries=tries)),
         provenance=Provenance(
             gnomon_version=__version__,
             method="camera-imu",

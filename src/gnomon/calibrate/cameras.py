@@ -13,15 +13,15 @@ from .._version import __version__
 from ..assess.added_findings import comparison_left_out
 from ..assess.cameras.camera_synchronism import JointResiduals, check_synchronism
 from ..assess.cameras.camera_views import without_copies
-from ..assess.cameras.cameras_tables import CamerasEvidence, LensOpinion, describe
-from ..assess.cameras.cameras_verdict import assess
+from ..assess.cameras.cameras_tables import CamerasFitSummary, LensOpinion, describe_cameras
+from ..assess.cameras.cameras_verdict import assess_cameras
 from ..assess.changes import with_changes
 from ..assess.checks.camera_checks import check_views
-from ..assess.verdict import trust_note
+from ..assess.verdict import uncertainty_summary
 from ..errors import DetectionError, GnomonError, RecordingError
-from ..estimate.cameras.holdout import posed
-from ..estimate.cameras.rig import Views
-from ..estimate.cameras.solution import RigSolution, solved
+from ..estimate.cameras.holdout import held_out_residuals
+from ..estimate.cameras.rig import RigViews
+from ..estimate.cameras.solution import RigSolution, solve_rig
 from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
@@ -31,9 +31,18 @@ from ..results.calibration import UNSTATED_GRAVITY, Calibration, Covariance, Pro
 from ..results.result import Result
 from .steps.camera_board import BoardChoice, with_board
 from .steps.camera_lenses import LensChoice, chosen_lenses, stated_models, time_clusters
-from .steps.camera_views import Unseen, misfits, other_size, rms_of, started, unseen, unused, views_of
-from .steps.cameras_published import check_baseline, published
-from .steps.preparation import assumed, check_arguments, stated_options
+from .steps.camera_views import (
+    Unseen,
+    cross_validate_views,
+    first_rig_of_views,
+    misfit_frames,
+    other_size,
+    rms_of,
+    select_views,
+    unused_residuals,
+)
+from .steps.cameras_published import check_baseline, publish_cameras
+from .steps.preparation import assumption_finding, check_arguments, stated_options
 
 Progress = Callable[[str], None]
 
@@ -86,30 +95,30 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
     every = gathered_views(recording.cameras, target)
     tell("choosing the lens model")
     lenses = chosen_lenses(
-        {name: views_of(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
+        {name: select_views(every, name, _MOST_TO_CHOOSE_BY) for name in recording.cameras},
         models,
         among=options.among,
         robust=options.robust,
         most_iterations=options.max_iterations,
     )
     tell("choosing views")
-    start = started(every, {lens.camera: lens.lens for lens in lenses}, options.views)
+    start = first_rig_of_views(every, {lens.camera: lens.lens for lens in lenses}, options.views)
     tell("estimating")
-    first = solved(start.views, start.rig, robust=options.robust, most_iterations=options.max_iterations)
+    first = solve_rig(start.views, start.rig, robust=options.robust, most_iterations=options.max_iterations)
     # What a wrong lens cannot bend would go into the board.
     board = with_board(first, options if all(lens.fits for lens in lenses) else replace(options, board="stated"))
     solution = board.solution
     tell("testing it on views that it has not seen")
     left_out, uncompared = _tested(board)
-    others = unused(start.every, solution)
-    bad = misfits(solution, others)
+    others = unused_residuals(start.every, solution)
+    bad = misfit_frames(solution, others)
     mixed = other_size(start.every, solution, bad)
     if mixed is not None:
         raise RecordingError(str(mixed))
     tell("assessing the result")
     apart = _synchronism(start.every, solution)
-    result = published(solution, options)
-    evidence = CamerasEvidence(
+    result = publish_cameras(solution, options)
+    evidence = CamerasFitSummary(
         recording=recording,
         target=target,
         options=options,
@@ -130,9 +139,9 @@ def _calibrated(recording: Recording, target: Target, options: CameraOptions, te
         added=board.added,
         trust=replace(result.trust, models=board.steps),
     )
-    diagnostics = describe(evidence)
-    assessment = assess((*apart, *noticed, *uncompared), evidence, diagnostics)
-    note = trust_note(evidence.trust)
+    diagnostics = describe_cameras(evidence)
+    assessment = assess_cameras((*apart, *noticed, *uncompared), evidence, diagnostics)
+    note = uncertainty_summary(evidence.trust)
     calibration = Calibration(
         imus={},
         cameras=result.cameras,
@@ -155,20 +164,20 @@ def _tested(board: BoardChoice) -> tuple[Unseen, list[Finding]]:
     solution = board.solution
     uncompared = [comparison_left_out("another shape of the board", board.failed)] if board.failed else []
     try:
-        return unseen(solution, time_clusters(solution), board.estimated), uncompared
+        return cross_validate_views(solution, time_clusters(solution), board.estimated), uncompared
     except (GnomonError, np.linalg.LinAlgError) as error:
         uncompared.append(comparison_left_out("views that were left out", str(error)))
         used = {name: rms_of(seen) for name, seen in solution.corners.items()}
         return Unseen(rms_px=dict.fromkeys(used, float("nan")), rms_used_px=used), uncompared
 
 
-def _synchronism(every: Views, solution: RigSolution) -> list[Finding]:
+def _synchronism(every: RigViews, solution: RigSolution) -> list[Finding]:
     """Return what residuals about common poses tell of the clocks of several cameras."""
     together = np.flatnonzero((every.frame >= 0).sum(axis=1) > 1)
     if len(every.cameras) < 2 or not len(together):
         return []
     chosen = together[:: max(len(together) // _MOST_TO_SYNCHRONISE, 1)]
-    seen = posed(every.where(chosen), solution.rig)
+    seen = held_out_residuals(every.where(chosen), solution.rig)
     residuals = {
         name: JointResiduals(view=one.view, frame=one.frame, point=one.point, residual=one.residual)
         for name, one in seen.items()
@@ -188,7 +197,7 @@ def _checked(recording: Recording, target: Target) -> tuple[Finding, ...]:
     for finding in found:
         if finding.severity == "problem":
             raise (DetectionError if finding.code in _FEW else RecordingError)(str(finding))
-    return (*found, *map(assumed, recording.assumptions))
+    return (*found, *map(assumption_finding, recording.assumptions))
 
 
 def _opinion(lens: LensChoice) -> LensOpinion:

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 
-from ..assess.comparison.candidates import Candidate
-from ..assess.comparison.comparing import compared
+from ..assess.comparison.candidates import ComparisonCandidate
+from ..assess.comparison.comparing import compare_candidates
 from ..assess.comparison.comparison import Comparison
 from ..errors import OptionError
 from ..formats.foreign import ForeignCalibration
@@ -52,8 +52,10 @@ def compare(
     unknown = [name for name in renamed if name not in called]
     if unknown:
         raise OptionError(f'"{unknown[0]}" is none of the calibrations. They are called: {", ".join(called)}.')
-    candidates = [Candidate.of(name, _loaded(source)) for name, source in zip(called, calibrations, strict=True)]
-    return compared([one.renamed(renamed[one.name]) if one.name in renamed else one for one in candidates])
+    candidates = [
+        ComparisonCandidate.of(name, _loaded(source)) for name, source in zip(called, calibrations, strict=True)
+    ]
+    return compare_candidates([one.renamed(renamed[one.name]) if one.name in renamed else one for one in candidates])
 
 
 def _loaded(source: CalibrationSource) -> Calibration | ForeignCalibration:

@@ -11,19 +11,19 @@ import numpy as np
 from .._version import __version__
 from ..assess.added_findings import comparison_left_out
 from ..assess.changes import with_changes
-from ..assess.imu.imu_tables import ImuEvidence, describe
-from ..assess.imu.imu_verdict import assess
-from ..assess.imu.threshold import FEWEST_INTERVALS, RestDetection, accelerometer_course, disturbed
+from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
+from ..assess.imu.imu_verdict import assess_imu
+from ..assess.imu.threshold import FEWEST_INTERVALS, RestDetection, accelerometer_course, disturbed_intervals
 from ..assess.prior_findings import prior_findings
-from ..assess.priors import Evidence, Priors, known_beforehand, refuse_own_data
+from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..assess.weak_findings import imu_weak
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
-from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, unscaled
-from ..estimate.multiposition.sums import free_jacobian, stretch_sums, with_runs
+from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, to_physical_units
+from ..estimate.multiposition.sums import free_jacobian, segment_sums, with_runs
 from ..estimate.multiposition.unseen_changes import unseen_changes
-from ..estimate.trust.cluster_trust import Trusted, trusted
+from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
@@ -42,9 +42,9 @@ from .steps.preparation import (
     imu_calibration,
     in_stated_frame,
     local_gravity,
-    prepare,
+    prepare_imu,
     stated_options,
-    stream,
+    weighted_stream,
 )
 
 Progress = Callable[[str], None]
@@ -93,7 +93,7 @@ def calibrate_imu(
         return calibrate_poses(recording, options, progress, prior)
     tell("checking the recording")
     tolerated = LEFT_TO_RESTS if options.preset == "gnomon" else frozenset[str]()
-    prepared = prepare(recording, options, tolerated=tolerated)
+    prepared = prepare_imu(recording, options, tolerated=tolerated)
     if tolerated and left_to_rests(prepared):
         return calibrate_poses(recording, options, progress, prior, prepared)
     if options.preset != "gnomon":
@@ -103,19 +103,19 @@ def calibrate_imu(
     tell("finding static intervals")
     detection = _static_intervals(prepared, options)
     chosen = detection.chosen
-    at_rest = stream(
+    at_rest = weighted_stream(
         prepared.accelerometer,
         prepared.accelerometer_time.t_s,
         prepared.accelerometer_saturated,
         chosen.intervals,
     )
     course, functions = accelerometer_course(at_rest)
-    touched = disturbed(chosen, prepared.accelerometer, functions)
+    touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
     if np.sum(problem.data.linked) < FEWEST_ROTATIONS:
         return calibrate_poses(recording, options, progress, prior, prepared)
     units = {"accelerometer": prepared.accelerometer.unit, "gyroscope": prepared.gyroscope.unit}
-    known = known_beforehand(prior, options, units, free=options.free, gravity=gravity)
+    known = gather_prior(prior, options, units, free=options.free, gravity=gravity)
     tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
     walk = _known_walk(recording, problem)
     model = choose_model(
@@ -134,7 +134,7 @@ def calibrate_imu(
     weak = imu_weak(estimate)
     estimate = with_fixed(replace(estimate, covariance=trust.covariance), known)
     tell("assessing the result")
-    evidence = ImuEvidence(
+    evidence = ImuFitSummary(
         accelerometer=streams[0],
         gyroscope=streams[1],
         accelerometer_unit=prepared.accelerometer.unit,
@@ -154,14 +154,14 @@ def calibrate_imu(
         unseen_sigma=unseen_sigma,
         gravity_m_s2=gravity.value,
     )
-    diagnostics = describe(evidence)
+    diagnostics = describe_imu(evidence)
     imus = {"imu0": imu_calibration(estimate, prepared)}
     calibration = Calibration(
         imus=imus,
         frame="accel-x",
         gravity=gravity,
         uncertainty=Covariance(names=names, matrix=estimate.covariance),
-        assessment=assess(
+        assessment=assess_imu(
             (*prepared.findings, *_agreement(problem, known, gravity, options)),
             evidence,
             diagnostics,
@@ -206,7 +206,7 @@ def _problem(
     """Gather what the undisturbed intervals and the rotations between them measured."""
     t_s, still = accelerometer.t_s, accelerometer.intervals.where(~touched)
     if touched.any():
-        accelerometer = stream(prepared.accelerometer, t_s, accelerometer.saturated, still)
+        accelerometer = weighted_stream(prepared.accelerometer, t_s, accelerometer.saturated, still)
     rates, t_gyro = prepared.gyroscope, prepared.gyroscope_time.t_s
     at_rest = gyroscope_intervals(t_gyro, t_s[still.start], t_s[still.stop - 1])
     if len(at_rest) == 0 or np.any(at_rest.stop - at_rest.start < 2):
@@ -214,7 +214,7 @@ def _problem(
             "the gyroscope has no samples in some static intervals of the accelerometer. "
             "Both must be recorded together and stamped by one clock."
         )
-    gyroscope = stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
+    gyroscope = weighted_stream(rates, t_gyro, prepared.gyroscope_saturated, at_rest)
     # The earth's horizontal rate, of unknown heading, spread over the two level axes; 2/3 is the mean over the sphere.
     cosine_squared = 2 / 3 if options.latitude is None else float(np.cos(np.radians(options.latitude)) ** 2)
     unmodelled = EARTH_RATE_RAD_S**2 * cosine_squared / 2
@@ -224,7 +224,7 @@ def _problem(
 def _in_units(
     fit: MultiPositionFit, problem: MultiPositionProblem, gravity: Gravity, options: ImuOptions
 ) -> ImuEstimate:
-    return unscaled(
+    return to_physical_units(
         fit,
         problem.accelerometer,
         problem.gyroscope,
@@ -243,7 +243,7 @@ def _trusted(
     gravity: Gravity,
     options: ImuOptions,
     unseen: Floats,
-) -> tuple[Trusted, Floats]:
+) -> tuple[RobustCovariance, Floats]:
     """Return the covariance from clusters of static intervals, and how parts of the recording agree.
 
     Also the sigma (m,) that changes of a bias which cannot be excluded add; `unseen` is their covariance of theta.
@@ -252,19 +252,19 @@ def _trusted(
         fit.state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity.value, latitude_deg=options.latitude
     )
     from_unseen = jacobian @ unseen @ jacobian.T
-    trust = trusted(
-        stretch_sums(fit),
+    trust = robust_covariance(
+        segment_sums(fit),
         free_jacobian(fit, jacobian),
         names,
         estimate.covariance + from_unseen,
         biases=_BIASES,
         widened=options.covariance == "robust",
-        single=stretch_sums(fit, with_runs(fit)),
+        single=segment_sums(fit, with_runs(fit)),
     )
     return trust, np.sqrt(np.diag(from_unseen))
 
 
-def _agreement(problem: MultiPositionProblem, known: Evidence, gravity: Gravity, options: ImuOptions) -> list[Finding]:
+def _agreement(problem: MultiPositionProblem, known: Prior, gravity: Gravity, options: ImuOptions) -> list[Finding]:
     """Say what was known beforehand, and whether this recording on its own agrees."""
     if not known:
         return []

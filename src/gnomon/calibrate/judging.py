@@ -2,7 +2,7 @@
 
 from os import PathLike
 
-from ..assess.needs import judged
+from ..assess.needs import judge_for_use
 from ..errors import OptionError
 from ..formats.own.options_file import read_use
 from ..options.requirements import GENERAL, Use
@@ -44,7 +44,7 @@ def judge(calibration: Calibration, use: str | PathLike[str] | Use) -> Calibrati
             f"what {found.name} needs is of an IMU, alone or with cameras, and this calibration is of cameras alone: "
             "its verdict is by the errors on views that it had not seen."
         )
-    return judged(calibration, found)
+    return judge_for_use(calibration, found)
 
 
 def stated_use(use: str | PathLike[str] | Use) -> Use | None:

@@ -11,14 +11,14 @@ import numpy as np
 from .._version import __version__
 from ..assess.changes import with_changes
 from ..assess.checks.doctor import check_field_samples
-from ..assess.imu.magnetometer_tables import FieldEvidence, describe_field
+from ..assess.imu.magnetometer_tables import FieldFitSummary, describe_field
 from ..assess.imu.magnetometer_verdict import assess_field
-from ..assess.priors import Evidence, Priors, known_beforehand, refuse_own_data
-from ..detect.samples.repair import repaired
-from ..detect.samples.saturation import saturated
+from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
+from ..detect.samples.repair import drop_repeated_timestamps
+from ..detect.samples.saturation import saturated_samples
 from ..detect.samples.time_base import time_base
 from ..errors import DetectionError, InitialisationError, OptionError, RecordingError
-from ..estimate.triads.blocks import Blocks, block_covariance, left_out, memory_s
+from ..estimate.triads.blocks import TimeBlocks, block_covariance, leave_blocks_out, memory_s
 from ..estimate.triads.dip import DipFit, fit_dip, in_body_frame
 from ..estimate.triads.field_poses import FieldPoses, field_poses, rough_ellipsoid, sample_noise
 from ..estimate.triads.field_trust import field_trust
@@ -98,13 +98,13 @@ def prepare_field(recording: Recording, options: MagnetometerOptions) -> Prepare
     assert imu.magnetometer is not None
     findings = _checked(imu.magnetometer, f"{name} magnetometer")
     findings += [make_finding("assumed", text=sentence) for sentence in recording.assumptions]
-    magnetometer = repaired(imu.magnetometer)
+    magnetometer = drop_repeated_timestamps(imu.magnetometer)
     accelerometer, more = _usable_accelerometer(imu.accelerometer, f"{name} accelerometer")
     origin = int(magnetometer.t_ns[0])
     if accelerometer is not None:
         origin = min(origin, int(accelerometer.t_ns[0]))
     t_s = time_base(magnetometer, origin).t_s
-    usable = ~saturated(magnetometer, options.magnetometer_range)
+    usable = ~saturated_samples(magnetometer, options.magnetometer_range)
     if usable.sum() < _FEWEST:
         raise RecordingError(
             f"{int((~usable).sum())} of {len(usable)} samples of the magnetometer stand at the end of its range. "
@@ -143,7 +143,7 @@ def _usable_accelerometer(samples: TriadSamples, label: str) -> tuple[TriadSampl
     findings = check_field_samples(samples, label)
     wrong = [finding for finding in findings if finding.severity == "problem"]
     if not wrong:
-        return repaired(samples), [finding for finding in findings if finding.severity != "good"]
+        return drop_repeated_timestamps(samples), [finding for finding in findings if finding.severity != "good"]
     consequence = "The accelerometer is not used; the magnetometer is calibrated in a frame of its own."
     return None, [replace(wrong[0], severity="warning", consequence=consequence)]
 
@@ -257,7 +257,7 @@ def calibrate_magnetometer(
     up, dip = _beside_accelerometer(prepared, poses, fit, known, gravity.value)
     tell("assessing the result")
     imu, covariance, dip_sigma = _calibrated(prepared, poses, fit=fit, up=up, dip=dip, options=options)
-    evidence = FieldEvidence(
+    evidence = FieldFitSummary(
         t_s=prepared.t_s,
         values=prepared.magnetometer.values,
         usable=prepared.usable,
@@ -295,15 +295,15 @@ def calibrate_magnetometer(
     return Result(calibration=calibration, diagnostics=describe_field(evidence))
 
 
-def _known(prepared: PreparedField, options: MagnetometerOptions, prior: Priors) -> Evidence:
+def _known(prepared: PreparedField, options: MagnetometerOptions, prior: Priors) -> Prior:
     units = {"magnetometer": prepared.magnetometer.unit}
     if prepared.accelerometer is not None:
         units["accelerometer"] = prepared.accelerometer.unit
-    return known_beforehand(prior, options, units, free=options.free)
+    return gather_prior(prior, options, units, free=options.free)
 
 
 def _fit_models(
-    prepared: PreparedField, options: MagnetometerOptions, known: Evidence
+    prepared: PreparedField, options: MagnetometerOptions, known: Prior
 ) -> tuple[FieldPoses, MagnetometerFit, dict[str, MagnetometerFit]]:
     """Fit a full sensitivity, and beside it, or where it is wanted instead, one scale.
 
@@ -331,7 +331,7 @@ def _fit_models(
 
 
 def _beside_accelerometer(
-    prepared: PreparedField, poses: FieldPoses, fit: MagnetometerFit, known: Evidence, gravity_m_s2: float
+    prepared: PreparedField, poses: FieldPoses, fit: MagnetometerFit, known: Prior, gravity_m_s2: float
 ) -> tuple[GravityFit | None, DipFit | None]:
     """Calibrate the accelerometer along and find how the magnetometer stands to it; None where that cannot be told."""
     accelerometer = prepared.accelerometer
@@ -374,8 +374,8 @@ def _calibrated(
     stages = [fit.stage, up.stage, dip.stage]
     t_s = poses.t_s
     slowest = max(memory_s(t_s[at], stage.residual[at]) for stage in stages if (at := stage.residual != 0).any())
-    blocks = Blocks.of(t_s, max(slowest, fit.blocks.memory_s))
-    joint = block_covariance(stages, blocks, left_out(stages, blocks.block))
+    blocks = TimeBlocks.of(t_s, max(slowest, fit.blocks.memory_s))
+    joint = block_covariance(stages, blocks, leave_blocks_out(stages, blocks.block))
     joint += _by_what_was_left_out(fit, up, dip)
     sigma = np.sqrt(np.diag(joint))
     dip_sigma = float(sigma[-1] / max(np.cos(dip.dip_rad), 1e-3))

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..assess.checks.signals import copied_stretches
-from ..assess.imu.imu_tables import envelope
+from ..assess.imu.imu_tables import signal_envelope
 from ..assess.imu.noise_stationarity import Stationarity, dead_windows, judge_stationarity, stationarity_findings
 from ..assess.imu.noise_verdict import assess_noise, check_length, check_samples, check_still
 from ..assess.verdict import merge_by_cause, verdict_of
@@ -120,7 +120,8 @@ def identify_noise(
         ),
         curves={name: _table(curve, noise[name], fits[name]) for name, curve in curves.items()},
         signals={
-            name: envelope(triad.table.t_s, triad.table.mean, SENSOR_UNITS[name]) for name, triad in triads.items()
+            name: signal_envelope(triad.table.t_s, triad.table.mean, SENSOR_UNITS[name])
+            for name, triad in triads.items()
         },
         topic=options.topic,
     )

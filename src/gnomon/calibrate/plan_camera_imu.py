@@ -8,16 +8,16 @@ from threadpoolctl import threadpool_limits
 
 from .._version import __version__
 from ..errors import OptionError
-from ..estimate.camera_imu.batch import Measurements, Noise, State, linearised
-from ..estimate.camera_imu.choices import choices
+from ..estimate.camera_imu.batch import Measurements, NoiseLevels, RigState, linearize_batch
+from ..estimate.camera_imu.choices import estimation_choices
 from ..estimate.camera_imu.gauss_newton import gauss_newton_step
 from ..estimate.camera_imu.knots import DEFAULT_PER_S, KNOTS_PER_PERIOD, LARGEST_SHARE
-from ..estimate.camera_imu.layout import layout
-from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
-from ..estimate.camera_imu.result.publish import published
-from ..estimate.camera_imu.result.uncertainty import uncertainty
+from ..estimate.camera_imu.layout import border_layout
+from ..estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
+from ..estimate.camera_imu.result.publish import publish_rig
+from ..estimate.camera_imu.result.uncertainty import solution_uncertainty
 from ..estimate.camera_imu.solution import Solution
-from ..estimate.camera_imu.start.board_poses import gathered
+from ..estimate.camera_imu.start.board_poses import gather_exposures
 from ..estimate.camera_imu.start.first_guess import per_corner
 from ..estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
 from ..estimate.camera_imu.terms.inertial_data import InertialData, InertialNoise, TriadData
@@ -76,10 +76,10 @@ def planned_camera_imu(
         parameters = _truth(rig, recording, gravity)
         measurements = _measurements(rig, recording)
         levels = _levels(plan, noise, imu_rate_hz, len(rig.cameras))
-        chosen = choices(parameters, options)
-        columns = layout(parameters, chosen.status, chosen.prior_sigma, (_GRAVITY,))
-        state = State(trajectory=_trajectory(recording, measurements, imu_rate_hz), parameters=parameters)
-        lin = linearised(measurements, state, columns, levels, probing=True)
+        chosen = estimation_choices(parameters, options)
+        columns = border_layout(parameters, chosen.status, chosen.prior_sigma, (_GRAVITY,))
+        state = RigState(trajectory=_trajectory(recording, measurements, imu_rate_hz), parameters=parameters)
+        lin = linearize_batch(measurements, state, columns, levels, probing=True)
         solution = Solution(
             state=state,
             measurements=measurements,
@@ -91,7 +91,7 @@ def planned_camera_imu(
             iterations=(),
             converged=True,
         )
-        found = published(uncertainty(solution, (_GRAVITY,)), parameters, gravity_sigma=gravity.sigma)
+        found = publish_rig(solution_uncertainty(solution, (_GRAVITY,)), parameters, gravity_sigma=gravity.sigma)
     used = dict(zip(rig.cameras, measurements.visual, strict=True))
     frames = {name: len(np.unique(data.exposures.frame)) for name, data in used.items()}
     return Calibration(
@@ -117,8 +117,8 @@ def planned_camera_imu(
     )
 
 
-def _truth(rig: PlannedRig, recording: PlannedRecording, gravity: Gravity) -> Parameters:
-    return Parameters(
+def _truth(rig: PlannedRig, recording: PlannedRecording, gravity: Gravity) -> RigParameters:
+    return RigParameters(
         gravity_axes=gravity_axes(recording.gravity_target),
         gravity_m_s2=gravity.value,
         target_scale=1.0,
@@ -150,7 +150,7 @@ def _measurements(rig: PlannedRig, recording: PlannedRecording) -> Measurements:
 
 
 def _visual(index: int, frames: CameraFrames, rig: PlannedRig, name: str) -> VisualData:
-    exposures = gathered(frames, rig.target)
+    exposures = gather_exposures(frames, rig.target)
     if len(exposures) < _FEWEST_FRAMES:
         raise OptionError(
             f"{name} would see the board in {len(exposures)} frames only. Plan a longer recording, a smaller motion, "
@@ -162,9 +162,9 @@ def _visual(index: int, frames: CameraFrames, rig: PlannedRig, name: str) -> Vis
     return VisualData(camera=index, exposures=per_corner(exposures), t_s=t_s[exposures.of_corner])
 
 
-def _levels(plan: CameraImuPlan, noise: ImuNoise, imu_rate_hz: float, cameras: int) -> Noise:
+def _levels(plan: CameraImuPlan, noise: ImuNoise, imu_rate_hz: float, cameras: int) -> NoiseLevels:
     root = float(np.sqrt(imu_rate_hz))
-    return Noise(
+    return NoiseLevels(
         imus=(
             InertialNoise(
                 gyroscope=noise.gyroscope_noise_density * root, accelerometer=noise.accelerometer_noise_density * root

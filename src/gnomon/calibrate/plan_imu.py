@@ -21,14 +21,14 @@ from ..estimate.multiposition.model import (
     LOWER,
     PARAMETERS,
     S_,
-    State,
+    MultiPositionState,
     Whitening,
-    linearise,
+    linearize_model,
     normal_equations,
 )
 from ..estimate.multiposition.noise_levels import ExtraVariance, rotation_variance, whitened_rest
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem
-from ..estimate.multiposition.scaling import unscaled
+from ..estimate.multiposition.scaling import to_physical_units
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..models.noise import ImuNoise
 from ..options import ImuOptions
@@ -69,7 +69,7 @@ def planned_imu(plan: ImuPlan, noise: ImuNoise, seed: int = 0) -> Calibration:
     problem, up, rests = _planned_problem(plan, noise, gravity.value, seed)
     walk = (noise.gyroscope_random_walk / problem.gyroscope.spread) ** 2
     fit = _at_the_truth(problem, up, walk, g_sensitivity=plan.model == "g-sensitivity")
-    estimate = unscaled(
+    estimate = to_physical_units(
         fit,
         problem.accelerometer,
         problem.gyroscope,
@@ -154,7 +154,7 @@ def _planned_problem(
 class _Fit:
     """What a fit would say; see `estimate.multiposition.scaling.Fitted`."""
 
-    state: State
+    state: MultiPositionState
     covariance: Floats
     free: Booleans
 
@@ -176,7 +176,7 @@ def _at_the_truth(problem: MultiPositionProblem, up: Floats, walk: Floats, *, g_
     theta[B_] = -accelerometer.centre / accelerometer.spread
     theta[CG_] = np.diag(gyroscope.spread).ravel()
     theta[BG_] = -gyroscope.centre / gyroscope.spread
-    state = State(theta=theta, u=up / size)
+    state = MultiPositionState(theta=theta, u=up / size)
     free = np.ones(len(theta), dtype=bool)
     free[G_] = g_sensitivity
     prior = np.zeros((len(theta), len(theta)))
@@ -190,7 +190,7 @@ def _at_the_truth(problem: MultiPositionProblem, up: Floats, walk: Floats, *, g_
         prior=prior,
     )
     try:
-        arrow = solve_arrow(normal_equations(linearise(data, state), whitening, np.zeros(len(theta)), free))
+        arrow = solve_arrow(normal_equations(linearize_model(data, state), whitening, np.zeros(len(theta)), free))
     except np.linalg.LinAlgError as error:
         raise SolveError("such attitudes determine no calibration. Plan more of them, about all axes.") from error
     covariance = np.zeros((len(theta), len(theta)))

@@ -9,7 +9,7 @@ from os import PathLike
 
 import numpy as np
 
-from ..assess.needs import judged, needs
+from ..assess.needs import judge_for_use, needs_of_use
 from ..assess.observability import HELD, known_of, weak_directions
 from ..assess.verdict import merge_by_cause, verdict_of
 from ..assess.weak_findings import weak_findings
@@ -178,7 +178,7 @@ def plan(
     wanted = None if use is None else stated_use(use)
     tell("predicting the recording as planned")
     bare, weak = _predicted(what, hardware, seed)
-    calibration = judged(bare, wanted)
+    calibration = judge_for_use(bare, wanted)
     asked = wanted or (GENERAL_IMU if isinstance(what, ImuPlan) else GENERAL_RIG)
     before = _worst(bare, asked)
     found: list[Change] = []
@@ -191,7 +191,7 @@ def plan(
         found.append(Change(words=words, worst=after, before=before))
     return PlanResult(
         calibration=calibration,
-        needs=needs(bare, asked),
+        needs=needs_of_use(bare, asked),
         weak=weak,
         changes=tuple(sorted((change for change in found if change.worst < before), key=lambda change: change.worst)),
     )
@@ -219,7 +219,7 @@ def _predicted(
 
 
 def _worst(calibration: Calibration, use: Use) -> float:
-    return max((need.sigma / need.needed for need in needs(calibration, use)), default=0.0)
+    return max((need.sigma / need.needed for need in needs_of_use(calibration, use)), default=0.0)
 
 
 def _changed(what: CameraImuPlan | ImuPlan) -> list[tuple[str, CameraImuPlan | ImuPlan]]:

@@ -9,10 +9,10 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.changes import with_changes
-from ..assess.imu.pose_tables import PoseEvidence, RestingGyroscope, describe_poses
+from ..assess.imu.pose_tables import PoseFitSummary, RestingGyroscope, describe_poses
 from ..assess.imu.poses_verdict import assess_poses
 from ..assess.prior_findings import prior_findings, prior_used, pulled_findings
-from ..assess.priors import NOTHING, Evidence, Priors, known_beforehand
+from ..assess.priors import NOTHING, Prior, Priors, gather_prior
 from ..errors import DetectionError, InitialisationError, OptionError
 from ..estimate.triads.known_attitudes import FEWEST, StatedAttitudes, compare_attitudes, rough_directions
 from ..estimate.triads.pose_drift import PoseDrift, fit_with_drift
@@ -33,7 +33,7 @@ from ..results.calibration import (
     Provenance,
     covariance_names,
 )
-from ..results.parameters import parameters
+from ..results.parameters import calibration_parameters
 from ..results.result import Result
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
 from .published.angrisano import calibrate_poses_as_published
@@ -125,7 +125,7 @@ def calibrate_poses(
     units = {"accelerometer": poses.accelerometer_unit}
     if poses.gyroscope is not None:
         units["gyroscope"] = poses.gyroscope_unit
-    known = known_beforehand(prior, options, units, free=options.free, gravity=gravity)
+    known = gather_prior(prior, options, units, free=options.free, gravity=gravity)
     attitudes = _distinct(poses)
     _require(attitudes, poses, known)
     tell(f"fitting {len(poses)} poses")
@@ -133,7 +133,7 @@ def calibrate_poses(
     fit, trust = robust_triad(fit, "imu0.accelerometer", t_s=poses.t_s, widened=options.covariance == "robust")
     gyroscope, why = _gyroscope(prepared, fit, known, gravity, options)
     tell("assessing the result")
-    evidence = PoseEvidence(
+    evidence = PoseFitSummary(
         poses=poses,
         start_s=prepared.start_s,
         stop_s=prepared.stop_s,
@@ -194,7 +194,7 @@ def _distinct(poses: Poses) -> int:
     return len(kept)
 
 
-def _require(attitudes: int, poses: Poses, known: Evidence) -> None:
+def _require(attitudes: int, poses: Poses, known: Prior) -> None:
     """Refuse poses that cannot determine an accelerometer.
 
     Raises
@@ -215,7 +215,7 @@ def _require(attitudes: int, poses: Poses, known: Evidence) -> None:
 
 
 def _fit_accelerometer(
-    prepared: PreparedPoses, gravity: Gravity, known: Evidence, attitudes: int
+    prepared: PreparedPoses, gravity: Gravity, known: Prior, attitudes: int
 ) -> tuple[TriadFit, StatedAttitudes | None, PoseDrift | None]:
     """Fit the accelerometer to gravity's magnitude, and to the known attitudes where there are some."""
     poses = prepared.poses
@@ -245,7 +245,7 @@ def _fit_accelerometer(
 
 
 def _agreement(
-    prepared: PreparedPoses, fit: TriadFit, known: Evidence, attitudes: int, *, gravity: Gravity, options: ImuOptions
+    prepared: PreparedPoses, fit: TriadFit, known: Prior, attitudes: int, *, gravity: Gravity, options: ImuOptions
 ) -> list[Finding]:
     """Say what was known beforehand and, where the poses determine the sensors alone, whether they agree."""
     if not known or prepared.poses.specific_force is not None:
@@ -253,7 +253,7 @@ def _agreement(
     if attitudes < _FEWEST_DETERMINED:
         sensor, covariance = _sensor(fit, prepared.poses, None)
         return pulled_findings(
-            known, np.concatenate([value.ravel() for _, value in parameters({"": sensor})]), covariance
+            known, np.concatenate([value.ravel() for _, value in calibration_parameters({"": sensor})]), covariance
         )
     try:
         alone, _, _ = _fit_accelerometer(prepared, gravity, NOTHING, attitudes)
@@ -261,7 +261,9 @@ def _agreement(
     except InitialisationError:
         return prior_used(known)
     sensor, covariance = _sensor(alone, prepared.poses, gyroscope)
-    return prior_findings(known, np.concatenate([value.ravel() for _, value in parameters({"": sensor})]), covariance)
+    return prior_findings(
+        known, np.concatenate([value.ravel() for _, value in calibration_parameters({"": sensor})]), covariance
+    )
 
 
 def _assumed_angles(poses: Poses, gravity_m_s2: float, prior: TriadPrior | None) -> TriadPrior:
@@ -308,7 +310,7 @@ def _in_jig(
 
 
 def _gyroscope(
-    prepared: PreparedPoses, fit: TriadFit, known: Evidence, gravity: Gravity, options: ImuOptions
+    prepared: PreparedPoses, fit: TriadFit, known: Prior, gravity: Gravity, options: ImuOptions
 ) -> tuple[RestingGyroscope | None, str]:
     """Fit the gyroscope at rest; None where there is none, or why its rests do not suffice."""
     if prepared.poses.gyroscope is None:

@@ -17,7 +17,7 @@ from ..options import ImuOptions
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, Provenance
 from ..results.imu_diagnostics import ImuDiagnostics
-from ..results.parameters import parameters
+from ..results.parameters import calibration_parameters
 from ..results.result import JoinedDiagnostics, JoinedRecording, Result
 from ..results.sensors import ImuCalibration
 from ..results.triad_diagnostics import TriadDiagnostics
@@ -178,13 +178,13 @@ def _units(calibration: Calibration) -> list[str]:
 
 
 def _flat(calibration: Calibration) -> Floats:
-    return np.concatenate([value.ravel() for _, value in parameters(calibration.imus)])
+    return np.concatenate([value.ravel() for _, value in calibration_parameters(calibration.imus)])
 
 
 def _factors(calibrations: Sequence[Calibration]) -> Floats:
     """Return what brings each scalar to SI units: one over the mean scale of its triad, alike in all recordings."""
     factors: list[Floats] = []
-    for path, value in parameters(calibrations[0].imus):
+    for path, value in calibration_parameters(calibrations[0].imus):
         triad = path.split(".")[1]
         volumes = [abs(float(np.linalg.det(one.parameter(f"imu0.{triad}.sensitivity")))) for one in calibrations]
         factors.append(np.full(value.size, 1 / float(np.mean(np.cbrt(volumes)))))
@@ -257,7 +257,7 @@ def _with_scalars(imu: ImuCalibration, flat: Floats) -> ImuCalibration:
     """Return the IMU with other values of all its scalars."""
     start = 0
     triads = {}
-    for path, value in parameters({"": imu}):
+    for path, value in calibration_parameters({"": imu}):
         _, triad, name = path.split(".")
         sensor = triads.get(triad) or getattr(imu, triad)
         triads[triad] = replace(sensor, **{name: flat[start : start + value.size].reshape(value.shape)})

@@ -11,14 +11,14 @@ import numpy as np
 
 from .._version import __version__
 from ..assess.changes import with_changes
-from ..assess.imu.turntable_tables import TurntableEvidence, describe_turntable
+from ..assess.imu.turntable_tables import TurntableFitSummary, describe_turntable
 from ..assess.imu.turntable_verdict import assess_turntable
 from ..assess.prior_findings import prior_findings, prior_used
-from ..assess.priors import NOTHING, Evidence, Priors, known_beforehand, refuse_own_data
+from ..assess.priors import NOTHING, Prior, Priors, gather_prior, refuse_own_data
 from ..errors import DetectionError, InitialisationError, OptionError, SolveError
-from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_accelerometer, fit_turntable
+from ..estimate.turntable.fit import AccelerometerInPoses, TurntableFit, fit_platter_accelerometer, fit_turntable
 from ..estimate.turntable.parts import TurntableParts
-from ..estimate.turntable.speeds import NO_SPEED, reassign
+from ..estimate.turntable.speeds import NO_SPEED, reassign_speeds
 from ..findings import Finding
 from ..options import StatedRate, TurntableOptions
 from ..recording import Recording
@@ -89,7 +89,7 @@ def calibrate_turntable(
     prepared = prepare_turntable(recordings, rates, rate_of, options)
     prepared = replace(prepared, data=replace(prepared.data, walk=_known_walk(recordings, prepared)))
     gravity = local_gravity(options)
-    known = known_beforehand(prior, options, _units(prepared), free=free, gravity=gravity)
+    known = gather_prior(prior, options, _units(prepared), free=free, gravity=gravity)
     tell(f"fitting {len(prepared.names)} steady parts")
 
     def fitted(parts: TurntableParts) -> tuple[TurntableParts, TurntableFit, dict[str, TurntableFit], str]:
@@ -103,7 +103,7 @@ def calibrate_turntable(
     if again is not prepared:
         prepared, fit, rivals, why = fitted(again)
     tell("assessing the result")
-    evidence = TurntableEvidence(
+    evidence = TurntableFitSummary(
         parts=prepared, fit=fit, rivals=rivals, gravity=gravity, no_accelerometer=why, videos=videos
     )
     diagnostics = describe_turntable(evidence)
@@ -167,7 +167,7 @@ def _units(parts: TurntableParts) -> dict[str, str]:
     return units if parts.accelerometer_unit is None else {"accelerometer": parts.accelerometer_unit, **units}
 
 
-def _agreement(parts: TurntableParts, known: Evidence, options: TurntableOptions, gravity: Gravity) -> list[Finding]:
+def _agreement(parts: TurntableParts, known: Prior, options: TurntableOptions, gravity: Gravity) -> list[Finding]:
     """Say what was known beforehand and, where the recordings determine both triads alone, whether they agree."""
     if not known:
         return []
@@ -183,13 +183,13 @@ def _agreement(parts: TurntableParts, known: Evidence, options: TurntableOptions
     return prior_findings(known, np.concatenate([value.ravel() for value in values]), alone.covariance)
 
 
-def _accelerometer(parts: TurntableParts, known: Evidence, gravity: Gravity) -> tuple[AccelerometerInPoses | None, str]:
+def _accelerometer(parts: TurntableParts, known: Prior, gravity: Gravity) -> tuple[AccelerometerInPoses | None, str]:
     """Calibrate the accelerometer in the same attitudes, or say why not."""
     if parts.accelerometer_unit is None or parts.data.force is None:
         return None, "it was not recorded"
     try:
         beforehand = known.triad_prior("accelerometer")
-        return fit_accelerometer(parts.data, gravity.value, gravity.sigma, beforehand), ""
+        return fit_platter_accelerometer(parts.data, gravity.value, gravity.sigma, beforehand), ""
     except InitialisationError as error:
         return None, str(error)
 
@@ -197,7 +197,7 @@ def _accelerometer(parts: TurntableParts, known: Evidence, gravity: Gravity) -> 
 def _choose_model(
     parts: TurntableParts,
     accelerometer: AccelerometerInPoses | None,
-    known: Evidence,
+    known: Prior,
     options: TurntableOptions,
     *,
     unknown_scale: bool,
@@ -245,7 +245,9 @@ def _by_calibrated_rate(parts: TurntableParts, fit: TurntableFit, *, unknown_sca
         return parts
     shown = np.linalg.norm(fit.fit.physical(fit.poses.measured, fit.poses.force), axis=1)
     factor = fit.fit.group_factor[parts.data.speed]
-    nearest = reassign(shown / factor, parts.data.rates, np.ones((len(shown), len(parts.rates)), bool), _RATE_TOLERANCE)
+    nearest = reassign_speeds(
+        shown / factor, parts.data.rates, np.ones((len(shown), len(parts.rates)), bool), _RATE_TOLERANCE
+    )
     wrong = nearest != parts.data.speed
     for k in range(len(parts.rates)):
         same = parts.data.speed == k

@@ -6,9 +6,9 @@ import os
 from collections.abc import Sequence
 
 from ..errors import GnomonError, OptionError, system_error_words
-from ..findings import printable
+from ..findings import printable_text
 from .command import Command
-from .commands import parse
+from .commands import parse_command
 from .output_folder import recover_interrupted_write, spared_inputs
 from .terminal import Terminal
 
@@ -78,7 +78,7 @@ def _parsed(arguments: Sequence[str], terminal: Terminal) -> Command | int:
     shown = io.StringIO()
     try:
         with contextlib.redirect_stderr(shown) if terminal.as_json else contextlib.nullcontext():
-            return parse(arguments)
+            return parse_command(arguments)
     except SystemExit as stop:
         code = stop.code if isinstance(stop.code, int) else USAGE
         if terminal.as_json and code:
@@ -90,6 +90,6 @@ def _parsed(arguments: Sequence[str], terminal: Terminal) -> Command | int:
 def _failed(terminal: Terminal, kind: str, message: str, code: int) -> int:
     """Say what went wrong, once, and return the exit code."""
     terminal.close()
-    terminal.warn(f"gnomon: {printable(message)}")
+    terminal.warn(f"gnomon: {printable_text(message)}")
     terminal.document({"error": {"kind": kind, "message": message, "exit_code": code}})
     return code

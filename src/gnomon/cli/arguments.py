@@ -54,12 +54,12 @@ class _Entry(NamedTuple):
     default: Any
 
 
-def unannotated(hint: Any) -> tuple[Any, Argument]:
+def split_annotation(hint: Any) -> tuple[Any, Argument]:
     """Return the type of a field, and how it stands on the line.
 
     Examples
     --------
-    >>> unannotated(Annotated[int, Argument(metavar="COUNT")])[0]
+    >>> split_annotation(Annotated[int, Argument(metavar="COUNT")])[0]
     <class 'int'>
     """
     if get_origin(hint) is Annotated:
@@ -91,7 +91,7 @@ def read_line(command: type, words: Sequence[str]) -> Any:
 
 def _entries(cls: type, place: Place) -> Iterator[_Entry]:
     for entry in fields(cls):
-        kind, argument = unannotated(entry.type)
+        kind, argument = split_annotation(entry.type)
         if argument.flat:
             yield from _entries(kind, (*place, entry.name))
         else:
@@ -198,7 +198,7 @@ def _built(cls: type, values: dict[Place, Any], place: Place) -> Any:
     given: dict[str, Any] = {}
     for entry in fields(cls):
         here = (*place, entry.name)
-        kind, argument = unannotated(entry.type)
+        kind, argument = split_annotation(entry.type)
         if argument.flat:
             given[entry.name] = _built(kind, values, here)
         elif here in values:

@@ -97,7 +97,7 @@ class CameraCommand(Command):
         from ..calibrate.cameras import calibrate_cameras
         from ..calibrate.steps.camera_reading import read_camera_views
         from ..formats.kalibr.cam_results import save_camera_files
-        from ..readers.images.image_recording import holds_imu
+        from ..readers.images.image_recording import recording_holds_imu
 
         folder = self.output or default_folder((self.recording,), "camera")
         if not self.recording.exists():
@@ -130,7 +130,7 @@ class CameraCommand(Command):
         _print_result(result, folder, terminal)
         document = result_document(result.calibration, folder, recording.assumptions, CAMERA_FILES)
         if result.calibration.verdict != "fail":  # on with the IMU of this recording, else with that of another
-            here = holds_imu(self.recording)
+            here = recording_holds_imu(self.recording)
             stated = ["--topics", *self.topics] if here and self.topics else []
             words = ("--target", target, "--cam", folder / "calibration.yaml", *stated)
             terminal.print("")

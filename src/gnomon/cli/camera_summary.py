@@ -9,7 +9,7 @@ from rich.table import Table
 
 from ..formats.shared.baselines import baseline_of
 from ..formats.shared.entries import camera_entries
-from ..models.lens_programs import PROGRAMS, knows
+from ..models.lens_programs import PROGRAMS, knows_lens
 from ..models.origin import AXES
 from ..recording import Floats
 from ..results.calibration import Calibration, CamerasFit
@@ -46,7 +46,7 @@ def _readers(calibration: Calibration) -> Iterator[str]:
 def programs_reading(calibration: Calibration) -> list[str]:
     """Return the programs that know the models of all lenses."""
     lenses = [camera.camera for camera in calibration.cameras.values()]
-    return [name for name in PROGRAMS if all(knows(name, lens) for lens in lenses)]
+    return [name for name in PROGRAMS if all(knows_lens(name, lens) for lens in lenses)]
 
 
 def _board(fit: CamerasFit) -> Iterator[str]:

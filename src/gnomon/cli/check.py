@@ -12,7 +12,7 @@ from .results import UNUSABLE, USABLE, print_assumptions
 from .terminal import Terminal
 
 if TYPE_CHECKING:
-    from ..assess.checks.rig_doctor import RigLook
+    from ..assess.checks.rig_doctor import RigSummary
     from ..findings import Finding
     from ..recording import ImuSamples, Integers, Recording, TriadSamples
     from ..recording.images import ImageRecording
@@ -83,13 +83,13 @@ def _files(command: Check) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 def _check_corners(command: Check, terminal: Terminal) -> int:
     from ..calibrate import read_camera_imu, read_camera_views
-    from ..readers.rig.camera_folder import holds_imu, recording_folder
+    from ..readers.rig.camera_folder import folder_holds_imu, recording_folder
 
     files, taken = _files(command)
     if files["cam"] is None or files["target"] is None:
         return _check_corner_stamps(command, files, taken, terminal)
     path, units = command.recording.path, command.recording.units
-    if holds_imu(recording_folder(path)):
+    if folder_holds_imu(recording_folder(path)):
         recording, target = read_camera_imu(path, **files, units=units)
     else:
         recording, target = read_camera_views(path, cam=files["cam"], target=files["target"], units=units)
@@ -148,7 +148,7 @@ def _check_images(command: Check, terminal: Terminal) -> int:
     return _print_check(look.findings, recording.imus, _image_entries(recording, look), assumptions, terminal)
 
 
-def _image_entries(recording: "ImageRecording", look: "RigLook") -> dict[str, dict[str, Any]]:
+def _image_entries(recording: "ImageRecording", look: "RigSummary") -> dict[str, dict[str, Any]]:
     entries: dict[str, dict[str, Any]] = {}
     for name, found in look.streams.items():
         width, height = found.size or (None, None)

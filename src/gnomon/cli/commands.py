@@ -131,7 +131,7 @@ class _Commands(Mapping[str, type[Command]]):
 COMMANDS: Mapping[str, type[Command]] = _Commands()
 
 
-def parse(arguments: Sequence[str]) -> Command:
+def parse_command(arguments: Sequence[str]) -> Command:
     """Return the command that the arguments ask for.
 
     Raises

@@ -11,7 +11,7 @@ from .arguments import Argument
 from .command import Command, Json, Switch, output_option
 from .output_folder import default_folder, owner_of, result_folder
 from .results import UNUSABLE, USABLE, print_findings, result_files
-from .terminal import Terminal, plain
+from .terminal import Terminal, json_value
 
 if TYPE_CHECKING:
     from ..assess.comparison.comparison import Comparison, Repeatability
@@ -70,7 +70,7 @@ class Compare(Command):
         for path in files.values():
             terminal.print(f"written: {path}")
         code = UNUSABLE if found.verdict == "fail" else USABLE
-        terminal.document({**plain(found), "exit_code": code, "files": files})
+        terminal.document({**json_value(found), "exit_code": code, "files": files})
         return code
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
 from ..errors import GnomonError, OptionError, OutputError
-from ..findings import listed
+from ..findings import join_with_or
 from ..units import Units
 from .arguments import Argument
 from .command import Command, FileOption, Json, Topics, output_option, topics_of
@@ -96,7 +96,7 @@ def _of_result(command: Convert) -> Convert:
 
 def _convert_calibration(command: Convert, terminal: Terminal) -> int:
     from ..formats.conversion import convert as write
-    from ..formats.conversion import exported
+    from ..formats.conversion import export_texts
     from ..formats.own.calibration_file import is_own, load
 
     _refuse_recording(command)
@@ -116,7 +116,7 @@ def _convert_calibration(command: Convert, terminal: Terminal) -> int:
     imu, said = _noise(command)
     folder = command.output or command.path.parent / command.to
     check_folder(folder)
-    paths = [folder / name for name in exported(calibration, command.to, imu=imu, **scales).files]
+    paths = [folder / name for name in export_texts(calibration, command.to, imu=imu, **scales).files]
     _spare_inputs(command, paths)
     losses = write(calibration, command.to, folder, imu=imu, **scales)
     files = [str(path) for path in paths]
@@ -152,7 +152,9 @@ def _noise(command: Convert) -> tuple["Mapping[str, StatedImu] | None", list[str
 
     if command.imu is not None:
         if command.to not in WITH_NOISE:
-            raise OptionError(f"--imu: {command.to} has no place for noise. Those that have are {listed(WITH_NOISE)}.")
+            raise OptionError(
+                f"--imu: {command.to} has no place for noise. Those that have are {join_with_or(WITH_NOISE)}."
+            )
         return stated_imus(command.imu), []
     if command.to not in WITH_NOISE:
         return None, []
@@ -240,7 +242,7 @@ def _refuse_recording(command: Convert) -> None:
     if command.path.is_dir() or (not _is_calibration(command.path) and _holds_images(command.path)):
         raise OptionError(
             f"{command.path}: this is {'a folder' if command.path.is_dir() else 'a recording'}, and {command.to} is a "
-            f"format of calibrations. Recordings are written --to {listed(get_args(RecordingForm))}; of a "
+            f"format of calibrations. Recordings are written --to {join_with_or(get_args(RecordingForm))}; of a "
             "result, give its folder or the calibration.yaml in it."
         )
     if command.topics or command.units or command.imu_table:
@@ -252,7 +254,7 @@ def _refuse_calibration(command: Convert) -> None:
     if _is_calibration(command.path):
         raise OptionError(
             f"{command.path}: this is a calibration, and {command.to} is a format of recordings. Calibrations are "
-            f"written --to {listed(get_args(CalibrationForm))}."
+            f"written --to {join_with_or(get_args(CalibrationForm))}."
         )
     if len(command.paths) > 1:
         raise OptionError(f"{command.paths[1]}: of recordings one at a time is converted.")

@@ -27,7 +27,7 @@ from .output_folder import (
     joined_folder,
     result_folder,
 )
-from .results import conclude, print_assumptions, write_result
+from .results import print_assumptions, print_result, write_result
 from .simulated import write_simulated
 from .terminal import Terminal
 
@@ -78,7 +78,7 @@ class Imu(Command):
             result = judged_result(result, use)
             write_result(result, staging, report=self.report, terminal=terminal)
         lines = summary_lines(result.calibration)
-        return conclude(result.calibration, lines, folder, assumptions, terminal, source=source)
+        return print_result(result.calibration, lines, folder, assumptions, terminal, source=source)
 
 
 def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
@@ -145,6 +145,6 @@ class Demo(Command):
             terminal.print(comparison_sentence(result.calibration, truth))
         more = {"comparison": comparison_document(result.calibration, truth)}
         lines = summary_lines(result.calibration)
-        return conclude(
+        return print_result(
             result.calibration, lines, self.output, recording.assumptions, terminal, parameters=False, more=more
         )

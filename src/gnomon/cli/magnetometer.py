@@ -9,7 +9,7 @@ from ..simulate import FieldScenario
 from .command import Command, Flat, ForUse, Input, Json, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder
-from .results import conclude, print_assumptions, write_result
+from .results import print_assumptions, print_result, write_result
 from .simulated import write_simulated
 from .terminal import Terminal
 
@@ -51,7 +51,7 @@ class Magnetometer(Command):
             result = judged_result(result, use)
             write_result(result, staging, report=self.report, terminal=terminal)
         lines = magnetometer_lines(result)
-        return conclude(result.calibration, lines, folder, recording.assumptions, terminal, source=source)
+        return print_result(result.calibration, lines, folder, recording.assumptions, terminal, source=source)
 
 
 @dataclass(frozen=True, kw_only=True)

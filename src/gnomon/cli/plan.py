@@ -82,7 +82,7 @@ def _plan(command: Plan | PlanImu, terminal: Terminal) -> int:
 
 
 def _print(result: "PlanResult", terminal: Terminal) -> None:
-    from ..assess.needs import number_words, offers
+    from ..assess.needs import achieved_quantities, number_words
     from ..options.requirements import QUANTITIES
 
     calibration = result.calibration
@@ -91,7 +91,7 @@ def _print(result: "PlanResult", terminal: Terminal) -> None:
     terminal.print(f"{calibration.verdict}: {meaning}" + (f" for {use}" if use else ""), style)
     needed = {need.block: need for need in result.needs}
     terminal.print(f"\n{'predicted standard deviation':<44}{'needed':>12}")
-    for offer in offers(calibration):
+    for offer in achieved_quantities(calibration):
         if not offer.sigma > 0:
             continue
         quantity = QUANTITIES[offer.quantity]
@@ -107,7 +107,7 @@ def _print(result: "PlanResult", terminal: Terminal) -> None:
 
 
 def _document(result: "PlanResult") -> dict[str, Any]:
-    from ..results.calibration import parameters
+    from ..results.calibration import calibration_parameters
 
     calibration = result.calibration
     return {
@@ -115,7 +115,9 @@ def _document(result: "PlanResult") -> dict[str, Any]:
         "exit_code": UNUSABLE if calibration.verdict == "fail" else USABLE,
         "use": calibration.assessment.trust.use,
         "needs": result.needs,
-        "sigma": {path: calibration.sigma(path) for path, _ in parameters(calibration.imus, calibration.cameras)},
+        "sigma": {
+            path: calibration.sigma(path) for path, _ in calibration_parameters(calibration.imus, calibration.cameras)
+        },
         "weak": result.weak,
         "findings": calibration.assessment.findings,
         "changes": result.changes,

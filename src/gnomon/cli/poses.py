@@ -42,10 +42,12 @@ class SimulatePoses(Command):
         with result_folder(folder, own=()) as staging:
             simulation = simulate_poses(self.scenario, self.seed)
             if path.suffix.lower() == ".csv":
-                save_poses(averages(simulation), staging / path.name)
+                save_poses(pose_averages(simulation), staging / path.name)
                 files = [path]
             elif path.suffix.lower() == ".npz":
-                files = [path.with_name(file.name) for file in save_recording(joined(simulation), staging / path.name)]
+                files = [
+                    path.with_name(file.name) for file in save_recording(join_poses(simulation), staging / path.name)
+                ]
             else:
                 files = [path / file.name for file in save_pose_files(simulation.poses, staging)]
             true = truth_name(folder, [file.name for file in files])
@@ -57,7 +59,7 @@ class SimulatePoses(Command):
         return USABLE
 
 
-def averages(simulation: "PoseSimulation") -> "Poses":
+def pose_averages(simulation: "PoseSimulation") -> "Poses":
     """Return the means of a simulation with what a person would know of them."""
     import numpy as np
 
@@ -85,7 +87,7 @@ def averages(simulation: "PoseSimulation") -> "Poses":
     )
 
 
-def joined(simulation: "PoseSimulation") -> "Recording":
+def join_poses(simulation: "PoseSimulation") -> "Recording":
     """Return the samples of all poses as one recording, without what happened between them."""
     import numpy as np
 

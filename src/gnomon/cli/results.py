@@ -68,7 +68,7 @@ def print_needs(calibration: "Calibration", terminal: Terminal) -> None:
     terminal.print("")
 
 
-def conclude(
+def print_result(
     calibration: "Calibration",
     facts: Iterable[str],
     folder: Path,

@@ -27,7 +27,7 @@ from .results import (
 from .terminal import WIDTH, Terminal
 
 if TYPE_CHECKING:
-    from ..writers.tables import Table
+    from ..writers.tables import ParameterRows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ def _show_foreign(path: Path, form: str, terminal: Terminal) -> int:
     return USABLE
 
 
-def _print_tables(tables: "Sequence[Table]", terminal: Terminal) -> None:
+def _print_tables(tables: "Sequence[ParameterRows]", terminal: Terminal) -> None:
     for table in tables:
         names = max(len(row.name) for row in table.rows)
         values = max(len(row.value) for row in table.rows)
@@ -168,9 +168,9 @@ def _chosen_imu(command: Apply, imus: tuple[str, ...]) -> str:
 
 def _tables(paths: Sequence[Path], imu: str) -> Sequence[Path]:
     """Return the tables of one IMU of a folder of several; of anything else the paths themselves."""
-    from ..readers.rig.camera_folder import holds_imu, imu_files, recording_folder
+    from ..readers.rig.camera_folder import folder_holds_imu, imu_files, recording_folder
 
-    if len(paths) != 1 or not paths[0].is_dir() or not holds_imu(recording_folder(paths[0])):
+    if len(paths) != 1 or not paths[0].is_dir() or not folder_holds_imu(recording_folder(paths[0])):
         return paths
     files = imu_files(recording_folder(paths[0]))
     if len(files) == 1 and imu == "imu0":

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import TaskID
 
-    from ..report.page import Page
+    from ..report.page import ReportPage
     from ..study.runs import Progress, Workers
     from ..study.tables import Claim, StudyTable
     from .study_journal import FileJournal
@@ -48,7 +48,7 @@ class CarryOut(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
+class StudyFunctions:
     """The functions of a study.
 
     Attributes
@@ -60,7 +60,7 @@ class Parts:
     carry_out: CarryOut
     claims: Callable[[Any], "Iterable[Claim]"]
     tables: Callable[[Any], "Iterable[StudyTable]"]
-    page: Callable[[Any], "Page"]
+    page: Callable[[Any], "ReportPage"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,30 +84,32 @@ class StudyEntry:
     minutes: float
     stages: tuple[str, ...]
     tables: tuple[str, ...]
-    load: Callable[[], Parts]
+    load: Callable[[], StudyFunctions]
 
 
-def _angrisano() -> Parts:
+def _angrisano() -> StudyFunctions:
     from ..report.studies.angrisano import angrisano_page
-    from ..study.angrisano import claims, study_angrisano, tables
+    from ..study.angrisano import angrisano_claims, angrisano_tables, study_angrisano
 
-    return Parts(carry_out=study_angrisano, claims=claims, tables=tables, page=angrisano_page)
+    return StudyFunctions(
+        carry_out=study_angrisano, claims=angrisano_claims, tables=angrisano_tables, page=angrisano_page
+    )
 
 
-def _krebs() -> Parts:
+def _krebs() -> StudyFunctions:
     from ..report.studies.krebs import krebs_page
     from ..study.krebs import study_krebs
-    from ..study.krebs_claims import claims, tables
+    from ..study.krebs_claims import krebs_claims, krebs_tables
 
-    return Parts(carry_out=study_krebs, claims=claims, tables=tables, page=krebs_page)
+    return StudyFunctions(carry_out=study_krebs, claims=krebs_claims, tables=krebs_tables, page=krebs_page)
 
 
-def _tedaldi() -> Parts:
+def _tedaldi() -> StudyFunctions:
     from ..report.studies.tedaldi import tedaldi_page
     from ..study.tedaldi import study_tedaldi
-    from ..study.tedaldi_claims import claims, tables
+    from ..study.tedaldi_claims import tedaldi_claims, tedaldi_tables
 
-    return Parts(carry_out=study_tedaldi, claims=claims, tables=tables, page=tedaldi_page)
+    return StudyFunctions(carry_out=study_tedaldi, claims=tedaldi_claims, tables=tedaldi_tables, page=tedaldi_page)
 
 
 STUDIES: Mapping[str, StudyEntry] = {
@@ -215,7 +217,9 @@ class Study(Command):
         return USABLE
 
 
-def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: "FileJournal", terminal: Terminal) -> Found:
+def _carried_out(
+    command: Study, parts: StudyFunctions, entry: StudyEntry, journal: "FileJournal", terminal: Terminal
+) -> Found:
     from ..study.runs import Workers
 
     count = StudyCount(terminal, entry.stages)
@@ -234,14 +238,14 @@ def _carried_out(command: Study, parts: Parts, entry: StudyEntry, journal: "File
         count.close()
 
 
-def _write(found: Found, parts: Parts, staging: Path, terminal: Terminal) -> list[str]:
+def _write(found: Found, parts: StudyFunctions, staging: Path, terminal: Terminal) -> list[str]:
     """Write tables and page, and return the names of the files."""
     from ..output import write_whole
-    from ..report.page import render
+    from ..report.page import render_page
 
     contents: dict[str, str | bytes] = {f"{table.name}.csv": table.csv() for table in parts.tables(found)}
     terminal.progress("drawing the page")
-    contents[PAGE] = render(parts.page(found))
+    contents[PAGE] = render_page(parts.page(found))
     for name, content in contents.items():
         write_whole(staging / name, content)
     return sorted(contents)

@@ -10,10 +10,10 @@ import numpy as np
 
 from ..findings import Finding
 from ..formats.shared.entries import parameter_unit
-from ..formats.shared.losses import held_names
+from ..formats.shared.losses import prior_held_names
 from ..recording import Floats
-from ..results.calibration import Calibration, element_names, parameters
-from ..results.trust import TrustNote
+from ..results.calibration import Calibration, calibration_parameters, element_names
+from ..results.trust import UncertaintySummary
 from ..writers.evidence_words import counted_things, held_out_errors, rests_on_gravity
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def summary_lines(calibration: Calibration) -> Iterator[str]:
     yield f"  {counted_things(calibration):<18} {found.intervals_used} used of {found.intervals_found}"
     if found.model != "none" and found.rotations_found:
         yield f"  rotations          {found.rotations_used} used of {found.rotations_found}"
-    errors = [f"{sensor} {engineering(rms, unit)}" for sensor, _, rms, unit in held_out_errors(calibration)]
+    errors = [f"{sensor} {engineering_text(rms, unit)}" for sensor, _, rms, unit in held_out_errors(calibration)]
     if errors:
         yield from _paragraph(f"{', '.join(errors)} (rms)", "  hold-out error     ", " " * 21)
     if rests_on_gravity(calibration):
@@ -51,7 +51,7 @@ def summary_lines(calibration: Calibration) -> Iterator[str]:
         yield f"  model, body frame  {found.model}, {calibration.frame}"
 
 
-def trust_lines(note: TrustNote) -> Iterator[str]:
+def trust_lines(note: UncertaintySummary) -> Iterator[str]:
     """Yield lines on where the standard deviations come from, whether parts agree, and what a use needs."""
     if note.covariance == "cluster-robust":
         ratios = [ratio for ratio in note.sigma_ratio.values() if math.isfinite(ratio)]
@@ -72,7 +72,7 @@ def trust_lines(note: TrustNote) -> Iterator[str]:
 
 def held_lines(calibration: Calibration) -> Iterator[str]:
     """Yield lines on what is held by an assumption, since the recording does not determine it."""
-    held = list(dict.fromkeys(name.split("[")[0] for name in held_names(calibration)))
+    held = list(dict.fromkeys(name.split("[")[0] for name in prior_held_names(calibration)))
     if held:
         words = f"{', '.join(held)} (at least in part): held by an assumption, not determined by the recording"
         yield from _paragraph(words, "  not measured       ", " " * 21)
@@ -96,7 +96,7 @@ def _paragraph(text: str, first: str, rest: str) -> list[str]:
 
 def parameter_lines(calibration: Calibration) -> Iterator[str]:
     """Yield every parameter with its standard deviation, a row for each sensor axis."""
-    for path, value in parameters(calibration.imus):
+    for path, value in calibration_parameters(calibration.imus):
         sigma = calibration.sigma(path)
         if value.ndim == 0 or ".T_imu_body." in path:
             continue  # poses and clocks stand with those of the cameras
@@ -147,12 +147,12 @@ def common_decimals(sigma: Floats) -> int:
     return min(max(1 - math.floor(math.log10(float(estimated.min()))), 0), 6)
 
 
-def engineering(value: float, unit: str) -> str:
+def engineering_text(value: float, unit: str) -> str:
     """Return a number with its unit and a fitting prefix, such as "2.65 mrad".
 
     Examples
     --------
-    >>> engineering(0.00265, "rad"), engineering(0.0015, "m/s^2"), engineering(float("nan"), "rad")
+    >>> engineering_text(0.00265, "rad"), engineering_text(0.0015, "m/s^2"), engineering_text(float("nan"), "rad")
     ('2.65 mrad', '1.5 mm/s^2', 'unknown')
     """
     if not math.isfinite(value):
@@ -213,11 +213,11 @@ def _numbers(values: Floats, sigma: Floats) -> str:
     return "  ".join(f"{v:.{decimals}f} +- {s:.{decimals}f}" for v, s in zip(values, sigma, strict=True))
 
 
-def compared(estimate: Calibration, truth: Calibration) -> Iterator[tuple[str, float, float, float]]:
+def compare_with_truth(estimate: Calibration, truth: Calibration) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, estimate, sigma and truth of every scalar that was estimated."""
     true = truth.in_frame(estimate.frame)
-    known = dict(parameters(true.imus))
-    for path, value in parameters(estimate.imus):
+    known = dict(calibration_parameters(true.imus))
+    for path, value in calibration_parameters(estimate.imus):
         names = element_names(path, value.shape)
         truly = known.get(path, np.zeros_like(value))  # without lever arms they are zero
         columns = value.ravel(), estimate.sigma(path).ravel(), truly.ravel()
@@ -236,7 +236,7 @@ def comparison_table(estimate: Calibration, truth: Calibration) -> "Table":
     table.add_column("parameter", max_width=26)
     for title in ("estimate", "sigma", "truth", "error/sigma"):
         table.add_column(title, justify="right", no_wrap=True)
-    for path, rows in groupby(compared(estimate, truth), key=lambda row: row[0].split("[", maxsplit=1)[0]):
+    for path, rows in groupby(compare_with_truth(estimate, truth), key=lambda row: row[0].split("[", maxsplit=1)[0]):
         block = list(rows)
         numbers = np.array([row[1:] for row in block])
         power = common_power(numbers[:, 0], numbers[:, 1])
@@ -255,11 +255,13 @@ def comparison_table(estimate: Calibration, truth: Calibration) -> "Table":
 
 def comparison_sentence(estimate: Calibration, truth: Calibration) -> str:
     """Return how large the errors are for their sigmas."""
-    ratios = np.array([(number - expected) / sigma for _, number, sigma, expected in compared(estimate, truth)])
+    ratios = np.array(
+        [(number - expected) / sigma for _, number, sigma, expected in compare_with_truth(estimate, truth)]
+    )
     return f"{len(ratios)} parameters: rms of error/sigma {np.sqrt(np.mean(ratios**2)):.2f}, where 1 is expected.\n"
 
 
 def comparison_document(estimate: Calibration, truth: Calibration) -> list[dict[str, Any]]:
     """Return the same for a program."""
     keys = ("parameter", "estimate", "sigma", "truth")
-    return [dict(zip(keys, row, strict=True)) for row in compared(estimate, truth)]
+    return [dict(zip(keys, row, strict=True)) for row in compare_with_truth(estimate, truth)]

@@ -11,7 +11,7 @@ from dataclasses import fields, is_dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from ..findings import printable
+from ..findings import printable_text
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -41,7 +41,7 @@ class Terminal:
         if self.as_json:
             return
         self.close()
-        text = printable(text)
+        text = printable_text(text)
         if style and sys.stdout.isatty():
             from rich.console import Console
 
@@ -76,11 +76,11 @@ class Terminal:
             content = content() if callable(content) else content
             content = {**content, "next": self.next_lines} if self.next_lines else content
             utf8 = (sys.stdout.encoding or "utf-8").lower() == "utf-8"  # elsewhere, as on Windows, letters are escaped
-            sys.stdout.write(json.dumps(plain(content), indent=2, ensure_ascii=not utf8, allow_nan=False) + "\n")
+            sys.stdout.write(json.dumps(json_value(content), indent=2, ensure_ascii=not utf8, allow_nan=False) + "\n")
 
     def progress(self, step: str) -> None:
         """Say which step the work is at: in one changing line on a terminal, else in a line a step."""
-        step = printable(step)
+        step = printable_text(step)
         if not sys.stderr.isatty():
             self.warn(step)
         elif self._status is not None:
@@ -110,16 +110,16 @@ def _unmarked(text: str) -> "Text":
     return Text(text)
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Return a value as JSON knows it: lists for arrays, null for what is not a finite number."""
     if is_dataclass(value):
-        return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
+        return {entry.name: json_value(getattr(value, entry.name)) for entry in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): json_value(item) for key, item in value.items()}
     if value is None or isinstance(value, bool | int | str | float):
         return None if isinstance(value, float) and not math.isfinite(value) else value
     if hasattr(value, "tolist"):  # an array or a number of NumPy
-        return plain(value.tolist())
+        return json_value(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [json_value(item) for item in value]
     return str(value)

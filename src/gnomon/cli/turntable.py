@@ -15,7 +15,7 @@ from .arguments import Argument
 from .command import Command, Flat, ForUse, Json, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder, truth_name
-from .results import USABLE, conclude, print_assumptions, write_result
+from .results import USABLE, print_assumptions, print_result, write_result
 from .terminal import Terminal
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Turntable(Command):
             )
             result = judged_result(result, use)
             write_result(result, staging, report=self.report, terminal=terminal)
-        return conclude(result.calibration, _summary_lines(result), folder, assumptions, terminal)
+        return print_result(result.calibration, _summary_lines(result), folder, assumptions, terminal)
 
 
 def _assumptions(recordings: "Sequence[Recording]") -> tuple[str, ...]:

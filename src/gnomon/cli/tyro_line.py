@@ -9,7 +9,7 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
-from .arguments import Argument, unannotated
+from .arguments import Argument, split_annotation
 
 _CONFIG = (tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes)
 
@@ -29,7 +29,7 @@ def parse_line(command: Any, words: Sequence[str], *, prog: str, default: Any = 
 def _annotate(cls: type) -> None:
     """Turn the annotations of a command's fields, and of those of its options, into tyro's."""
     for entry in fields(cls):
-        kind, argument = unannotated(entry.type)
+        kind, argument = split_annotation(entry.type)
         if argument.flat:
             _annotate(kind)
     for base in (one for one in cls.__mro__ if "__dataclass_fields__" in one.__dict__):

@@ -27,10 +27,10 @@ from ..results.calibration import (
 )
 from .foreign import ForeignCalibration, ForeignImu, recognised_frame
 from .shared.baselines import inverse_pose
-from .shared.foreign_yaml import passed_over, required, unit_quaternion, whole_number
+from .shared.foreign_yaml import passed_over, required_value, unit_quaternion, whole_number
 from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, unknown_lens
 from .shared.sensor_losses import Holds, not_representable
-from .shared.si_units import conversions, si_imu
+from .shared.si_units import si_conversions, si_imu
 from .shared.structured import Node
 
 _NOISE = {
@@ -136,7 +136,7 @@ def _read_noise(keys: dict[str, Node], notes: list[str]) -> ImuNoise | None:
 
 def _cameras(keys: dict[str, Node], top: Node) -> dict[str, CameraCalibration]:
     poses, lenses = list(keys["T_imu_cam"].items()), list(keys["intrinsics"].items())
-    sizes = list(required(keys, "resolution", top, "[width, height] of each camera").items())
+    sizes = list(required_value(keys, "resolution", top, "[width, height] of each camera").items())
     if not len(poses) == len(lenses) == len(sizes):
         raise top.fail(
             f"found {len(poses)} poses (T_imu_cam), {len(lenses)} intrinsics and {len(sizes)} resolutions; expected "
@@ -154,7 +154,7 @@ def _cameras(keys: dict[str, Node], top: Node) -> dict[str, CameraCalibration]:
 def _T_cam_imu(node: Node) -> Floats:
     keys = {child.key: child for child in node.entries()}
     p, q = (
-        np.array([required(keys, name, node, "a number").number() for name in names])
+        np.array([required_value(keys, name, node, "a number").number() for name in names])
         for names in (("px", "py", "pz"), ("qw", "qx", "qy", "qz"))
     )
     T_imu_cam = np.eye(4)
@@ -164,11 +164,13 @@ def _T_cam_imu(node: Node) -> Floats:
 
 def _read_camera(node: Node, size: Node) -> Camera:
     keys = {child.key: child for child in node.entries()}
-    kind = required(keys, "camera_type", node, f"one of {', '.join(_NAMES)}").text(tuple(_NAMES))
-    values = {child.key: child for child in required(keys, "intrinsics", node, "its parameters").entries()}
+    kind = required_value(keys, "camera_type", node, f"one of {', '.join(_NAMES)}").text(tuple(_NAMES))
+    values = {child.key: child for child in required_value(keys, "intrinsics", node, "its parameters").entries()}
 
     def read(names: tuple[str, ...]) -> Floats:
-        return np.array([required(values, name, keys["intrinsics"], f"a number of {kind}").number() for name in names])
+        return np.array(
+            [required_value(values, name, keys["intrinsics"], f"a number of {kind}").number() for name in names]
+        )
 
     linear, own = read(_LINEAR), read(_NAMES[kind])
     sides = list(size.items())
@@ -264,7 +266,7 @@ def basalt_text(calibration: Calibration, stated: StatedImu | None = None, remar
     noise, rate_hz = stated.noise or CONSUMER_MEMS, stated.update_rate_hz or _RATE_HZ
     cameras = list(calibration.cameras.values())
     shift = cameras[0].time_shift_cam_imu if cameras else 0.0
-    lines = [line for conversion in conversions(imu) if conversion.unit == "count" for line in conversion.lines()]
+    lines = [line for conversion in si_conversions(imu) if conversion.unit == "count" for line in conversion.lines()]
     placeholders = (*(() if stated.noise else ("Noise",)), *(() if stated.update_rate_hz else ("imu_update_rate",)))
     assumed = [f"{' and '.join(placeholders)} {_PLACEHOLDER}"] if placeholders else []
     comment = " ".join([_COMMENT, *assumed, *lines, *remarks])

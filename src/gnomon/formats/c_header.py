@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from ..models.forms import inverse
+from ..models.forms import invert_matrix
 from ..recording import Floats
 from ..results.calibration import Calibration, ImuCalibration
 from .own.calibration_text import FRAMES
@@ -106,7 +106,7 @@ def _constants(imu: str, calibration: ImuCalibration) -> str:
             bias = triad.bias.astype(np.float32)
             lines += [
                 f"/* S^-1 of the {name} [{physical} per {triad.unit}] */",
-                _matrix(f"gnomon_{imu}_{name}_correction", inverse(triad.sensitivity)),
+                _matrix(f"gnomon_{imu}_{name}_correction", invert_matrix(triad.sensitivity)),
                 f"/* b of the {name} [{triad.unit}], the sum of two floats */",
                 _vector(f"gnomon_{imu}_{name}_bias", triad.bias),
                 _vector(f"gnomon_{imu}_{name}_bias_rest", triad.bias - bias),

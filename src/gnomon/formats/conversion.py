@@ -11,7 +11,7 @@ from ..output import write_together
 from ..results.calibration import Calibration
 from .foreign import ForeignCalibration, as_calibration
 from .shared.ignored_values import ignored_values
-from .shared.losses import Context, Export, Loss, StatedImu, origin_remarks, remark_losses, sentences
+from .shared.losses import Context, Export, Loss, StatedImu, loss_sentences, origin_remarks, remark_losses
 from .shared.si_units import with_full_scale
 
 FORMATS = {
@@ -73,7 +73,7 @@ def convert(
     OutputError
         If a file cannot be written.
     """
-    export = exported(
+    export = export_texts(
         calibration,
         to,
         imu=imu,
@@ -84,7 +84,7 @@ def convert(
     return export.losses
 
 
-def exported(
+def export_texts(
     calibration: Calibration | ForeignCalibration,
     to: str,
     *,
@@ -128,7 +128,7 @@ def exported(
         losses += refits
     losses += tuple(ignored_values(calibration, to))
     export: Export = module.export(
-        calibration, Context(stated=stated, remarks=(*origin_remarks(calibration), *sentences(losses)))
+        calibration, Context(stated=stated, remarks=(*origin_remarks(calibration), *loss_sentences(losses)))
     )
     return Export(files=export.files, losses=(*losses, *export.losses))
 

@@ -24,8 +24,8 @@ from ..results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
     Provenance,
+    calibration_parameters,
     covariance_names,
-    parameters,
 )
 from ..results.parameters import element_names
 from ..units import STANDARD_GRAVITY_M_S2
@@ -174,11 +174,11 @@ def as_calibration(foreign: ForeignCalibration) -> Calibration:
             f"{foreign.format}: found {found}. Give the file with the poses (T_cam_imu), or that of the IMU's model."
         )
     if not foreign.imus and all(camera.body == "cam0" for camera in foreign.cameras.values()):
-        return told(foreign, unknown=float("nan"))
-    return told(replace(foreign, imus=dict(foreign.imus) or {"imu0": ideal_imu()}), unknown=float("nan"))
+        return stated_calibration(foreign, unknown=float("nan"))
+    return stated_calibration(replace(foreign, imus=dict(foreign.imus) or {"imu0": ideal_imu()}), unknown=float("nan"))
 
 
-def told(foreign: ForeignCalibration, unknown: float) -> Calibration:
+def stated_calibration(foreign: ForeignCalibration, unknown: float) -> Calibration:
     """Return nothing but what the files tell as a calibration.
 
     Parameters
@@ -188,7 +188,7 @@ def told(foreign: ForeignCalibration, unknown: float) -> Calibration:
     imus = foreign.imus
     names = covariance_names(imus, foreign.cameras)
     variance = dict.fromkeys(names, unknown)
-    for path, value in parameters(imus, foreign.cameras):
+    for path, value in calibration_parameters(imus, foreign.cameras):
         if path in foreign.sigmas:
             squares = np.square(foreign.sigmas[path]).ravel().tolist()
             variance |= dict(zip(element_names(path, value.shape), squares, strict=True))

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..results.calibration import Calibration, CameraCalibration
-from ..results.parameters import parameters
+from ..results.parameters import calibration_parameters
 from .basalt import basalt_of, is_basalt
 from .foreign import ForeignCalibration, recognised_frame
 from .imu_tk import is_imu_tk, read_imu_tk, stated_triad
@@ -28,7 +28,7 @@ from .own.parameter_csv import read_parameter_csv
 from .ros2 import camera_info_of, is_camera_info, is_launch, launch_of
 from .shared.flight_parameters import is_flight_parameters, read_flight_parameters
 from .shared.foreign_yaml import read_foreign_yaml
-from .shared.structured import Node, read_json, read_text
+from .shared.structured import Node, read_json, read_structured_text
 from .vins_fusion import is_vins, is_vins_lens, lens_of, vins_of
 
 __all__ = ["FORMATS", "is_own", "load_foreign"]
@@ -79,7 +79,7 @@ def load_foreign(path: str | PathLike[str], *others: str | PathLike[str]) -> For
     0.007005771199616974
     """
     paths = (path, *others)
-    texts = [read_text(file) for file in paths]
+    texts = [read_structured_text(file) for file in paths]
     try:
         with np.errstate(all="ignore"):
             found = _read_all(paths, texts)
@@ -97,7 +97,7 @@ def _read_all(paths: Sequence[str | PathLike[str]], texts: Sequence[str]) -> For
 
 def _refuse_endless(found: ForeignCalibration, path: str | PathLike[str]) -> None:
     """Refuse numbers whose inverse or product is not finite."""
-    for name, value in parameters(found.imus):
+    for name, value in calibration_parameters(found.imus):
         if not np.isfinite(value).all():
             raise FormatError(f"{path}: {name} is not finite with the numbers in it. Was it written completely?")
 

@@ -18,7 +18,7 @@ from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
 from .foreign import ForeignCalibration, recognised_frame
 from .shared.losses import Context, Export, Loss, into_frame, numbers_text
 from .shared.sensor_losses import Holds, not_representable
-from .shared.structured import read_text
+from .shared.structured import read_structured_text
 
 _COMMENT = re.compile(r"(?m)^[ \t]*#.*$")
 _UNITS = re.compile(r"(?m)^#.*value \[(m/s\^2|rad/s)\] = T K \(sample \[([^\]]*)\] - B\)")
@@ -79,7 +79,7 @@ def read_imu_tk(
 
 def _read_triad(path: str | PathLike[str], known: dict[str, float | None]) -> tuple[Floats, Floats, str]:
     """Return sensitivity, bias, and the unit of the samples, "" where it is not stated."""
-    text = read_text(path)
+    text = read_structured_text(path)
     words = _COMMENT.sub("", text).split()
     try:
         numbers = np.array([float(word) for word in words])

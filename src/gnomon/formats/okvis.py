@@ -14,10 +14,10 @@ from ..recording import Floats
 from ..results.calibration import Calibration, CameraCalibration, ImuCalibration
 from .foreign import ForeignCalibration, ForeignImu, ideal_imu
 from .shared.baselines import inverse_pose
-from .shared.foreign_yaml import lens, placed, required, rigid, stated_noise
+from .shared.foreign_yaml import place_camera, read_lens, read_transform, required_value, stated_noise
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
-from .shared.si_units import conversions
+from .shared.si_units import si_conversions
 from .shared.structured import Node
 from .shared.yaml_text import opencv_lines
 
@@ -86,19 +86,19 @@ def _read_camera(node: Node, shift_s: float) -> CameraCalibration:
     keys = {child.key: child for child in node.entries()}
 
     def needed(name: str, count: int) -> np.ndarray:
-        return required(keys, name, node, f"{count} numbers").floats(count)
+        return required_value(keys, name, node, f"{count} numbers").floats(count)
 
-    kind = required(keys, "distortion_type", node, "a distortion").text(tuple(_DISTORTIONS))
-    coeffs = required(keys, "distortion_coefficients", node, "a list of numbers")
+    kind = required_value(keys, "distortion_type", node, "a distortion").text(tuple(_DISTORTIONS))
+    coeffs = required_value(keys, "distortion_coefficients", node, "a list of numbers")
     width, height = needed("image_dimension", 2).tolist()
-    camera = lens(
+    camera = read_lens(
         node,
         intrinsics=np.concatenate([needed("focal_length", 2), needed("principal_point", 2)]),
         resolution=(int(width), int(height)),
         coeffs=np.array([item.number() for item in coeffs.items()]),
         distortion=_DISTORTIONS[kind],
     )
-    return placed(rigid(required(keys, "T_SC", node, "16 numbers")), shift_s, camera)
+    return place_camera(read_transform(required_value(keys, "T_SC", node, "16 numbers")), shift_s, camera)
 
 
 def _read_imu(values: dict[str, Node]) -> ImuCalibration:
@@ -113,7 +113,7 @@ def _read_imu(values: dict[str, Node]) -> ImuCalibration:
 
 
 def _data(values: dict[str, Node], notes: list[str]) -> ForeignImu:
-    T = rigid(values["T_BS"]) if "T_BS" in values else np.eye(4)
+    T = read_transform(values["T_BS"]) if "T_BS" in values else np.eye(4)
     if not np.array_equal(T, np.eye(4)):
         notes.append("T_BS, from the IMU to another body frame, was passed over: poses here are those to the IMU.")
     rate = values["imu_rate"].number() if "imu_rate" in values else None
@@ -179,7 +179,7 @@ def _text(calibration: Calibration, name: str, imu: ImuCalibration, stated: Stat
         "camera_parameters": {"image_delay": -float(shift)},
         "imu_parameters": _imu_entry(imu, stated) | {"g": float(calibration.gravity.value), "T_BS": np.eye(4)},
     }
-    lines = [line for conversion in conversions(imu) if conversion.unit == "count" for line in conversion.lines()]
+    lines = [line for conversion in si_conversions(imu) if conversion.unit == "count" for line in conversion.lines()]
     comments = "".join(f"# {name}: {line}\n" for line in (*lines, *stated.comments))
     comments += f"# g: {calibration.gravity.source}\n"
     if stated.noise is None:
@@ -211,7 +211,7 @@ def _camera_entry(name: str, calibrated: CameraCalibration) -> dict[str, Any]:
 
 
 def _imu_entry(imu: ImuCalibration, stated: StatedImu) -> dict[str, Any]:
-    biases: dict[str, Floats] = {conversion.triad: conversion.bias_si for conversion in conversions(imu)}
+    biases: dict[str, Floats] = {conversion.triad: conversion.bias_si for conversion in si_conversions(imu)}
     entry: dict[str, Any] = {"use": True}
     if stated.noise is not None:
         entry |= {

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
-from ..models.forms import inverse
+from ..models.forms import invert_matrix
 from ..models.noise import ImuNoise
 from ..recording import Floats
 from ..results.calibration import (
@@ -22,11 +22,11 @@ from ..results.calibration import (
     ImuCalibration,
 )
 from .kalibr.camchain import camera_chain
-from .shared.foreign_yaml import file_name, matrix, rotation
+from .shared.foreign_yaml import file_name, read_matrix, read_rotation
 from .shared.lenses import without_k3
 from .shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, unknown_lens
 from .shared.sensor_losses import Holds, not_representable
-from .shared.si_units import conversions, si_imu
+from .shared.si_units import si_conversions, si_imu
 from .shared.structured import Node
 from .shared.yaml_text import kalibr_yaml
 
@@ -57,10 +57,10 @@ def openvins_imu(node: Node, keys: dict[str, Node], notes: list[str]) -> ImuCali
             f"{file_name(node)}: {', '.join(missing)} of {node.path} {'is' if len(missing) == 1 else 'are'} missing; "
             "taken: the identity, zero for Tg."
         )
-    turns = {key: rotation(keys[key]) if key in keys else np.eye(3) for key in ("R_IMUtoACC", "R_IMUtoGYRO")}
+    turns = {key: read_rotation(keys[key]) if key in keys else np.eye(3) for key in ("R_IMUtoACC", "R_IMUtoGYRO")}
     zero = np.zeros(3)
     S_a, b_a = OpenVinsAccelerometer(T=_used(keys, "Ta", model, notes), R=turns["R_IMUtoACC"], b=zero).to_sensor()
-    Tg = matrix(keys["Tg"], 3, 3) if "Tg" in keys else np.zeros((3, 3))
+    Tg = read_matrix(keys["Tg"], 3, 3) if "Tg" in keys else np.zeros((3, 3))
     gyroscope = OpenVinsGyroscope(T=_used(keys, "Tw", model, notes), R=turns["R_IMUtoGYRO"], b=zero, Tg=Tg)
     S_g, b_g, G = gyroscope.to_sensor()
     return ImuCalibration(
@@ -74,7 +74,7 @@ def _used(keys: dict[str, Node], name: str, model: str, notes: list[str]) -> Flo
     if name not in keys:
         return np.eye(3)
     node, upper = keys[name], model == "rpng"
-    T = matrix(node, 3, 3)
+    T = read_matrix(node, 3, 3)
     if np.linalg.matrix_rank(T) < 3:
         raise node.fail("this matrix is singular: the three axes do not measure three directions.")
     triangle = np.triu if upper else np.tril
@@ -85,7 +85,7 @@ def _used(keys: dict[str, Node], name: str, model: str, notes: list[str]) -> Flo
         f'{file_name(node)}: with the model "{model}" OpenVINS passes over what stands {place} the diagonal of the '
         f"inverse of {node.path}; so it was done here."
     )
-    return inverse(triangle(inverse(T)))
+    return invert_matrix(triangle(invert_matrix(T)))
 
 
 IMU_FILE, CAMERA_FILE = "kalibr_imu_chain.yaml", "kalibr_imucam_chain.yaml"
@@ -157,7 +157,7 @@ def imu_chain_text(imu: ImuCalibration, stated: StatedImu | None = None, remarks
         "R_IMUtoGYRO": gyro.R,
         "Tg": gyro.Tg,
     }
-    comments = [line for conversion in conversions(imu) for line in conversion.lines()]
+    comments = [line for conversion in si_conversions(imu) for line in conversion.lines()]
     if stated is not None:
         entry |= stated_entry(stated)
         comments += stated.comments

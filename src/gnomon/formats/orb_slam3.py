@@ -13,12 +13,12 @@ from ..errors import OptionError
 from ..models.camera import Camera
 from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
-from .kalibr.camchain import baseline
+from .kalibr.camchain import camera_baseline
 from .shared.baselines import inverse_pose
-from .shared.foreign_yaml import lens, placed, required, rigid, stated_noise, whole_number
+from .shared.foreign_yaml import place_camera, read_lens, read_transform, required_value, stated_noise, whole_number
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
-from .shared.si_units import conversions
+from .shared.si_units import si_conversions
 from .shared.structured import Node
 from .shared.yaml_text import opencv_lines, opencv_matrix
 
@@ -57,11 +57,11 @@ def orb_slam3_of(root: Node, notes: list[str]) -> ForeignCalibration:
     cameras: dict[str, CameraCalibration] = {}
     if pose is not None:
         notes.append("ORB-SLAM3's file holds no time shift; taken: zero.")
-        T_imu_cam0 = rigid(pose)
-        cameras["cam0"] = placed(T_imu_cam0, 0.0, lenses["cam0"])
+        T_imu_cam0 = read_transform(pose)
+        cameras["cam0"] = place_camera(T_imu_cam0, 0.0, lenses["cam0"])
         stereo = next((keys[name] for name in _STEREO if name in keys), None)
         if stereo is not None and "cam1" in lenses:
-            cameras["cam1"] = placed(T_imu_cam0 @ rigid(stereo), 0.0, lenses["cam1"])
+            cameras["cam1"] = place_camera(T_imu_cam0 @ read_transform(stereo), 0.0, lenses["cam1"])
     rate = keys["IMU.Frequency"].number() if "IMU.Frequency" in keys else None
     imu = ForeignImu(noise=stated_noise(keys, _NOISE, notes), update_rate_hz=rate) if pose is not None else None
     return ForeignCalibration(
@@ -77,14 +77,16 @@ def orb_slam3_of(root: Node, notes: list[str]) -> ForeignCalibration:
 
 def _read_lens(root: Node, keys: dict[str, Node], prefix: str) -> Camera:
     kind = keys["Camera.type"].text(("PinHole", "KannalaBrandt8", "Rectified"))
-    width, height = (whole_number(required(keys, f"Camera.{side}", root, "a number")) for side in ("width", "height"))
+    width, height = (
+        whole_number(required_value(keys, f"Camera.{side}", root, "a number")) for side in ("width", "height")
+    )
     names = ("k1", "k2", "k3", "k4") if kind == "KannalaBrandt8" else ("k1", "k2", "p1", "p2", "k3")
     stated = [name for name in names if f"{prefix}{name}" in keys]
     coeffs = [keys[f"{prefix}{name}"].number() if name in stated else 0.0 for name in names]
-    return lens(
+    return read_lens(
         root,
         intrinsics=np.array(
-            [required(keys, f"{prefix}{name}", root, "a number").number() for name in ("fx", "fy", "cx", "cy")]
+            [required_value(keys, f"{prefix}{name}", root, "a number").number() for name in ("fx", "fy", "cx", "cy")]
         ),
         resolution=(width, height),
         coeffs=np.array(coeffs) if stated else np.empty(0),
@@ -158,7 +160,7 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
         )
     name, imu = next(iter(calibration.imus.items()))
     first, *others = cameras.values()
-    lines = [line for conversion in conversions(imu) for line in conversion.lines()]
+    lines = [line for conversion in si_conversions(imu) for line in conversion.lines()]
     comments = "".join(f"# {name}: {line}\n" for line in (*lines, *stated.comments))
     shifts = "".join(
         _SHIFT.format(shift=float(camera.time_shift_cam_imu), name=key)
@@ -185,7 +187,7 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
 
 def _second_to_first(first: CameraCalibration, second: CameraCalibration) -> np.ndarray:
     """Return T_c1_c2 (4, 4), p_c1 = T_c1_c2 @ p_c2 [m]."""
-    return baseline(second, first)
+    return camera_baseline(second, first)
 
 
 def _type(name: str, camera: Camera) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.so3 import inverse
+from ..geometry.so3 import invert_3x3
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats
@@ -20,20 +20,20 @@ from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
 from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import (
-    lens,
-    matrix,
-    placed,
+    place_camera,
     read_foreign_yaml,
-    required,
+    read_lens,
+    read_matrix,
+    required_value,
     text_of,
     unit_quaternion,
-    unwrapped,
+    unwrap_rows,
     whole_number,
 )
 from .shared.losses import Context, Export, Loss, uncertainty_loss, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
 from .shared.structured import Node
-from .shared.yaml_text import flow
+from .shared.yaml_text import yaml_flow
 
 _CAMERA = re.compile(r"cam(?:era)?_?(\d+)")
 _IMU = re.compile(r"imu|base_link|body", re.IGNORECASE)
@@ -74,17 +74,17 @@ def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
         if node is None or "static_transform_publisher" not in str(node.value):
             continue
         keys = {child.key: child for child in node.entries()}
-        words = required(keys, "args", node, "--x, --y, ...")
+        words = required_value(keys, "args", node, "--x, --y, ...")
         values = _arguments(words)
         found = _CAMERA.search(values["child-frame-id"])
         if re.fullmatch(r"imu\d+", values["child-frame-id"]) and values["frame-id"] == "imu0":
-            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=inverse(_read_pose(words, values)))
+            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=invert_3x3(_read_pose(words, values)))
             continue
         if found is None or _IMU.search(values["frame-id"]) is None:
             notes.append(f"The transform from {values['frame-id']} to {values['child-frame-id']} was passed over.")
             continue
         name = f"cam{found[1]}"
-        cameras[name] = placed(_read_pose(words, values), 0.0, _lens_beside(root, name, notes))
+        cameras[name] = place_camera(_read_pose(words, values), 0.0, _lens_beside(root, name, notes))
     if not cameras:
         raise root.fail("there is no static transform from an IMU (frame-id imu0) to a camera (child-frame-id cam0).")
     notes.append("ROS 2 knows no time shift; taken: zero.")
@@ -153,11 +153,13 @@ def _lens_beside(root: Node, name: str, notes: list[str]) -> Camera:
 
 def _read_lens(root: Node) -> Camera:
     keys = {node.key: node for node in root.entries()}
-    K = matrix(required(keys, "camera_matrix", root, "a matrix 3x3"), 3, 3)
-    width, height = (whole_number(required(keys, key, root, "a number")) for key in ("image_width", "image_height"))
-    kind = required(keys, "distortion_model", root, "a distortion").text(tuple(_DISTORTIONS))
-    coeffs = unwrapped(required(keys, "distortion_coefficients", root, "a list of numbers"))
-    return lens(
+    K = read_matrix(required_value(keys, "camera_matrix", root, "a matrix 3x3"), 3, 3)
+    width, height = (
+        whole_number(required_value(keys, key, root, "a number")) for key in ("image_width", "image_height")
+    )
+    kind = required_value(keys, "distortion_model", root, "a distortion").text(tuple(_DISTORTIONS))
+    coeffs = unwrap_rows(required_value(keys, "distortion_coefficients", root, "a list of numbers"))
+    return read_lens(
         root,
         intrinsics=K[[0, 1, 0, 1], [0, 1, 2, 2]],
         resolution=(width, height),
@@ -229,7 +231,7 @@ def _launch_text(imu: str, calibration: Calibration, context: Context) -> str:
         if camera.time_shift_cam_imu:
             text += _SHIFT.format(shift=float(camera.time_shift_cam_imu), name=name)
     poses = {name: known.T_imu_body for name, known in calibration.imus.items() if known.T_imu_body is not None}
-    placed = {name: inverse(pose) for name, pose in poses.items()}
+    placed = {name: invert_3x3(pose) for name, pose in poses.items()}
     placed |= {
         name: inverse_pose(camera.T_cam_body) for name, camera in calibration.cameras.items() if name != camera.body
     }
@@ -282,7 +284,7 @@ def _clock_losses(calibration: Calibration) -> Iterator[Loss]:
 
 def _matrix(key: str, matrix: Floats) -> list[str]:
     rows, cols = matrix.shape
-    return [f"{key}:", f"  rows: {rows}", f"  cols: {cols}", f"  data: {flow(matrix)}"]
+    return [f"{key}:", f"  rows: {rows}", f"  cols: {cols}", f"  data: {yaml_flow(matrix)}"]
 
 
 def _lens_losses(calibration: Calibration) -> Iterator[Loss]:

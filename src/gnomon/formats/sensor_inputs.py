@@ -16,7 +16,7 @@ from .kalibr.camchain import CameraInput, cameras_of
 from .kalibr.imu import ImuInput, read_imu_input
 from .own.calibration_file import is_noise, is_own, load
 from .shared.foreign_yaml import read_foreign_yaml
-from .shared.structured import read_json, read_text
+from .shared.structured import read_json, read_structured_text
 
 ImuFiles = str | PathLike[str] | Sequence[str | PathLike[str]]
 """One file of all IMUs, or one of each."""
@@ -42,7 +42,7 @@ def read_cameras(path: str | PathLike[str], notes: list[str] | None = None) -> d
         If the file cannot be read, is none of these, or describes no camera.
     """
     said: list[str] = [] if notes is None else notes
-    text = read_text(path)
+    text = read_structured_text(path)
     if (found := _basalt(path, text)) is not None:
         return _of_basalt(path, found, said)
     if is_kalibr_cam_results(text):
@@ -119,7 +119,7 @@ def read_imus(files: ImuFiles | None, notes: list[str] | None = None) -> dict[st
 
 
 def _read_imus(path: Path, said: list[str]) -> dict[str, ImuInput]:
-    if (found := _basalt(path, read_text(path))) is not None:
+    if (found := _basalt(path, read_structured_text(path))) is not None:
         said.extend(found.notes)
         return _noise_of_basalt(path, found, said)
     return read_imu_input(path, said)

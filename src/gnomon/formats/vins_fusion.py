@@ -20,12 +20,12 @@ from ..results.calibration import Calibration, CameraCalibration
 from .foreign import ForeignCalibration, ForeignImu
 from .shared.baselines import inverse_pose
 from .shared.foreign_yaml import (
-    lens,
-    numbers,
-    placed,
+    place_camera,
     read_foreign_yaml,
-    required,
-    rigid,
+    read_lens,
+    read_numbers,
+    read_transform,
+    required_value,
     stated_noise,
     text_of,
     whole_number,
@@ -33,7 +33,7 @@ from .shared.foreign_yaml import (
 from .shared.lenses import cameras_without_k3
 from .shared.losses import Context, Export, StatedImu, unknown_lens
 from .shared.sensor_losses import Holds, not_representable, require_cameras
-from .shared.si_units import conversions
+from .shared.si_units import si_conversions
 from .shared.structured import Node
 from .shared.yaml_text import FIRST_LINE, opencv_lines, opencv_matrix
 
@@ -77,9 +77,9 @@ def vins_of(root: Node, notes: list[str]) -> ForeignCalibration:
     for i in range(2):
         if f"body_T_cam{i}" not in keys:
             continue
-        calib = required(keys, f"cam{i}_calib", root, "the name of the file of the lens")
+        calib = required_value(keys, f"cam{i}_calib", root, "the name of the file of the lens")
         camera = _lens_beside(root, calib, text_of(keys, f"image{i}_topic"), notes)
-        cameras[f"cam{i}"] = placed(rigid(keys[f"body_T_cam{i}"]), shift, camera)
+        cameras[f"cam{i}"] = place_camera(read_transform(keys[f"body_T_cam{i}"]), shift, camera)
     rate = keys["update_rate"].number() if "update_rate" in keys else None
     imu = ForeignImu(noise=_read_noise(keys, rate, notes), update_rate_hz=rate, topic=text_of(keys, "imu_topic"))
     return ForeignCalibration(
@@ -140,32 +140,34 @@ def vins_lens(root: Node, topic: str) -> Camera:
         If it is not, or gnomon does not know the model.
     """
     keys = {node.key: node for node in root.entries()}
-    width, height = (whole_number(required(keys, key, root, "a number")) for key in ("image_width", "image_height"))
+    width, height = (
+        whole_number(required_value(keys, key, root, "a number")) for key in ("image_width", "image_height")
+    )
     projection = keys["projection_parameters"]
     model = keys["model_type"].text(("PINHOLE", "KANNALA_BRANDT", "MEI"))
     if model == "KANNALA_BRANDT":
-        return lens(
+        return read_lens(
             root,
-            intrinsics=numbers(projection, ("mu", "mv", "u0", "v0")),
+            intrinsics=read_numbers(projection, ("mu", "mv", "u0", "v0")),
             resolution=(width, height),
-            coeffs=numbers(projection, ("k2", "k3", "k4", "k5")),
+            coeffs=read_numbers(projection, ("k2", "k3", "k4", "k5")),
             distortion="equidistant",
             topic=topic,
         )
-    bent = numbers(required(keys, "distortion_parameters", root, "k1 k2 p1 p2"), _RADTAN)
+    bent = read_numbers(required_value(keys, "distortion_parameters", root, "k1 k2 p1 p2"), _RADTAN)
     if model == "PINHOLE":
-        return lens(
+        return read_lens(
             root,
-            intrinsics=numbers(projection, _PINHOLE),
+            intrinsics=read_numbers(projection, _PINHOLE),
             resolution=(width, height),
             coeffs=bent,
             distortion="radtan",
             topic=topic,
         )
-    xi = numbers(required(keys, "mirror_parameters", root, "xi"), ("xi",))
-    return lens(
+    xi = read_numbers(required_value(keys, "mirror_parameters", root, "xi"), ("xi",))
+    return read_lens(
         root,
-        intrinsics=np.concatenate([xi, numbers(projection, ("gamma1", "gamma2", "u0", "v0"))]),
+        intrinsics=np.concatenate([xi, read_numbers(projection, ("gamma1", "gamma2", "u0", "v0"))]),
         resolution=(width, height),
         coeffs=bent,
         distortion="radtan",
@@ -232,7 +234,7 @@ def _text(calibration: Calibration, cameras: dict[str, CameraCalibration], state
     name, imu = next(iter(calibration.imus.items()))
     first = next(iter(cameras.values()))
     noise = dict(_noise_entries(stated))
-    lines = [line for conversion in conversions(imu) for line in conversion.lines()]
+    lines = [line for conversion in si_conversions(imu) for line in conversion.lines()]
     comments = "".join(f"# {name}: {line}\n" for line in (*lines, *stated.comments))
     comments += f"# g_norm [m/s^2]: {calibration.gravity.source}\n"
     rig: dict[str, Any] = {"imu": 1, "num_of_cam": len(cameras)}

@@ -40,7 +40,7 @@ def basis_polynomials(order: int, derivative: int) -> Floats:
     return matrix
 
 
-def basis(order: int, u: Floats, derivative: int = 0) -> Floats:
+def bspline_basis(order: int, u: Floats, derivative: int = 0) -> Floats:
     """Return b(u) or a derivative of it by u, (n, k), of places u (n,)."""
     matrix = basis_polynomials(order, derivative)[: max(order - derivative, 1)]
     powers = u[:, None] ** np.arange(len(matrix))

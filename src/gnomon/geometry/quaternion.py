@@ -12,7 +12,7 @@ Integers = NDArray[np.int64]
 Complexes = NDArray[np.complex128]
 
 
-def multiply(a_wxyz: Floats, b_wxyz: Floats) -> Floats:
+def quaternion_product(a_wxyz: Floats, b_wxyz: Floats) -> Floats:
     """Return the Hamilton product, Eq. (2.14), of quaternions (..., 4)."""
     return np.moveaxis(_times(np.moveaxis(a_wxyz, -1, 0), np.moveaxis(b_wxyz, -1, 0)), 0, -1)
 
@@ -71,11 +71,11 @@ def quaternion_from_rotation(rotation: Floats) -> Floats:
         products[..., j + 1, k + 1] = products[..., k + 1, j + 1] = R[..., j, k] + R[..., k, j]
     largest = np.argmax(np.diagonal(products, axis1=-2, axis2=-1), axis=-1)
     q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
-    q = normalised(q)
+    q = normalise_quaternion(q)
     return np.where(q[..., :1] < 0, -q, q)
 
 
-def normalised(q_wxyz: Floats) -> Floats:
+def normalise_quaternion(q_wxyz: Floats) -> Floats:
     """Return q / |q|, Eq. (3.16), of quaternions (..., 4)."""
     return q_wxyz / np.sqrt(np.einsum("...i,...i->...", q_wxyz, q_wxyz))[..., None]
 

@@ -80,7 +80,7 @@ def right_jacobian(phi: Floats) -> Floats:
     return np.eye(3) - b[..., None, None] * skew(phi) + c[..., None, None] * _skew_squared(phi)
 
 
-def turning(phi: Floats, phi_rate: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def body_rotation(phi: Floats, phi_rate: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Return how a body turns whose rotation vector changes.
 
     Parameters
@@ -121,7 +121,7 @@ def angular_acceleration_by_phi(phi: Floats, phi_rate: Floats, phi_acceleration:
     phi : (n, 3) [rad]
     phi_rate, phi_acceleration : (n, 3) its time derivatives [rad/s], [rad/s^2]
     """
-    return turning(phi, phi_acceleration)[3] + _bent(phi, phi_rate)
+    return body_rotation(phi, phi_acceleration)[3] + _bent(phi, phi_rate)
 
 
 def _bent(phi: Floats, v: Floats) -> Floats:
@@ -172,7 +172,7 @@ def nearest_branch(phi: Floats, guide: Floats) -> Floats:
     return phi + 2 * np.pi * turns * axis
 
 
-def unwrapped(phi: Floats) -> Floats:
+def unwrap_rotvecs(phi: Floats) -> Floats:
     """Return rotation vectors (n, ..., 3) [rad] that change continuously along the first axis.
 
     Each is put on the branch nearest to its predecessor; neighbours must be much less than half a turn apart.

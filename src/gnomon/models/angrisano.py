@@ -13,14 +13,14 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from ..frozen import value_class
-from .forms import AccelerometerForm, in_frame, inverse, unit_diagonal
+from .forms import AccelerometerForm, in_frame, invert_matrix, unit_diagonal
 from .frames import Floats
 
 Geometry = Literal["small-angle", "exact"]
 """Eq. (15) or Eq. (14) of Angrisano."""
 
 
-def alignment(angles: Floats, geometry: Geometry) -> Floats:
+def alignment_matrix(angles: Floats, geometry: Geometry) -> Floats:
     """Return T (3, 3), upper triangular, of angles (3,) [rad]: Eq. (15), or Eq. (14) where it is exact."""
     x, y, z = angles
     if geometry == "small-angle":
@@ -99,15 +99,15 @@ class AngrisanoTriad(AccelerometerForm):
     @property
     def correction(self) -> Floats:
         """T K, (3, 3) [SI per unit]."""
-        return alignment(self.angles, self.geometry) * self.K
+        return alignment_matrix(self.angles, self.geometry) * self.K
 
     @classmethod
     def _split(cls, sensitivity: Floats, bias: Floats, geometry: Geometry = "small-angle") -> dict[str, Floats]:
-        angles, K = angles_and_scales(inverse(sensitivity), geometry)
+        angles, K = angles_and_scales(invert_matrix(sensitivity), geometry)
         return {"angles": angles, "b": bias, "K": K}
 
     def _joined(self) -> tuple[Floats, Floats]:
-        return inverse(self.correction), self.b
+        return invert_matrix(self.correction), self.b
 
     def _measured(self, truth: Floats) -> Floats:
-        return truth @ inverse(self.correction).T + self.b
+        return truth @ invert_matrix(self.correction).T + self.b

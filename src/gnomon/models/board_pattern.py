@@ -26,7 +26,7 @@ _ONE = np.ones((1, 1), dtype=np.bool_)
 
 
 @value_class
-class Pattern:
+class BoardPattern:
     """Black on white in the plane of a board, in the frame of its points.
 
     Attributes
@@ -48,7 +48,7 @@ class Pattern:
             object.__setattr__(self, name, array)
 
 
-def board_pattern(target: Target, *, margin_m: float | None = None, corner_squares: bool | None = None) -> Pattern:
+def board_pattern(target: Target, *, margin_m: float | None = None, corner_squares: bool | None = None) -> BoardPattern:
     """Return what is printed on a board.
 
     Parameters
@@ -79,7 +79,7 @@ def board_pattern(target: Target, *, margin_m: float | None = None, corner_squar
         areas = _discs(target.points[:, :2], _RADIUS * apart_m)
     rim = outer + (rim_m if margin_m is None else margin_m)
     low, high = target.points[:, :2].min(axis=0) - rim, target.points[:, :2].max(axis=0) + rim
-    return Pattern(
+    return BoardPattern(
         edges=np.concatenate(areas),
         area=np.repeat(np.arange(len(areas)), [len(edges) for edges in areas]),
         sheet=np.concatenate([low, high]),

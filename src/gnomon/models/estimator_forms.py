@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ..frozen import value_class
-from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes, inverse
+from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes, invert_matrix
 from .frames import Floats
 
 
@@ -96,7 +96,7 @@ class BasaltTriad:
     @classmethod
     def from_sensor(cls, sensitivity: Floats, bias: Floats) -> Self:
         """Convert from a sensitivity (3, 3) [SI per SI] and a bias (3,) [SI]."""
-        correction = inverse(sensitivity)
+        correction = invert_matrix(sensitivity)
         return cls(S=correction - np.eye(3), b=correction @ bias)
 
     @classmethod
@@ -113,9 +113,9 @@ class BasaltTriad:
 
     def to_sensor(self) -> tuple[Floats, Floats]:
         """Return the sensitivity (3, 3) and the bias (3,)."""
-        sensitivity = inverse(np.eye(3) + self.S)
+        sensitivity = invert_matrix(np.eye(3) + self.S)
         return sensitivity, sensitivity @ self.b
 
     def predict(self, truth: Floats) -> Floats:
         """Return measurements (n, 3) [SI] of specific force [m/s^2] or angular rate [rad/s], (n, 3)."""
-        return (truth + self.b) @ inverse(np.eye(3) + self.S).T
+        return (truth + self.b) @ invert_matrix(np.eye(3) + self.S).T

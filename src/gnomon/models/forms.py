@@ -123,14 +123,14 @@ class CorrectedTriad(TriadForm):
 
     @classmethod
     def _split(cls, sensitivity: Floats, bias: Floats) -> dict[str, Floats]:
-        T, K = unit_diagonal(inverse(sensitivity), cls.whose)
+        T, K = unit_diagonal(invert_matrix(sensitivity), cls.whose)
         return {"T": T, "K": K, "b": cls.bias_sign * bias}
 
     def _joined(self) -> tuple[Floats, Floats]:
-        return inverse(self.T * self.K), self.bias_sign * self.b
+        return invert_matrix(self.T * self.K), self.bias_sign * self.b
 
     def _measured(self, truth: Floats) -> Floats:
-        return (truth @ inverse(self.T).T) / self.K + self.bias_sign * self.b
+        return (truth @ invert_matrix(self.T).T) / self.K + self.bias_sign * self.b
 
 
 @value_class
@@ -341,7 +341,7 @@ def in_own_axes(sensitivity: Floats, frame: str) -> tuple[Floats, Floats]:
     return own, C
 
 
-def inverse(matrix: Floats) -> Floats:
+def invert_matrix(matrix: Floats) -> Floats:
     """Return the inverse of a matrix (3, 3)."""
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 

@@ -65,7 +65,7 @@ def check_program(name: str) -> None:
         )
 
 
-def knows(name: str, camera: "Camera") -> bool:
+def knows_lens(name: str, camera: "Camera") -> bool:
     """Return whether a program knows the model of a lens."""
     if name == "basalt" and camera.projection == "omni" and float(camera.intrinsics[0]) < 0:
         return False  # its ucm has alpha = xi / (1 + xi) of 0 to 1

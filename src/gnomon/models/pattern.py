@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 
 
 @value_class(eq=True)
-class Pattern:
+class MatrixPattern:
     """The unknown entries (row, column) of a 3 x 3 matrix, in the order of its parameters; the others are of I."""
 
     entries: tuple[tuple[int, int], ...]
@@ -38,11 +38,11 @@ class Pattern:
         return jacobian
 
 
-DIAGONAL = Pattern(entries=((0, 0), (1, 1), (2, 2)))
+DIAGONAL = MatrixPattern(entries=((0, 0), (1, 1), (2, 2)))
 """Scale factors S (section 3.2.3)."""
 
-LOWER = Pattern(entries=((1, 0), (2, 0), (2, 1)))
+LOWER = MatrixPattern(entries=((1, 0), (2, 0), (2, 1)))
 """Misalignment M (section 3.2.1): M_yz, M_zy, M_zx below a diagonal of ones."""
 
-FULL = Pattern(entries=tuple((i, j) for i in range(3) for j in range(3)))
+FULL = MatrixPattern(entries=tuple((i, j) for i in range(3) for j in range(3)))
 """Influence B_g of the specific force on the gyroscope (section 3.2.4), row by row."""

@@ -9,7 +9,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ..frozen import value_class
-from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_own_axes, inverse, unit_diagonal
+from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_own_axes, invert_matrix, unit_diagonal
 from .frames import Floats
 
 
@@ -102,16 +102,16 @@ class ImuTkTriad:
         OptionError
             If an axis of the sensor does not respond to the body axis of the same name at all.
         """
-        T, K = unit_diagonal(inverse(sensitivity), "imu_tk's")
+        T, K = unit_diagonal(invert_matrix(sensitivity), "imu_tk's")
         return cls(T=T, K=K, B=bias)
 
     def to_sensor(self) -> tuple[Floats, Floats]:
         """Return the sensitivity (3, 3) and the bias (3,)."""
-        return inverse(self.T * self.K), self.B
+        return invert_matrix(self.T * self.K), self.B
 
     def predict(self, truth: Floats) -> Floats:
         """Return measurements (n, 3) [unit] of specific force [m/s^2] or angular rate [rad/s], (n, 3)."""
-        return (truth @ inverse(self.T).T) / self.K + self.B
+        return (truth @ invert_matrix(self.T).T) / self.K + self.B
 
 
 @value_class

@@ -29,7 +29,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Quantity:
+class RequiredQuantity:
     """Something that a use may need.
 
     Attributes
@@ -57,9 +57,9 @@ class Quantity:
 FIELD_UT = 48.0
 """A usual field of the Earth, where a magnetometer's calibration does not state its own."""
 
-QUANTITIES: Mapping[str, Quantity] = FrozenMapping(
+QUANTITIES: Mapping[str, RequiredQuantity] = FrozenMapping(
     {
-        name: Quantity(name=name, words=words, kind=kind)
+        name: RequiredQuantity(name=name, words=words, kind=kind)
         for name, words, kind in (
             ("camera_rotation", "rotation of {sensor} against the IMU", "angle"),
             ("camera_translation", "translation of {sensor} against the IMU", "length"),
@@ -104,12 +104,12 @@ def _use(name: str, words: str, fails_at: float = 3.0, **needs: str) -> Use:
     return Use(
         name=name,
         words=words,
-        needs={quantity: stated(quantity, text) for quantity, text in needs.items()},
+        needs={quantity: parse_sigma(quantity, text) for quantity, text in needs.items()},
         fails_at=fails_at,
     )
 
 
-def stated(name: str, text: str) -> float:
+def parse_sigma(name: str, text: str) -> float:
     """Return a standard deviation in SI units, stated as "0.1 deg".
 
     Raises
@@ -266,18 +266,18 @@ BETWEEN_RECORDINGS: Mapping[str, float] = FrozenMapping(
     {
         # REML over eight MPU-9150 on six occasions (MIMU4444: Carlsson, Skog and Jalden 2021), in one laboratory:
         # 0.0137 %, 0.19 mrad, 5.3e-6 rad/s per m/s^2.
-        "accelerometer_scale": stated("accelerometer_scale", "0.015 %"),
-        "accelerometer_misalignment": stated("accelerometer_misalignment", "0.0002 rad"),
-        "gyroscope_g_sensitivity": stated("gyroscope_g_sensitivity", "0.0000055 rad/s/(m/s^2)"),
+        "accelerometer_scale": parse_sigma("accelerometer_scale", "0.015 %"),
+        "accelerometer_misalignment": parse_sigma("accelerometer_misalignment", "0.0002 rad"),
+        "gyroscope_g_sensitivity": parse_sigma("gyroscope_g_sensitivity", "0.0000055 rad/s/(m/s^2)"),
         # There the gyroscope's axes changed by less than could be told: as the accelerometer's. Its scale is typical of
         # consumer sensors, from memory of data sheets and not from one source: 0.01 to 0.03 % a kelvin, over the 3 K
         # between two days in one room.
-        "gyroscope_scale": stated("gyroscope_scale", "0.05 %"),
-        "gyroscope_misalignment": stated("gyroscope_misalignment", "0.0002 rad"),
+        "gyroscope_scale": parse_sigma("gyroscope_scale", "0.05 %"),
+        "gyroscope_misalignment": parse_sigma("gyroscope_misalignment", "0.0002 rad"),
         # Typical values again, from memory of data sheets: 1 mg and 0.05 deg/s a kelvin, over 5 K. MIMU4444 measured
         # 28 mm/s^2 and 0.10 deg/s.
-        "accelerometer_bias": stated("accelerometer_bias", "50 mm/s^2"),
-        "gyroscope_bias": stated("gyroscope_bias", "0.25 deg/s"),
+        "accelerometer_bias": parse_sigma("accelerometer_bias", "50 mm/s^2"),
+        "gyroscope_bias": parse_sigma("gyroscope_bias", "0.25 deg/s"),
     }
 )
 """By how much one sensor differs from recording to recording, standard deviation [SI]: switched on anew, at another

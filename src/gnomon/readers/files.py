@@ -70,7 +70,7 @@ def first_bytes(path: Path, count: int = 512) -> bytes:
     return head
 
 
-def read_text(path: Path) -> TextFile:
+def read_text_file(path: Path) -> TextFile:
     """Read a text file, gzipped or not.
 
     Raises
@@ -140,7 +140,7 @@ def largest_unpacked(size: int) -> int:
     return max(MUCH_BYTES, MOST_TIMES * size)
 
 
-def bomb(where: str, size: int) -> RecordingError:
+def bomb_error(where: str, size: int) -> RecordingError:
     """Return what to say of a file of `size` bytes that would be unpacked to more than `largest_unpacked`."""
     return RecordingError(
         f"{where}: its {size} bytes would be unpacked to more than {largest_unpacked(size) >> 20} MiB, as no recording "
@@ -154,7 +154,7 @@ def _unpacked(packed: bytes, path: Path) -> bytes:
         with gzip.GzipFile(fileobj=io.BytesIO(packed)) as stream:
             data = stream.read(most + 1)
         if len(data) > most:
-            raise bomb(str(path), len(packed))
+            raise bomb_error(str(path), len(packed))
         return data  # noqa: TRY300
     except EOFError:
         raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None

@@ -9,13 +9,13 @@ from ..errors import OptionError, RecordingError
 from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSamples
 from ..units import Units
 from .devices.device_log import is_device_log
-from .files import NPZ_MAGIC, file_source, first_bytes, read_text
+from .files import NPZ_MAGIC, file_source, first_bytes, read_text_file
 from .samples.column_names import HELP
 from .samples.folder import recording_files
-from .samples.pose_files import FEWEST_FILES, joined, pose_files
+from .samples.pose_files import FEWEST_FILES, join_pose_tables, pose_files
 from .samples.pose_table import LARGEST_BYTES, read_pose_table
 from .samples.recognise import WITH_RESTS, Recogniser, accelerometer_is_first, magnetometer_unit
-from .samples.table import Table, Triad, read_table
+from .samples.table import SampleTable, Triad, read_table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +102,8 @@ def _read_poses(
     if several is not None:
         stated, notes = _stated(units, rate_hz), list[str]()
         _refuse_npz(several)
-        texts = [read_text(path) for path in several]
-        table, pieces, said = joined(
+        texts = [read_text_file(path) for path in several]
+        table, pieces, said = join_pose_tables(
             [read_table(text, columns, rate_hz, stated) for text in texts], [path.name for path in several]
         )
         tables, files, magnetometer = without_magnetometer([table], several[:1])
@@ -118,7 +118,7 @@ def _read_poses(
         return None
     if first_bytes(files[0]).startswith(NPZ_MAGIC):
         return None
-    return read_pose_table(read_text(files[0]), columns, _stated(units, rate_hz))
+    return read_pose_table(read_text_file(files[0]), columns, _stated(units, rate_hz))
 
 
 def _stated(units: str | Units | None, rate_hz: float | None) -> Units:
@@ -143,7 +143,7 @@ def read_recognising(
     files = recording_files(paths)
     if first_bytes(files[0]).startswith(NPZ_MAGIC):
         return _read_npz(files, columns, rate_hz, stated, recogniser)
-    texts = [read_text(path) for path in files]
+    texts = [read_text_file(path) for path in files]
     tables = [read_table(text, columns, rate_hz, stated) for text in texts]
     notes = [note for table in tables for note in table.notes]
     tables, files, magnetometer = without_magnetometer(tables, files)
@@ -188,7 +188,9 @@ def _read_npz(
     return Recording(imus=imus, sources=(source,), assumptions=tuple(notes))
 
 
-def without_magnetometer(tables: list[Table], files: list[Path]) -> tuple[list[Table], list[Path], StampedTriad | None]:
+def without_magnetometer(
+    tables: list[SampleTable], files: list[Path]
+) -> tuple[list[SampleTable], list[Path], StampedTriad | None]:
     """Return the tables that hold other triads, without the magnetometer; their files; and the magnetometer.
 
     Raises
@@ -197,7 +199,7 @@ def without_magnetometer(tables: list[Table], files: list[Path]) -> tuple[list[T
         If two files hold one.
     """
     found: list[StampedTriad] = []
-    others: list[tuple[Table, Path]] = []
+    others: list[tuple[SampleTable, Path]] = []
     for table, path in zip(tables, files, strict=True):
         found += [(table.t_ns, triad) for triad in table.triads if triad.quantity == "magnetometer"]
         rest = tuple(triad for triad in table.triads if triad.quantity != "magnetometer")
@@ -209,7 +211,7 @@ def without_magnetometer(tables: list[Table], files: list[Path]) -> tuple[list[T
 
 
 def inertial_streams(
-    tables: list[Table], files: list[Path], notes: list[str], *, alone: bool
+    tables: list[SampleTable], files: list[Path], notes: list[str], *, alone: bool
 ) -> tuple[StampedTriad | None, StampedTriad | None]:
     """Return accelerometer and gyroscope; with a magnetometer (not alone) either may be missing."""
     if len(tables) == 2:
@@ -222,7 +224,7 @@ def inertial_streams(
     return in_one_file(table, files[0].name, notes)
 
 
-def in_one_file(table: Table, where: str, notes: list[str]) -> tuple[StampedTriad, StampedTriad | None]:
+def in_one_file(table: SampleTable, where: str, notes: list[str]) -> tuple[StampedTriad, StampedTriad | None]:
     """Return accelerometer and gyroscope of a table that holds both, or of an accelerometer alone."""
     if len(table.triads) == 1:
         (triad,) = table.triads
@@ -249,7 +251,7 @@ def in_one_file(table: Table, where: str, notes: list[str]) -> tuple[StampedTria
     return (table.t_ns, first), (table.t_ns, second)
 
 
-def in_two_files(tables: list[Table], files: list[Path], notes: list[str]) -> tuple[StampedTriad, StampedTriad]:
+def in_two_files(tables: list[SampleTable], files: list[Path], notes: list[str]) -> tuple[StampedTriad, StampedTriad]:
     """Return accelerometer and gyroscope of two tables: by header, else by file name, else by their values."""
     names = [path.name for path in files]
     for table, name in zip(tables, names, strict=True):
@@ -363,7 +365,7 @@ def _are_recordings(paths: list[Path], columns: str | None, rate_hz: float | Non
         return True
     stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
     try:
-        tables = [read_table(read_text(path), columns, rate_hz, stated) for path in paths]
+        tables = [read_table(read_text_file(path), columns, rate_hz, stated) for path in paths]
     except RecordingError:
         return False  # whoever reads them as one recording says what is wrong
     kinds = [sorted(triad.quantity for triad in table.triads if triad.quantity != "magnetometer") for table in tables]
@@ -372,7 +374,7 @@ def _are_recordings(paths: list[Path], columns: str | None, rate_hz: float | Non
     return 2 * sum(_turned(table) for table in tables) > len(tables)
 
 
-def _turned(table: Table) -> bool:
+def _turned(table: SampleTable) -> bool:
     """Tell whether a table holds several attitudes."""
     return any(_scatter(triad.values) > _TURNED for triad in table.triads if triad.quantity != "magnetometer")
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import RecordingError
-from .files import bomb, largest_unpacked
+from .files import bomb_error, largest_unpacked
 
 try:
     from lzma import LZMAError
@@ -39,7 +39,7 @@ def refuse_zip_bomb(archive: zipfile.ZipFile, where: str) -> None:
     members = archive.infolist()
     packed, unpacked = sum(one.compress_size for one in members), sum(one.file_size for one in members)
     if unpacked > largest_unpacked(packed):
-        raise bomb(where, packed)
+        raise bomb_error(where, packed)
 
 
 def refuse_false_arrays(archive: zipfile.ZipFile, where: str) -> None:

@@ -1,6 +1,6 @@
 """What was measured: samples, frames, poses, as recorded, with their timestamps and their unit."""
 
-from .arrays import Floats, Integers, close_gaps, frozen_array, measurable, usual_step
+from .arrays import Floats, Integers, close_gaps, frozen_array, measurable_numbers, usual_step
 from .frames import CameraFrames, FrameQuality, KnownRig
 from .poses import Poses
 from .recording import Recording
@@ -21,7 +21,7 @@ __all__ = [
     "TriadSamples",
     "close_gaps",
     "frozen_array",
-    "measurable",
+    "measurable_numbers",
     "recorded_hashes",
     "shared_sources",
     "usual_step",

@@ -67,7 +67,7 @@ def usual_step(steps: NDArray[Any], unit_ns: float = 1.0) -> float:
 _LARGEST = 1e100  # squares and sums of samples stay finite; no sensor reads a number like that
 
 
-def measurable(values: Floats) -> NDArray[np.bool_]:
+def measurable_numbers(values: Floats) -> NDArray[np.bool_]:
     """Return which numbers a sensor can have read: not NaN, not infinite, not beyond all measure."""
     return np.abs(values) < _LARGEST
 

@@ -14,7 +14,7 @@ _NOT_TOLD = 0xFFFF
 _FEWEST, _ALIKE = 12, 0.6  # places told by both, and share of them that agree
 
 
-def fingerprint(values: NDArray[np.float64]) -> str:
+def sample_fingerprint(values: NDArray[np.float64]) -> str:
     """Return where the largest values of n samples of k axes (n, k) stand, as hexadecimal digits.
 
     Places where the largest value occurs more than once are not told; nothing ("") is of short or coarse series.
@@ -31,7 +31,7 @@ def fingerprint(values: NDArray[np.float64]) -> str:
     return found.astype(">u2").tobytes().hex() if np.count_nonzero(found != _NOT_TOLD) >= _FEWEST else ""
 
 
-def alike(first: str, second: str) -> bool:
+def same_measurements(first: str, second: str) -> bool:
     """Return whether two fingerprints are of the same measurements; rows may have been added or lost at an end."""
     if len(first) != len(second) or not first:
         return False

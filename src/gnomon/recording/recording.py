@@ -12,7 +12,7 @@ from ..findings import Finding
 from ..frozen import FrozenMapping, value_class
 from ..units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, Units
 from .arrays import frozen_array, ns_from_s
-from .fingerprint import fingerprint
+from .fingerprint import sample_fingerprint
 from .frames import CameraFrames, KnownRig
 from .poses import Poses
 from .samples import ImuSamples, TriadSamples
@@ -55,7 +55,7 @@ class Recording:
         imus = [imu.accelerometer if len(imu.accelerometer) else imu.gyroscope for imu in self.imus.values()]
         fields = [imu.magnetometer for imu in self.imus.values() if imu.magnetometer is not None]
         series = [triad.values for triad in (*imus, *fields)] + [frames.pixels for frames in self.cameras.values()]
-        return tuple(one for one in map(fingerprint, series) if one)
+        return tuple(one for one in map(sample_fingerprint, series) if one)
 
     @classmethod
     def from_arrays(cls, t_s: ArrayLike, gyro: ArrayLike, accel: ArrayLike, units: str | Units = "si") -> Self:

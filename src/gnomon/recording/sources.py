@@ -5,7 +5,7 @@ from collections.abc import Collection
 from dataclasses import field
 
 from ..frozen import value_class
-from .fingerprint import alike
+from .fingerprint import same_measurements
 from .samples import ImuSamples
 
 
@@ -55,7 +55,7 @@ def shared_sources(first: Collection[Source], second: Collection[Source]) -> tup
     return tuple(
         source
         for source in first
-        if source.sha256 in hashes or any(alike(one, other) for one in source.samples for other in known)
+        if source.sha256 in hashes or any(same_measurements(one, other) for one in source.samples for other in known)
     )
 
 

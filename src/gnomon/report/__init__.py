@@ -26,7 +26,7 @@ def write_report(result: Result, path: str | Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    from .page import render
+    from .page import render_page
 
     calibration, diagnostics = result.calibration, result.diagnostics
     if isinstance(diagnostics, CameraImuDiagnostics):
@@ -41,4 +41,4 @@ def write_report(result: Result, path: str | Path) -> None:
         from .static import static_page
 
         page = static_page(calibration, diagnostics)
-    write_whole(path, render(page))
+    write_whole(path, render_page(page))

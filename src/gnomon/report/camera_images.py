@@ -6,10 +6,19 @@ import numpy as np
 
 from ..recording import Floats, FrameQuality
 from ..results.camera_diagnostics import CornerFit
-from .drawing.figures import WIDTH, Sheet, coarser, dots, half_panel, limits, thinned, zigzag
+from .drawing.figures import (
+    WIDTH,
+    Sheet,
+    coarsen_envelope,
+    draw_dots,
+    draw_envelope,
+    half_panel,
+    set_y_limits,
+    thin_points,
+)
 from .drawing.panel import DASHED, Panel
-from .numbers import finite, fixed, highest, number, positive
-from .page import Figure, Legend, Section, Table
+from .numbers import finite_values, fixed_text, highest_finite, number_text, positive_or
+from .page import Figure, Legend, ReportTable, Section
 
 _BLURRED_PX, _BRIGHT = 1.5, 250.0  # as assess.image_checks has them, and says why
 _GROUPS = 8
@@ -22,7 +31,7 @@ def images_section(corners: dict[str, CornerFit]) -> Section | None:
     known = {name: fit for name, fit in corners.items() if fit.quality is not None}
     if not known:
         return None
-    blocks: list[Figure | Table] = []
+    blocks: list[Figure | ReportTable] = []
     for name, fit in known.items():
         assert fit.quality is not None
         blocks.append(_over_time(name, fit, fit.quality))
@@ -69,18 +78,18 @@ def over_time(name: str, fit: CornerFit, quality: FrameQuality) -> str:
         sheet.panel("Corners in the frame", top=404, height=90, x_label="time [s]"),
     ]
     _level(panels[0], _BLURRED_PX)
-    dots(panels[0], *thinned(t, blur), "after", size=4.0)
-    limits(panels[0], blur, np.array([0.0, _BLURRED_PX]))
+    draw_dots(panels[0], *thin_points(t, blur), "after", size=4.0)
+    set_y_limits(panels[0], blur, np.array([0.0, _BLURRED_PX]))
     _level(panels[1], _BRIGHT)
-    zigzag(panels[1], *coarser(t, black, black, bins=400), "before")
-    zigzag(panels[1], *coarser(t, white, white, bins=400), "accent")
+    draw_envelope(panels[1], *coarsen_envelope(t, black, black, bins=400), "before")
+    draw_envelope(panels[1], *coarsen_envelope(t, white, white, bins=400), "accent")
     panels[1].y.span(0, 260)
     panels[1].y.ticks = (0, 100, 200)
-    zigzag(panels[2], *coarser(t, count, count, bins=400), "after")
-    limits(panels[2], count, np.zeros(1))
+    draw_envelope(panels[2], *coarsen_envelope(t, count, count, bins=400), "after")
+    set_y_limits(panels[2], count, np.zeros(1))
     panels[2].y.most = 3
     for panel in panels:
-        panel.x.span(0, positive(highest(t)))
+        panel.x.span(0, positive_or(highest_finite(t)))
         panel.x.labelled = panel is panels[-1]
     alt = (
         f"Blur, exposure and number of corners of {len(t)} frames of {name}; the median blur is {_median(blur, 2)} px."
@@ -93,24 +102,24 @@ def _level(panel: Panel, value: float) -> None:
 
 
 def _median(values: Floats, digits: int) -> str:
-    known = finite(values)
-    return number(float(np.median(known)) if known.size else float("nan"), digits)
+    known = finite_values(values)
+    return number_text(float(np.median(known)) if known.size else float("nan"), digits)
 
 
 def _certainty(name: str, fit: CornerFit) -> Figure | None:
-    if fit.corner_sigma_px is None or len(finite(fit.corner_sigma_px)) < _FEWEST:
+    if fit.corner_sigma_px is None or len(finite_values(fit.corner_sigma_px)) < _FEWEST:
         return None
     groups = _by_sigma(fit)
     ratio = float(np.median(groups[1] / groups[0])) if len(groups[0]) else float("nan")
     compared = (
-        f" Residuals are {number(ratio, 2)} times as large (median of the groups); what is more than 1 comes from "
+        f" Residuals are {number_text(ratio, 2)} times as large (median of the groups); what is more than 1 comes from "
         "errors of the lens, the board and the timestamps as well."
         if isfinite(ratio)
         else ""
     )
     return Figure(
         f"How certain the corners of {name} are",
-        certainty(name, fit, groups),
+        draw_corner_sigmas(name, fit, groups),
         (
             Legend("line", "after", "share of corners"),
             Legend("dot", "after", "robust rms of a group of corners"),
@@ -134,11 +143,11 @@ def _by_sigma(fit: CornerFit) -> tuple[Floats, Floats]:
     return median, scatter
 
 
-def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
+def draw_corner_sigmas(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
     """Draw the distribution of the corners' standard deviations, and their residuals against them."""
     assert fit.corner_sigma_px is not None
-    known = finite(fit.corner_sigma_px)
-    reach = positive(float(np.quantile(known, 0.99)))
+    known = finite_values(fit.corner_sigma_px)
+    reach = positive_or(float(np.quantile(known, 0.99)))
     sigma, scatter = groups
 
     sheet = Sheet()
@@ -147,14 +156,14 @@ def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
     density = np.histogram(known, edges)[0] / (len(known) * (edges[1] - edges[0]))
     axes.steps(density, edges, "after")
     axes.x.span(0, reach)
-    axes.y.span(0, 1.05 * positive(float(density.max())))
+    axes.y.span(0, 1.05 * positive_or(float(density.max())))
     sheet.text("σ of a corner [px]", x=WIDTH / 2 - 14, y=286, color="muted", align="right")
     other = half_panel(sheet, "Scatter of the residuals [px]", 1, top=36, height=200)
-    most = 1.1 * positive(max(highest(scatter), highest(sigma)), reach)
-    widest = 1.1 * positive(highest(sigma), reach)
+    most = 1.1 * positive_or(max(highest_finite(scatter), highest_finite(sigma)), reach)
+    widest = 1.1 * positive_or(highest_finite(sigma), reach)
     diagonal = np.array([0.0, widest])
     other.line(diagonal, diagonal, "ink", width=1.4, dash=DASHED)
-    dots(other, sigma, scatter, "after")
+    draw_dots(other, sigma, scatter, "after")
     other.x.span(0, widest)
     other.y.span(0, most)
     sheet.text("σ of a corner [px]", x=WIDTH - 14, y=286, color="muted", align="right")
@@ -162,19 +171,21 @@ def certainty(name: str, fit: CornerFit, groups: tuple[Floats, Floats]) -> str:
     return sheet.draw(f"certainty-{name}", 300, alt)
 
 
-def _numbers(known: dict[str, CornerFit]) -> Table:
+def _numbers(known: dict[str, CornerFit]) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for name, fit in known.items():
         quality = fit.quality
         assert quality is not None
-        blur = finite(quality.blur_px)
-        worst = f"{number(float(np.quantile(blur, 0.9)), 2)} px" if blur.size else number(float("nan"))
-        blurred = f"{fixed(100 * float(np.mean(blur > _BLURRED_PX)), 0)} %" if blur.size else number(float("nan"))
-        sigma = number(float("nan")) if fit.corner_sigma_px is None else f"{_median(fit.corner_sigma_px, 2)} px"
-        seen = f"{fixed(100 * float(np.mean(np.asarray(fit.frame_corners) > 0)), 0)} %"
+        blur = finite_values(quality.blur_px)
+        worst = f"{number_text(float(np.quantile(blur, 0.9)), 2)} px" if blur.size else number_text(float("nan"))
+        blurred = (
+            f"{fixed_text(100 * float(np.mean(blur > _BLURRED_PX)), 0)} %" if blur.size else number_text(float("nan"))
+        )
+        sigma = number_text(float("nan")) if fit.corner_sigma_px is None else f"{_median(fit.corner_sigma_px, 2)} px"
+        seen = f"{fixed_text(100 * float(np.mean(np.asarray(fit.frame_corners) > 0)), 0)} %"
         rows.append((name, seen, f"{_median(quality.blur_px, 2)} px", worst, blurred,
                      _median(quality.black, 3), _median(quality.white, 3), sigma))  # fmt: skip
-    return Table(
+    return ReportTable(
         "In numbers",
         ("camera", "board in", "blur", "blur, 90 %", f"> {_BLURRED_PX:g} px", "black", "white", "σ of a corner"),
         rows,
@@ -182,18 +193,18 @@ def _numbers(known: dict[str, CornerFit]) -> Table:
     )
 
 
-def _dropped(known: dict[str, CornerFit]) -> list[Table]:
+def _dropped(known: dict[str, CornerFit]) -> list[ReportTable]:
     rows: list[tuple[str, ...]] = []
     for name, fit in known.items():
         assert fit.quality is not None
         total = sum(fit.quality.dropped.values()) + len(fit.frame)
         for reason, count in sorted(fit.quality.dropped.items(), key=lambda item: -item[1]):
             if count:
-                rows.append((f"{name}: {reason}", str(count), f"{number(100 * count / total, 2)} %"))
+                rows.append((f"{name}: {reason}", str(count), f"{number_text(100 * count / total, 2)} %"))
     if not rows:
         return []
     return [
-        Table(
+        ReportTable(
             "Corners that were found and left out",
             ("reason", "corners", "share"),
             rows,

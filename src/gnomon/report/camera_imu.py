@@ -11,9 +11,9 @@ from . import camera_imu_sections as sections
 from .camera_images import images_section
 from .corners import corner_view
 from .estimation import parameters_section
-from .numbers import MISSING, number, with_sigma
-from .page import Code, KeyNumber, Page, Prose, Section, typeset
-from .sections import FRAMES, calibration_page, gravity_text, matrix_text, provenance_section
+from .numbers import MISSING, number_text, with_sigma
+from .page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
+from .sections import FRAMES, aligned_matrix, calibration_page, gravity_text, provenance_section
 from .trust_section import trust_section
 
 _MODELS = {
@@ -23,18 +23,18 @@ _MODELS = {
 }
 
 
-def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Page:
+def camera_imu_page(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> ReportPage:
     """Return the page of a camera-IMU calibration."""
     fit = calibration.assessment.camera_imu
     views = {name: corner_view(corners) for name, corners in diagnostics.corners.items()}
     parts = (
-        sections.cameras_section(calibration, diagnostics),
+        sections.camera_poses_section(calibration, diagnostics),
         sections.imu_section(calibration),
         trust_section(calibration.assessment, diagnostics.trust),
         evidence.fit_section(diagnostics),
-        evidence.residuals_section(diagnostics, views),
+        evidence.camera_imu_residuals_section(diagnostics, views),
         images_section(diagnostics.corners),
-        evidence.coverage_section(diagnostics, views),
+        evidence.camera_imu_coverage_section(diagnostics, views),
         evidence.biases_section(diagnostics),
         parameters_section(diagnostics),
         sections.solution_section(diagnostics, converged=fit is None or fit.converged),
@@ -63,12 +63,12 @@ def _key_numbers(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
     note = _MODELS.get(model, "") + (f"; by evidence {', '.join(added)}" if added else "")
     numbers.append(KeyNumber("Model", model, note))
     pieces = f" in {diagnostics.segments} pieces" if diagnostics.segments > 1 else ""
-    duration = number(fit.duration_s, 4) if fit is not None else MISSING
+    duration = number_text(fit.duration_s, 4) if fit is not None else MISSING
     numbers.append(
         KeyNumber(
             "Trajectory",
             f"{duration}\u00a0s{pieces}",
-            f"{number(diagnostics.knots_per_s, 3)} knots/s, spline of order {diagnostics.spline_order}",
+            f"{number_text(diagnostics.knots_per_s, 3)} knots/s, spline of order {diagnostics.spline_order}",
         )
     )
     return tuple(numbers)
@@ -78,13 +78,13 @@ def _fit_numbers(fit: CameraImuFit) -> tuple[KeyNumber, KeyNumber]:
     corners = sum(fit.corners_used.values())
     squares = [fit.corners_used[name] * rms**2 for name, rms in fit.reprojection_rms_px.items() if isfinite(rms)]
     pooled = float(np.sqrt(sum(squares) / corners)) if corners and squares else float("nan")
-    each = "; ".join(f"{name} {number(rms, 3)}" for name, rms in fit.reprojection_rms_px.items())
+    each = "; ".join(f"{name} {number_text(rms, 3)}" for name, rms in fit.reprojection_rms_px.items())
     frames = "; ".join(f"{name} {used} of {fit.frames_found[name]}" for name, used in fit.frames_used.items())
     several = len(fit.frames_used) > 1
     return (
         KeyNumber(
             "Reprojection rms",
-            f"{number(pooled, 3, trim=False)}\u00a0px",
+            f"{number_text(pooled, 3, trim=False)}\u00a0px",
             f"per axis, of {corners} corners" + (f": {each}" if several else ""),
         ),
         KeyNumber(
@@ -108,7 +108,7 @@ def _placed(calibration: Calibration) -> KeyNumber:
         return max((s for s in found if isfinite(s)), default=float("nan"))
 
     translation, rotation = worst("translation"), worst("rotation")
-    value = f"{number(1e3 * translation, 2)}\u00a0mm, {number(degrees(rotation), 2)}°"
+    value = f"{number_text(1e3 * translation, 2)}\u00a0mm, {number_text(degrees(rotation), 2)}°"
     note = "largest σ of an axis of T_cam_imu" + (", of all cameras" if len(calibration.cameras) > 1 else "")
     return KeyNumber("σ of position and attitude", value, note)
 
@@ -130,7 +130,7 @@ def _assumptions(calibration: Calibration, diagnostics: CameraImuDiagnostics) ->
         )
     for name, camera in calibration.cameras.items():
         points += _camera_points(calibration, name, camera.camera.line_delay_s)
-    points += [typeset(finding).message for finding in assessment.findings if finding.code == "assumed"]
+    points += [typeset_finding(finding).message for finding in assessment.findings if finding.code == "assumed"]
     if assessment.held_by_prior:
         points.append(
             f"Not determined by this recording, and held by assumption: {', '.join(assessment.held_by_prior)}."
@@ -157,7 +157,8 @@ def _camera_points(calibration: Calibration, name: str, line_delay_s: float) -> 
         points.append(
             f"All rows of an image of {name} are exposed at once."
             if line_delay_s == 0
-            else f"The rows of an image of {name} follow each other by {number(1e6 * line_delay_s, 4)} µs, as given."
+            else f"The rows of an image of {name} follow each other by {number_text(1e6 * line_delay_s, 4)} µs, as "
+            "given."
         )
     return points
 
@@ -202,15 +203,19 @@ def _use(calibration: Calibration) -> Section:
     ]
     for name, imu in calibration.imus.items():
         of = f" of {name}" if len(calibration.imus) > 1 else ""
-        text = "m = S f + b          f = S⁻¹ (m − b)        S = S_a M_a\n\n" + matrix_text(
+        text = "m = S f + b          f = S⁻¹ (m − b)        S = S_a M_a\n\n" + aligned_matrix(
             "S", imu.required_accelerometer.sensitivity
         )
-        text += "\n\n" + matrix_text("b", imu.required_accelerometer.bias[:, None])
+        text += "\n\n" + aligned_matrix("b", imu.required_accelerometer.bias[:, None])
         blocks.append(Code(f"Accelerometer{of}: m and f in m/s²", text))
         if imu.gyroscope is not None:
             text = "y = S ω + G f + b    ω = S⁻¹ (y − b − G f)    S = S_g M_g C_bg′, G = B_g\n\n"
-            text += matrix_text("S", imu.gyroscope.sensitivity) + "\n\n" + matrix_text("G", imu.gyroscope.g_sensitivity)
-            text += "\n\n" + matrix_text("b", imu.gyroscope.bias[:, None])
+            text += (
+                aligned_matrix("S", imu.gyroscope.sensitivity)
+                + "\n\n"
+                + aligned_matrix("G", imu.gyroscope.g_sensitivity)
+            )
+            text += "\n\n" + aligned_matrix("b", imu.gyroscope.bias[:, None])
             blocks.append(Code(f"Gyroscope{of}: y and ω in rad/s, f in m/s²", text))
     return Section(
         "use",

@@ -5,10 +5,20 @@ import numpy as np
 from ..results.camera_diagnostics import CameraImuDiagnostics, SignalFit
 from . import camera_imu_signals
 from .camera_imu_signals import signal_name
-from .corner_figures import density
+from .corner_figures import draw_corner_density
 from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out, time_legends
-from .numbers import finite, fixed, largest, number, positive, quantity, readable_unit, rms, share
-from .page import Figure, Legend, Section, Table
+from .numbers import (
+    finite_rms,
+    finite_values,
+    fixed_text,
+    largest_magnitude,
+    number_text,
+    percent_text,
+    positive_or,
+    quantity_text,
+    readable_unit,
+)
+from .page import Figure, Legend, ReportTable, Section
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 _PREDICTED = tuple(Legend("line", axis, f"predicted {axis}") for axis in "xyz")
@@ -20,7 +30,7 @@ def fit_section(diagnostics: CameraImuDiagnostics) -> Section | None:
     """Return measured signals against predicted ones, over all and in the most telling section; None without any."""
     if not diagnostics.signals:
         return None
-    blocks: list[Figure | Table] = []
+    blocks: list[Figure | ReportTable] = []
     for name, fit in diagnostics.signals.items():
         blocks += _signal_figures(name, fit, signal_name(name, diagnostics.signals))
     blocks.append(_misfit(diagnostics))
@@ -37,12 +47,12 @@ def _signal_figures(name: str, fit: SignalFit, shown: str) -> tuple[Figure, Figu
     return (
         Figure(
             f"{shown} over the recording",
-            camera_imu_signals.overview(name, fit, section),
+            camera_imu_signals.draw_signal_overview(name, fit, section),
             (*_AXES, *basic, _BAND, Legend("dash", "ink", "section below")),
             _bands(fit),
         ),
         Figure(
-            f"{shown}, {fixed(section[0], 1)} to {fixed(section[1], 1)} s",
+            f"{shown}, {fixed_text(section[0], 1)} to {fixed_text(section[1], 1)} s",
             camera_imu_signals.section_figure(name, fit, section),
             (Legend("band", "before", "measured"), *_PREDICTED, *basic, _BAND),
             f"The section in which {reason}: what was measured, what the trajectory and the calibration "
@@ -61,26 +71,29 @@ def _bands(fit: SignalFit) -> str:
     return text
 
 
-def _misfit(diagnostics: CameraImuDiagnostics) -> Table:
+def _misfit(diagnostics: CameraImuDiagnostics) -> ReportTable:
     """Return the residuals in numbers."""
     rows: list[tuple[str, ...]] = []
     compared = any(fit.basic is not None for fit in diagnostics.signals.values())
     for name, fit in diagnostics.signals.items():
         unit = readable_unit(fit.unit)
-        model, basic = (camera_imu_signals.residual(fit, p) for p in (fit.predicted, fit.basic))
+        model, basic = (camera_imu_signals.signal_residual(fit, p) for p in (fit.predicted, fit.basic))
         apart = np.full_like(model, np.nan) if fit.basic is None else fit.predicted - fit.basic
         for i, axis in enumerate("xyz"):
-            row = [f"{signal_name(name, diagnostics.signals)} {axis}", quantity(rms(model[:, i]), unit)]
+            row = [f"{signal_name(name, diagnostics.signals)} {axis}", quantity_text(finite_rms(model[:, i]), unit)]
             if compared:
-                row += [quantity(rms(basic[:, i]), unit), quantity(largest(apart[:, i]), unit)]
-            rows.append((*row, quantity(fit.sigma, unit)))
+                row += [
+                    quantity_text(finite_rms(basic[:, i]), unit),
+                    quantity_text(largest_magnitude(apart[:, i]), unit),
+                ]
+            rows.append((*row, quantity_text(fit.sigma, unit)))
     compare = ("rms, basic model", "models differ by up to") if compared else ()
-    return Table("In numbers", ("residual", "rms", *compare, "expected (σ)"), rows)
+    return ReportTable("In numbers", ("residual", "rms", *compare, "expected (σ)"), rows)
 
 
-def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
+def camera_imu_residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
     """Return what is left of samples and corners: distributions, over time, and over the image."""
-    blocks: list[Figure | Table] = []
+    blocks: list[Figure | ReportTable] = []
     if diagnostics.signals:
         shares = ", ".join(
             _beyond(fit, signal_name(name, diagnostics.signals)) for name, fit in diagnostics.signals.items()
@@ -88,7 +101,7 @@ def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, Corner
         blocks.append(
             Figure(
                 "Samples of the IMU",
-                camera_imu_signals.normalised(diagnostics.signals),
+                camera_imu_signals.draw_normalised_residuals(diagnostics.signals),
                 (*_AXES, Legend("dash", "ink", "standard normal")),
                 "Measured minus predicted, over the σ that was used. Beyond 3σ lie 0.27 % of normal residuals; "
                 f"here, {shares}. Where knots are dense, the trajectory follows part of the noise, and what is left is "
@@ -110,27 +123,27 @@ def residuals_section(diagnostics: CameraImuDiagnostics, views: dict[str, Corner
 
 
 def _beyond(fit: SignalFit, shown: str) -> str:
-    values = finite(camera_imu_signals.residual(fit, fit.predicted)) / positive(fit.sigma)
+    values = finite_values(camera_imu_signals.signal_residual(fit, fit.predicted)) / positive_or(fit.sigma)
     share = float(np.mean(np.abs(values) > 3)) if values.size else float("nan")
-    return f"{number(100 * share, 2)} % of the {shown.lower()}'s"
+    return f"{number_text(100 * share, 2)} % of the {shown.lower()}'s"
 
 
-def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
+def camera_imu_coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerView]) -> Section:
     """Return what the recording covers: the image, rotation, acceleration, and the path."""
-    blocks: list[Figure | Table] = []
+    blocks: list[Figure | ReportTable] = []
     if views:
         shares = {name: float(np.mean(view.density.count > 0)) for name, view in views.items()}
-        reached = "; ".join(f"{name} {share(part)}" for name, part in shares.items())
+        reached = "; ".join(f"{name} {percent_text(part)}" for name, part in shares.items())
         blocks.append(
             Figure(
                 "Corners in the image",
-                density(views),
+                draw_corner_density(views),
                 caption="The stronger the colour, the more corners. Share of the image that they reached: "
                 f"{reached}. Elsewhere nothing tests the lens.",
             )
         )
     if len(diagnostics.trajectory.t_ns) > 1:
-        blocks += _motion(camera_imu_signals.motion_of(diagnostics.trajectory, diagnostics.gravity_target))
+        blocks += _motion(camera_imu_signals.rig_motion(diagnostics.trajectory, diagnostics.gravity_target))
     return Section(
         "coverage",
         "Coverage",
@@ -140,11 +153,13 @@ def coverage_section(diagnostics: CameraImuDiagnostics, views: dict[str, CornerV
     )
 
 
-def _motion(motion: camera_imu_signals.Motion) -> list[Figure | Table]:
+def _motion(motion: camera_imu_signals.RigMotion) -> list[Figure | ReportTable]:
     rows: list[tuple[str, ...]] = []
     for label, values, unit in (("Angular rate", motion.rate, "°/s"), ("Acceleration", motion.acceleration, "m/s²")):
-        for measure, of in (("rms", rms), ("largest", largest)):
-            rows.append((f"{label}, {measure}", *(f"{number(of(v), 3, trim=False)}\u00a0{unit}" for v in values.T)))
+        for measure, of in (("rms", finite_rms), ("largest", largest_magnitude)):
+            rows.append(
+                (f"{label}, {measure}", *(f"{number_text(of(v), 3, trim=False)}\u00a0{unit}" for v in values.T))
+            )
     return [
         Figure(
             "Axes of rotation",
@@ -154,14 +169,14 @@ def _motion(motion: camera_imu_signals.Motion) -> list[Figure | Table]:
         ),
         Figure(
             "Rate and acceleration along the body axes",
-            camera_imu_signals.rates(motion),
+            camera_imu_signals.draw_motion_histograms(motion),
             _AXES,
             "How often which value occurred; gravity is not part of the acceleration.",
         ),
-        Table("In numbers", ("body axis", *"xyz"), rows),
+        ReportTable("In numbers", ("body axis", *"xyz"), rows),
         Figure(
             "Path of the IMU",
-            camera_imu_signals.path(motion),
+            camera_imu_signals.draw_imu_path(motion),
             time_legends(motion.t_s),
             "In the frame of the target: x and y in its plane, z along its normal.",
         ),
@@ -173,7 +188,8 @@ def biases_section(diagnostics: CameraImuDiagnostics) -> Section | None:
     if not diagnostics.biases:
         return None
     walks = "; ".join(
-        f"{signal_name(name, diagnostics.biases).lower()} {number(bias.random_walk, 3)} {_per_root_second(bias.unit)}"
+        f"{signal_name(name, diagnostics.biases).lower()} {number_text(bias.random_walk, 3)} "
+        f"{_per_root_second(bias.unit)}"
         for name, bias in diagnostics.biases.items()
     )
     figure = Figure(

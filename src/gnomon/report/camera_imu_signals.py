@@ -14,16 +14,16 @@ from .drawing.figures import (
     SPHERE_HEIGHT,
     WIDTH,
     Sheet,
-    coarser,
+    coarsen_envelope,
+    draw_envelope,
+    draw_histograms,
     half_panel,
-    hemisphere,
-    histograms,
-    lambert,
-    limits,
-    zigzag,
+    hemisphere_panel,
+    lambert_projection,
+    set_y_limits,
 )
 from .drawing.panel import DASHED, Panel
-from .numbers import finite, highest, positive, prefixed, readable_unit, rms
+from .numbers import finite_rms, finite_values, highest_finite, positive_or, readable_unit, si_prefix
 
 ZOOM_S = 2.0
 _FINEST = 400
@@ -37,7 +37,7 @@ def signal_name(name: str, names: Iterable[str]) -> str:
     return f"{triad.capitalize()} of {imu}" if several else triad.capitalize() or imu
 
 
-def residual(fit: SignalFit, predicted: Floats | None) -> Floats:
+def signal_residual(fit: SignalFit, predicted: Floats | None) -> Floats:
     """Return measured minus predicted, (n, 3); nan where a sample was not used or nothing was predicted."""
     if predicted is None:
         return np.full_like(fit.measured, np.nan)
@@ -55,7 +55,7 @@ def telling_section(fit: SignalFit, length_s: float = ZOOM_S) -> tuple[float, fl
         return 0.0, length_s
     against = fit.measured if fit.basic is None else fit.basic
     used = np.asarray(fit.used, dtype=bool)
-    difference = np.where(used[:, None], (fit.predicted - against) / positive(fit.sigma), 0.0)
+    difference = np.where(used[:, None], (fit.predicted - against) / positive_or(fit.sigma), 0.0)
     score = np.clip(np.nan_to_num(difference), -5, 5) if fit.basic is None else np.nan_to_num(difference)
     total = np.concatenate([[0.0], np.cumsum((score**2).sum(axis=1))])
     stop = np.searchsorted(t, t + length_s)
@@ -64,20 +64,20 @@ def telling_section(fit: SignalFit, length_s: float = ZOOM_S) -> tuple[float, fl
     return first, first + length_s
 
 
-def overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
+def draw_signal_overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
     """Draw a signal over the whole recording, and what the predictions leave of it, per axis."""
-    end = positive(highest(fit.t_s))
-    model, basic = residual(fit, fit.predicted), residual(fit, fit.basic)
+    end = positive_or(highest_finite(fit.t_s))
+    model, basic = signal_residual(fit, fit.predicted), signal_residual(fit, fit.basic)
     reach = _reach(fit, model, basic)
-    prefix, factor = prefixed(reach)
+    prefix, factor = si_prefix(reach)
     unit = readable_unit(fit.unit)
 
     sheet = Sheet()
     axes = sheet.panel(f"Measured [{unit}]", top=36, height=190)
-    t, low, high = coarser(fit.t_s, fit.measured, fit.measured, bins=600)
+    t, low, high = coarsen_envelope(fit.t_s, fit.measured, fit.measured, bins=600)
     for i, axis in enumerate(AXES):
-        zigzag(axes, t, low[:, i], high[:, i], axis)
-    limits(axes, low, high)
+        draw_envelope(axes, t, low[:, i], high[:, i], axis)
+    set_y_limits(axes, low, high)
     panels = [axes]
     for i, axis in enumerate(AXES):
         title = f"{axis}: measured − predicted [{prefix}{unit}]"
@@ -98,21 +98,21 @@ def overview(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
 
 
 def _noise_band(panel: Panel, fit: SignalFit, factor: float) -> None:
-    reach = 2 * positive(fit.sigma, 0.0) * factor
+    reach = 2 * positive_or(fit.sigma, 0.0) * factor
     panel.strip(-reach, reach, "before", alpha=0.22)
 
 
 def _envelope(panel: Panel, t: Floats, values: Floats, color: str) -> None:
     """Fill between the smallest and the largest value of short stretches."""
-    t, low, high = coarser(t, values, values, bins=300)
+    t, low, high = coarsen_envelope(t, values, values, bins=300)
     panel.band(t, low, high, color, edge=0.6)
 
 
 def _reach(fit: SignalFit, *residuals: Floats) -> float:
     """Return how far a residual panel has to reach: to the largest, unless that is an outlier beyond comparison."""
-    values = np.abs(finite(np.concatenate([part.ravel() for part in residuals])))
+    values = np.abs(finite_values(np.concatenate([part.ravel() for part in residuals])))
     most = min(float(values.max()), 6 * float(np.quantile(values, 0.99))) if values.size else 0.0
-    return 1.08 * positive(max(most, 3 * positive(fit.sigma, 0.0)))
+    return 1.08 * positive_or(max(most, 3 * positive_or(fit.sigma, 0.0)))
 
 
 def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> str:
@@ -121,9 +121,9 @@ def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> s
     near = slice(int(first), int(last))
     t, measured = fit.t_s[near], fit.measured[near]
     predictions = (fit.predicted,) if fit.basic is None else (fit.basic, fit.predicted)
-    left = [residual(fit, values)[near] for values in predictions]
+    left = [signal_residual(fit, values)[near] for values in predictions]
     reach = _reach(fit, *left)
-    prefix, factor = prefixed(reach)
+    prefix, factor = si_prefix(reach)
     unit = readable_unit(fit.unit)
 
     sheet = Sheet()
@@ -134,7 +134,7 @@ def section_figure(name: str, fit: SignalFit, section: tuple[float, float]) -> s
         _line(axes, t, measured[:, i], "before", width=3.4)
         for values, color in zip(predictions, colors, strict=True):
             _line(axes, t, values[near, i], color)
-        limits(axes, measured[:, i], *(values[near, i] for values in predictions))
+        set_y_limits(axes, measured[:, i], *(values[near, i] for values in predictions))
         title = f"measured − predicted [{prefix}{unit}]"
         below = sheet.panel(title, top=top + 178, height=70, x_label="time [s]" if i == 2 else "")
         _noise_band(below, fit, factor)
@@ -155,10 +155,10 @@ def _line(panel: Panel, t: Floats, values: Floats, color: str, width: float = 1.
         alpha = 0.55 if width > 2 else 1.0
         panel.line(t, values, color, width=width, alpha=alpha)
     else:
-        zigzag(panel, *coarser(t, values, values, bins=_FINEST), color)
+        draw_envelope(panel, *coarsen_envelope(t, values, values, bins=_FINEST), color)
 
 
-def normalised(signals: dict[str, SignalFit]) -> str:
+def draw_normalised_residuals(signals: dict[str, SignalFit]) -> str:
     """Draw histograms of the residuals over their sigma, per axis, with the standard normal distribution."""
     names = list(signals)
     pitch, top = 330.0, 36.0
@@ -166,9 +166,9 @@ def normalised(signals: dict[str, SignalFit]) -> str:
     sheet = Sheet()
     for k, name in enumerate(names):
         fit = signals[name]
-        left = residual(fit, fit.predicted) / positive(fit.sigma)
+        left = signal_residual(fit, fit.predicted) / positive_or(fit.sigma)
         axes = half_panel(sheet, signal_name(name, signals), k, top=top + pitch * (k // 2), height=230)
-        histograms(axes, [(left[:, i], axis) for i, axis in enumerate(AXES)], reach=5.0, sigma=1.0)
+        draw_histograms(axes, [(left[:, i], axis) for i, axis in enumerate(AXES)], reach=5.0, sigma=1.0)
         x, y = (k % 2 + 1) * WIDTH / 2 - 14, top + pitch * (k // 2) + 280
         sheet.text("residual / σ", x=x, y=y, color="muted", align="right")
     alt = "Histograms of the residuals of the IMU, divided by their sigma, against the standard normal distribution."
@@ -182,24 +182,24 @@ def bias_figure(biases: dict[str, BiasTrack]) -> str:
 
     sheet = Sheet()
     for k, (name, track) in enumerate(biases.items()):
-        middle = np.array([float(np.mean(finite(v))) if finite(v).size else 0.0 for v in track.value.T])
+        middle = np.array([float(np.mean(finite_values(v))) if finite_values(v).size else 0.0 for v in track.value.T])
         deviation = track.value - middle
         walked = 3 * track.random_walk * np.sqrt(np.fmax(track.t_s, 0.0))
         reach = _bias_reach(deviation, track.sigma, walked)
-        prefix, factor = prefixed(reach)
+        prefix, factor = si_prefix(reach)
         title = f"{signal_name(name, biases)}: bias − mean [{prefix}{readable_unit(track.unit)}]"
         panel = sheet.panel(title, top=36 + pitch * k, height=206, x_label="time [s]" if name == last else "")
         for sign in (-1, 1):
             panel.line(track.t_s, sign * walked * factor, "muted", width=1.2, dash=DASHED)
         for i, axis in enumerate(AXES):
             low, high = deviation[:, i] - track.sigma[:, i], deviation[:, i] + track.sigma[:, i]
-            t, low, high = coarser(track.t_s, low, high, bins=250)
+            t, low, high = coarsen_envelope(track.t_s, low, high, bins=250)
             panel.band(t, low * factor, high * factor, axis, alpha=0.16)
         for i, axis in enumerate(AXES):
-            t, low, high = coarser(track.t_s, deviation[:, i], deviation[:, i], bins=400)
+            t, low, high = coarsen_envelope(track.t_s, deviation[:, i], deviation[:, i], bins=400)
             panel.line(t, (low + high) / 2 * factor, axis, width=1.6)
         panel.y.span(-reach * factor, reach * factor)
-        panel.x.span(0, positive(highest(track.t_s)))
+        panel.x.span(0, positive_or(highest_finite(track.t_s)))
         panel.x.labelled = name == last
     alt = "Biases of the IMU over time, about their means, with one sigma; dashed, three sigma of the random walk."
     return sheet.draw("biases", pitch * len(biases) + 42, alt)
@@ -207,9 +207,9 @@ def bias_figure(biases: dict[str, BiasTrack]) -> str:
 
 def _bias_reach(value: Floats, sigma: Floats, walked: Floats) -> float:
     """Return a reach that holds values and bands, and the bounds too unless they dwarf them."""
-    inner = highest(np.abs(value) + np.nan_to_num(sigma))
-    outer = highest(walked)
-    return 1.08 * positive(min(max(inner, outer), 6 * inner) if inner else outer)
+    inner = highest_finite(np.abs(value) + np.nan_to_num(sigma))
+    outer = highest_finite(walked)
+    return 1.08 * positive_or(min(max(inner, outer), 6 * inner) if inner else outer)
 
 
 _DEG = 180 / np.pi
@@ -220,7 +220,7 @@ _FASTER_THAN = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class RigMotion:
     """How the rig moved.
 
     Attributes
@@ -237,53 +237,53 @@ class Motion:
     position: Floats
 
 
-def motion_of(track: TrajectoryTrack, gravity_target: Floats) -> Motion:
+def rig_motion(track: TrajectoryTrack, gravity_target: Floats) -> RigMotion:
     """Return the motion; linear acceleration is specific force plus gravity."""
     t = (track.t_ns - track.t_ns[0]) * 1e-9 if len(track.t_ns) else np.empty(0)
     R = rotation_from_quaternion(np.asarray(track.q_target_imu_wxyz))
     acceleration = track.f_imu + np.einsum("nji,j->ni", R, gravity_target)
-    return Motion(t_s=t, rate=track.omega_imu * _DEG, acceleration=acceleration, position=track.p_target_imu)
+    return RigMotion(t_s=t, rate=track.omega_imu * _DEG, acceleration=acceleration, position=track.p_target_imu)
 
 
-def axes_of_rotation(motion: Motion) -> str:
+def axes_of_rotation(motion: RigMotion) -> str:
     """Draw the axes about which the rig turned, in the body frame, where it turned fast enough to tell."""
     speed = np.linalg.norm(motion.rate, axis=1)
-    fast = speed > _FASTER_THAN * rms(speed)
+    fast = speed > _FASTER_THAN * finite_rms(speed)
     directions = motion.rate[fast] / speed[fast, None]
     counted: dict[float, tuple[Floats, Floats]] = {}
     for side in (1.0, -1.0):
-        flat = lambert(directions[(directions[:, 2] >= 0) == (side > 0)], side)
+        flat = lambert_projection(directions[(directions[:, 2] >= 0) == (side > 0)], side)
         spots, count = np.unique(np.floor(flat / _PATCH + 0.5), axis=0, return_counts=True)
         counted[side] = spots, count.astype(np.float64)
     most = max(float(count.max(initial=0)) for _, count in counted.values()) or 1.0
 
     sheet = Sheet()
     for side, (spots, count) in counted.items():
-        panel = hemisphere(sheet, side)
+        panel = hemisphere_panel(sheet, side)
         panel.rim = np.sqrt(2)
         panel.cells((spots - 0.5) * _PATCH, (_PATCH, _PATCH), level=np.sqrt(count / most), color="after")
     return sheet.draw("rotation", SPHERE_HEIGHT, "Axes of rotation in the body frame, on two hemispheres.")
 
 
-def rates(motion: Motion) -> str:
+def draw_motion_histograms(motion: RigMotion) -> str:
     """Draw histograms of angular rate and linear acceleration per axis."""
     parts = (("Angular rate [°/s]", motion.rate), ("Linear acceleration [m/s²]", motion.acceleration))
 
     sheet = Sheet()
     for k, (title, values) in enumerate(parts):
-        sizes = np.abs(finite(values))
+        sizes = np.abs(finite_values(values))
         reach = 1.02 * float(np.quantile(sizes, 0.9995)) if sizes.size and sizes.max() > 0 else 1.0
         axes = half_panel(sheet, title, k, top=36, height=220, left=20)
-        histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
+        draw_histograms(axes, [(values[:, i], axis) for i, axis in enumerate(AXES)], reach=reach, bins=50)
         axes.y.ticks = ()
     return sheet.draw("rates", 300, "Histograms of angular rate and of linear acceleration along the body axes.")
 
 
-def path(motion: Motion) -> str:
+def draw_imu_path(motion: RigMotion) -> str:
     """Draw the path of the IMU in the target's frame, from the front and along its y axis, coloured by time."""
     kept = _sampled(motion, 1500)
-    high = np.array([highest(axis) for axis in motion.position.T])
-    low = -np.array([highest(-axis) for axis in motion.position.T])
+    high = np.array([highest_finite(axis) for axis in motion.position.T])
+    low = -np.array([highest_finite(-axis) for axis in motion.position.T])
     span = 0.54 * max(float((high - low).max()), 1e-3)
     spans = time_spans(motion.t_s)
     colour = np.clip(np.searchsorted(spans, motion.t_s[kept], side="right") - 1, 0, len(TIMES) - 1)
@@ -305,5 +305,5 @@ def path(motion: Motion) -> str:
     return sheet.draw("path", 396, "Path of the IMU in the frame of the target, from the front and along its y axis.")
 
 
-def _sampled(motion: Motion, most: int) -> Integers:
+def _sampled(motion: RigMotion, most: int) -> Integers:
     return np.arange(0, len(motion.t_s), max(1, -(-len(motion.t_s) // most)))

@@ -14,14 +14,14 @@ from ..recording import Floats
 from ..results.calibration import Calibration
 from .cameras_lens import field_of_view, focal_at_axis
 from .drawing.figures import AXES
-from .imu_parameters import sigmas_of, triple
-from .numbers import fixed, number
-from .page import Parameter, ParameterGroup, parameter
+from .imu_parameters import axes_group, sigmas_of
+from .numbers import fixed_text, number_text
+from .page import Parameter, ParameterGroup, parameter_line
 
 _DEG = degrees(1.0)
 
 
-def mounting(R_cam_imu: Floats) -> Floats:
+def nominal_mounting(R_cam_imu: Floats) -> Floats:
     """Return the rotation (3, 3) nearest to `R_cam_imu` that maps axes to axes: how the camera was meant to sit."""
     candidates: list[Floats] = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
@@ -33,7 +33,7 @@ def mounting(R_cam_imu: Floats) -> Floats:
 
 def mounting_text(R_cam_imu: Floats, whose: str = "camera", body: str = "the IMU") -> str:
     """Return where the axes of a sensor point, such as "camera x, y, z along −y, −z, +x of the IMU"."""
-    rows = mounting(R_cam_imu)
+    rows = nominal_mounting(R_cam_imu)
     along = [f"{'−' if row.sum() < 0 else '+'}{AXES[int(np.argmax(np.abs(row)))]}" for row in rows]
     return f"{whose} x, y, z along {', '.join(along)} of {body}"
 
@@ -61,7 +61,7 @@ def placed_imu_groups(calibration: Calibration, name: str) -> tuple[ParameterGro
         words = "t_gyroscope = t_accelerometer + time shift"
         shifts.append(("of the accelerometer", f"{name}.accelerometer.time_shift", words))
     rows = [
-        parameter(label, 1e3 * calibration.parameter(path), 1e3 * calibration.sigma(path), "ms", reads_as=words)
+        parameter_line(label, 1e3 * calibration.parameter(path), 1e3 * calibration.sigma(path), "ms", reads_as=words)
         for label, path, words in shifts
     ]
     return (*groups, ParameterGroup("Time", "", rows)) if rows else tuple(groups)
@@ -77,7 +77,7 @@ def _pose_groups(calibration: Calibration, path: str, T: Floats, words: tuple[st
     """
     whose, sensor, body = words
     R, t = T[:3, :3], T[:3, 3]
-    nominal = mounting(R)
+    nominal = nominal_mounting(R)
     covariance = calibration.covariance(f"{path}.rotation", f"{path}.translation")
 
     def pose(x: Floats) -> Floats:
@@ -93,7 +93,7 @@ def _pose_groups(calibration: Calibration, path: str, T: Floats, words: tuple[st
         ("Position", f"origin of {sensor} in the frame of {body}", "mm"),
     )
     return [
-        triple(title, note, unit, values[3 * i : 3 * i + 3], spreads[3 * i : 3 * i + 3])
+        axes_group(title, note, unit, values[3 * i : 3 * i + 3], spreads[3 * i : 3 * i + 3])
         for i, (title, note, unit) in enumerate(titles)
     ]
 
@@ -101,11 +101,11 @@ def _pose_groups(calibration: Calibration, path: str, T: Floats, words: tuple[st
 def _times(calibration: Calibration, name: str) -> ParameterGroup:
     camera = calibration.cameras[name]
     shift, sigma = 1e3 * camera.time_shift_cam_imu, 1e3 * calibration.sigma(f"{name}.time_shift_cam_imu")
-    rows = [parameter("time shift", shift, float(sigma), "ms", reads_as="t_imu = t_cam + time shift")]
+    rows = [parameter_line("time shift", shift, float(sigma), "ms", reads_as="t_imu = t_cam + time shift")]
     delay, spread = 1e6 * camera.camera.line_delay_s, 1e6 * float(calibration.sigma(f"{name}.line_delay"))
     if delay or spread:
-        total = number(1e-3 * delay * camera.camera.resolution[1], 3)
-        rows.append(parameter("line delay", delay, spread, "µs per row", reads_as=f"{total} ms per image"))
+        total = number_text(1e-3 * delay * camera.camera.resolution[1], 3)
+        rows.append(parameter_line("line delay", delay, spread, "µs per row", reads_as=f"{total} ms per image"))
     return ParameterGroup("Time", "", rows)
 
 
@@ -116,7 +116,7 @@ def lens_group(calibration: Calibration, name: str) -> ParameterGroup:
     spreads = np.concatenate([calibration.sigma(f"{name}.{part}") for part in ("intrinsics", "distortion_coeffs")])
     rows: list[Parameter] = []
     for label, value, spread in zip(names, values.tolist(), spreads.tolist(), strict=True):
-        rows.append(parameter(label, value, spread, "px" if label[0] in "fp" and label[1] in "uv" else ""))
+        rows.append(parameter_line(label, value, spread, "px" if label[0] in "fp" and label[1] in "uv" else ""))
     return ParameterGroup("Lens", f"{camera.projection}, {camera.distortion}", rows)
 
 
@@ -129,11 +129,11 @@ def baseline_groups(calibration: Calibration, baselines: dict[str, Floats]) -> t
             continue
         values, spreads = _baseline(calibration, to, source)
         note = f"origin of {source} in the frame of {to}"
-        translation = triple(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
-        distance = parameter("distance", values[3], spreads[3], "mm")
+        translation = axes_group(f"{to} against {source}", note, "mm", values[:3], spreads[:3])
+        distance = parameter_line("distance", values[3], spreads[3], "mm")
         groups.append(replace(translation, rows=(*translation.rows, distance)))
         note = f"from the axes of {source} to those of {to}"
-        groups.append(triple("Rotation", note, "°", values[4:], spreads[4:]))
+        groups.append(axes_group("Rotation", note, "°", values[4:], spreads[4:]))
     return tuple(groups)
 
 
@@ -160,10 +160,12 @@ def lens_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ..
     width, height = camera.resolution
     middle = ((width - 1) / 2, (height - 1) / 2)
     wide, high = field_of_view(camera)
-    axis = [f"{number(f, 5)} px at the axis, " if camera.projection != "pinhole" else "" for f in focal_at_axis(camera)]
+    axis = [
+        f"{number_text(f, 5)} px at the axis, " if camera.projection != "pinhole" else "" for f in focal_at_axis(camera)
+    ]
     reads = {
-        "fu": f"{axis[0]}sees {number(_DEG * wide, 4)}° across" if isfinite(wide) else axis[0].rstrip(", "),
-        "fv": f"{axis[1]}sees {number(_DEG * high, 4)}° downwards" if isfinite(high) else axis[1].rstrip(", "),
+        "fu": f"{axis[0]}sees {number_text(_DEG * wide, 4)}° across" if isfinite(wide) else axis[0].rstrip(", "),
+        "fv": f"{axis[1]}sees {number_text(_DEG * high, 4)}° downwards" if isfinite(high) else axis[1].rstrip(", "),
         "pu": _beside(float(camera.intrinsics[-2]) - middle[0], "right", "left"),
         "pv": _beside(float(camera.intrinsics[-1]) - middle[1], "below", "above"),
     }
@@ -176,7 +178,7 @@ def lens_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ..
 
 def _beside(offset: float, more: str, less: str) -> str:
     word = more if offset > 0 else less
-    return f"{fixed(abs(offset), 1)} px {word} {'of ' if word in ('right', 'left') else ''}the image's middle"
+    return f"{fixed_text(abs(offset), 1)} px {word} {'of ' if word in ('right', 'left') else ''}the image's middle"
 
 
 def pose_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ...]:
@@ -185,11 +187,11 @@ def pose_groups(calibration: Calibration, name: str) -> tuple[ParameterGroup, ..
     if name == camera.body:
         return ()
     values, spreads = pose_numbers(calibration, name)
-    place = triple("Position", f"origin of {name} in the frame of {camera.body}", "mm", values[:3], spreads[:3])
-    distance = parameter("baseline", values[3], spreads[3], "mm", reads_as="distance of the two")
-    turn = triple("Rotation", f"from the axes of {camera.body} to those of {name}", "°", values[4:7], spreads[4:7])
-    angle = parameter("in all", values[7], spreads[7], "°")
-    shift = triple(
+    place = axes_group("Position", f"origin of {name} in the frame of {camera.body}", "mm", values[:3], spreads[:3])
+    distance = parameter_line("baseline", values[3], spreads[3], "mm", reads_as="distance of the two")
+    turn = axes_group("Rotation", f"from the axes of {camera.body} to those of {name}", "°", values[4:7], spreads[4:7])
+    angle = parameter_line("in all", values[7], spreads[7], "°")
+    shift = axes_group(
         "Translation", f"last column of {camera.link}: origin of {camera.body} in the frame of {name}", "mm",
         1e3 * camera.T_cam_body[:3, 3], 1e3 * calibration.sigma(f"{name}.{camera.link}.translation"),
     )  # fmt: skip

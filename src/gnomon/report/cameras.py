@@ -15,8 +15,8 @@ from .camera_parameters import pose_numbers
 from .cameras_lens import ProjectionSpread, RadialCurve, field_of_view, lens_covariance, projection_spread, radial_curve
 from .corners import CornerView, corner_view
 from .estimation import noise_table, parameters_section, steps_table
-from .numbers import MISSING, finite, number, share, with_sigma
-from .page import Code, KeyNumber, Page, Prose, Section, typeset
+from .numbers import MISSING, finite_values, number_text, percent_text, with_sigma
+from .page import Code, KeyNumber, Prose, ReportPage, Section, typeset_finding
 from .sections import calibration_page, provenance_section
 from .trust_section import trust_section
 
@@ -24,7 +24,7 @@ _WHOLE = 0.97
 """Share of the image that corners reached from which it is taken for all of it."""
 
 
-def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Page:
+def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> ReportPage:
     """Return the page of a calibration of cameras alone."""
     fit = calibration.assessment.cameras
     views = {
@@ -32,10 +32,10 @@ def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> P
     }
     curves, spreads = _lenses(calibration, views)
     parts = (
-        sections.cameras_section(calibration, diagnostics),
+        sections.lenses_section(calibration, diagnostics),
         trust_section(calibration.assessment, diagnostics.trust),
-        sections.coverage_section(diagnostics, views, fit) if views else None,
-        sections.residuals_section(diagnostics, views),
+        sections.cameras_coverage_section(diagnostics, views, fit) if views else None,
+        sections.cameras_residuals_section(diagnostics, views),
         sections.views_section(diagnostics),
         sections.lens_section(calibration, diagnostics, views, curves, spreads),
         sections.board_section(fit, diagnostics) if fit is not None else None,
@@ -43,7 +43,7 @@ def cameras_page(calibration: Calibration, diagnostics: CamerasDiagnostics) -> P
         parameters_section(diagnostics),
         _solution(diagnostics, converged=fit is None or fit.converged),
         _assumptions(calibration, fit),
-        use_section(calibration),
+        cameras_use_section(calibration),
         provenance_section(calibration.provenance),
     )
     return calibration_page("Camera calibration", calibration, _key_numbers(calibration, fit, curves, spreads), parts)
@@ -79,12 +79,14 @@ def _key_numbers(
     if others:
         values, sigmas = pose_numbers(calibration, others[0])
         text, sigma = with_sigma(float(values[3]), float(sigmas[3]))
-        note = "; ".join(f"{name} {number(float(pose_numbers(calibration, name)[0][3]), 5)} mm" for name in others[1:])
+        note = "; ".join(
+            f"{name} {number_text(float(pose_numbers(calibration, name)[0][3]), 5)} mm" for name in others[1:]
+        )
         value = f"{text}{f' ± {sigma}' if sigma else ''}\u00a0mm"
         numbers.append(KeyNumber(f"Baseline to {others[0]}", value, note or "from cam0"))
     else:
         lens = next(iter(calibration.cameras.values())).camera
-        wide, high = (f"{number(float(np.degrees(v)), 3)}°" for v in field_of_view(lens))
+        wide, high = (f"{number_text(float(np.degrees(v)), 3)}°" for v in field_of_view(lens))
         numbers.append(KeyNumber("Field of view", f"{wide} × {high}", "across, from top to bottom"))
     return tuple(numbers)
 
@@ -93,16 +95,16 @@ def _fit_numbers(fit: CamerasFit) -> tuple[KeyNumber, KeyNumber, KeyNumber]:
     several = len(fit.views_used) > 1
     used = _pooled(fit.corners_used, fit.reprojection_rms_px)
     held = _pooled(fit.corners_used, fit.holdout_rms_px)
-    each = "; ".join(f"{name} {number(rms, 3)}" for name, rms in fit.holdout_rms_px.items())
-    known = f"per axis, of views that the estimate had not seen; of those it had {number(used, 3)} px"
-    unknown = f"no view was held out; of the views used {number(used, 3)} px"
+    each = "; ".join(f"{name} {number_text(rms, 3)}" for name, rms in fit.holdout_rms_px.items())
+    known = f"per axis, of views that the estimate had not seen; of those it had {number_text(used, 3)} px"
+    unknown = f"no view was held out; of the views used {number_text(used, 3)} px"
     counts = "; ".join(f"{name} {used} of {fit.views_found[name]}" for name, used in fit.views_used.items())
     least = min(fit.coverage, key=lambda name: fit.coverage[name], default="")
-    shares = "; ".join(f"{name} {share(part)}" for name, part in fit.coverage.items())
+    shares = "; ".join(f"{name} {percent_text(part)}" for name, part in fit.coverage.items())
     return (
         KeyNumber(
             "Hold-out reprojection",
-            f"{number(held, 3, trim=False)}\u00a0px" if isfinite(held) else MISSING,
+            f"{number_text(held, 3, trim=False)}\u00a0px" if isfinite(held) else MISSING,
             (known if isfinite(held) else unknown) + (f" ({each})" if several and isfinite(held) else ""),
         ),
         KeyNumber(
@@ -112,7 +114,7 @@ def _fit_numbers(fit: CamerasFit) -> tuple[KeyNumber, KeyNumber, KeyNumber]:
         ),
         KeyNumber(
             "Image covered",
-            share(fit.coverage[least]) if least else MISSING,
+            percent_text(fit.coverage[least]) if least else MISSING,
             shares if several else "of its cells hold corners that were used",
         ),
     )
@@ -140,17 +142,17 @@ def _certainty(spreads: dict[str, ProjectionSpread]) -> KeyNumber:
     """Return how well the image of a ray is known, of the worst camera."""
 
     def median(one: ProjectionSpread) -> float:
-        known = finite(one.sigma[one.seen])
+        known = finite_values(one.sigma[one.seen])
         return float(np.median(known)) if known.size else float("nan")
 
     name = max(spreads, key=lambda name: np.nan_to_num(median(spreads[name])))
     one = spreads[name]
-    most = float(np.max(finite(one.sigma[one.seen]), initial=0.0))
+    most = float(np.max(finite_values(one.sigma[one.seen]), initial=0.0))
     beyond = "; nothing tests it elsewhere" if np.mean(one.seen) < _WHOLE else ""
     return KeyNumber(
         "σ of the projection",
-        f"{number(median(spreads[name]), 2)}\u00a0px",
-        f"where {name} saw corners, at most {number(most, 2)} px{beyond}",
+        f"{number_text(median(spreads[name]), 2)}\u00a0px",
+        f"where {name} saw corners, at most {number_text(most, 2)} px{beyond}",
     )
 
 
@@ -177,7 +179,9 @@ def _assumptions(calibration: Calibration, fit: CamerasFit | None) -> Section:
         points.append(f"All rows of an image of {name} are exposed at once, or the camera stood still.")
         if not calibration.sigma(f"{name}.intrinsics").any():
             points.append(f"The lens of {name} ({entry.camera.model}) is as given; it was not estimated.")
-    points += [typeset(finding).message for finding in calibration.assessment.findings if finding.code == "assumed"]
+    points += [
+        typeset_finding(finding).message for finding in calibration.assessment.findings if finding.code == "assumed"
+    ]
     if held := calibration.assessment.held_by_prior:
         points.append(f"Not determined by these views, and held by assumption: {', '.join(held)}.")
     return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
@@ -204,7 +208,7 @@ results-cam.txt       summary, as Kalibr writes it
 diagnostics.npz       the numbers behind the figures of this report"""
 
 
-def use_section(calibration: Calibration) -> Section:
+def cameras_use_section(calibration: Calibration) -> Section:
     """Return files, formulas and code for each lens, and what to do next."""
     blocks = [Code("Files beside this report", _FILES), Code("Next: the same cameras with an IMU", NEXT)]
     for name, entry in calibration.cameras.items():

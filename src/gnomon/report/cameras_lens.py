@@ -20,9 +20,9 @@ from ..results.camera_diagnostics import LensTrial
 from .corner_figures import image_panels, images_height
 from .corners import CornerView
 from .drawing import svg
-from .drawing.figures import TEXT, WIDTH, Sheet, dots
+from .drawing.figures import TEXT, WIDTH, Sheet, draw_dots
 from .drawing.panel import DASHED
-from .numbers import finite, highest, number, positive
+from .numbers import finite_values, highest_finite, number_text, positive_or
 
 SPREAD_COLUMNS = 30
 """Cells across the image in which the standard deviation of a projection is found."""
@@ -153,7 +153,7 @@ def radial_curve(camera: Camera, covariance: Floats, pixels: Floats) -> RadialCu
     edges = tuple(
         float(np.nanmin(part)) if np.isfinite(part).any() else np.nan for part in (ends[:2], ends[2:4], ends[4:])
     )
-    seen = finite(_angles(camera, pixels[:: max(1, len(pixels) // 20_000)]))
+    seen = finite_values(_angles(camera, pixels[:: max(1, len(pixels) // 20_000)]))
     most = float(np.nanmax(ends)) if np.isfinite(ends).any() else 1.0
     angle = np.linspace(0.0, most, 121)
     around = np.linspace(0, 2 * np.pi, _AZIMUTHS, endpoint=False)
@@ -203,7 +203,7 @@ def focal_at_axis(camera: Camera) -> Floats:
     return np.diag(by_point[0])
 
 
-def straightened(camera: Camera) -> list[Floats]:
+def undistorted_grid(camera: Camera) -> list[Floats]:
     """Return columns and rows of pixels as a pinhole with the same middle would see them, (n, 2) [px].
 
     What lies more than 68 degrees off the axis is left out (nan).
@@ -233,10 +233,10 @@ _ROW, _LEFT, _LEAST = 26.0, 220.0, 150.0
 """Height of a row, where the rows begin, and how high all rows are together at least, for small screens."""
 
 
-def curve(name: str, found: RadialCurve) -> str:
+def draw_lens_curve(name: str, found: RadialCurve) -> str:
     """Draw radius over angle with those of an ideal pinhole and of equal angles, and its standard deviation below."""
     angle = np.degrees(found.angle)
-    top = 1.06 * positive(highest(found.radius))
+    top = 1.06 * positive_or(highest_finite(found.radius))
 
     sheet = Sheet()
     axes = sheet.panel("Distance from the image of the axis [px]", top=36, height=230)
@@ -248,7 +248,7 @@ def curve(name: str, found: RadialCurve) -> str:
     below = sheet.panel("σ of it [px]", top=324, height=130, x_label="angle to the axis [°]")
     below.band(angle, np.zeros(len(angle)), found.sigma, "after", alpha=0.3)
     below.line(angle, found.sigma, "after", width=1.6)
-    below.y.span(0, 1.1 * positive(highest(found.sigma)))
+    below.y.span(0, 1.1 * positive_or(highest_finite(found.sigma)))
     below.y.most = 4
     for panel in (axes, below):
         panel.x.span(0, angle[-1])
@@ -262,16 +262,16 @@ def curve(name: str, found: RadialCurve) -> str:
     return sheet.draw(f"curve-{name}", 518, alt)
 
 
-def grid(name: str, camera: Camera) -> str:
+def draw_lens_grid(name: str, camera: Camera) -> str:
     """Draw rows and columns of pixels as they lie when the image is straightened, and the frame of the image."""
-    lines = straightened(camera)
+    lines = undistorted_grid(camera)
     drawn = np.concatenate(lines)
     drawn = drawn[np.isfinite(drawn).all(axis=1)]
     width, height = camera.resolution
     frame = np.array([(0, 0), (width - 1, 0), (width - 1, height - 1), (0, height - 1), (0, 0)], dtype=np.float64)
     both = np.concatenate([drawn, frame])
     low, high = both.min(axis=0), both.max(axis=0)
-    tall = float(np.clip(WIDTH * (high[1] - low[1]) / positive(high[0] - low[0]), 200, 560))
+    tall = float(np.clip(WIDTH * (high[1] - low[1]) / positive_or(high[0] - low[0]), 200, 560))
     scale = max((high[0] - low[0]) / (WIDTH - 24), (high[1] - low[1]) / (tall - 24))
     middle = (low + high) / 2
 
@@ -286,11 +286,11 @@ def grid(name: str, camera: Camera) -> str:
     return sheet.draw(f"grid-{name}", tall + 26, f"The pixels of {name} after its lens was taken off.")
 
 
-def spread(views: Mapping[str, CornerView], found: Mapping[str, ProjectionSpread]) -> str:
+def draw_ray_sigmas(views: Mapping[str, CornerView], found: Mapping[str, ProjectionSpread]) -> str:
     """Draw the standard deviation of the image of a ray over the image, with numbers; grey where no corners were."""
-    values = np.concatenate([finite(one.sigma) for one in found.values()])
+    values = np.concatenate([finite_values(one.sigma) for one in found.values()])
     low, high = (float(values.min()), float(values.max())) if values.size and values.min() > 0 else (1.0, 2.0)
-    step = np.log(positive(high / low, 2.0)) / _LEVELS or 1.0
+    step = np.log(positive_or(high / low, 2.0)) / _LEVELS or 1.0
 
     sheet = Sheet()
     for panel, one in zip(image_panels(sheet, views), found.values(), strict=True):
@@ -309,7 +309,7 @@ def spread(views: Mapping[str, CornerView], found: Mapping[str, ProjectionSpread
                     at = one.corner[k] + np.array(one.size) / 2
                     seen = bool(one.seen[k])
                     style = svg.text_style("ink" if seen else "muted", TEXT, "center", bold=seen)
-                    text = number(float(one.sigma[k]), 2, trim=False)
+                    text = number_text(float(one.sigma[k]), 2, trim=False)
                     panel.text(text, float(at[0]), float(at[1]), style, offset=(0.0, 4.0))
     return sheet.draw("spread", images_height(views), "Standard deviation of the image of a ray over the image.")
 
@@ -329,7 +329,7 @@ def _rim(one: ProjectionSpread) -> np.ndarray:
     return np.concatenate(lines) if lines else np.full((1, 2), np.nan)
 
 
-def trials(name: str, tried: list[LensTrial]) -> str:
+def draw_lens_trials(name: str, tried: list[LensTrial]) -> str:
     """Draw the residuals of the lens models that were tried on one camera, held out and used, a row each."""
     height = max(_ROW * len(tried), _LEAST)
 
@@ -346,8 +346,8 @@ def trials(name: str, tried: list[LensTrial]) -> str:
     y = np.arange(0.5, len(tried))
     for row, place in enumerate(y.tolist()):
         panel.line(np.array([held[row], used[row]]), np.full(2, place), "grid", width=2.0)
-    dots(panel, used, y, "before", size=13.0, ring=True)
-    dots(panel, held, y, "after", size=7.0)
+    draw_dots(panel, used, y, "before", size=13.0, ring=True)
+    draw_dots(panel, held, y, "after", size=7.0)
     for trial, place in zip(tried, y, strict=True):
         at = float(panel.y.places(np.array(place))) + 4.0
         weight = "bold" if trial.chosen else "normal"
@@ -360,7 +360,7 @@ _TICKS = [step * 10.0**k for k in range(-3, 4) for step in (1.0, 1.5, 2.0, 3.0, 
 
 
 def _span(values: np.ndarray) -> tuple[float, float]:
-    known = finite(values)
+    known = finite_values(values)
     known = known[known > 0]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.1, 1.0)
     return 0.8 * low, max(1.25 * high, 2.0 * low)

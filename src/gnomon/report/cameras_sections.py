@@ -11,22 +11,32 @@ from . import cameras_lens, cameras_views
 from .camera_parameters import lens_groups, pose_groups
 from .cameras_lens import ProjectionSpread, RadialCurve
 from .cameras_views import epipolar_errors
-from .corner_figures import arrows, coverage, unseen_places
+from .corner_figures import draw_arrows, draw_corner_coverage, unseen_places
 from .corners import CornerView, corner_scatter, field_figure, frames_figure, frames_left_out
-from .drawing.figures import WIDTH, Sheet, dots
+from .drawing.figures import WIDTH, Sheet, draw_dots
 from .drawing.rig import rig_drawing
-from .numbers import MISSING, estimate, finite, fixed, largest, number, positive, share
-from .page import Block, Code, Figure, Legend, Parameters, Section, Table
-from .sections import matrix_text
+from .numbers import (
+    MISSING,
+    estimate_text,
+    finite_values,
+    fixed_text,
+    largest_magnitude,
+    number_text,
+    percent_text,
+    positive_or,
+)
+from .page import Block, Code, Figure, Legend, ParameterTable, ReportTable, Section
+from .sections import aligned_matrix
 
 _AXES = tuple(Legend("line", axis, axis) for axis in "xyz")
 
 
-def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Section:
+def lenses_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -> Section:
     """Return the lenses, and where the cameras sit to the first one."""
     several = len(calibration.cameras) > 1
     blocks: list[Block] = [
-        Parameters(title=name if several else "", groups=lens_groups(calibration, name)) for name in calibration.cameras
+        ParameterTable(title=name if several else "", groups=lens_groups(calibration, name))
+        for name in calibration.cameras
     ]
     if several:
         first = next(iter(calibration.cameras))
@@ -42,10 +52,10 @@ def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -
     for name, camera in calibration.cameras.items():
         if groups := pose_groups(calibration, name):
             blocks += [
-                Parameters(title=f"{name} against {camera.body}", groups=groups),
+                ParameterTable(title=f"{name} against {camera.body}", groups=groups),
                 Code(
                     f"{camera.link} of {name}: p_cam = {camera.link} p_{camera.body}, in metres",
-                    matrix_text(camera.link, camera.T_cam_body),
+                    aligned_matrix(camera.link, camera.T_cam_body),
                 ),
             ]
     blocks += _epipolar(calibration, diagnostics)
@@ -58,21 +68,21 @@ def cameras_section(calibration: Calibration, diagnostics: CamerasDiagnostics) -
     )
 
 
-def _epipolar(calibration: Calibration, diagnostics: CamerasDiagnostics) -> list[Table]:
+def _epipolar(calibration: Calibration, diagnostics: CamerasDiagnostics) -> list[ReportTable]:
     first, *others = [name for name in calibration.cameras if name in diagnostics.corners] or [""]
     rows: list[tuple[str, ...]] = []
     for name in others:
         errors = epipolar_errors(calibration, diagnostics.corners, first, name)
-        known = finite(errors.error)
+        known = finite_values(errors.error)
         if known.size:
-            worst = f"{number(float(np.quantile(np.abs(known), 0.99)), 2)}\u00a0px"
+            worst = f"{number_text(float(np.quantile(np.abs(known), 0.99)), 2)}\u00a0px"
             sizes = (errors.typical_used, errors.typical_other)
-            cells = [f"{number(size, 3)}\u00a0px" if isfinite(size) else MISSING for size in sizes]
+            cells = [f"{number_text(size, 3)}\u00a0px" if isfinite(size) else MISSING for size in sizes]
             rows.append((f"{name} against {first}", str(len(known)), *cells, worst))
     if not rows:
         return []
     return [
-        Table(
+        ReportTable(
             "Distance from epipolar lines",
             ("", "corners", "views used", "other views", "99 % below"),
             rows,
@@ -83,13 +93,15 @@ def _epipolar(calibration: Calibration, diagnostics: CamerasDiagnostics) -> list
     ]
 
 
-def coverage_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView], fit: CamerasFit | None) -> Section:
+def cameras_coverage_section(
+    diagnostics: CamerasDiagnostics, views: dict[str, CornerView], fit: CamerasFit | None
+) -> Section:
     """Return where in the image corners were used."""
     counts = {name: diagnostics.coverage.get(name, np.ones((1, 1))) for name in views}
     shares = {name: float(np.mean(np.asarray(count) > 0)) for name, count in counts.items()}
     if fit is not None:
         shares |= {name: part for name, part in fit.coverage.items() if name in shares}
-    reached = "; ".join(f"{name} {share(part)}" for name, part in shares.items())
+    reached = "; ".join(f"{name} {percent_text(part)}" for name, part in shares.items())
     return Section(
         "coverage",
         "Coverage",
@@ -97,7 +109,7 @@ def coverage_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerVie
         (
             Figure(
                 "Corners in the image",
-                coverage(views, counts),
+                draw_corner_coverage(views, counts),
                 (
                     Legend("dot", "after", "corner used"),
                     Legend("band", "accent", "cell without any"),
@@ -124,7 +136,7 @@ def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView]) -> Section:
+def cameras_residuals_section(diagnostics: CamerasDiagnostics, views: dict[str, CornerView]) -> Section:
     """Return what is left of the corners: over the image, their scatter, and view by view."""
     blocks: list[Block] = [field_figure(views)] if views else []
     for name, view in views.items():
@@ -156,14 +168,14 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
         (
             Figure(
                 "Cameras around the board",
-                cameras_views.scene(around),
+                cameras_views.draw_scene(around),
                 legend,
                 f"The {len(around.position)} views used, in the frame of the board.",
             ),
-            Figure("From above and from the side", cameras_views.plans(around), legend),
+            Figure("From above and from the side", cameras_views.draw_plans(around), legend),
             Figure(
                 "Tilt of the board",
-                cameras_views.attitudes(around),
+                cameras_views.draw_attitudes(around),
                 (Legend("dot", "after", "view"),) + ((Legend("dot", "accent", "most informative"),) if telling else ()),
                 "Left, from which side of its normal the board was seen, y over x of it, circles every 15°; "
                 "right, how far it was tilted against the line of sight. Tilts of 20° to 50° to all sides are the most "
@@ -174,7 +186,7 @@ def views_section(diagnostics: CamerasDiagnostics) -> Section | None:
     )
 
 
-def _views_table(around: cameras_views.ViewsAround) -> Table:
+def _views_table(around: cameras_views.ViewsAround) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for label, values, unit, factor in (
         ("distance from the board's middle", around.distance, "m", 1.0),
@@ -182,8 +194,8 @@ def _views_table(around: cameras_views.ViewsAround) -> Table:
         ("turn about the line of sight", around.roll, "°", degrees(1.0)),
     ):
         cells = (float(v) * factor for v in np.quantile(values, (0.0, 0.5, 1.0)))
-        rows.append((label, *(f"{number(v, 3)}{'' if unit == '°' else chr(160)}{unit}" for v in cells)))
-    return Table("In numbers", ("", "smallest", "median", "largest"), rows)
+        rows.append((label, *(f"{number_text(v, 3)}{'' if unit == '°' else chr(160)}{unit}" for v in cells)))
+    return ReportTable("In numbers", ("", "smallest", "median", "largest"), rows)
 
 
 def lens_section(
@@ -212,7 +224,7 @@ def lens_section(
 def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSpread]) -> Figure:
     return Figure(
         "Uncertainty of the projection [px]",
-        cameras_lens.spread({name: views[name] for name in spreads}, spreads),
+        cameras_lens.draw_ray_sigmas({name: views[name] for name in spreads}, spreads),
         (
             Legend("band", "heldout", "with corners: the stronger, the less certain"),
             Legend("band", "before", "without corners, by the formula of the model alone"),
@@ -224,16 +236,22 @@ def _spread_figure(views: dict[str, CornerView], spreads: dict[str, ProjectionSp
     )
 
 
-def _spread_table(spreads: dict[str, ProjectionSpread]) -> Table:
+def _spread_table(spreads: dict[str, ProjectionSpread]) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for name, one in spreads.items():
         known = np.isfinite(one.sigma)
         parts = (one.sigma[known & one.seen], one.sigma[known & ~one.seen], one.fixed[known & one.seen])
-        cells = [f"{number(float(np.median(part)), 2)}\u00a0px" if len(part) else MISSING for part in parts]
+        cells = [f"{number_text(float(np.median(part)), 2)}\u00a0px" if len(part) else MISSING for part in parts]
         rows.append(
-            (name, cells[0], cells[1], f"{number(float(np.max(one.sigma[known], initial=0.0)), 2)}\u00a0px", cells[2])
+            (
+                name,
+                cells[0],
+                cells[1],
+                f"{number_text(float(np.max(one.sigma[known], initial=0.0)), 2)}\u00a0px",
+                cells[2],
+            )
         )
-    return Table(
+    return ReportTable(
         "Uncertainty of the projection in numbers",
         ("", "with corners", "without corners", "largest", "axes held fast"),
         rows,
@@ -243,10 +261,10 @@ def _spread_table(spreads: dict[str, ProjectionSpread]) -> Table:
 
 
 def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
-    high, wide = (f"{fixed(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
+    high, wide = (f"{fixed_text(degrees(edge), 1)}°" if isfinite(edge) else MISSING for edge in found.edges[:2])
     return Figure(
         f"From ray to pixel, {name}",
-        cameras_lens.curve(name, found),
+        cameras_lens.draw_lens_curve(name, found),
         (
             Legend("line", "after", "this lens"),
             Legend("dash", "before", "pinhole, f tan θ"),
@@ -254,7 +272,7 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
             Legend("line", "accent", "farthest corner used"),
             Legend("dash", "muted", "nearest edges of the image"),
         ),
-        f"Mean over all directions about the optical axis; focal length {number(found.focal, 5)} px at it. "
+        f"Mean over all directions about the optical axis; focal length {number_text(found.focal, 5)} px at it. "
         f"The image ends at {high} above or below and at {wide} aside."
         + ("" if known else " The lens was given; no σ is known."),
     )
@@ -263,7 +281,7 @@ def _curve_figure(name: str, found: RadialCurve, *, known: bool) -> Figure:
 def _grid_figure(calibration: Calibration, name: str) -> Figure:
     return Figure(
         f"The image of {name}, straightened",
-        cameras_lens.grid(name, calibration.cameras[name].camera),
+        cameras_lens.draw_lens_grid(name, calibration.cameras[name].camera),
         (Legend("line", "after", "rows and columns of pixels"), Legend("dash", "ink", "frame of the image")),
         "Where rows and columns of the image lie in that of a pinhole with the same focal length and principal "
         "point. Rays more than 68° off the axis are left out.",
@@ -279,7 +297,7 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
     def against(trial: LensTrial, key: str) -> str:
         if chosen is None or not isfinite(ratio := getattr(trial, key) / getattr(chosen, key)):
             return MISSING
-        return "taken" if trial is chosen else f"{fixed(100 * (ratio - 1), 1, sign=True)}\u00a0%"
+        return "taken" if trial is chosen else f"{fixed_text(100 * (ratio - 1), 1, sign=True)}\u00a0%"
 
     rows = tuple(
         (t.model, str(t.parameters), *(against(t, key) for key in ("holdout_rms_px", "rms_px"))) for t in tried
@@ -289,12 +307,12 @@ def _trials(name: str, tried: list[LensTrial]) -> list[Block]:
         blocks.append(
             Figure(
                 f"Lens models tried on {name}",
-                cameras_lens.trials(name, tried),
+                cameras_lens.draw_lens_trials(name, tried),
                 (Legend("dot", "after", "views held out"), Legend("ring", "before", "views used")),
             )
         )
     blocks.append(
-        Table(
+        ReportTable(
             f"Lens models of {name} in numbers",
             ("model", "parameters", "views held out", "views used"),
             rows,
@@ -329,10 +347,10 @@ def board_section(fit: CamerasFit, diagnostics: CamerasDiagnostics) -> Section:
     return Section("board", "Board", lead, blocks)
 
 
-def _numbers(fit: CamerasFit, shifts: Floats) -> Table:
+def _numbers(fit: CamerasFit, shifts: Floats) -> ReportTable:
     def row(name: str, value: float, sigma: float, unit: str, meaning: str) -> tuple[str, ...]:
         held = not (isfinite(value) and sigma > 0)
-        text = "not estimated" if held else f"{estimate(value, sigma, sign=True)} {unit}".replace(" ", "\u00a0")
+        text = "not estimated" if held else f"{estimate_text(value, sigma, sign=True)} {unit}".replace(" ", "\u00a0")
         return name, text, meaning
 
     rows = [
@@ -342,47 +360,47 @@ def _numbers(fit: CamerasFit, shifts: Floats) -> Table:
             "true size over stated, minus 1; needs --baseline"),
     ]  # fmt: skip
     for name, part in (("largest shift in the plane", shifts[:, :2]), ("largest shift out of it", shifts[:, 2:])):
-        size = largest(np.linalg.norm(part, axis=1)) if len(part) else float("nan")
-        text = f"{number(1e3 * size, 2)}\u00a0mm" if size > 0 else MISSING
+        size = largest_magnitude(np.linalg.norm(part, axis=1)) if len(part) else float("nan")
+        text = f"{number_text(1e3 * size, 2)}\u00a0mm" if size > 0 else MISSING
         rows.append((name, text, "of a point"))
-    return Table("In numbers", ("", "found", "what it is"), rows, remarked=True)
+    return ReportTable("In numbers", ("", "found", "what it is"), rows, remarked=True)
 
 
 def _figure(points: Floats, shifts: Floats) -> Figure:
     longer = _magnification(points, shifts)
-    high = 1e3 * largest(shifts[:, 2])
-    drawn = f"Arrows are {number(longer)} times as long as the shifts. " if longer else ""
+    high = 1e3 * largest_magnitude(shifts[:, 2])
+    drawn = f"Arrows are {number_text(longer)} times as long as the shifts. " if longer else ""
     return Figure(
         "Where the points of the board are",
-        board(points, shifts, longer),
+        draw_board_shape(points, shifts, longer),
         (
             Legend("dot", "after", "above the plane (+z)"),
             Legend("dot", "heldout", "below it (−z)"),
             *((Legend("line", "ink", "shift in the plane"),) if longer else ()),
         ),
-        f"{drawn}The larger a dot, the farther its point is out of the plane, up to {number(high, 2)} mm. What "
+        f"{drawn}The larger a dot, the farther its point is out of the plane, up to {number_text(high, 2)} mm. What "
         "a shift, a turn and a common scale of all points do is part of the poses, and was taken off.",
     )
 
 
 def _magnification(points: Floats, shifts: Floats) -> float:
     """Return by how much arrows are lengthened, a round number; zero without shifts in the plane to speak of."""
-    most = largest(np.linalg.norm(shifts[:, :2], axis=1))
-    if not most > _TO_SPEAK_OF * largest(shifts):
+    most = largest_magnitude(np.linalg.norm(shifts[:, :2], axis=1))
+    if not most > _TO_SPEAK_OF * largest_magnitude(shifts):
         return 0.0
-    wanted = 0.06 * positive(float(np.ptp(points[:, :2], axis=0).max())) / most
+    wanted = 0.06 * positive_or(float(np.ptp(points[:, :2], axis=0).max())) / most
     power = 10.0 ** np.floor(np.log10(wanted))
     return float(power * max(step for step in (1, 2, 5) if step * power <= wanted * 1.0001))
 
 
-def board(points: Floats, shifts: Floats, longer: float) -> str:
+def draw_board_shape(points: Floats, shifts: Floats, longer: float) -> str:
     """Draw the points with dots for how high they are and arrows for how they are shifted in the plane."""
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    room = 0.09 * positive(float((high - low).max()))
+    room = 0.09 * positive_or(float((high - low).max()))
     low, high = low - room, high + room
     width = min(WIDTH - 90, 470 * (high[0] - low[0]) / (high[1] - low[1]))
     height = width * (high[1] - low[1]) / (high[0] - low[0])
-    up, most = shifts[:, 2], positive(largest(shifts[:, 2]))
+    up, most = shifts[:, 2], positive_or(largest_magnitude(shifts[:, 2]))
 
     sheet = Sheet()
     panel = sheet.panel("Board: y over x [m]", top=36, height=height, left=62, right=WIDTH - 62 - width)
@@ -392,8 +410,8 @@ def board(points: Floats, shifts: Floats, longer: float) -> str:
     for color, sign in (("after", 1.0), ("heldout", -1.0)):
         step = np.ceil(_STEPS * np.clip(sign * up / most, 0, 1)).astype(int)
         for k in range(1, _STEPS + 1):
-            dots(panel, points[step == k, 0], points[step == k, 1], color, size=2.5 + 3.0 * k)
-    dots(panel, points[:, 0], points[:, 1], "ink", size=1.6)
+            draw_dots(panel, points[step == k, 0], points[step == k, 1], color, size=2.5 + 3.0 * k)
+    draw_dots(panel, points[:, 0], points[:, 1], "ink", size=1.6)
     if longer:
-        arrows(panel, points[:, :2], longer * shifts[:, :2], "ink")
+        draw_arrows(panel, points[:, :2], longer * shifts[:, :2], "ink")
     return sheet.draw("board", height + 84, f"Shifts of the {len(points)} points of the board.")

@@ -12,9 +12,9 @@ from ..recording import Floats, Integers
 from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CornerFit, ViewPose
 from .drawing import svg
-from .drawing.figures import TEXT, WIDTH, Sheet, dots, fit_to_scale, half_panel
+from .drawing.figures import TEXT, WIDTH, Sheet, draw_dots, fit_to_scale, half_panel
 from .drawing.panel import Panel
-from .numbers import finite, number, positive
+from .numbers import finite_values, number_text, positive_or
 
 _MOST_DRAWN = 120
 _TELLING = 5
@@ -101,14 +101,14 @@ def _pyramids(around: ViewsAround) -> tuple[Floats, Floats]:
     """Return the outlines of evenly chosen views, (n, 11, 3), which one stroke can draw, and which tell most (n,)."""
     step = max(1, -(-len(around.position) // _MOST_DRAWN))
     chosen = np.union1d(np.arange(0, len(around.position), step), np.flatnonzero(around.telling))
-    size = 0.07 * positive(float(np.median(around.distance[chosen])) if len(chosen) else 0.0)
+    size = 0.07 * positive_or(float(np.median(around.distance[chosen])) if len(chosen) else 0.0)
     tips = around.position[chosen, None]
     image = tips + size * _PYRAMID @ np.swapaxes(around.axes[chosen], 1, 2)
     outline = np.concatenate([tips, image[:, [0, 1]], tips, image[:, [2, 1, 2, 3]], tips, image[:, [3, 0]]], axis=1)
     return outline, around.telling[chosen]
 
 
-def scene(around: ViewsAround) -> str:
+def draw_scene(around: ViewsAround) -> str:
     """Draw the cameras as pyramids about the board, seen from the side, a little from above."""
     outlines, telling = _pyramids(around)
 
@@ -117,11 +117,11 @@ def scene(around: ViewsAround) -> str:
     board, flat = _flat(around.board), _flat(outlines)
     fit_to_scale(panel, np.concatenate([board, flat.reshape(-1, 2)]), _HEIGHT, room=(60, 40))
     panel.line(board[:, 0], board[:, 1], "ink", width=1.6)
-    wide = f"{number(float(np.ptp(around.board[:, 0])), 3)} m"
+    wide = f"{number_text(float(np.ptp(around.board[:, 0])), 3)} m"
     x, y = board[:2].mean(axis=0).tolist()
     panel.text(wide, x, y, svg.text_style("muted", TEXT, "center"), offset=(0.0, 28.0))
     points = _flat(around.points)
-    dots(panel, points[:, 0], points[:, 1], "before", size=2.2)
+    draw_dots(panel, points[:, 0], points[:, 1], "before", size=2.2)
     _draw_outlines(panel, flat, telling)
     return sheet.draw("scene", _HEIGHT, f"{len(around.position)} views of the board, as pyramids around it.")
 
@@ -139,12 +139,12 @@ def _draw_outlines(panel: Panel, flat: Floats, telling: np.ndarray) -> None:
         panel.line(line[:, 0], line[:, 1], color, width=width)
 
 
-def plans(around: ViewsAround) -> str:
+def draw_plans(around: ViewsAround) -> str:
     """Draw the cameras and the board from above and from the side."""
     outlines, telling = _pyramids(around)
     drawn = np.concatenate([outlines.reshape(-1, 3), around.board])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
-    span, middle = 0.54 * positive(float((high - low).max())), (low + high) / 2
+    span, middle = 0.54 * positive_or(float((high - low).max())), (low + high) / 2
 
     sheet = Sheet()
     for k, (title, right, up) in enumerate((("From above: z over x [m]", 0, 2), ("From the side: y over z [m]", 2, 1))):
@@ -157,7 +157,7 @@ def plans(around: ViewsAround) -> str:
     return sheet.draw("plans", 396, "The views and the board from above and from the side.")
 
 
-def attitudes(around: ViewsAround) -> str:
+def draw_attitudes(around: ViewsAround) -> str:
     """Draw towards which side the board was tilted, and how often by how much."""
     degrees = np.degrees(around.seen_from)
     reach = max(10.0 * np.ceil(float(np.degrees(around.tilt.max(initial=0.0))) / 10 + 0.2), 30.0)
@@ -169,7 +169,7 @@ def attitudes(around: ViewsAround) -> str:
     for radius in np.arange(15.0, reach, 15.0):
         axes.line(radius * np.cos(turn), radius * np.sin(turn), "grid")
     for color, chosen in (("after", ~around.telling), ("accent", around.telling)):
-        dots(axes, degrees[chosen, 0], degrees[chosen, 1], color, size=6.0)
+        draw_dots(axes, degrees[chosen, 0], degrees[chosen, 1], color, size=6.0)
     axes.x.span(-reach, reach)
     axes.y.span(-reach, reach)
     edges = np.arange(0.0, reach + 1e-9, 5.0)
@@ -177,7 +177,7 @@ def attitudes(around: ViewsAround) -> str:
     count = np.histogram(np.degrees(around.tilt), edges)[0].astype(np.float64)
     other.steps(count, edges, "after")
     other.x.span(0, edges[-1])
-    other.y.span(0, 1.08 * positive(float(count.max())))
+    other.y.span(0, 1.08 * positive_or(float(count.max())))
     other.y.whole = True
     return sheet.draw("attitudes", 396, f"Tilt of the board against the line of sight in {len(degrees)} views.")
 
@@ -212,7 +212,7 @@ class EpipolarErrors:
 
 def _typical(errors: Floats) -> float:
     """Return 1.4826 times the median distance from zero, the rms of normal errors whatever a few others are."""
-    known = finite(errors)
+    known = finite_values(errors)
     return 1.4826 * float(np.median(np.abs(known))) if known.size else float("nan")
 
 

@@ -13,10 +13,21 @@ from ..geometry.quaternion import quaternion_from_rotation
 from ..output import write_whole
 from ..recording import Floats
 from .drawing import svg
-from .drawing.figures import RIGHT, Sheet, dots
+from .drawing.figures import RIGHT, Sheet, draw_dots
 from .drawing.panel import Panel
-from .numbers import MISSING, fixed, number, readable_unit
-from .page import Block, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
+from .numbers import MISSING, fixed_text, number_text, readable_unit
+from .page import (
+    Block,
+    Figure,
+    KeyNumber,
+    Legend,
+    Prose,
+    ReportPage,
+    ReportTable,
+    Section,
+    render_page,
+    typeset_finding,
+)
 
 _MOST_PAIRS = 10  # calibrations of which all pairs are shown
 
@@ -29,19 +40,19 @@ def write_comparison_report(comparison: Comparison, path: str | Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    write_whole(path, render(comparison_page(comparison)))
+    write_whole(path, render_page(comparison_page(comparison)))
 
 
-def comparison_page(comparison: Comparison) -> Page:
+def comparison_page(comparison: Comparison) -> ReportPage:
     """Return the page of a comparison."""
     sections = [_summary(comparison), _blocks(comparison), *_biases(comparison), *_lenses(comparison)]
-    return Page(
+    return ReportPage(
         title="Comparison of calibrations",
         subject=", ".join(one.name for one in comparison.calibrations),
         verdict=comparison.verdict,
         headline=comparison.headline,
         key_numbers=_key_numbers(comparison),
-        findings=tuple(typeset(finding) for finding in comparison.findings),
+        findings=tuple(typeset_finding(finding) for finding in comparison.findings),
         sections=(*sections, _calibrations(comparison), _conventions(comparison)),
         footer=f"Made by gnomon {__version__}. This file needs no network and no other file.",
     )
@@ -54,7 +65,9 @@ def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
     if isfinite(comparison.z_rms):
         numbers.append(
             KeyNumber(
-                "z rms", number(comparison.z_rms, 3), f"1 is honest; up to {number(comparison.limit, 3)} is chance"
+                "z rms",
+                number_text(comparison.z_rms, 3),
+                f"1 is honest; up to {number_text(comparison.limit, 3)} is chance",
             )
         )
     if known:
@@ -62,8 +75,8 @@ def _key_numbers(comparison: Comparison) -> tuple[KeyNumber, ...]:
         numbers.append(
             KeyNumber(
                 "Largest difference",
-                f"{number(worst.largest, 3)} σ",
-                f"{block_words(worst.path)}; up to {number(comparison.z_limit, 2)} σ is chance",
+                f"{number_text(worst.largest, 3)} σ",
+                f"{block_words(worst.path)}; up to {number_text(comparison.z_limit, 2)} σ is chance",
             )
         )
     return tuple(numbers)
@@ -90,7 +103,7 @@ def _summary(comparison: Comparison) -> Section:
         blocks.append(
             Figure(
                 "All scalars",
-                deviations(comparison),
+                draw_deviations(comparison),
                 tuple(Legend("dot", color, label) for color, label in legend),
                 f"Every dot is a scalar: its deviation from {zero} over the root mean square of the stated "
                 "sigmas. Hollow dots lie beyond the edge.",
@@ -102,25 +115,25 @@ def _summary(comparison: Comparison) -> Section:
     return Section("agreement", "Agreement", blocks=blocks)
 
 
-def _summary_table(comparison: Comparison) -> Table:
+def _summary_table(comparison: Comparison) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for block in comparison.blocks:
         (scatter, unit), (predicted, _) = (typical_size(block, values) for values in (block.scatter, block.predicted))
-        z_rms = f"{number(block.z_rms, 3)} (≤ {number(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
+        z_rms = f"{number_text(block.z_rms, 3)} (≤ {number_text(block.limit, 3)})" if isfinite(block.z_rms) else MISSING
         held = f"held by {', '.join(block.assumed)}" if block.assumed else ""
         note = ", ".join(part for part in ("" if block.judged else "not judged", held) if part)
         rows.append(
             (
                 block_words(block.path),
                 str(len(block.names)),
-                number(scatter, 2),
-                number(predicted, 2),
+                number_text(scatter, 2),
+                number_text(predicted, 2),
                 _written(unit),
                 z_rms,
                 note,
             )
         )
-    return Table(
+    return ReportTable(
         "Scatter against predicted sigma",
         ("block", "estimated by", "scatter", "predicted σ", "unit", "z rms", ""),
         rows,
@@ -133,7 +146,7 @@ def _summary_table(comparison: Comparison) -> Table:
     )
 
 
-def _pairs(comparison: Comparison) -> Table:
+def _pairs(comparison: Comparison) -> ReportTable:
     names = [one.name for one in comparison.calibrations]
     judged = {block.path for block in comparison.blocks if block.judged}
 
@@ -143,11 +156,11 @@ def _pairs(comparison: Comparison) -> Table:
         if not known:
             return MISSING
         worst = max(known, key=lambda item: item.largest)
-        return f"{number(worst.largest, 3)} σ, {block_words(worst.path)}"
+        return f"{number_text(worst.largest, 3)} σ, {block_words(worst.path)}"
 
     rows = tuple((one, *(cell(one, other) if one != other else "" for other in names)) for one in names)
-    caption = f"Up to {number(comparison.z_limit, 2)} σ is chance."
-    return Table("Largest difference of each pair", ("", *names), rows, caption, prose=True)
+    caption = f"Up to {number_text(comparison.z_limit, 2)} σ is chance."
+    return ReportTable("Largest difference of each pair", ("", *names), rows, caption, prose=True)
 
 
 def _blocks(comparison: Comparison) -> Section:
@@ -177,7 +190,7 @@ def _biases(comparison: Comparison) -> Iterator[Section]:
         )
 
 
-def _table(comparison: Comparison, block: Repeatability) -> Table:
+def _table(comparison: Comparison, block: Repeatability) -> ReportTable:
     factor, unit = _shown(block)
     scalars = list(zip(factor * block.values.T, factor * block.sigmas.T, strict=True))
     decimals = [_decimals(sigmas, values) for values, sigmas in scalars]
@@ -185,7 +198,9 @@ def _table(comparison: Comparison, block: Repeatability) -> Table:
     rows = [(name, *(column[i] for column in columns)) for i, name in enumerate(block.names)]
     if len(block.names) > 1:
         for label, values in (("mean", block.mean), ("scatter σ", block.scatter), ("predicted σ", block.predicted)):
-            cells = (fixed(factor * float(v), d + (label != "mean")) for v, d in zip(values, decimals, strict=True))
+            cells = (
+                fixed_text(factor * float(v), d + (label != "mean")) for v, d in zip(values, decimals, strict=True)
+            )
             rows.append((label, *cells))
     if len(block.names) == 2:
         rows += _difference_rows(comparison.difference(*block.names, block.path), factor, decimals)
@@ -195,12 +210,12 @@ def _table(comparison: Comparison, block: Repeatability) -> Table:
         w, x, y, z = quaternion_from_rotation(block.reference)
         caption = (
             f"Small rotations about the axes of {_axes_of(block.path)} against the mean, whose quaternion (w, x, y, z) "
-            f"is {', '.join(fixed(float(v), 7) for v in (w, x, y, z))}."
+            f"is {', '.join(fixed_text(float(v), 7) for v in (w, x, y, z))}."
         )
     if block.assumed:
         caption += f" Held at an ideal or a given value by {', '.join(block.assumed)}."
     title = block_words(block.path)
-    return Table(
+    return ReportTable(
         f"{title[0].upper()}{title[1:]}{of}",
         ("", *block.elements),
         rows,
@@ -217,17 +232,17 @@ def _axes_of(path: str) -> str:
 
 
 def _difference_rows(item: Difference, factor: float, decimals: list[int]) -> list[tuple[str, ...]]:
-    difference = (fixed(factor * float(v), d, sign=True) for v, d in zip(item.values, decimals, strict=True))
+    difference = (fixed_text(factor * float(v), d, sign=True) for v, d in zip(item.values, decimals, strict=True))
     rows: list[tuple[str, ...]] = [(f"{item.first} − {item.second}", *difference)]
     if isfinite(item.largest):
-        rows.append(("in sigmas", *(fixed(float(z), 1, sign=True) for z in item.z)))
+        rows.append(("in sigmas", *(fixed_text(float(z), 1, sign=True) for z in item.z)))
     return rows
 
 
 def _column(values: Floats, sigmas: Floats, decimals: int) -> list[str]:
     """Return the texts of one scalar in all calibrations."""
     return [
-        fixed(float(value), decimals) + (f" ± {fixed(float(sigma), decimals)}" if isfinite(sigma) else "")
+        fixed_text(float(value), decimals) + (f" ± {fixed_text(float(sigma), decimals)}" if isfinite(sigma) else "")
         for value, sigma in zip(values, sigmas, strict=True)
     ]
 
@@ -244,12 +259,12 @@ def _decimals(sigmas: Floats, values: Floats) -> int:
 def _lenses(comparison: Comparison) -> Iterator[Section]:
     rows: list[tuple[str, ...]] = []
     for lens in comparison.lenses:
-        pixels = (number(value, 2) for value in (lens.rms_px, lens.largest_px, lens.turned_rms_px))
-        turn = number(float(np.degrees(np.linalg.norm(lens.turn))), 2)
+        pixels = (number_text(value, 2) for value in (lens.rms_px, lens.largest_px, lens.turned_rms_px))
+        turn = number_text(float(np.degrees(np.linalg.norm(lens.turn))), 2)
         numbers = ("the same", "", "", "") if lens.same else (*pixels, turn)
         rows.append((lens.camera, lens.first, lens.second, " / ".join(dict.fromkeys(lens.models)), *numbers))
     if rows:
-        table = Table(
+        table = ReportTable(
             "Where both would see one ray",
             ("camera", "first", "second", "models", "rms [px]", "largest [px]", "rms, turned [px]", "turn [°]"),
             rows,
@@ -274,7 +289,7 @@ def _calibrations(comparison: Comparison) -> Section:
         )
         for one in comparison.calibrations
     )
-    table = Table(
+    table = ReportTable(
         "What was compared",
         ("name", "format", "verdict", "body frame", "sigmas", "gravity", "sensors", "recording"),
         rows,
@@ -302,8 +317,8 @@ def _conventions(comparison: Comparison) -> Section:
         *forms,
         "A difference has the variances of both calibrations, less what both share by the same assumed gravity. Where "
         "one states no sigmas it is held against those of the other; where neither does, against those of the rest.",
-        f"All {comparison.compared} differences of scalars together exceed {number(comparison.z_limit, 3)} σ in one of "
-        "a hundred comparisons of honest calibrations; beyond that two calibrations differ.",
+        f"All {comparison.compared} differences of scalars together exceed {number_text(comparison.z_limit, 3)} σ "
+        "in one of a hundred comparisons of honest calibrations; beyond that two calibrations differ.",
     )
     return Section("conventions", "Conventions", blocks=(Prose(points, points=True),))
 
@@ -334,7 +349,7 @@ def truth_of(comparison: Comparison) -> str:
     return exact[0] if len(exact) == 1 and all(exact[0] in block.names for block in drawn_blocks(comparison)) else ""
 
 
-def deviations(comparison: Comparison) -> str:
+def draw_deviations(comparison: Comparison) -> str:
     """Deviation of every scalar from the truth, else from the mean, in predicted sigmas, a line for each block."""
     zero = "the truth" if truth_of(comparison) else "the mean"
     blocks = drawn_blocks(comparison)
@@ -381,5 +396,5 @@ def _draw_block(panel: Panel, comparison: Comparison, block: Repeatability, row:
         place = np.full(len(sigmas), row + 0.2 + 0.5 * ((i + 0.5) / count - 0.5))
         inside = np.abs(sigmas) <= reach
         color = color_of(comparison, name)
-        dots(panel, sigmas[inside], place[inside], color, size=5.5)
-        dots(panel, np.clip(sigmas[~inside], -reach, reach), place[~inside], color, size=7.5, ring=True)
+        draw_dots(panel, sigmas[inside], place[inside], color, size=5.5)
+        draw_dots(panel, np.clip(sigmas[~inside], -reach, reach), place[~inside], color, size=7.5, ring=True)

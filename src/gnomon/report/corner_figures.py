@@ -14,17 +14,17 @@ from .drawing.figures import (
     TEXT,
     WIDTH,
     Sheet,
-    coarser,
-    dots,
+    coarsen_envelope,
+    draw_dots,
+    draw_envelope,
+    draw_histograms,
     half_panel,
-    histograms,
-    limits,
     log_limits,
-    thinned,
-    zigzag,
+    set_y_limits,
+    thin_points,
 )
 from .drawing.panel import DASHED, Panel
-from .numbers import finite, highest, positive
+from .numbers import finite_values, highest_finite, positive_or
 
 TIMES = ("t1", "t2", "t3", "t4", "t5")
 """Inks of five equal spans of time."""
@@ -33,11 +33,11 @@ _DOTS = 1500
 
 def corner_residuals(name: str, view: CornerView) -> str:
     """Draw the histogram of the residuals of one camera, and their scatter coloured by time."""
-    residual, reach, sigma = view.residual, view.reach, positive(view.fit.sigma_px, 0.0)
+    residual, reach, sigma = view.residual, view.reach, positive_or(view.fit.sigma_px, 0.0)
 
     sheet = Sheet()
     axes = half_panel(sheet, "Density", 0, top=36, height=314)
-    histograms(axes, [(residual[:, 0], "x"), (residual[:, 1], "y")], reach=reach, sigma=sigma)
+    draw_histograms(axes, [(residual[:, 0], "x"), (residual[:, 1], "y")], reach=reach, sigma=sigma)
     sheet.text("residual [px]", x=WIDTH / 2 - 14, y=400, color="muted", align="right")
     scatter = half_panel(sheet, "Scatter, v over u [px]", 1, top=36, height=314)
     scatter.x.grid = True
@@ -59,7 +59,7 @@ def _scatter(panel: Panel, view: CornerView) -> None:
     span = np.clip(np.searchsorted(spans, view.t_s[chosen], side="right") - 1, 0, len(TIMES) - 1)
     for i, color in enumerate(TIMES):
         here = view.residual[chosen[span == i]]
-        dots(panel, here[:, 0], here[:, 1], color, size=3.2)
+        draw_dots(panel, here[:, 0], here[:, 1], color, size=3.2)
 
 
 def scatter_step(view: CornerView) -> int:
@@ -69,7 +69,7 @@ def scatter_step(view: CornerView) -> int:
 
 def time_spans(t: Floats) -> Floats:
     """Return the six edges of five equal spans of time [s]."""
-    known = finite(t)
+    known = finite_values(t)
     return np.linspace(known.min(), known.max(), len(TIMES) + 1) if known.size else np.linspace(0, 1, len(TIMES) + 1)
 
 
@@ -108,7 +108,7 @@ def images_height(views: Mapping[str, CornerView]) -> float:
     return 36 + sum(rows) + 92 * (len(rows) - 1) + 44
 
 
-def density(views: Mapping[str, CornerView]) -> str:
+def draw_corner_density(views: Mapping[str, CornerView]) -> str:
     """Draw how many corners were seen where in the image."""
     sheet = Sheet()
     for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
@@ -118,7 +118,7 @@ def density(views: Mapping[str, CornerView]) -> str:
     return sheet.draw("density", images_height(views), "Density of the corners over the image of each camera.")
 
 
-def field(views: Mapping[str, CornerView]) -> str:
+def draw_residual_field(views: Mapping[str, CornerView]) -> str:
     """Draw the mean residual over the image, as arrows."""
     longer = field_magnification(views)
 
@@ -126,11 +126,11 @@ def field(views: Mapping[str, CornerView]) -> str:
     for panel, view in zip(image_panels(sheet, views), views.values(), strict=True):
         known = np.isfinite(view.field.mean).all(axis=1)
         centre = view.field.corner[known] + np.array(view.field.size) / 2
-        arrows(panel, centre, longer * view.field.mean[known])
+        draw_arrows(panel, centre, longer * view.field.mean[known])
     return sheet.draw("field", images_height(views), "Mean residual of the corners over the image, as arrows.")
 
 
-def arrows(panel: Panel, start: Floats, along: Floats, color: str = "after") -> None:
+def draw_arrows(panel: Panel, start: Floats, along: Floats, color: str = "after") -> None:
     """Draw arrows as one path."""
     back = np.array([[-0.3, 0.14], [-0.3, -0.14]])
     aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -168,7 +168,7 @@ def _mean(values: Floats) -> float:
     return float(values.mean()) if values.size else 0.0
 
 
-def coverage(views: Mapping[str, CornerView], counts: Mapping[str, Floats]) -> str:
+def draw_corner_coverage(views: Mapping[str, CornerView], counts: Mapping[str, Floats]) -> str:
     """Draw the corners used, the cells without any, and where to hold the board next."""
     sheet = Sheet()
     for panel, (name, view) in zip(image_panels(sheet, views), views.items(), strict=True):
@@ -182,7 +182,7 @@ def coverage(views: Mapping[str, CornerView], counts: Mapping[str, Floats]) -> s
         kept = np.asarray(view.fit.frame_used, dtype=bool)[view.fit.frame]
         pixels = view.fit.pixels[kept]
         pixels = pixels[:: max(1, -(-len(pixels) // _DOTS))]
-        dots(panel, pixels[:, 0], pixels[:, 1], "after", size=2.4)
+        draw_dots(panel, pixels[:, 0], pixels[:, 1], "after", size=2.4)
         for k, _ in unseen_places(count, 1):
             low = np.array([k % 3 * width, k // 3 * height]) / 3 - 0.5
             high = low + np.array([width, height]) / 3
@@ -207,11 +207,11 @@ def frames_over_time(name: str, fit: CornerFit, word: str) -> str:
     groups = view_groups(fit)
     t, order = fit.frame_t_s, np.argsort(fit.frame_t_s, kind="stable")
     good = fit.frame_rms[groups["used"] | groups["spare"]]
-    known = finite(fit.frame_rms)
-    wide = known.size > 0 and float(known.max()) > 8 * positive(
-        float(np.median(finite(good))) if finite(good).size else 0.0
+    known = finite_values(fit.frame_rms)
+    wide = known.size > 0 and float(known.max()) > 8 * positive_or(
+        float(np.median(finite_values(good))) if finite_values(good).size else 0.0
     )
-    sigma = positive(fit.sigma_px, 0.0)
+    sigma = positive_or(fit.sigma_px, 0.0)
     count = np.asarray(fit.frame_corners, dtype=np.float64)[order]
 
     sheet = Sheet()
@@ -220,17 +220,17 @@ def frames_over_time(name: str, fit: CornerFit, word: str) -> str:
     for key, color, ring, size in (
         ("used", "after", False, 5.0), ("spare", "heldout", True, 7.0), ("bad", "accent", True, 7.0),
     ):  # fmt: skip
-        dots(axes, *thinned(t[groups[key]], fit.frame_rms[groups[key]]), color, ring=ring, size=size)
+        draw_dots(axes, *thin_points(t[groups[key]], fit.frame_rms[groups[key]]), color, ring=ring, size=size)
     if wide:
         log_limits(axes, fit.frame_rms, np.array([sigma]))
     else:
-        limits(axes, fit.frame_rms, np.zeros(1))
+        set_y_limits(axes, fit.frame_rms, np.zeros(1))
     below = sheet.panel(f"Corners in the {word}", top=294, height=96, x_label="time [s]")
-    zigzag(below, *coarser(t[order], count, count, bins=400), "before")
-    limits(below, count, np.zeros(1))
+    draw_envelope(below, *coarsen_envelope(t[order], count, count, bins=400), "before")
+    set_y_limits(below, count, np.zeros(1))
     below.y.most = 3
     for panel in (axes, below):
-        panel.x.span(0, positive(highest(t)))
+        panel.x.span(0, positive_or(highest_finite(t)))
     axes.x.labelled = False
     alt = f"rms residual and number of corners of {len(t)} frames of {name}; {int(groups['used'].sum())} were used."
     return sheet.draw(f"{word}s-{name}", 456, alt)

@@ -11,15 +11,15 @@ from ..recording import Floats, Integers
 from ..results.camera_diagnostics import CornerFit
 from . import corner_figures as figures
 from .numbers import (
-    fixed,
-    largest,
-    number,
-    positive,
+    fixed_text,
+    largest_magnitude,
+    number_text,
+    positive_or,
 )
 from .page import (
     Figure,
     Legend,
-    Table,
+    ReportTable,
 )
 
 FIELD_COLUMNS, DENSITY_COLUMNS = 12, 32
@@ -79,13 +79,13 @@ def corner_view(fit: CornerFit) -> CornerView:
     residual, pixels = fit.residual[kept], fit.pixels[kept]
     sizes = np.abs(residual[:: max(1, len(residual) // _ENOUGH)])
     wanted = 1.05 * float(np.quantile(sizes, 0.999)) if sizes.size else 0.0
-    sigma = positive(fit.sigma_px, 0.0)
+    sigma = positive_or(fit.sigma_px, 0.0)
     return CornerView(
         fit=fit,
         residual=residual,
         t_s=fit.frame_t_s[fit.frame[kept]],
         weighed_down=int((np.asarray(fit.weight)[kept] < 1).sum()),
-        reach=positive(float(np.clip(wanted, 4 * sigma, 6 * sigma)), positive(wanted)),
+        reach=positive_or(float(np.clip(wanted, 4 * sigma, 6 * sigma)), positive_or(wanted)),
         density=_grid(pixels, residual, fit.resolution, DENSITY_COLUMNS),
         field=_grid(pixels, residual, fit.resolution, FIELD_COLUMNS),
     )
@@ -130,7 +130,7 @@ def time_legends(t: Floats) -> tuple[Legend, ...]:
     edges = figures.time_spans(t)
     decimals = 0 if edges[-1] - edges[0] > 20 else 1
     return tuple(
-        Legend("dot", color, f"{fixed(float(a), decimals)}–{fixed(float(b), decimals)} s")
+        Legend("dot", color, f"{fixed_text(float(a), decimals)}–{fixed_text(float(b), decimals)} s")
         for color, a, b in zip(figures.TIMES, edges[:-1], edges[1:], strict=True)
     )
 
@@ -142,7 +142,7 @@ def corner_scatter(name: str, view: CornerView) -> Figure:
     beyond = f", {outside} lie outside of what is drawn" if outside else ""
     step = figures.scatter_step(view)
     share = f" The scatter shows one corner in {step}." if step > 1 else ""
-    normal = Legend("dash", "ink", f"normal, σ = {number(fit.sigma_px, 3)} px")
+    normal = Legend("dash", "ink", f"normal, σ = {number_text(fit.sigma_px, 3)} px")
     along = (Legend("line", "x", "u"), Legend("line", "y", "v"))
     return Figure(
         f"Corners of {name}",
@@ -178,18 +178,19 @@ def frames_figure(name: str, view: CornerView, word: str = "frame") -> Figure:
 def field_figure(views: dict[str, CornerView]) -> Figure:
     """Return the mean residual over the images, as arrows."""
     longer = field_magnification(views)
-    worst = {name: largest(np.hypot(*view.field.mean.T)) for name, view in views.items()}
-    longest = "; ".join(f"{name} {number(size, 2)} px" for name, size in worst.items() if isfinite(size))
+    worst = {name: largest_magnitude(np.hypot(*view.field.mean.T)) for name, view in views.items()}
+    longest = "; ".join(f"{name} {number_text(size, 2)} px" for name, size in worst.items() if isfinite(size))
     return Figure(
         "Mean residual over the image",
-        figures.field(views),
-        caption=f"Arrows from the detected corners to the predicted ones, {number(longer)} times as long as they are. "
+        figures.draw_residual_field(views),
+        caption=f"Arrows from the detected corners to the predicted ones, {number_text(longer)} times as long as "
+        "they are. "
         "A swirl, or arrows that all point outwards or inwards, speak of intrinsics or a lens model that do not fit "
         "this camera." + (f" The longest: {longest}." if longest else ""),
     )
 
 
-def frames_left_out(corners: dict[str, CornerFit], title: str = "Frames that were left out") -> list[Table]:
+def frames_left_out(corners: dict[str, CornerFit], title: str = "Frames that were left out") -> list[ReportTable]:
     """Return the reasons for not using frames, each with a count and the first times."""
     rows: list[tuple[str, ...]] = []
     for name, fit in corners.items():
@@ -201,13 +202,13 @@ def frames_left_out(corners: dict[str, CornerFit], title: str = "Frames that wer
         for pattern, found in groups.items():
             alike = len({reason for _, reason in found}) == 1
             reason = (found[0][1] if alike else pattern) or "no reason given"
-            times = ", ".join(fixed(t, 2) for t, _ in found[:6]) + (" …" if len(found) > 6 else "")
+            times = ", ".join(fixed_text(t, 2) for t, _ in found[:6]) + (" …" if len(found) > 6 else "")
             rows.append((f"{name}: {reason}", str(len(found)), times))
     if not rows:
         return []
     more = len(rows) - _MOST_ROWS
     return [
-        Table(
+        ReportTable(
             title,
             ("reason", title.split(maxsplit=1)[0].lower(), "at [s]"),
             tuple(rows[:_MOST_ROWS]),

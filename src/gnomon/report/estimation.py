@@ -15,8 +15,8 @@ from ..results.camera_diagnostics import (
 from .drawing import svg
 from .drawing.figures import RIGHT, WIDTH, Sheet
 from .drawing.panel import Panel
-from .numbers import MISSING, fixed, highest, number, readable_unit, with_sigma
-from .page import Figure, Legend, Section, Table
+from .numbers import MISSING, fixed_text, highest_finite, number_text, readable_unit, with_sigma
+from .page import Figure, Legend, ReportTable, Section
 
 _MOST_ROWS = 60
 _MOST_PAIRS = 12
@@ -28,7 +28,7 @@ def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -
     """Return every scalar with its sigma, and how they are correlated; None without any."""
     if not diagnostics.parameters:
         return None
-    blocks: list[Figure | Table] = [every_parameter(diagnostics)]
+    blocks: list[Figure | ReportTable] = [every_parameter(diagnostics)]
     free = [p for p in diagnostics.parameters if p.status in ("estimated", "prior")]
     matrix = np.asarray(diagnostics.correlation, dtype=np.float64)
     if len(free) > 1 and matrix.shape == (len(free), len(free)):
@@ -36,7 +36,7 @@ def parameters_section(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -
         blocks += [
             Figure(
                 "Correlation",
-                correlation(_groups(free), matrix),
+                draw_correlation(_groups(free), matrix),
                 legend,
                 "The stronger the colour, the stronger the correlation; below 0.05 it is left out. What is "
                 "strongly correlated is known better together than each on its own.",
@@ -72,19 +72,19 @@ def _groups(free: list[EstimatedParameter]) -> list[tuple[str, list[str]]]:
     return groups
 
 
-def _strongest(free: list[EstimatedParameter], matrix: Floats) -> Table:
+def _strongest(free: list[EstimatedParameter], matrix: Floats) -> ReportTable:
     first, second = np.triu_indices(len(free), 1)
     values = np.nan_to_num(matrix[first, second])
     order = np.argsort(-np.abs(values), kind="stable")
     strong = [k for k in order[:_MOST_PAIRS].tolist() if abs(values[k]) >= _STRONG] or order[:1].tolist()
-    return Table(
+    return ReportTable(
         "Strongest correlations",
         ("parameter", "with", "correlation"),
-        tuple((free[int(first[k])].name, free[int(second[k])].name, fixed(float(values[k]), 3)) for k in strong),
+        tuple((free[int(first[k])].name, free[int(second[k])].name, fixed_text(float(values[k]), 3)) for k in strong),
     )
 
 
-def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> Table:
+def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> ReportTable:
     """Return all scalars of the batch estimation with start, sigma, prior and status."""
     rows: list[tuple[str, ...]] = []
     faint: set[int] = set()
@@ -93,11 +93,11 @@ def every_parameter(diagnostics: CameraImuDiagnostics | CamerasDiagnostics) -> T
         weak = _not_above(p)
         if weak or p.status == "fixed":
             faint.add(i)
-        prior = number(p.prior_sigma, 2) if p.prior_sigma > 0 else MISSING
+        prior = number_text(p.prior_sigma, 2) if p.prior_sigma > 0 else MISSING
         status = f"{p.status}, ≤ σ" if weak else p.status
         start = p.start if abs(p.start) > 1e-9 * max(abs(p.value), p.sigma) else 0.0  # the rest of a rounding
-        rows.append((p.name, value, sigma or MISSING, number(start, 6), prior, _unit(p.unit), status))
-    return Table(
+        rows.append((p.name, value, sigma or MISSING, number_text(start, 6), prior, _unit(p.unit), status))
+    return ReportTable(
         "Estimate, start and sigma",
         ("parameter", "value", "σ", "start", "prior σ", "unit", "status"),
         rows,
@@ -135,7 +135,7 @@ _LEAST_MATRIX = 200.0
 """Side of a matrix of few parameters, so that a small screen shows it as well."""
 
 
-def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
+def draw_correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
     """Draw a correlation matrix; labels are groups of parameters: (name of the group, names of its entries)."""
     count = len(matrix)
     left = 232.0
@@ -164,7 +164,7 @@ def correlation(labels: list[tuple[str, list[str]]], matrix: Floats) -> str:
             style = svg.text_style("muted", font, "right")
             panel.text(entry, 0, y, style, offset=(-5, svg.MIDDLE * font), fine=True)
         row += len(entries)
-    strongest = highest(np.abs(matrix[~np.eye(count, dtype=bool)]))
+    strongest = highest_finite(np.abs(matrix[~np.eye(count, dtype=bool)]))
     alt = f"Correlation matrix of {count} parameters; the strongest correlation is {strongest:.2f}."
     return sheet.draw("correlation", size + 30, alt)
 
@@ -187,12 +187,12 @@ def _name_groups(sheet: Sheet, labels: list[tuple[str, list[str]]], right: float
         row += len(entries)
 
 
-def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> list[Table]:
+def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> list[ReportTable]:
     """Return noise levels as stated, found and used; none without any."""
     if not noise:
         return []
     return [
-        Table(
+        ReportTable(
             "Noise",
             ("of", "stated", "found in the residuals", "used", "unit"),
             tuple(_noise_row(level) for level in noise),
@@ -204,19 +204,25 @@ def noise_table(noise: tuple[NoiseLevel, ...], example: str = "vibration") -> li
 def _noise_row(level: NoiseLevel) -> tuple[str, ...]:
     sensor, _, what = level.name.partition(".")
     unit = readable_unit(level.unit).replace("sqrt(Hz)", "√Hz")
-    return (f"{sensor} {what}", *(number(v, 3) for v in (level.nominal, level.estimated, level.used)), unit)
+    return (f"{sensor} {what}", *(number_text(v, 3) for v in (level.nominal, level.estimated, level.used)), unit)
 
 
-def steps_table(steps: tuple[SolverStep, ...], *, converged: bool) -> list[Table]:
+def steps_table(steps: tuple[SolverStep, ...], *, converged: bool) -> list[ReportTable]:
     """Return the iterations of the solver; none without any."""
     if not steps:
         return []
     rows = tuple(
-        (str(i + 1), number(s.cost, 7), number(s.largest_step, 3), number(s.damping, 2), _ACCEPTED[s.accepted])
+        (
+            str(i + 1),
+            number_text(s.cost, 7),
+            number_text(s.largest_step, 3),
+            number_text(s.damping, 2),
+            _ACCEPTED[s.accepted],
+        )
         for i, s in enumerate(steps[:_MOST_ROWS])
     )
     return [
-        Table(
+        ReportTable(
             "Iterations",
             ("", "cost before", "largest step [σ]", "damping", ""),
             rows,

@@ -17,8 +17,8 @@ from ..results.calibration import (
     MagnetometerCalibration,
 )
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2
-from .numbers import MISSING, estimate, fixed, number, readable_unit, with_sigma
-from .page import Bar, Parameter, ParameterGroup, Table, parameter
+from .numbers import MISSING, estimate_text, fixed_text, number_text, readable_unit, with_sigma
+from .page import Bar, Parameter, ParameterGroup, ReportTable, parameter_line
 
 AXES = "xyz"
 _DEG = 180 / pi
@@ -107,7 +107,7 @@ def _scales(
     for i, axis in enumerate(AXES):
         sign = -1.0 if matrix[i, i] < 0 else 1.0
         rows.append(
-            parameter(
+            parameter_line(
                 f"scale {axis}",
                 sign * float(lengths[i]),
                 float(np.sqrt(np.fmax(joint[i, i], 0.0))),
@@ -135,7 +135,7 @@ def _tilts(calibration: Calibration, path: str, matrix: Floats, covariance: Floa
                 f"{AXES[i]} towards {AXES[j]}",
                 angles[-1],
                 unit="mrad",
-                reads_as=f"{fixed(angle * 1e-3 * _DEG, 3, sign=True)}°",
+                reads_as=f"{fixed_text(angle * 1e-3 * _DEG, 3, sign=True)}°",
                 held=_held(calibration, path, f"{i},{j}"),
             )
         )
@@ -152,7 +152,7 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
         arbitrary = triad.unit == "count" and not isinstance(triad, MagnetometerCalibration)
         reads_as = f"± {_physical(sigma, si)}" if arbitrary else _physical(physical, si)
         rows.append(
-            parameter(
+            parameter_line(
                 f"bias {axis}",
                 float(triad.bias[i]),
                 float(sigmas[i]),
@@ -169,12 +169,12 @@ def _bias(calibration: Calibration, path: str, title: str, triad: Triad, si: str
 
 def _physical(value: float, si: str) -> str:
     if si == "rad/s":
-        return f"{number(value * _DEG, 3)}\u00a0°/s"
+        return f"{number_text(value * _DEG, 3)}\u00a0°/s"
     if si == LOCAL_FIELD:
-        return f"{number(100 * value, 3)}\u00a0% of the field"
+        return f"{number_text(100 * value, 3)}\u00a0% of the field"
     if si == "µT":
-        return f"{number(value, 3)}\u00a0µT"
-    return f"{number(value / STANDARD_GRAVITY_M_S2 * 1e3, 3)}\u00a0mg"
+        return f"{number_text(value, 3)}\u00a0µT"
+    return f"{number_text(value / STANDARD_GRAVITY_M_S2 * 1e3, 3)}\u00a0mg"
 
 
 def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: GyroscopeCalibration) -> ParameterGroup:
@@ -190,7 +190,7 @@ def _g_sensitivity(calibration: Calibration, path: str, title: str, gyroscope: G
                 f"{AXES[i]} by force {AXES[j]}",
                 drawn[-1],
                 unit=f"{readable_unit(gyroscope.unit)} per m/s²",
-                reads_as=f"{number(entry / float(lengths[i]) * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g",
+                reads_as=f"{number_text(entry / float(lengths[i]) * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g",
                 held=_held(calibration, path, f"{i},{j}"),
             )
         )
@@ -203,7 +203,7 @@ def _about_zero(name: str, found: tuple[float, float], *, unit: str, reads_as: s
     value, sigma = found
     insignificant = "within 2σ of zero" if sigma > 0 and abs(value) < 2 * sigma else ""
     note = _NOT_DETERMINED if held else insignificant
-    return parameter(name, value, sigma, unit, reads_as=reads_as, note=note, sign=True)
+    return parameter_line(name, value, sigma, unit, reads_as=reads_as, note=note, sign=True)
 
 
 def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> list[tuple[float, float]]:
@@ -218,7 +218,7 @@ def _deviations(lengths: Floats, covariance: Floats, nominal: float | None) -> l
 
 def _percent(value: float, sigma: float) -> str:
     if abs(value) >= 1000:
-        return f"× {number(1 + value / 100, 3)}"
+        return f"× {number_text(1 + value / 100, 3)}"
     text, spread = with_sigma(value, sigma, sign=True)
     return f"{text}{f' ± {spread}' if spread else ''}\u00a0%"
 
@@ -257,13 +257,13 @@ def sigmas_of(view: Callable[[Floats], Floats], at: Floats, covariance: Floats) 
     return np.sqrt(np.fmax(np.diag(slopes @ covariance @ slopes.T), 0.0))
 
 
-def triple(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
+def axes_group(title: str, note: str, unit: str, values: Floats, spreads: Floats) -> ParameterGroup:
     """Return a group of angles about the axes [°], or of lengths along them."""
     word = "about" if unit == "°" else "along"
     rows: list[Parameter] = []
     for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
-        reads_as = f"{fixed(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
-        rows.append(parameter(f"{word} {axis}", value, spread, unit, reads_as=reads_as))
+        reads_as = f"{fixed_text(1e3 * value / _DEG, 2)} mrad" if unit == "°" else ""
+        rows.append(parameter_line(f"{word} {axis}", value, spread, unit, reads_as=reads_as))
     return ParameterGroup(title, note, with_bars(rows, _pairs(values, spreads)))
 
 
@@ -298,7 +298,9 @@ def _all_imu_groups(calibration: Calibration, name: str) -> list[ParameterGroup]
     at = imu.gyroscope.sensitivity.ravel()
     own, spreads = _gyroscope(at), sigmas_of(_gyroscope, at, calibration.covariance(f"{path}.sensitivity"))
     groups += [*_own_triad("Gyroscope", "g", own[:6], spreads[:6]), _own_bias(calibration, path, "Gyroscope", "g")]
-    turned = triple("Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:])
+    turned = axes_group(
+        "Gyroscope rotation", "C_bg, from the gyroscope's axes to the body's", "°", own[6:], spreads[6:]
+    )
     groups.append(_marked(turned, own[6:], spreads[6:]))
     groups.append(_own_g_sensitivity(calibration, path, imu.gyroscope.g_sensitivity, imu.gyroscope.unit))
     return groups
@@ -311,7 +313,7 @@ def _lever_arms(calibration: Calibration, path: str) -> list[ParameterGroup]:
         return []
     spreads = calibration.sigma(f"{path}.lever_arms_m")
     return [
-        triple(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
+        axes_group(f"Place of the {axis} accelerometer", "from the body's origin", "mm", 1e3 * place, 1e3 * spread)
         for axis, place, spread in zip(AXES, places, spreads, strict=True)
         if spread.any()
     ]
@@ -324,8 +326,8 @@ def gyroscope_quaternion(sensitivity: Floats) -> str:
     if not angle > 0:
         return ""
     axis = np.sin(angle / 2) * rotvec / angle
-    numbers = ", ".join(fixed(v, 6) for v in (np.cos(angle / 2), *axis.tolist()))
-    return f"As a quaternion, C_bg is q_bg = ({numbers}), real part first: {number(degrees(angle), 3)}° in all."
+    numbers = ", ".join(fixed_text(v, 6) for v in (np.cos(angle / 2), *axis.tolist()))
+    return f"As a quaternion, C_bg is q_bg = ({numbers}), real part first: {number_text(degrees(angle), 3)}° in all."
 
 
 def _lower_triad(sensitivity: Floats) -> Floats:
@@ -347,15 +349,17 @@ def _own_triad(title: str, letter: str, values: Floats, spreads: Floats) -> tupl
     for i, axis in enumerate(AXES):
         percent, of_it = with_sigma(float(percents[i]), float(percent_spreads[i]), sign=True)
         reads_as = f"{percent}{f' ± {of_it}' if of_it else ''}\u00a0%"
-        scales.append(parameter(f"scale {axis}", values[i], spreads[i], "", reads_as=reads_as))
+        scales.append(parameter_line(f"scale {axis}", values[i], spreads[i], "", reads_as=reads_as))
     scale = ParameterGroup(
         f"{title} scale", f"S_{letter}; bars: deviation from one",
         with_bars(scales, _pairs(percents, percent_spreads)),
     )  # fmt: skip
     tilts: list[Parameter] = []
     for entry, value, spread in zip(("yz", "zy", "zx"), 1e3 * values[3:], 1e3 * spreads[3:], strict=True):
-        reads_as = f"{fixed(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
-        tilts.append(parameter(f"entry {entry}", float(value), float(spread), "mrad", reads_as=reads_as, sign=True))
+        reads_as = f"{fixed_text(float(value) * 1e-3 * _DEG, 3, sign=True)}°"
+        tilts.append(
+            parameter_line(f"entry {entry}", float(value), float(spread), "mrad", reads_as=reads_as, sign=True)
+        )
     tilt = ParameterGroup(
         f"{title} misalignment", f"M_{letter} = [1 0 0; yz 1 0; zy zx 1]",
         with_bars(tilts, _pairs(1e3 * values[3:], 1e3 * spreads[3:])),
@@ -377,24 +381,24 @@ def _own_bias(calibration: Calibration, path: str, title: str, letter: str) -> P
     gyroscope = letter == "g"
     rows: list[Parameter] = []
     for axis, value, spread in zip(AXES, values.tolist(), spreads.tolist(), strict=True):
-        physical = f"{number(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
+        physical = f"{number_text(value * _DEG, 3)}\u00a0°/s" if gyroscope else f"{_milli_g(value)}\u00a0mg"
         unit = "rad/s" if gyroscope else "m/s²"
-        rows.append(parameter(f"bias {axis}", value, spread, unit, reads_as=physical, sign=True))
+        rows.append(parameter_line(f"bias {axis}", value, spread, unit, reads_as=physical, sign=True))
     note = f"b_{letter}, mean over the recording"
     return ParameterGroup(f"{title} bias", note, with_bars(rows, _pairs(values, spreads)))
 
 
 def _milli_g(value: float) -> str:
-    return number(1e3 * value / STANDARD_GRAVITY_M_S2, 3)
+    return number_text(1e3 * value / STANDARD_GRAVITY_M_S2, 3)
 
 
 def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit: str) -> ParameterGroup:
     flat, spreads = 1e3 * values.ravel(), 1e3 * calibration.sigma(f"{path}.g_sensitivity").ravel()
     rows: list[Parameter] = []
     for (i, j), value, spread in zip(np.ndindex(3, 3), flat.tolist(), spreads.tolist(), strict=True):
-        per_g = f"{number(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
+        per_g = f"{number_text(value * 1e-3 * _DEG * STANDARD_GRAVITY_M_S2, 3)} °/s per g"
         name = f"{AXES[i]} by force {AXES[j]}"
-        rows.append(parameter(name, value, spread, f"m{unit} per m/s²", reads_as=per_g, sign=True))
+        rows.append(parameter_line(name, value, spread, f"m{unit} per m/s²", reads_as=per_g, sign=True))
     group = ParameterGroup(
         "Gyroscope g-sensitivity",
         "B_g of chapter 4, on the force in the body frame",
@@ -403,7 +407,7 @@ def _own_g_sensitivity(calibration: Calibration, path: str, values: Floats, unit
     return _marked(group, flat, spreads)
 
 
-def other_reading(calibration: Calibration, name: str) -> Table | None:
+def other_reading(calibration: Calibration, name: str) -> ReportTable | None:
     """Return B_g as chapter 3 of Krebs reads it, on the force in the gyroscope's axes; None where it is zero."""
     gyroscope = calibration.imus[name].gyroscope
     if gyroscope is None or not gyroscope.g_sensitivity.any():
@@ -417,10 +421,10 @@ def other_reading(calibration: Calibration, name: str) -> Table | None:
     paths = (f"{name}.gyroscope.sensitivity", f"{name}.gyroscope.g_sensitivity")
     values, spreads = view(at).reshape(3, 3), sigmas_of(view, at, calibration.covariance(*paths)).reshape(3, 3)
     rows = tuple(
-        (f"rate about {axis}", *(estimate(v, s, sign=True) for v, s in _pairs(values[i], spreads[i])))
+        (f"rate about {axis}", *(estimate_text(v, s, sign=True) for v, s in _pairs(values[i], spreads[i])))
         for i, axis in enumerate(AXES)
     )
-    return Table(
+    return ReportTable(
         "g-sensitivity on the force in the gyroscope's axes (Krebs, chapter 3)",
         (f"[m{gyroscope.unit} per m/s²]", *(f"force along {axis}" for axis in AXES)),
         rows,

@@ -19,10 +19,10 @@ from ..results.sensor_noise import (
     NoiseResult,
     TriadNoise,
 )
-from .drawing.figures import AXES, Sheet, limits, log_limits, zigzag
+from .drawing.figures import AXES, Sheet, draw_envelope, log_limits, set_y_limits
 from .drawing.panel import DASHED, Panel
-from .numbers import finite, highest, number, prefixed, quantity, with_sigma
-from .page import Code, Figure, KeyNumber, Legend, Page, Prose, Section, Table, render, typeset
+from .numbers import finite_values, highest_finite, number_text, quantity_text, si_prefix, with_sigma
+from .page import Code, Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section, render_page, typeset_finding
 from .sections import provenance_section
 
 _HEADLINES = {
@@ -49,21 +49,21 @@ def write_noise_report(result: NoiseResult, path: str | Path) -> None:
     OutputError
         If the file cannot be written.
     """
-    write_whole(path, render(noise_page(result)))
+    write_whole(path, render_page(noise_page(result)))
 
 
-def noise_page(result: NoiseResult) -> Page:
+def noise_page(result: NoiseResult) -> ReportPage:
     """Return the page of an identification of noise."""
     noise = result.noise
     names = ", ".join(source.name for source in noise.provenance.inputs) or "recording from memory"
     sections = [_coefficients(result), *(_curves(result, sensor) for sensor in noise.triads)]
-    return Page(
+    return ReportPage(
         title="Noise of an IMU",
         subject=names,
         verdict=noise.verdict,
         headline=_HEADLINES[noise.verdict],
         key_numbers=_key_numbers(result),
-        findings=tuple(typeset(finding) for finding in noise.findings if finding.code != "assumed"),
+        findings=tuple(typeset_finding(finding) for finding in noise.findings if finding.code != "assumed"),
         sections=(*sections, _conventions(), _use(), provenance_section(noise.provenance)),
         footer=f"Made by gnomon {noise.provenance.gnomon_version}. This file needs no network and no other file.",
     )
@@ -74,17 +74,17 @@ def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
     for sensor, triad in result.noise.triads.items():
         unit = _pretty(UNITS[sensor]["white_noise"])
         walk = _pretty(UNITS[sensor]["random_walk"])
-        scatter = quantity(triad.noise_density * sqrt(triad.rate_hz), _pretty(SENSOR_UNITS[sensor]))
+        scatter = quantity_text(triad.noise_density * sqrt(triad.rate_hz), _pretty(SENSOR_UNITS[sensor]))
         bound = "" if triad.random_walk_found else "at most "
         numbers += [
             KeyNumber(
                 f"{sensor.capitalize()} white noise",
-                quantity(triad.noise_density, unit),
+                quantity_text(triad.noise_density, unit),
                 f"root mean square of the axes; {scatter} a sample",
             ),
             KeyNumber(
                 f"{sensor.capitalize()} random walk",
-                f"{bound}{quantity(triad.random_walk, walk)}",
+                f"{bound}{quantity_text(triad.random_walk, walk)}",
                 "of the axes that show one" if triad.random_walk_found else "none was seen",
             ),
         ]
@@ -92,14 +92,14 @@ def _key_numbers(result: NoiseResult) -> tuple[KeyNumber, ...]:
     numbers.append(
         KeyNumber(
             "Recording",
-            f"{number(triad.duration_s / 3600, 3)} h",
-            f"at {number(triad.rate_hz, 5)} Hz; averaging times up to {number(triad.tau_s[1], 3)} s",
+            f"{number_text(triad.duration_s / 3600, 3)} h",
+            f"at {number_text(triad.rate_hz, 5)} Hz; averaging times up to {number_text(triad.tau_s[1], 3)} s",
         )
     )
     if isfinite(result.noise.t_init_s):
         numbers.append(
             KeyNumber(
-                "Initial rest", f"{number(result.noise.t_init_s, 3)} s", "advised T_init of a calibration by hand"
+                "Initial rest", f"{number_text(result.noise.t_init_s, 3)} s", "advised T_init of a calibration by hand"
             )
         )
     return tuple(numbers)
@@ -116,7 +116,7 @@ def _coefficients(result: NoiseResult) -> Section:
     )
 
 
-def _table(sensor: str, triad: TriadNoise) -> Table:
+def _table(sensor: str, triad: TriadNoise) -> ReportTable:
     rows = [
         (
             f"{name.replace('_', ' ')} {SYMBOLS[name]}",
@@ -125,13 +125,13 @@ def _table(sensor: str, triad: TriadNoise) -> Table:
         )
         for name in COEFFICIENTS
     ]
-    misfit = ("misfit of the curve", *(f"{number(100 * axis.misfit, 2)} %" for axis in triad.axes), "")
-    return Table(sensor.capitalize(), ("", *AXES, "unit"), (*rows, misfit), dense=True)
+    misfit = ("misfit of the curve", *(f"{number_text(100 * axis.misfit, 2)} %" for axis in triad.axes), "")
+    return ReportTable(sensor.capitalize(), ("", *AXES, "unit"), (*rows, misfit), dense=True)
 
 
 def _text(found: Coefficient) -> str:
     if not found.found:
-        return f"< {number(found.bound, 2)}"
+        return f"< {number_text(found.bound, 2)}"
     value, sigma = with_sigma(found.value, found.sigma)
     return f"{value} ± {sigma}"
 
@@ -142,19 +142,19 @@ def _curves(result: NoiseResult, sensor: str) -> Section:
     legend = [Legend("line", axis, axis) for axis in AXES]
     legend += [Legend("band", "before", "95 % interval"), Legend("dash", "ink", "noise that was found")]
     if isfinite(t_init_s):
-        legend.append(Legend("dash", "accent", f"advised T_init {number(t_init_s, 3)} s"))
+        legend.append(Legend("dash", "accent", f"advised T_init {number_text(t_init_s, 3)} s"))
     kinds = [kind for kind in COEFFICIENTS if any(axis.coefficients()[kind].found for axis in noise.axes)]
     blocks = [
         Figure(
             "Allan deviation",
-            allan(sensor, unit, curve, noise, t_init_s),
+            draw_sensor_allan(sensor, unit, curve, noise, t_init_s),
             legend,
             "How far means over neighbouring stretches differ, by the length of the stretch (overlapping "
             "estimate). Long averaging times rest on few independent stretches, hence the wide interval.",
         ),
         Figure(
             "What it is made of",
-            parts(sensor, unit, curve, noise.axes),
+            draw_noise_parts(sensor, unit, curve, noise.axes),
             (
                 *(Legend("line", COLORS[kind], kind.replace("_", " ")) for kind in kinds),
                 Legend("dot", "ink", "observed"),
@@ -166,7 +166,7 @@ def _curves(result: NoiseResult, sensor: str) -> Section:
         blocks.append(
             Figure(
                 "Over time",
-                means(sensor, unit, result.signals[sensor]),
+                draw_means(sensor, unit, result.signals[sensor]),
                 tuple(legend[:3]),
                 "Means of about a second, about their median: what moved or warmed the sensor shows here.",
             )
@@ -211,9 +211,9 @@ def _pretty(unit: str) -> str:
 _DENSE = 160
 
 
-def allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s: float) -> str:
+def draw_sensor_allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s: float) -> str:
     """Allan deviation of three axes with its interval, and the noise that was found (Tedaldi 2014, Fig. 3.2)."""
-    prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
+    prefix, factor = si_prefix(float(np.median(curve.deviation[curve.deviation > 0])))
 
     sheet = Sheet()
     panel = sheet.panel(f"Allan deviation [{prefix}{unit}]", top=36, height=330, x_label="averaging time [s]")
@@ -233,9 +233,9 @@ def allan(sensor: str, unit: str, curve: AllanTable, noise: TriadNoise, t_init_s
     return sheet.draw(f"allan-{sensor}", 426, alt)
 
 
-def parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]) -> str:
+def draw_noise_parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]) -> str:
     """Allan deviation of each axis, taken apart into the kinds of noise."""
-    prefix, factor = prefixed(float(np.median(curve.deviation[curve.deviation > 0])))
+    prefix, factor = si_prefix(float(np.median(curve.deviation[curve.deviation > 0])))
 
     sheet = Sheet()
     for i, (axis, name) in enumerate(zip(axes, AXES, strict=True)):
@@ -254,18 +254,18 @@ def parts(sensor: str, unit: str, curve: AllanTable, axes: tuple[AxisNoise, ...]
     return sheet.draw(f"parts-{sensor}", 750, alt)
 
 
-def means(sensor: str, unit: str, signal: SignalEnvelope) -> str:
+def draw_means(sensor: str, unit: str, signal: SignalEnvelope) -> str:
     """Means of about a second over the recording, about their median."""
     middle = np.median(signal.low, axis=0)
     low, high = signal.low - middle, signal.high - middle
-    prefix, factor = prefixed(highest(np.abs(np.concatenate([low, high])), 1.0))
+    prefix, factor = si_prefix(highest_finite(np.abs(np.concatenate([low, high])), 1.0))
 
     sheet = Sheet()
     panel = sheet.panel(f"{sensor}, about its mean [{prefix}{unit}]", top=36, height=200, x_label="time [s]")
     for i, name in enumerate(AXES):
-        zigzag(panel, signal.t_s, low[:, i] * factor, high[:, i] * factor, name)
-    limits(panel, low * factor, high * factor)
-    panel.x.span(0, highest(signal.t_s, 1.0))
+        draw_envelope(panel, signal.t_s, low[:, i] * factor, high[:, i] * factor, name)
+    set_y_limits(panel, low * factor, high * factor)
+    panel.x.span(0, highest_finite(signal.t_s, 1.0))
     return sheet.draw(f"means-{sensor}", 296, f"Means of the {sensor}'s samples over time.")
 
 
@@ -276,5 +276,5 @@ def _dense(tau_s: Floats) -> Floats:
 def _scales(panel: Panel, curve: AllanTable, deviation: Floats) -> None:
     log_limits(panel, deviation)
     panel.x.logarithmic, panel.x.grid = True, True
-    tau = finite(curve.tau_s)
+    tau = finite_values(curve.tau_s)
     panel.x.span(float(tau.min()), float(max(tau.max(), 1.05 * tau.min())))

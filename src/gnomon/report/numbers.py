@@ -18,14 +18,14 @@ def power_of_ten(exponent: int) -> str:
     return f"10{str(exponent).translate(_SUPERSCRIPT)}"
 
 
-def number(value: float, digits: int = 4, *, trim: bool = True) -> str:
+def number_text(value: float, digits: int = 4, *, trim: bool = True) -> str:
     """Return a number with so many significant digits, a true minus sign and powers of ten where they are shorter.
 
     Zeros at the end are dropped unless `trim` is False, as in columns that are compared.
 
     Examples
     --------
-    >>> number(414.8721), number(-2.5e-7), number(float("nan"))
+    >>> number_text(414.8721), number_text(-2.5e-7), number_text(float("nan"))
     ('414.9', '−2.5·10⁻⁷', '–')
     """
     if not isfinite(value):
@@ -44,7 +44,7 @@ def number(value: float, digits: int = 4, *, trim: bool = True) -> str:
     return text.replace("-", "−")
 
 
-def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
+def fixed_text(value: float, decimals: int, *, sign: bool = False) -> str:
     """Return a number with so many decimals and a true minus sign."""
     if not isfinite(value):
         return MISSING
@@ -52,7 +52,7 @@ def fixed(value: float, decimals: int, *, sign: bool = False) -> str:
     return f"{rounded:{'+' if sign else ''}.{decimals}f}".replace("-", "−")
 
 
-def share(value: float) -> str:
+def percent_text(value: float) -> str:
     """Return a share of one in percent; the space does not break."""
     return share_words(value).replace(" %", "\u00a0%")
 
@@ -75,18 +75,18 @@ def with_sigma(value: float, sigma: float, *, sign: bool = False) -> tuple[str, 
     power = floor(log10(largest)) if largest > 0 and not 1e-3 <= largest < 1e7 else 0
     tail = f"·{power_of_ten(power)}" if power else ""
     if not (isfinite(sigma) and sigma > 0):
-        return (f"+{number(value, 6)}" if sign and value > 0 else number(value, 6)), ""
+        return (f"+{number_text(value, 6)}" if sign and value > 0 else number_text(value, 6)), ""
     decimals = min(max(0, power + 1 - floor(log10(sigma))), 12)
     scale = 10.0**-power
-    return fixed(value * scale, decimals, sign=sign) + tail, fixed(sigma * scale, decimals) + tail
+    return fixed_text(value * scale, decimals, sign=sign) + tail, fixed_text(sigma * scale, decimals) + tail
 
 
-def prefixed(largest: float) -> tuple[str, float]:
+def si_prefix(largest: float) -> tuple[str, float]:
     """Return the SI prefix and the factor with which a quantity as large as this reads well.
 
     Examples
     --------
-    >>> prefixed(0.0025)
+    >>> si_prefix(0.0025)
     ('m', 1000.0)
     """
     if not (isfinite(largest) and largest > 0):
@@ -94,44 +94,44 @@ def prefixed(largest: float) -> tuple[str, float]:
     return next((p for p in _PREFIXES if largest * p[1] >= 0.5), _PREFIXES[-1])
 
 
-def quantity(value: float, unit: str, digits: int = 3) -> str:
+def quantity_text(value: float, unit: str, digits: int = 3) -> str:
     """Return a number with its unit and a fitting SI prefix, such as "2.65 mrad"; the space does not break."""
     if not isfinite(value):
         return MISSING
-    prefix, factor = prefixed(abs(value)) if value else ("", 1.0)
-    return f"{number(value * factor, digits, trim=False)}\u00a0{prefix}{unit}"
+    prefix, factor = si_prefix(abs(value)) if value else ("", 1.0)
+    return f"{number_text(value * factor, digits, trim=False)}\u00a0{prefix}{unit}"
 
 
-def positive(value: float, otherwise: float = 1.0) -> float:
+def positive_or(value: float, otherwise: float = 1.0) -> float:
     """Return a value that is finite and above zero as it is, and another number in place of any other."""
     return float(value) if isfinite(value) and value > 0 else otherwise
 
 
-def finite(values: Floats) -> Floats:
+def finite_values(values: Floats) -> Floats:
     """Return the finite values, flat."""
     array = np.asarray(values, dtype=np.float64).ravel()
     return array[np.isfinite(array)]
 
 
-def rms(values: Floats) -> float:
+def finite_rms(values: Floats) -> float:
     """Return the root mean square of the finite values; nan without any."""
-    kept = finite(values)
+    kept = finite_values(values)
     return float(np.sqrt(np.mean(kept * kept))) if kept.size else float("nan")
 
 
-def largest(values: Floats) -> float:
+def largest_magnitude(values: Floats) -> float:
     """Return the largest magnitude of the finite values; nan without any."""
-    kept = finite(values)
+    kept = finite_values(values)
     return float(np.max(np.abs(kept))) if kept.size else float("nan")
 
 
-def highest(values: Floats, otherwise: float = 0.0) -> float:
+def highest_finite(values: Floats, otherwise: float = 0.0) -> float:
     """Return the highest of the finite values; another number without any."""
-    kept = finite(values)
+    kept = finite_values(values)
     return float(kept.max()) if kept.size else otherwise
 
 
-def estimate(value: float, sigma: float, unit: str = "", *, sign: bool = False) -> str:
+def estimate_text(value: float, sigma: float, unit: str = "", *, sign: bool = False) -> str:
     """Return a value with its sigma, where it has one, and its unit, such as "414.872 ± 0.061 px"."""
     text, spread = with_sigma(value, sigma, sign=sign)
     return (f"{text} ± {spread}" if spread else text) + (f"\u00a0{unit}" if unit else "")
@@ -157,7 +157,7 @@ def magnitude_unit(largest: float, si_unit: str) -> tuple[str, float]:
     if si_unit not in _MAGNITUDES:
         return "% of the field", 100.0
     unit, base = _MAGNITUDES[si_unit]
-    prefix, factor = prefixed(largest * base)
+    prefix, factor = si_prefix(largest * base)
     return f"{prefix}{unit}", float(f"{factor * base:.12g}")
 
 
@@ -166,6 +166,6 @@ def magnitude_text(value: float, si_unit: str, digits: int = 3) -> str:
     if not isfinite(value):
         return MISSING
     if si_unit not in _MAGNITUDES:
-        return f"{number(100 * value, digits, trim=False)}\u00a0%"
+        return f"{number_text(100 * value, digits, trim=False)}\u00a0%"
     unit, base = _MAGNITUDES[si_unit]
-    return quantity(value * base, unit, digits)
+    return quantity_text(value * base, unit, digits)

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, SupportsFloat
 
-from ..findings import Finding, printable
+from ..findings import Finding, printable_text
 from ..results.calibration import Verdict
 from .numbers import with_sigma
 
@@ -53,7 +53,7 @@ class Parameter:
     bar: Bar | None = None
 
 
-def parameter(
+def parameter_line(
     name: str,
     value: SupportsFloat,
     sigma: SupportsFloat,
@@ -97,7 +97,7 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class ReportTable:
     """Rows of texts; the first column is the row's name.
 
     `marked` is the index of the row that was chosen, `faint` are those of rows that matter less. A `dense` table is set
@@ -137,7 +137,7 @@ class Code:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
+class ParameterTable:
     """The parameter table, with a title of its own where the section has several."""
 
     groups: Sequence[ParameterGroup]
@@ -146,7 +146,7 @@ class Parameters:
     kind: str = "parameters"
 
 
-Block = Figure | Table | Prose | Code | Parameters
+Block = Figure | ReportTable | Prose | Code | ParameterTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class Section:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Page:
+class ReportPage:
     """A whole report."""
 
     title: str
@@ -173,7 +173,7 @@ class Page:
     footer: str
 
 
-def typeset(finding: Finding) -> Finding:
+def typeset_finding(finding: Finding) -> Finding:
     """Return a finding, written for any terminal, with the signs that a page can show."""
 
     def fine(text: str) -> str:
@@ -184,7 +184,7 @@ def typeset(finding: Finding) -> Finding:
     )
 
 
-def render(page: Page) -> bytes:
+def render_page(page: ReportPage) -> bytes:
     """Return the page as one UTF-8 HTML document that refers to nothing outside itself."""
     from markupsafe import Markup
 
@@ -198,7 +198,7 @@ def render(page: Page) -> bytes:
         policy=f"default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{digest}'",
     )
     # A file name may hold bytes that are no text, or steer a terminal that shows the file; they are shown as escapes.
-    return printable(html).encode("utf-8", "backslashreplace")
+    return printable_text(html).encode("utf-8", "backslashreplace")
 
 
 @cache

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator
 
 from ..recording import Floats
 from ..results.calibration import Calibration, Gravity, ImuCalibration, Provenance
-from .numbers import number, readable_unit
-from .page import Code, KeyNumber, Page, Prose, Section, Table, typeset
+from .numbers import number_text, readable_unit
+from .page import Code, KeyNumber, Prose, ReportPage, ReportTable, Section, typeset_finding
 
 HEADLINES = {
     "pass": "This calibration is good to use.",
@@ -29,11 +29,11 @@ FRAMES = {
 
 def gravity_text(gravity: Gravity) -> str:
     """Return the magnitude of gravity with its sigma, if it has one, and its unit."""
-    spread = f" ± {number(gravity.sigma, 2)}" if gravity.sigma > 0 else ""
-    return f"{number(gravity.value, 7)}{spread}\u00a0m/s²"
+    spread = f" ± {number_text(gravity.sigma, 2)}" if gravity.sigma > 0 else ""
+    return f"{number_text(gravity.value, 7)}{spread}\u00a0m/s²"
 
 
-def matrix_text(name: str, values: Floats, digits: int = 9) -> str:
+def aligned_matrix(name: str, values: Floats, digits: int = 9) -> str:
     """Return a matrix as aligned text, rows in brackets."""
     cells = [[f"{v:.{digits}g}" for v in row] for row in values.tolist()]
     width = max(len(cell) for row in cells for cell in row)
@@ -47,16 +47,16 @@ def matrix_text(name: str, values: Floats, digits: int = 9) -> str:
 
 def calibration_page(
     title: str, calibration: Calibration, key_numbers: tuple[KeyNumber, ...], sections: Iterable[Section | None]
-) -> Page:
+) -> ReportPage:
     """Return the page of a calibration; sections that there is nothing to say in are None."""
     made_by = calibration.provenance.gnomon_version
-    return Page(
+    return ReportPage(
         title=title,
         subject=", ".join(source.name for source in calibration.provenance.inputs) or "recording from memory",
         verdict=calibration.verdict,
         headline=HEADLINES[calibration.verdict],
         key_numbers=key_numbers,
-        findings=tuple(typeset(f) for f in calibration.assessment.findings if f.code != "assumed"),
+        findings=tuple(typeset_finding(f) for f in calibration.assessment.findings if f.code != "assumed"),
         sections=tuple(section for section in sections if section is not None),
         footer=f"Made by gnomon {made_by}. This file needs no network and no other file.",
     )
@@ -65,7 +65,7 @@ def calibration_page(
 def assumptions_section(calibration: Calibration, stated: Iterable[str], of: str = "this recording") -> Section:
     """Return what was assumed: as stated, as the findings say, and what a prior holds."""
     points = [*stated]
-    points += [typeset(one).message for one in calibration.assessment.findings if one.code == "assumed"]
+    points += [typeset_finding(one).message for one in calibration.assessment.findings if one.code == "assumed"]
     if held := calibration.assessment.held_by_prior:
         points.append(f"Not determined by {of}, and held by assumption: {', '.join(held)}.")
     return Section("assumptions", "What was assumed", blocks=(Prose(points, points=True),))
@@ -78,10 +78,10 @@ def provenance_section(provenance: Provenance) -> Section:
     rows.append(("options", options or "all at their defaults"))
     if provenance.seed is not None:
         rows.append(("seed", str(provenance.seed)))
-    blocks = [Table("How it was made", ("", ""), rows, prose=True)]
+    blocks = [ReportTable("How it was made", ("", ""), rows, prose=True)]
     if provenance.inputs:
         blocks.append(
-            Table(
+            ReportTable(
                 "Inputs",
                 ("file", "SHA-256"),
                 tuple((source.name, source.sha256) for source in provenance.inputs),
@@ -95,7 +95,7 @@ def provenance_section(provenance: Provenance) -> Section:
 _MEANT = {"accelerometer": "specific force f", "gyroscope": "angular rate ω", "magnetometer": "magnetic field h"}
 
 
-def use_section(calibration: Calibration) -> Section:
+def imu_use_section(calibration: Calibration) -> Section:
     """Return commands, a few lines of Python, and the formulas with their numbers."""
     imus = calibration.imus
     to = "kalibr" if all(imu.accelerometer is not None for imu in imus.values()) else "csv"
@@ -141,18 +141,18 @@ def _units(imu: ImuCalibration) -> str:
 
 def _formulas(imu: ImuCalibration) -> Iterator[Code]:
     if (accelerometer := imu.accelerometer) is not None:
-        text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + matrix_text("S", accelerometer.sensitivity)
-        text += "\n\n" + matrix_text("b", accelerometer.bias[:, None])
+        text = "m = S f + b          f = S⁻¹ (m − b)\n\n" + aligned_matrix("S", accelerometer.sensitivity)
+        text += "\n\n" + aligned_matrix("b", accelerometer.bias[:, None])
         yield Code(f"Accelerometer: m in {accelerometer.unit}, f in m/s²", text)
     if (gyroscope := imu.gyroscope) is not None:
         felt = imu.accelerometer is not None or bool(gyroscope.g_sensitivity.any())
         text = "y = S ω + b + G f    ω = S⁻¹ (y − b − G f)" if felt else "y = S ω + b          ω = S⁻¹ (y − b)"
-        text += "\n\n" + matrix_text("S", gyroscope.sensitivity)
-        text += "\n\n" + matrix_text("b", gyroscope.bias[:, None])
-        text += "\n\n" + matrix_text("G", gyroscope.g_sensitivity) if felt else ""
+        text += "\n\n" + aligned_matrix("S", gyroscope.sensitivity)
+        text += "\n\n" + aligned_matrix("b", gyroscope.bias[:, None])
+        text += "\n\n" + aligned_matrix("G", gyroscope.g_sensitivity) if felt else ""
         yield Code(f"Gyroscope: y in {gyroscope.unit}, ω in rad/s", text)
     if (magnetometer := imu.magnetometer) is not None:
-        text = "c = S h + b          h = S⁻¹ (c − b)\n\n" + matrix_text("S", magnetometer.sensitivity)
-        text += "\n\n" + matrix_text("b", magnetometer.bias[:, None])
+        text = "c = S h + b          h = S⁻¹ (c − b)\n\n" + aligned_matrix("S", magnetometer.sensitivity)
+        text += "\n\n" + aligned_matrix("b", magnetometer.bias[:, None])
         field = "µT" if magnetometer.field_unit == "uT" else "units of the local field"
         yield Code(f"Magnetometer: c in {readable_unit(magnetometer.unit)}, h in {field}", text)

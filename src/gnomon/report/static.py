@@ -17,15 +17,15 @@ from ..units import STANDARD_GRAVITY_M_S2
 from .imu_parameters import parameter_groups
 from .numbers import (
     MISSING,
-    fixed,
+    finite_rms,
+    fixed_text,
     magnitude_text,
-    number,
-    quantity,
+    number_text,
+    quantity_text,
     readable_unit,
-    rms,
 )
-from .page import KeyNumber, Page, Parameters, Section, Table
-from .sections import FRAMES, assumptions_section, calibration_page, gravity_text, provenance_section, use_section
+from .page import KeyNumber, ParameterTable, ReportPage, ReportTable, Section
+from .sections import FRAMES, assumptions_section, calibration_page, gravity_text, imu_use_section, provenance_section
 from .static_sections import COUNTED, Vectors, kind_of, known_directions, largest_gap, static_sections, vectors_of
 from .trust_section import trust_section
 
@@ -37,7 +37,9 @@ _MODELS = {
 }
 
 
-def static_page(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDiagnostics | JoinedDiagnostics) -> Page:
+def static_page(
+    calibration: Calibration, diagnostics: ImuDiagnostics | TriadDiagnostics | JoinedDiagnostics
+) -> ReportPage:
     """Return the page of a calibration of one sensor."""
     if isinstance(diagnostics, JoinedDiagnostics):
         title, trust, numbers = "IMU calibration from several recordings", None, _joined_numbers(calibration)
@@ -54,12 +56,12 @@ def static_page(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDia
             "share one scale. Parameters without σ are fixed by the definition of the body frame or by the model."
         )
     sections = (
-        Section("parameters", "Parameters", lead, (Parameters(parameter_groups(calibration)),)),
+        Section("parameters", "Parameters", lead, (ParameterTable(parameter_groups(calibration)),)),
         *before,
         trust_section(calibration.assessment, trust),
         *after,
         assumptions_section(calibration, _assumptions(calibration, diagnostics)),
-        use_section(calibration),
+        imu_use_section(calibration),
         provenance_section(calibration.provenance),
     )
     return calibration_page(title, calibration, numbers, sections)
@@ -77,13 +79,13 @@ def _key_numbers(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDi
     assessment, holdout = calibration.assessment, calibration.assessment.holdout
     plural = COUNTED[kind_of(diagnostics)][1]
     if isinstance(diagnostics, ImuDiagnostics):
-        milli_g = number(1e3 * holdout.accelerometer_rms / STANDARD_GRAVITY_M_S2, 3)
+        milli_g = number_text(1e3 * holdout.accelerometer_rms / STANDARD_GRAVITY_M_S2, 3)
         note = f"rms of |f| − g in intervals left out of the fit; {milli_g} mg"
-        numbers = [KeyNumber("Accelerometer hold-out error", quantity(holdout.accelerometer_rms, "m/s²"), note)]
+        numbers = [KeyNumber("Accelerometer hold-out error", quantity_text(holdout.accelerometer_rms, "m/s²"), note)]
         if assessment.model != "none":
-            angle = f"{number(degrees(holdout.rotation_rms), 3)}°"
+            angle = f"{number_text(degrees(holdout.rotation_rms), 3)}°"
             note = f"rms of gravity propagated over rotations left out; {angle}"
-            numbers.append(KeyNumber("Gyroscope hold-out error", quantity(holdout.rotation_rms, "rad"), note))
+            numbers.append(KeyNumber("Gyroscope hold-out error", quantity_text(holdout.rotation_rms, "rad"), note))
     else:
         numbers = [
             KeyNumber(f"{name.capitalize()} hold-out error", magnitude_text(value, diagnostics.triads[name].si_unit
@@ -109,7 +111,9 @@ def _key_numbers(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDi
 def _spread_words(vectors: Vectors) -> str:
     """Say how far the emptiest spot of the sphere is from the nearest direction."""
     there = known_directions(vectors.table)
-    return f"no direction is farther than {fixed(largest_gap(there)[0], 0)}° from one of them" if len(there) else ""
+    return (
+        f"no direction is farther than {fixed_text(largest_gap(there)[0], 0)}° from one of them" if len(there) else ""
+    )
 
 
 def _references(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDiagnostics) -> Iterator[KeyNumber]:
@@ -123,14 +127,14 @@ def _references(calibration: Calibration, diagnostics: ImuDiagnostics | TriadDia
     if diagnostics.rates:
         fastest = max(diagnostics.rates, key=lambda rate: abs(rate.estimated))
         known = fastest.estimated_sigma > 0 and fastest.estimated != 0
-        spread = f"known to {number(100 * fastest.estimated_sigma / abs(fastest.estimated), 2)} %" if known else ""
+        spread = f"known to {number_text(100 * fastest.estimated_sigma / abs(fastest.estimated), 2)} %" if known else ""
         speeds = f"fastest of {len(diagnostics.rates)} speeds" if len(diagnostics.rates) > 1 else "the one speed"
         note = ", ".join(filter(None, (speeds, spread)))
-        yield KeyNumber("Turntable", quantity(abs(fastest.estimated), "rad/s", 6), note)
+        yield KeyNumber("Turntable", quantity_text(abs(fastest.estimated), "rad/s", 6), note)
     if diagnostics.dip is not None:
         value, sigma = degrees(diagnostics.dip.estimated_rad), degrees(diagnostics.dip.sigma_rad)
         note = "of the field below horizontal, the same in all attitudes"
-        yield KeyNumber("Dip", f"{number(value, 4)} ± {number(sigma, 2)}°", note)
+        yield KeyNumber("Dip", f"{number_text(value, 4)} ± {number_text(sigma, 2)}°", note)
 
 
 def _assumptions(
@@ -143,7 +147,7 @@ def _assumptions(
         yield f"Gravity is {gravity_text(gravity)} ({gravity.source}), the same in all recordings."
     elif "accelerometer" in triads:
         relative = 100 * gravity.sigma / gravity.value
-        carried = f"; here its σ is {number(relative, 2)}\u00a0%" if relative > 0 else ""
+        carried = f"; here its σ is {number_text(relative, 2)}\u00a0%" if relative > 0 else ""
         yield (
             f"Gravity is {gravity_text(gravity)} ({gravity.source}). A relative error of gravity is the same relative "
             f"error of every accelerometer scale{carried}."
@@ -188,7 +192,7 @@ def _assumptions(
 def _joined_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
     assessment = calibration.assessment
     between = {name: assessment.trust.between.get(name, 0.0) for name in ("gyroscope_bias", "accelerometer_bias")}
-    unseen = quantity(assessment.holdout.accelerometer_rms, "m/s²")
+    unseen = quantity_text(assessment.holdout.accelerometer_rms, "m/s²")
     return (
         KeyNumber("Recordings", str(assessment.trust.recordings), "each calibrated for itself, then joined"),
         *(
@@ -208,7 +212,7 @@ def _joined_numbers(calibration: Calibration) -> tuple[KeyNumber, ...]:
 
 def _amount(name: str, value: float) -> str:
     unit = QUANTITIES[name]
-    return f"{number(value / unit.size, 2)}\u00a0{readable_unit(unit.unit)}"
+    return f"{number_text(value / unit.size, 2)}\u00a0{readable_unit(unit.unit)}"
 
 
 def _joined_sections(diagnostics: JoinedDiagnostics) -> tuple[Section, Section]:
@@ -221,10 +225,14 @@ def _joined_sections(diagnostics: JoinedDiagnostics) -> tuple[Section, Section]:
     for name in dict.fromkeys(diagnostics.quantity):
         at = np.flatnonzero((quantities == name) & (diagnostics.scatter > 0))
         if len(at):
-            sizes = (float(diagnostics.scatter[at].max()), rms(within[at]), rms(diagnostics.mean_sigma[at]))
+            sizes = (
+                float(diagnostics.scatter[at].max()),
+                finite_rms(within[at]),
+                finite_rms(diagnostics.mean_sigma[at]),
+            )
             amounts = (_amount(name, size) for size in (*sizes, BETWEEN_RECORDINGS[name]))
-            rows.append((QUANTITIES[name].words, *amounts, number(rms(distance[:, at]), 2)))
-    scatter = Table(
+            rows.append((QUANTITIES[name].words, *amounts, number_text(finite_rms(distance[:, at]), 2)))
+    scatter = ReportTable(
         "Scatter between recordings (σ)",
         ("quantity", "between recordings", "within one", "of the mean", "usual", "z rms, one left out"),
         rows,
@@ -238,14 +246,14 @@ def _joined_sections(diagnostics: JoinedDiagnostics) -> tuple[Section, Section]:
             one.verdict,
             str(one.intervals),
             str(one.rotations),
-            quantity(one.accelerometer_rms, "m/s²"),
-            f"{number(degrees(one.rotation_rms), 2)}°" if isfinite(one.rotation_rms) else MISSING,
+            quantity_text(one.accelerometer_rms, "m/s²"),
+            f"{number_text(degrees(one.rotation_rms), 2)}°" if isfinite(one.rotation_rms) else MISSING,
         )
         for one in recordings
     ]
     off = [(one.values - diagnostics.mean) / np.where(one.sigma > 0, one.sigma, np.nan) for one in recordings]
     deviations = [
-        (diagnostics.names[i].removeprefix("imu0."), *(number(float(z[i]), 2) for z in off))
+        (diagnostics.names[i].removeprefix("imu0."), *(number_text(float(z[i]), 2) for z in off))
         for i in np.flatnonzero(diagnostics.scatter > 0).tolist()
     ]
     return (
@@ -261,12 +269,12 @@ def _joined_sections(diagnostics: JoinedDiagnostics) -> tuple[Section, Section]:
             "Recordings",
             "Each was calibrated for itself; gnomon imu with one of them alone makes its full report.",
             (
-                Table(
+                ReportTable(
                     "One by one",
                     ("recording", "verdict", "intervals", "rotations", "accelerometer hold-out", "gyroscope hold-out"),
                     each,
                 ),
-                Table(
+                ReportTable(
                     "Parameters, recording minus mean, in σ of that recording",
                     ("parameter", *(one.name for one in recordings)),
                     deviations,

@@ -18,24 +18,24 @@ from .drawing.figures import (
     AXES,
     SPHERE_HEIGHT,
     Sheet,
-    coarser,
+    coarsen_envelope,
     count_along,
-    dots,
-    hemisphere,
-    lambert,
-    limits,
+    draw_dots,
+    draw_envelope,
+    hemisphere_panel,
+    lambert_projection,
     log_limits,
-    thinned,
-    zigzag,
+    set_y_limits,
+    thin_points,
 )
 from .drawing.panel import Panel
-from .numbers import finite, highest, largest, magnitude_unit, prefixed, readable_unit
+from .numbers import finite_values, highest_finite, largest_magnitude, magnitude_unit, readable_unit, si_prefix
 
 
-def signals(diagnostics: ImuDiagnostics) -> str:
+def draw_raw_signals(diagnostics: ImuDiagnostics) -> str:
     """Raw signals with the static detector over them (Tedaldi 2014, Fig. 3.1), and its statistic (Eq. 3.9)."""
     gyroscope = diagnostics.gyroscope
-    ends = finite(np.concatenate([diagnostics.accelerometer.t_s, diagnostics.intervals.stop_s]))
+    ends = finite_values(np.concatenate([diagnostics.accelerometer.t_s, diagnostics.intervals.stop_s]))
     duration = float(ends.max()) if ends.size and ends.max() > 0 else 1.0
     height = 292.0 if gyroscope is None else 554.0
 
@@ -60,10 +60,10 @@ def signals(diagnostics: ImuDiagnostics) -> str:
 
 
 def _signal(panel: Panel, signal: SignalEnvelope, intervals: IntervalTable) -> None:
-    t, low, high = coarser(signal.t_s, signal.low, signal.high)
+    t, low, high = coarsen_envelope(signal.t_s, signal.low, signal.high)
     for i, name in enumerate(AXES):
-        zigzag(panel, t, low[:, i], high[:, i], name)
-    limits(panel, low, high)
+        draw_envelope(panel, t, low[:, i], high[:, i], name)
+    set_y_limits(panel, low, high)
     used = np.asarray(intervals.used, dtype=bool)
     _square_wave(panel, intervals.start_s[used], intervals.stop_s[used], "ink")
     _square_wave(panel, intervals.start_s[~used], intervals.stop_s[~used], "accent", closed=False)
@@ -83,17 +83,19 @@ def _square_wave(panel: Panel, start: Floats, stop: Floats, color: str, *, close
 
 def _statistic(panel: Panel, trace: DetectorTrace) -> None:
     statistic = np.where(trace.statistic > 0, trace.statistic, np.nan)
-    t, low, high = coarser(trace.t_s, statistic, statistic)
-    zigzag(panel, t, low, high, "before")
+    t, low, high = coarsen_envelope(trace.t_s, statistic, statistic)
+    draw_envelope(panel, t, low, high, "before")
     log_limits(panel, statistic, np.array([trace.multiplier]))
     if trace.multiplier > 0:
         panel.across(trace.multiplier, "accent", width=1.6)
 
 
-def allan(curve: AllanCurve) -> str:
+def draw_allan(curve: AllanCurve) -> str:
     """Allan deviation of the three gyroscope axes (Tedaldi 2014, Fig. 3.2), with the advised T_init."""
     sheet = Sheet()
-    prefix, factor = prefixed(float(np.median(finite(curve.deviation))) if finite(curve.deviation).size else 1.0)
+    prefix, factor = si_prefix(
+        float(np.median(finite_values(curve.deviation))) if finite_values(curve.deviation).size else 1.0
+    )
     title = f"Allan deviation [{prefix}rad/s]"
     axes = sheet.panel(title, top=36, height=290, x_label="averaging time [s]")
     axes.x.grid = True
@@ -102,7 +104,7 @@ def allan(curve: AllanCurve) -> str:
         axes.line(curve.tau_s, positive[:, i], name, width=1.8)
     log_limits(axes, positive)
     axes.x.logarithmic = True
-    taus = finite(curve.tau_s)
+    taus = finite_values(curve.tau_s)
     taus = taus[taus > 0]
     bounds = (float(taus.min()), float(taus.max())) if taus.size else (1.0, 10.0)
     axes.x.span(bounds[0], max(bounds[1], 1.05 * bounds[0]))
@@ -133,10 +135,10 @@ def rotation_errors(rotations: RotationTable) -> str:
     for axes, x in panels:
         for values, color, ring, size in series:
             positive = np.where(values > 0, values * 1e3, np.nan)
-            dots(axes, *thinned(x, positive), color, size=size, ring=ring)
+            draw_dots(axes, *thin_points(x, positive), color, size=size, ring=ring)
         log_limits(axes, *(values * 1e3 for values, _, _, _ in series))
     count_along(panels[0][0], len(used))
-    panels[1][0].x.span(0, max(largest(degrees) * 1.04, 1.0) if finite(degrees).size else 180.0)
+    panels[1][0].x.span(0, max(largest_magnitude(degrees) * 1.04, 1.0) if finite_values(degrees).size else 180.0)
     alt = f"Difference of measured and gyro-propagated gravity over {int(used.sum())} rotations, before and after."
     return sheet.draw("rotations", 644, alt)
 
@@ -162,25 +164,25 @@ def at_rest(rest: GyroscopeAtRest) -> str:
     measured, predicted = measured - centre, predicted - centre
 
     sheet = Sheet()
-    unit, factor = _scaled(largest(np.concatenate([measured, predicted])), rest.unit)
+    unit, factor = _scaled(largest_magnitude(np.concatenate([measured, predicted])), rest.unit)
     for axis, name in enumerate("xyz"):
         top = 36.0 + 190 * axis
         label = "attitude" if axis == 2 else ""
         panel = sheet.panel(f"{name} axis, less its mean [{unit}]", top=top, height=136, x_label=label)
         _whiskers(panel, number, factor * measured[:, axis], 2 * factor * sigma[:, axis], name)
-        dots(panel, number, factor * predicted[:, axis], "ink", size=9, ring=True)
-        dots(panel, number, factor * measured[:, axis], name, size=6)
+        draw_dots(panel, number, factor * predicted[:, axis], "ink", size=9, ring=True)
+        draw_dots(panel, number, factor * measured[:, axis], name, size=6)
         reach = factor * (np.abs(measured[:, axis]) + 2 * sigma[:, axis])
-        limits(panel, reach, factor * predicted[:, axis], symmetric=True)
+        set_y_limits(panel, reach, factor * predicted[:, axis], symmetric=True)
         count_along(panel, count)
         panel.across(0, "muted")
         panel.x.labelled = axis == 2
-    unit, factor = _scaled(largest(rest.drift), rest.unit)
+    unit, factor = _scaled(largest_magnitude(rest.drift), rest.unit)
     panel = sheet.panel(f"Drift of the bias [{unit}]", top=662, height=136, x_label="time [s]")
     for axis, name in enumerate("xyz"):
         panel.line(rest.t_s[some], factor * rest.drift[some, axis], name, width=1.6)
-    limits(panel, factor * rest.drift, symmetric=True)
-    ends = finite(rest.t_s)
+    set_y_limits(panel, factor * rest.drift, symmetric=True)
+    ends = finite_values(rest.t_s)
     panel.x.span(*(ends.min(), max(ends.max(), ends.min() + 1)) if ends.size else (0, 1))
     panel.across(0, "muted")
     alt = f"Mean rate of the gyroscope at rest in {count} attitudes, measured and predicted, and the drift of its bias."
@@ -195,11 +197,11 @@ def _whiskers(panel: Panel, x: Floats, y: Floats, reach: Floats, color: str) -> 
 
 def _scaled(reach: float, unit: str) -> tuple[str, float]:
     """Return the unit of a recording with a prefix, where it takes one, and the factor to it."""
-    prefix, factor = prefixed(reach) if unit in _PREFIXED else ("", 1.0)
+    prefix, factor = si_prefix(reach) if unit in _PREFIXED else ("", 1.0)
     return f"{prefix}{readable_unit(unit)}", factor
 
 
-def dip(table: DipTable) -> str:
+def draw_field_dip(table: DipTable) -> str:
     """Angle between magnetic field and horizontal in each attitude, with the estimated one."""
     count = len(table.dip_rad)
     found, estimated = np.degrees(table.dip_rad), float(np.degrees(table.estimated_rad))
@@ -210,27 +212,27 @@ def dip(table: DipTable) -> str:
     if spread > 0:
         panel.strip(estimated - spread, estimated + spread, "after", alpha=0.2)
     panel.across(estimated, "after", width=1.6)
-    dots(panel, np.arange(1.0, count + 1), np.asarray(found, dtype=np.float64), "before")
-    limits(panel, np.asarray(found, dtype=np.float64), np.array([estimated - spread, estimated + spread]))
+    draw_dots(panel, np.arange(1.0, count + 1), np.asarray(found, dtype=np.float64), "before")
+    set_y_limits(panel, np.asarray(found, dtype=np.float64), np.array([estimated - spread, estimated + spread]))
     count_along(panel, count)
     alt = f"Dip of the magnetic field in {count} attitudes; estimated {estimated:.2f} degrees."
     return sheet.draw("dip", 320, alt)
 
 
-def video(curve: PeriodCurve, name: str, period_s: float) -> str:
+def draw_video_repeats(curve: PeriodCurve, name: str, period_s: float) -> str:
     """How well the picture repeats after each period, and by how much the platter ran ahead of a constant rate."""
     sheet = Sheet()
     panel = sheet.panel("Likeness of pictures one period apart", top=36, height=180, x_label="period [s]")
     panel.line(curve.period_s, curve.score, "after", width=1.4)
-    limits(panel, curve.score)
+    set_y_limits(panel, curve.score)
     panel.x.span(*_ends(curve.period_s))
     panel.x.grid = True
     if np.isfinite(period_s):
         panel.upright(period_s, "accent", width=1.6, dash=(5.0, 3.0))
     degrees = 360 * curve.phase_error_turns
     panel = sheet.panel("Platter ahead of a constant rate [°]", top=320, height=180, x_label="time [s]")
-    dots(panel, curve.t_s, degrees, "after", size=4)
-    limits(panel, degrees, symmetric=True)
+    draw_dots(panel, curve.t_s, degrees, "after", size=4)
+    set_y_limits(panel, degrees, symmetric=True)
     panel.x.span(*_ends(curve.t_s))
     panel.across(0, "muted")
     alt = f"Video {curve.name}: likeness of pictures over the period between them, and the phase error of the platter."
@@ -238,12 +240,12 @@ def video(curve: PeriodCurve, name: str, period_s: float) -> str:
 
 
 def _ends(values: Floats) -> tuple[float, float]:
-    known = finite(values)
+    known = finite_values(values)
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     return low, high if high > low else low + 1
 
 
-def history(found: IterationHistory, name: str) -> str:
+def draw_fit_history(found: IterationHistory, name: str) -> str:
     """Residual quadratic form after each step of the paper's iteration."""
     step = np.arange(len(found.q), dtype=np.float64)
 
@@ -251,17 +253,17 @@ def history(found: IterationHistory, name: str) -> str:
     panel = sheet.panel("Residual quadratic form q", top=36, height=200, x_label="iteration")
     positive = np.where(found.q > 0, found.q, np.nan)
     panel.line(step, positive, "after", width=1.6)
-    dots(panel, step, positive, "after")
-    if highest(positive) > 10 * -highest(-positive):
+    draw_dots(panel, step, positive, "after")
+    if highest_finite(positive) > 10 * -highest_finite(-positive):
         log_limits(panel, found.q)
     else:
-        limits(panel, positive)
-    panel.x.span(-0.4, highest(step, 1.0) + 0.4)
+        set_y_limits(panel, positive)
+    panel.x.span(-0.4, highest_finite(step, 1.0) + 0.4)
     panel.x.most, panel.x.whole = 10, True
     return sheet.draw(name, 300, f"Residual quadratic form over {len(found.q)} steps of the paper's iteration.")
 
 
-def directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) -> str:
+def draw_directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) -> str:
     """Directions (n, 3) in the body frame on two hemispheres in Lambert's equal-area projection.
 
     Parameters
@@ -276,13 +278,13 @@ def directions(name: str, direction: Floats, used: NDArray[np.bool_], alt: str) 
 
     sheet = Sheet()
     for side in (1.0, -1.0):
-        axes = hemisphere(sheet, side)
+        axes = hemisphere_panel(sheet, side)
         here = known & ((direction[:, 2] >= 0) == (side > 0))
-        flat = lambert(direction, side)
+        flat = lambert_projection(direction, side)
         for chosen, color, ring in ((here & ~used, "accent", True), (here & used, "after", False)):
             # Directions closer than a dot is wide add nothing to see.
             spots = np.unique(np.round(flat[chosen] / 0.02) * 0.02, axis=0) if not labelled else flat[chosen]
-            dots(axes, spots[:, 0], spots[:, 1], color, size=9 if labelled else 5, ring=ring and labelled)
+            draw_dots(axes, spots[:, 0], spots[:, 1], color, size=9 if labelled else 5, ring=ring and labelled)
         if labelled:
             for x, y, names in _labels(flat, np.flatnonzero(here)):
                 axes.text(names, x, y, svg.text_style("muted", 9.5, "left"), fine=True)
@@ -355,17 +357,17 @@ def magnitude_errors(name: str, table: IntervalTable | PoseTable, si_unit: str, 
     sheet = Sheet()
     before, after = table.error_before[used], table.error_after[used]
     heldout, sigma = table.error_holdout[used], table.sigma[used]
-    unit, factor = magnitude_unit(largest(np.concatenate([before, after])), si_unit)
+    unit, factor = magnitude_unit(largest_magnitude(np.concatenate([before, after])), si_unit)
     axes = sheet.panel(f"Before and after [{unit}]", top=36, height=180)
     for values, color in ((before, "before"), (after, "after")):
-        dots(axes, *_some(number_of, values * factor), color, size=7 if few else 4)
-    limits(axes, before * factor, after * factor, symmetric=True)
-    unit, factor = magnitude_unit(largest(np.concatenate([after, heldout])), si_unit)
+        draw_dots(axes, *_some(number_of, values * factor), color, size=7 if few else 4)
+    set_y_limits(axes, before * factor, after * factor, symmetric=True)
+    unit, factor = magnitude_unit(largest_magnitude(np.concatenate([after, heldout])), si_unit)
     close = sheet.panel(f"After, magnified [{unit}]", top=270, height=220, x_label=x_label)
     _band(close, number_of, 2 * sigma * factor)
-    dots(close, *_some(number_of, heldout * factor), "heldout", size=7 if few else 5, ring=True)
-    dots(close, *_some(number_of, after * factor), "after", size=5 if few else 3)
-    limits(close, after * factor, heldout * factor, symmetric=True)
+    draw_dots(close, *_some(number_of, heldout * factor), "heldout", size=7 if few else 5, ring=True)
+    draw_dots(close, *_some(number_of, after * factor), "after", size=5 if few else 3)
+    set_y_limits(close, after * factor, heldout * factor, symmetric=True)
     for panel in (axes, close):
         count_along(panel, len(used))
         panel.across(0, "muted")
@@ -385,7 +387,7 @@ def _some(x: Floats, y: Floats, most: int = 600) -> tuple[Floats, Floats]:
 
 def _band(panel: Panel, x: Floats, reach: Floats) -> None:
     """Shade ±reach around zero."""
-    t, _, high = coarser(x, reach, reach, bins=300)
+    t, _, high = coarsen_envelope(x, reach, reach, bins=300)
     between = (t[1:] + t[:-1]) / 2
     edges = np.sort(np.concatenate([t[:1], between, between, t[-1:]]))
     panel.band(edges, -np.repeat(high, 2), np.repeat(high, 2), "before", alpha=0.22)

@@ -14,19 +14,19 @@ from ..units import STANDARD_GRAVITY_M_S2
 from . import static_figures as figures
 from .numbers import (
     MISSING,
-    estimate,
-    finite,
-    fixed,
-    largest,
+    estimate_text,
+    finite_rms,
+    finite_values,
+    fixed_text,
+    largest_magnitude,
     magnitude_text,
     magnitude_unit,
-    number,
-    positive,
-    quantity,
+    number_text,
+    positive_or,
+    quantity_text,
     readable_unit,
-    rms,
 )
-from .page import Figure, Legend, Section, Table
+from .page import Figure, Legend, ReportTable, Section
 
 COUNTED = {
     "imu": ("static interval", "static intervals"),
@@ -105,16 +105,17 @@ def _recording_section(diagnostics: ImuDiagnostics) -> Section:
     """Return the signals with the static detector, and what it left out."""
     intervals = diagnostics.intervals
     used = _mask(intervals)
-    still = float(np.sum(finite(intervals.stop_s[used] - intervals.start_s[used])))
+    still = float(np.sum(finite_values(intervals.stop_s[used] - intervals.start_s[used])))
     waves = [Legend("square-wave", "ink", "static, used")]
     if not used.all():
         waves.append(Legend("square-wave", "accent", "static, left out"))
     figure = Figure(
         "Signals and static detector",
-        figures.signals(diagnostics),
-        (*_AXES, *waves, Legend("line", "accent", f"threshold {number(diagnostics.detector.multiplier, 3)}")),
+        figures.draw_raw_signals(diagnostics),
+        (*_AXES, *waves, Legend("line", "accent", f"threshold {number_text(diagnostics.detector.multiplier, 3)}")),
         "The signals as recorded, reduced to the minimum and maximum of short stretches. The square wave is "
-        f"high where the sensor rests: {int(used.sum())} intervals were used, {number(still, 4)} s in all. Below, the "
+        f"high where the sensor rests: {int(used.sum())} intervals were used, {number_text(still, 4)} s in all. "
+        "Below, the "
         "variance in a sliding window relative to its level at rest: where it stays under the threshold, the sensor is "
         "static.",
     )
@@ -124,7 +125,7 @@ def _recording_section(diagnostics: ImuDiagnostics) -> Section:
     ]
     head, more = ("interval", "time [s]", "reason"), len(rejected) - len(rows)
     caption = f"And {more} more." if more else ""
-    left_out = [Table("Static intervals that were left out", head, rows, caption, prose=True)] if rows else []
+    left_out = [ReportTable("Static intervals that were left out", head, rows, caption, prose=True)] if rows else []
     return Section("recording", "Recording", blocks=(figure, *left_out))
 
 
@@ -133,19 +134,21 @@ def _span(table: IntervalTable | PoseTable, i: int, digits: int) -> str:
     start, stop = float(table.start_s[i]), float(table.stop_s[i])
     if not isfinite(start):
         return MISSING
-    return f"{number(start, digits)} to {number(stop, digits)}" if stop > start else number(start, digits)
+    return (
+        f"{number_text(start, digits)} to {number_text(stop, digits)}" if stop > start else number_text(start, digits)
+    )
 
 
 def _rest_section(diagnostics: ImuDiagnostics) -> Section | None:
     """Return the Allan plot with advice on the initial rest; None without a gyroscope at rest."""
     curve = diagnostics.allan
-    if curve is None or not finite(curve.deviation).size:
+    if curve is None or not finite_values(curve.deviation).size:
         return None
     legend = [*_AXES]
-    static = f"The recording starts with {number(curve.static_s, 3)} s at rest"
+    static = f"The recording starts with {number_text(curve.static_s, 3)} s at rest"
     if isfinite(curve.t_init_s):
-        legend.append(Legend("dash", "accent", f"advised T_init {number(curve.t_init_s, 3)} s"))
-        advice = f"The curves flatten at an averaging time of {number(curve.t_init_s, 3)} s. {static}: " + (
+        legend.append(Legend("dash", "accent", f"advised T_init {number_text(curve.t_init_s, 3)} s"))
+        advice = f"The curves flatten at an averaging time of {number_text(curve.t_init_s, 3)} s. {static}: " + (
             "long enough." if curve.static_s >= curve.t_init_s else "rest longer before the first movement next time."
         )
     else:
@@ -158,7 +161,7 @@ def _rest_section(diagnostics: ImuDiagnostics) -> Section | None:
         "Rest at the start",
         "The Allan deviation shows how the mean of the gyroscope settles as it is averaged for longer. Where the "
         "three curves flatten, a longer initial rest would not make the bias any better known.",
-        (Figure("Gyroscope at rest", figures.allan(curve), legend, advice),),
+        (Figure("Gyroscope at rest", figures.draw_allan(curve), legend, advice),),
     )
 
 
@@ -179,14 +182,16 @@ def _rotations_section(rotations: RotationTable, gravity: float) -> Section | No
     for name, values in _in_numbers(rotations):
         # |u_a - u_g| is the chord of the angle between the two unit vectors.
         angle = degrees(2 * asin(min(values[2] / 2, 1.0))) if isfinite(values[2]) else float("nan")
-        shown = f"{number(angle, 3)}°" if isfinite(angle) else MISSING
-        rows.append((name, *(quantity(v, "rad") for v in values), shown, quantity(values[0] * gravity, "m/s²")))
+        shown = f"{number_text(angle, 3)}°" if isfinite(angle) else MISSING
+        rows.append(
+            (name, *(quantity_text(v, "rad") for v in values), shown, quantity_text(values[0] * gravity, "m/s²"))
+        )
     head = ("measured against propagated", "rms", "mean", "worst", "worst angle", "rms as magnitude")
     reasons = [reason for reason, one in zip(rotations.reason, used, strict=True) if not one]
     most = sorted(dict.fromkeys(reasons), key=lambda reason: -reasons.count(reason))[:5]
     listed = "; ".join(f"{reason or 'no reason given'} ({reasons.count(reason)})" for reason in most)
     lead = f"{len(reasons)} of {len(used)} rotations were left out: {listed}." if reasons else ""
-    return Section("gyroscope", "Gyroscope", lead, (figure, Table("In numbers", head, rows)))
+    return Section("gyroscope", "Gyroscope", lead, (figure, ReportTable("In numbers", head, rows)))
 
 
 def known_directions(table: IntervalTable | PoseTable) -> Floats:
@@ -210,10 +215,11 @@ def _directions_section(vectors: list[Vectors], kind: str) -> Section | None:
         blocks.append(
             Figure(
                 f"Directions of {pointed} in the body frame",
-                figures.directions(f"directions-{one.name}", one.table.direction, used, alt),
+                figures.draw_directions(f"directions-{one.name}", one.table.direction, used, alt),
                 legend,
                 "Both halves of the sphere in equal-area projection, seen from outside; circles every 30°. The "
-                f"emptiest spot is ({towards}), {fixed(gap, 0)}° from the nearest {counted}: {advice.format(counted)}.",
+                f"emptiest spot is ({towards}), {fixed_text(gap, 0)}° from the nearest {counted}: "
+                f"{advice.format(counted)}.",
             )
         )
     lead = (
@@ -232,7 +238,7 @@ def largest_gap(directions: Floats) -> tuple[float, str]:
     nearest = (lattice @ spots.T).max(axis=1)
     worst = int(np.argmin(nearest))
     angle = degrees(float(np.arccos(np.clip(nearest[worst], -1, 1))))
-    return angle, ", ".join(fixed(float(c), 1) for c in lattice[worst] + 0.0)
+    return angle, ", ".join(fixed_text(float(c), 1) for c in lattice[worst] + 0.0)
 
 
 def _magnitude_section(vectors: Vectors, kind: str, calibration: Calibration) -> Section | None:
@@ -260,12 +266,14 @@ def _magnitude_section(vectors: Vectors, kind: str, calibration: Calibration) ->
     in_mg = vectors.si_unit == "m/s^2"
     rows: list[tuple[str, ...]] = []
     for name, values in _in_numbers(table):
-        milli_g = number(1e3 * values[0] / STANDARD_GRAVITY_M_S2, 3, trim=False)
+        milli_g = number_text(1e3 * values[0] / STANDARD_GRAVITY_M_S2, 3, trim=False)
         rows.append((name, *(magnitude_text(v, vectors.si_unit) for v in values), *([milli_g] if in_mg else [])))
     head = (symbol, "rms", "mean size", "worst", *(["rms [mg]"] if in_mg else []))
     tables = _pose_tables(vectors.record, counted, plural) if vectors.record else ()
     lead = _noise_words(vectors.record, counted) if vectors.record else ""
-    return Section(vectors.name, vectors.name.capitalize(), lead, (figure, Table("In numbers", head, rows), *tables))
+    return Section(
+        vectors.name, vectors.name.capitalize(), lead, (figure, ReportTable("In numbers", head, rows), *tables)
+    )
 
 
 def _in_numbers(table: IntervalTable | RotationTable | PoseTable) -> Iterator[tuple[str, tuple[float, float, float]]]:
@@ -276,8 +284,11 @@ def _in_numbers(table: IntervalTable | RotationTable | PoseTable) -> Iterator[tu
         ("held out", table.error_holdout),
         ("expected (σ)", table.sigma),
     ):
-        values = np.abs(finite(errors[_mask(table)]))
-        yield name, (rms(values), float(np.mean(values)) if values.size else float("nan"), largest(values))
+        values = np.abs(finite_values(errors[_mask(table)]))
+        yield (
+            name,
+            (finite_rms(values), float(np.mean(values)) if values.size else float("nan"), largest_magnitude(values)),
+        )
 
 
 def _noise_words(record: TriadRecord, counted: str) -> str:
@@ -288,13 +299,13 @@ def _noise_words(record: TriadRecord, counted: str) -> str:
     return f"{noise} What is left after the fit shows {extra} more; every sigma of this report includes it."
 
 
-def _pose_tables(record: TriadRecord, counted: str, plural: str) -> Iterator[Table]:
+def _pose_tables(record: TriadRecord, counted: str, plural: str) -> Iterator[ReportTable]:
     """Yield every pose where they are few, and why some were left out."""
     poses, used = record.poses, _mask(record.poses)
     names = [name or str(i + 1) for i, name in enumerate(poses.name)]
     if len(used) <= _MOST_ROWS:
         errors = np.stack([poses.error_after, poses.error_holdout, poses.sigma], axis=1)
-        label, factor = magnitude_unit(largest(errors[:, :2]), record.si_unit)
+        label, factor = magnitude_unit(largest_magnitude(errors[:, :2]), record.si_unit)
         unit = label.removesuffix(" of the field")
         timed = bool(np.isfinite(poses.start_s).any())
         head = [
@@ -303,19 +314,19 @@ def _pose_tables(record: TriadRecord, counted: str, plural: str) -> Iterator[Tab
             *(f"{axis} [{readable_unit(record.unit)}]" for axis in "xyz"),
         ]
         head += [f"after [{unit}]", f"held out [{unit}]", f"σ [{unit}]"]
-        decimals = max(0, 5 - int(np.floor(np.log10(positive(largest(poses.measured))))))
+        decimals = max(0, 5 - int(np.floor(np.log10(positive_or(largest_magnitude(poses.measured))))))
         rows = [
             (
                 name,
                 *([_span(poses, i, 5)] if timed else []),
-                *(fixed(value, decimals) for value in poses.measured[i].tolist()),
-                *(number(factor * value, 3, trim=False) for value in errors[i].tolist()),
+                *(fixed_text(value, decimals) for value in poses.measured[i].tolist()),
+                *(number_text(factor * value, 3, trim=False) for value in errors[i].tolist()),
             )
             for i, name in enumerate(names)
         ]
         faint = frozenset(np.flatnonzero(~used).tolist())
         caption = "Those that were left out are set faint." if faint else ""
-        yield Table(f"Every {counted}", tuple(head), rows, caption, faint=faint, dense=True)
+        yield ReportTable(f"Every {counted}", tuple(head), rows, caption, faint=faint, dense=True)
     reasons: dict[str, list[str]] = {}
     for name, reason, one in zip(names, poses.reason, used, strict=True):
         if not one:
@@ -325,7 +336,7 @@ def _pose_tables(record: TriadRecord, counted: str, plural: str) -> Iterator[Tab
             (reason or MISSING, str(len(which)), ", ".join(which[:5]) + " …" * (len(which) > 5))
             for reason, which in reasons.items()
         ]
-        yield Table("Why they were left out", ("reason", plural, "which"), rows, prose=True)
+        yield ReportTable("Why they were left out", ("reason", plural, "which"), rows, prose=True)
 
 
 def _rates_section(diagnostics: TriadDiagnostics) -> Section | None:
@@ -342,24 +353,24 @@ def _rates_section(diagnostics: TriadDiagnostics) -> Section | None:
         rows.append((
             rate.name,
             str(rate.parts),
-            estimate(rate.stated, rate.stated_sigma) + exact,
-            estimate(rate.estimated, rate.estimated_sigma),
-            f"{fixed(change, 1, sign=True)} σ" if isfinite(change) else MISSING,
-            estimate(rate.estimated * 30 / pi, rate.estimated_sigma * 30 / pi),
+            estimate_text(rate.stated, rate.stated_sigma) + exact,
+            estimate_text(rate.estimated, rate.estimated_sigma),
+            f"{fixed_text(change, 1, sign=True)} σ" if isfinite(change) else MISSING,
+            estimate_text(rate.estimated * 30 / pi, rate.estimated_sigma * 30 / pi),
         ))  # fmt: skip
     head = ("speed", "steady parts", "beforehand [rad/s]", "after the fit [rad/s]", "change", "after the fit [rpm]")
     caption = "The change is counted in standard deviations of what was known beforehand."
-    blocks: list[Table | Figure] = [Table("Speeds", head, rows, caption)]
+    blocks: list[ReportTable | Figure] = [ReportTable("Speeds", head, rows, caption)]
     for i, curve in enumerate(diagnostics.videos):
         rate = next((rate for rate in diagnostics.rates if rate.name == curve.name), None)
         period = 2 * pi / abs(rate.stated) if rate is not None and rate.stated else float("nan")
-        turns = f" over {number(rate.turns, 4)} turns" if rate is not None and isfinite(rate.turns) else ""
+        turns = f" over {number_text(rate.turns, 4)} turns" if rate is not None and isfinite(rate.turns) else ""
         legend = [Legend("line", "after", "likeness")]
-        legend += [Legend("dash", "accent", f"one turn, {number(period, 6)} s")] * isfinite(period)
+        legend += [Legend("dash", "accent", f"one turn, {number_text(period, 6)} s")] * isfinite(period)
         blocks.append(
             Figure(
                 f"Video {curve.name}",
-                figures.video(curve, f"video-{i}", period),
+                figures.draw_video_repeats(curve, f"video-{i}", period),
                 legend,
                 "Above: how well the picture repeats after a time; after whole turns it does best. Below: "
                 f"where the platter was against one that turns at a constant rate{turns}. A slow wave is a speed that "
@@ -392,15 +403,20 @@ def _at_rest_section(diagnostics: TriadDiagnostics) -> Section | None:
     left, centred = rest.measured - rest.predicted, rest.measured - figures.mean_rate(rest)
     rows: list[tuple[str, ...]] = []
     for i, axis in enumerate("xyz"):
-        values = (rms(centred[:, i]), rms(left[:, i]), largest(left[:, i]), rms(rest.sigma[:, i]))
-        rows.append((axis, *(f"{number(value, 3, trim=False)}\u00a0{unit}" for value in values)))
+        values = (
+            finite_rms(centred[:, i]),
+            finite_rms(left[:, i]),
+            largest_magnitude(left[:, i]),
+            finite_rms(rest.sigma[:, i]),
+        )
+        rows.append((axis, *(f"{number_text(value, 3, trim=False)}\u00a0{unit}" for value in values)))
     head = ("axis", "constant bias, rms", "with g-sensitivity, rms", "worst", "expected (σ)")
     return Section(
         "at-rest",
         "Gyroscope at rest",
         "At rest a gyroscope reads its bias, which depends on the specific force: the static experiment of Krebs. Six "
         "attitudes or more give the whole g-sensitivity.",
-        (figure, Table("Measured against predicted", head, rows)),
+        (figure, ReportTable("Measured against predicted", head, rows)),
     )
 
 
@@ -412,10 +428,10 @@ def _dip_section(diagnostics: TriadDiagnostics) -> Section | None:
     left = np.degrees(dip.dip_rad - dip.estimated_rad)
     figure = Figure(
         "Dip in each attitude",
-        figures.dip(dip),
+        figures.draw_field_dip(dip),
         (Legend("dot", "before", "measured"), Legend("line", "after", "estimated"), Legend("band", "after", "±2σ")),
-        f"Estimated {estimate(degrees(dip.estimated_rad), degrees(dip.sigma_rad))}°; attitudes differ from it by "
-        f"{number(rms(left), 3)}° rms, {number(largest(left), 3)}° at worst.",
+        f"Estimated {estimate_text(degrees(dip.estimated_rad), degrees(dip.sigma_rad))}°; attitudes differ from it by "
+        f"{number_text(finite_rms(left), 3)}° rms, {number_text(largest_magnitude(left), 3)}° at worst.",
     )
     return Section(
         "dip",
@@ -428,18 +444,18 @@ def _dip_section(diagnostics: TriadDiagnostics) -> Section | None:
 
 def _choices_section(diagnostics: ImuDiagnostics | TriadDiagnostics) -> Section | None:
     """Return the thresholds and models that were tried, and Angrisano's iteration; None without any."""
-    blocks: list[Table | Figure] = []
+    blocks: list[ReportTable | Figure] = []
     if isinstance(diagnostics, ImuDiagnostics):
         detector = diagnostics.detector
         if detector.candidates.size:
             candidates = np.atleast_2d(detector.candidates)[:_MOST_ROWS]
             chosen = np.flatnonzero(np.isclose(candidates[:, 0], detector.multiplier))
             blocks.append(
-                Table(
+                ReportTable(
                     "Threshold of the static detector",
                     ("multiplier", "static intervals", "held-out rms", "criterion"),
                     [
-                        (number(a), number(b, 6), quantity(c, "m/s²"), number(d, 5))
+                        (number_text(a), number_text(b, 6), quantity_text(c, "m/s²"), number_text(d, 5))
                         for a, b, c, d in candidates.tolist()
                     ],
                     "The threshold is a multiple of the resting variance. The chosen one is marked; a smaller "
@@ -449,7 +465,12 @@ def _choices_section(diagnostics: ImuDiagnostics | TriadDiagnostics) -> Section 
             )
         errors = ("accelerometer, held out", "rotations, held out")
         rows = [
-            (t.model, str(t.parameters), quantity(t.accelerometer_rms, "m/s²"), quantity(t.rotation_rms, "rad"))
+            (
+                t.model,
+                str(t.parameters),
+                quantity_text(t.accelerometer_rms, "m/s²"),
+                quantity_text(t.rotation_rms, "rad"),
+            )
             for t in diagnostics.trials
         ]
     else:
@@ -459,21 +480,21 @@ def _choices_section(diagnostics: ImuDiagnostics | TriadDiagnostics) -> Section 
     if rows:
         caption = "Each model was fitted and tested on data left out of its fit. The model in use is marked."
         marked = next((i for i, trial in enumerate(diagnostics.trials) if trial.chosen), None)
-        blocks.append(Table("Models", ("model", "parameters", *errors), rows, caption, marked=marked))
+        blocks.append(ReportTable("Models", ("model", "parameters", *errors), rows, caption, marked=marked))
     if isinstance(diagnostics, TriadDiagnostics):
         for name, found in diagnostics.triads.items():
-            if found.history is not None and finite(found.history.q).size:
+            if found.history is not None and finite_values(found.history.q).size:
                 blocks += _history(name, found)
     return Section("choices", "What was tried", blocks=blocks) if blocks else None
 
 
-def _history(name: str, record: TriadRecord) -> tuple[Figure, Table]:
+def _history(name: str, record: TriadRecord) -> tuple[Figure, ReportTable]:
     """Return the iteration of Angrisano's paper: q over the steps, and X after each of them."""
     assert record.history is not None
     q, X = record.history.q, record.history.parameters
     figure = Figure(
         f"Angrisano's iteration, {name}",
-        figures.history(record.history, f"history-{name}"),
+        figures.draw_fit_history(record.history, f"history-{name}"),
         caption="The quadratic form of the residuals after each step of Eqs. (9) to (11). The iteration stops where a "
         "step changes it no more.",
     )
@@ -481,12 +502,12 @@ def _history(name: str, record: TriadRecord) -> tuple[Figure, Table]:
     head = ("step", "q", *(f"{letter} {axis}" for letter in "abk" for axis in "xyz"))
     scaled = X * np.array([1e3] * 3 + [1.0] * 6)
     rows = [
-        (str(i), number(float(value), 4), *(number(x, 5) for x in scaled[i].tolist()))
+        (str(i), number_text(float(value), 4), *(number_text(x, 5) for x in scaled[i].tolist()))
         for i, value in enumerate(q[:_MOST_ROWS])
     ]
     scale = f"{si}/{unit}" if si != unit else "1"
     caption = f"Angles a in mrad, biases b in {unit}, scale factors k in {scale}."
-    return figure, Table("The nine parameters, step by step", head, rows, caption, dense=True)
+    return figure, ReportTable("The nine parameters, step by step", head, rows, caption, dense=True)
 
 
 _NOISE = {
@@ -514,12 +535,12 @@ def _noise_section(diagnostics: ImuDiagnostics | TriadDiagnostics) -> Section | 
         words, unit = _NOISE.get(name) or _NOISE.get(kind) or (name.replace(".", ", ").replace("_", " "), "")
         unit = unit.format({"accelerometer": "m/s²", "gyroscope": "rad/s"}.get(triad, ""))
         if unit == "recorded" and isinstance(diagnostics, TriadDiagnostics):
-            text = f"{number(value, 3)} {readable_unit(diagnostics.triads['magnetometer'].unit)}"
+            text = f"{number_text(value, 3)} {readable_unit(diagnostics.triads['magnetometer'].unit)}"
         elif unit == "%":
-            text = f"{number(100 * value, 3)} % of the field"
+            text = f"{number_text(100 * value, 3)} % of the field"
         elif unit == "×":
-            text = f"× {number(value, 3)}"
+            text = f"× {number_text(value, 3)}"
         else:
-            text = quantity(value, unit) if unit else number(value, 3)
+            text = quantity_text(value, unit) if unit else number_text(value, 3)
         rows.append((words.format(triad), text))
-    return Section("noise", "Noise", blocks=(Table("What was found", ("", ""), rows),)) if rows else None
+    return Section("noise", "Noise", blocks=(ReportTable("What was found", ("", ""), rows),)) if rows else None

@@ -6,10 +6,10 @@ import numpy as np
 
 from ..results.calibration import Assessment
 from ..results.trust import BlockChange, ModelStep, Need, Splits, Trust, WeakDirection
-from .drawing.figures import Sheet, dots
+from .drawing.figures import Sheet, draw_dots
 from .drawing.panel import DASHED
-from .numbers import MISSING, finite, highest, number
-from .page import Block, Figure, Legend, Prose, Section, Table
+from .numbers import MISSING, finite_values, highest_finite, number_text
+from .page import Block, Figure, Legend, Prose, ReportTable, Section
 
 _OPEN = 2.0
 """Sigmas that are larger than the ordinary ones by more than this say that the model is incomplete."""
@@ -43,7 +43,7 @@ def trust_section(assessment: Assessment, trust: Trust | None) -> Section | None
     )
 
 
-def _needs(use: str, needs: tuple[Need, ...]) -> Table:
+def _needs(use: str, needs: tuple[Need, ...]) -> ReportTable:
     floors = any(need.floor for need in needs)
 
     def floor(need: Need) -> tuple[str, ...]:
@@ -63,7 +63,7 @@ def _needs(use: str, needs: tuple[Need, ...]) -> Table:
         " Between recordings: what is usual from one to the next (turn-on, temperature, mounting), which one recording "
         "cannot know. It counts, but for biases, which every use has to follow."
     )
-    return Table(
+    return ReportTable(
         f"What {use} needs" if use else "What is needed",
         ("", "σ of this calibration", *(("between recordings",) if floors else ()), "needed", "verdict"),
         rows,
@@ -74,7 +74,7 @@ def _needs(use: str, needs: tuple[Need, ...]) -> Table:
 
 def _amount(value: float, unit: str) -> str:
     """Return a standard deviation with its unit, which does not break from it."""
-    return f"{number(value, 2)}\u00a0{unit}".replace("m/s^2", "m/s²").replace("\u00a0deg", "°")
+    return f"{number_text(value, 2)}\u00a0{unit}".replace("m/s^2", "m/s²").replace("\u00a0deg", "°")
 
 
 def _origin(trust: Trust) -> Prose:
@@ -84,18 +84,18 @@ def _origin(trust: Trust) -> Prose:
     clusters = trust.clusters
     text = (
         f"The standard deviations come from leaving out each of {clusters.count} clusters of "
-        f"{number(clusters.length_s, 3)}\u00a0s in turn (cluster-robust, CR3), so that errors which last for seconds "
-        "count as what they are."
+        f"{number_text(clusters.length_s, 3)}\u00a0s in turn (cluster-robust, CR3), so that errors which last for "
+        "seconds count as what they are."
     )
     known = [ratio for ratio in trust.ratios if isfinite(ratio.ratio)]
     if not known:
         return Prose((text,))
     usual = float(np.median([ratio.ratio for ratio in known]))
-    text += f" They are {number(usual, 2)} times those for independent errors (median of the blocks)"
+    text += f" They are {number_text(usual, 2)} times those for independent errors (median of the blocks)"
     wide = sorted((r for r in known if r.ratio > _OPEN), key=lambda r: -r.ratio)[:_SHOWN]
     if not wide:
         return Prose((f"{text}: the model explains the recording.",))
-    names = ", ".join(f"{ratio.block} ({number(ratio.ratio, 2)} times)" for ratio in wide)
+    names = ", ".join(f"{ratio.block} ({number_text(ratio.ratio, 2)} times)" for ratio in wide)
     return Prose((f"{text}. Most: {names}. There errors last, or the model leaves something out.",))
 
 
@@ -105,19 +105,19 @@ def _splits(splits: Splits) -> list[Block]:
         (
             block.block,
             str(block.comparisons),
-            number(block.z_rms, 2, trim=False),
-            number(block.z_rms_ordinary, 2, trim=False),
-            f"{number(block.largest, 2, trim=False)} {block.where}".strip(),
+            number_text(block.z_rms, 2, trim=False),
+            number_text(block.z_rms_ordinary, 2, trim=False),
+            f"{number_text(block.largest, 2, trim=False)} {block.where}".strip(),
         )
         for block in splits.blocks
     )
     pooled = ("all together", str(sum(b.comparisons for b in splits.blocks)))
-    pooled += (number(splits.z_rms, 2, trim=False), number(splits.z_rms_ordinary, 2, trim=False))
-    pooled += (f"limit {number(splits.limit, 2)}" if isfinite(splits.limit) else MISSING,)
+    pooled += (number_text(splits.z_rms, 2, trim=False), number_text(splits.z_rms_ordinary, 2, trim=False))
+    pooled += (f"limit {number_text(splits.limit, 2)}" if isfinite(splits.limit) else MISSING,)
     return [
         Figure(
             "Do parts of the recording agree?",
-            agreement(splits),
+            draw_agreement(splits),
             (
                 Legend("dot", "after", "published σ"),
                 Legend("ring", "before", "σ for independent errors"),
@@ -126,7 +126,7 @@ def _splits(splits: Splits) -> list[Block]:
             f"The recording was cut into {cut}, each part calibrated for itself. z is the difference of two "
             "parts over its standard deviation; its rms is 1 where the standard deviations are right.",
         ),
-        Table(
+        ReportTable(
             f"Differences of {cut} over their standard deviation",
             ("", "differences", "z rms", "z rms, independent errors", "largest |z|"),
             (*rows, pooled),
@@ -138,23 +138,23 @@ def _splits(splits: Splits) -> list[Block]:
     ]
 
 
-def _models(models: tuple[ModelStep, ...]) -> Table:
+def _models(models: tuple[ModelStep, ...]) -> ReportTable:
     rows = tuple(
         (
             step.name,
             str(step.parameters),
-            f"{number(step.gain, 4)} ± {number(step.gain_sigma, 2)}" if isfinite(step.gain) else MISSING,
-            number(step.needed, 3),
+            f"{number_text(step.gain, 4)} ± {number_text(step.gain_sigma, 2)}" if isfinite(step.gain) else MISSING,
+            number_text(step.needed, 3),
             _decision(step),
             "; ".join(
-                f"{change.block} {_change(change)} ({number(change.sigmas, 2)}\u00a0σ)"
+                f"{change.block} {_change(change)} ({number_text(change.sigmas, 2)}\u00a0σ)"
                 for change in step.changes[:_SHOWN]
             )
             or MISSING,
         )
         for step in models
     )
-    return Table(
+    return ReportTable(
         "What the model holds, by evidence",
         ("block", "parameters", "gain on hold-out data", "needed", "in the model", "what it moves most"),
         rows,
@@ -169,7 +169,7 @@ def _models(models: tuple[ModelStep, ...]) -> Table:
 def _change(change: BlockChange) -> str:
     """Return by how much a block moved, with its unit, where it has one."""
     unit = "" if change.unit == "1" else change.unit
-    return f"{number(change.change, 2)}\u00a0{unit}".rstrip("\u00a0")
+    return f"{number_text(change.change, 2)}\u00a0{unit}".rstrip("\u00a0")
 
 
 def _decision(step: ModelStep) -> str:
@@ -178,13 +178,15 @@ def _decision(step: ModelStep) -> str:
     return "no" if not step.used else "yes" if step.gain > step.needed else "yes, always"
 
 
-def _weak(weak: tuple[WeakDirection, ...]) -> Table:
+def _weak(weak: tuple[WeakDirection, ...]) -> ReportTable:
     def held(direction: WeakDirection) -> str:
         return (
-            "held by an assumption" if direction.held else f"{number(100 * direction.determined, 2)}\u00a0% determined"
+            "held by an assumption"
+            if direction.held
+            else f"{number_text(100 * direction.determined, 2)}\u00a0% determined"
         )
 
-    return Table(
+    return ReportTable(
         "What the recording hardly determines",
         ("how far", "what", "what to do"),
         tuple((held(direction), direction.words, direction.cure) for direction in weak),
@@ -197,7 +199,7 @@ _LEAST = 140.0
 """Height of all rows together at least, so that a small screen shows two of them as well."""
 
 
-def agreement(splits: Splits) -> str:
+def draw_agreement(splits: Splits) -> str:
     """Root mean square of the differences of parts over their standard deviation, a row for each block."""
     names = [block.block for block in splits.blocks] + ["all together"]
     robust = np.array([*(block.z_rms for block in splits.blocks), splits.z_rms])
@@ -211,17 +213,17 @@ def agreement(splits: Splits) -> str:
     panel.y.ticks, panel.y.grid = (), False
     panel.y.span(len(names), 0)
     panel.x.logarithmic, panel.x.grid = True, True
-    ends = finite(np.concatenate([robust, ordinary]))
+    ends = finite_values(np.concatenate([robust, ordinary]))
     ends = ends[ends > 0]
     low = min(float(ends.min()), 0.5) if ends.size else 0.5
-    high = max(highest(ends, 2.0), 2.0)
+    high = max(highest_finite(ends, 2.0), 2.0)
     panel.x.span(0.9 * low, 1.1 * high)
     panel.x.ticks = [tick for tick in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if low <= tick <= high]
     panel.upright(1.0, "accent", width=1.6, dash=DASHED)
     for row, y in enumerate(place.tolist()):
         panel.line(np.array([robust[row], ordinary[row]]), np.full(2, y), "grid", width=2.0)
-    dots(panel, ordinary, place, "before", size=9.0, ring=True)
-    dots(panel, robust, place, "after", size=9.0)
+    draw_dots(panel, ordinary, place, "before", size=9.0, ring=True)
+    draw_dots(panel, robust, place, "after", size=9.0)
     for y, name in zip(place, names, strict=True):
         weight = "bold" if name == names[-1] else "normal"
         at = float(panel.y.places(np.array(y))) + 4.0

@@ -1,6 +1,6 @@
 """What was learned from a recording: frozen values, each with its uncertainty.
 
-The sensors themselves are described in `sensors`, the names of their scalars in `parameters`.
+The sensors themselves are described in `sensors`, the names of their scalars in `calibration_parameters`.
 """
 
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from ..models.gravity import WORLD_GRAVITY_SIGMA_M_S2
 from ..models.origin import Origin
 from ..recording import Floats, Source, frozen_array
 from ..units import STANDARD_GRAVITY_M_S2
-from .parameters import covariance_names, element_names, moved_into_frame, moved_to_origin, parameters
+from .parameters import calibration_parameters, covariance_names, element_names, moved_into_frame, moved_to_origin
 from .sensors import (
     AccelerometerCalibration,
     CameraCalibration,
@@ -24,9 +24,9 @@ from .sensors import (
     ImuCalibration,
     MagnetometerCalibration,
     interpolate_triad,
-    rotated,
+    rotate_imu,
 )
-from .trust import TrustNote, Verdict
+from .trust import UncertaintySummary, Verdict
 
 __all__ = [
     "UNSTATED_GRAVITY",
@@ -43,13 +43,13 @@ __all__ = [
     "ImuCalibration",
     "MagnetometerCalibration",
     "Provenance",
-    "TrustNote",
+    "UncertaintySummary",
     "Verdict",
+    "calibration_parameters",
     "covariance_names",
     "element_names",
     "interpolate_triad",
-    "parameters",
-    "rotated",
+    "rotate_imu",
 ]
 
 
@@ -193,7 +193,7 @@ class Assessment:
     held_by_prior: tuple[str, ...] = ()
     camera_imu: CameraImuFit | None = None
     cameras: CamerasFit | None = None
-    trust: TrustNote = field(default_factory=TrustNote)
+    trust: UncertaintySummary = field(default_factory=UncertaintySummary)
 
 
 @value_class
@@ -261,7 +261,7 @@ class Calibration:
         OptionError
             If there is no such parameter.
         """
-        known = dict(parameters(self.imus, self.cameras))
+        known = dict(calibration_parameters(self.imus, self.cameras))
         if path in known:
             return known[path]
         raise OptionError(f'no parameter "{path}" in this calibration. Known: {", ".join(known)}.')
@@ -338,7 +338,7 @@ class Calibration:
     def _repr_html_(self) -> str:
         rows = "".join(
             f"<tr><td>{name}</td><td>{_cells(value)}</td><td>{_cells(self.sigma(name))}</td></tr>"
-            for name, value in parameters(self.imus, self.cameras)
+            for name, value in calibration_parameters(self.imus, self.cameras)
         )
         return (
             f"<b>gnomon calibration: {self.verdict}</b> (body frame {self.frame})"

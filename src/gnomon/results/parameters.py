@@ -17,12 +17,12 @@ from ..geometry.so3 import skew
 from ..models.frames import fixed_entries, frame_rotation, frame_turn, rotation_jacobian
 from ..models.origin import Origin
 from ..recording import Floats
-from .sensors import CameraCalibration, ImuCalibration, rotated, rotated_camera
+from .sensors import CameraCalibration, ImuCalibration, rotate_imu, rotated_camera
 
 _NO_CAMERAS: Mapping[str, CameraCalibration] = FrozenMapping({})
 
 
-def parameters(
+def calibration_parameters(
     imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration] = _NO_CAMERAS
 ) -> Iterator[tuple[str, Floats]]:
     """Yield (path, value) of every parameter, in the order of the covariance."""
@@ -65,7 +65,9 @@ def covariance_names(
     imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCalibration] = _NO_CAMERAS
 ) -> tuple[str, ...]:
     """Return the names of all scalars of all IMUs, then of all cameras, in the order of the covariance."""
-    return tuple(name for path, value in parameters(imus, cameras) for name in element_names(path, value.shape))
+    return tuple(
+        name for path, value in calibration_parameters(imus, cameras) for name in element_names(path, value.shape)
+    )
 
 
 @value_class
@@ -108,7 +110,7 @@ def moved_into_frame(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, C
     for name, imu in imus.items():
         sensitivity = imu.required_accelerometer.sensitivity
         rotation = frame_rotation(sensitivity, frame)
-        moved[name] = _with_exact_zeros(rotated(imu, rotation), frame)
+        moved[name] = _with_exact_zeros(rotate_imu(imu, rotation), frame)
         block = rotation_jacobian(_matrices(imu), rotation, frame)
         own_turn = frame_turn(sensitivity, rotation, frame)
         if start == 0:
@@ -218,7 +220,7 @@ def _starts(imus: Mapping[str, ImuCalibration], cameras: Mapping[str, CameraCali
     """Return where the scalars of each parameter start in the covariance."""
     starts: dict[str, int] = {}
     count = 0
-    for path, value in parameters(imus, cameras):
+    for path, value in calibration_parameters(imus, cameras):
         starts[path] = count
         count += value.size
     return starts
@@ -234,4 +236,4 @@ def _with_exact_zeros(imu: ImuCalibration, frame: str) -> ImuCalibration:
 
 
 def _matrices(imu: ImuCalibration) -> list[Floats]:
-    return [value for _, value in parameters({"": imu})]
+    return [value for _, value in calibration_parameters({"": imu})]

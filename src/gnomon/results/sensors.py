@@ -307,7 +307,7 @@ class CameraCalibration:
         return "T_cam_imu" if self.body == "imu0" else "T_cam_cam0"
 
 
-def rotated(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
+def rotate_imu(imu: ImuCalibration, rotation: Floats) -> ImuCalibration:
     """Return the IMU with its body frame turned: f_new = rotation @ f_old, (3, 3)."""
     accelerometer, gyroscope, magnetometer = imu.accelerometer, imu.gyroscope, imu.magnetometer
     if accelerometer is not None:

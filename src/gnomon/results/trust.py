@@ -241,7 +241,7 @@ class QuantityChange:
 
 
 @value_class(eq=True)
-class TrustNote:
+class UncertaintySummary:
     """What the calibration file keeps of all this.
 
     Attributes

@@ -19,7 +19,7 @@ from .camera_imu_rig import (
     drawn_imu_truth,
     gravity_target,
     nominal_extrinsics,
-    placed,
+    place_imu,
     stated_lens,
 )
 from .camera_imu_samples import ImuStreams, SimulatedImu, TrueTrajectory, simulated_imu
@@ -201,7 +201,7 @@ def _simulated_imus(
     sensor_seed = seed if scenario.sensor_seed is None else scenario.sensor_seed
     for number in range(1, scenario.imus):
         errors, pose = np.random.default_rng((sensor_seed, number, 1)).spawn(2)
-        sensor = placed(scenario, drawn_imu_truth(scenario, errors, further=True), number, pose)
+        sensor = place_imu(scenario, drawn_imu_truth(scenario, errors, further=True), number, pose)
         assert sensor.T_imu_body is not None
         T_cam0_imu = T_cam0_body @ np.linalg.inv(sensor.T_imu_body)
         own = ImuStreams.spawned(seed, number)

@@ -146,7 +146,7 @@ def simulated_frames(
     offset_ns = round(clock_offset_s * 1e9)
     stamp_ns, late = _stamps(scenario, truth.time_shift_cam_imu, exposure_s, offset_ns, streams)
     kept = streams.dropped.random(len(exposure_s)) >= scenario.dropped_frames
-    kept &= outside(exposure_s, scenario.camera_gaps_s)
+    kept &= outside_gaps(exposure_s, scenario.camera_gaps_s)
     order = np.argsort(stamp_ns, kind="stable")
     order = order[kept[order]]
     pixels, seen = view.corners(exposure_s)
@@ -203,7 +203,7 @@ def _directions(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def outside(t_s: Floats, gaps_s: tuple[tuple[float, float], ...]) -> Booleans:
+def outside_gaps(t_s: Floats, gaps_s: tuple[tuple[float, float], ...]) -> Booleans:
     """Return which instants (n,) are in none of the gaps (start, length) [s]."""
     kept = np.ones(len(t_s), dtype=bool)
     for start, length in gaps_s:

@@ -123,10 +123,10 @@ class CameraPath:
         )
 
     def _motion(self, t_s: Floats) -> RigidMotion:
-        return motion_of(self.middle, *self.coordinates(t_s))
+        return camera_motion(self.middle, *self.coordinates(t_s))
 
 
-def motion_of(middle: Floats, value: Floats, rate: Floats, curvature: Floats) -> RigidMotion:
+def camera_motion(middle: Floats, value: Floats, rate: Floats, curvature: Floats) -> RigidMotion:
     """Return the motion of a camera from the coordinates of its path and their derivatives, each (9, n)."""
     zero = np.zeros((3, value.shape[1]))
     turns = list(zip(value, rate, curvature, strict=True))
@@ -342,7 +342,7 @@ def _scaled(path: CameraPath, count: int, style: _Style, T_cam_imu: Floats, dura
 
     def means(turn: float, shake: float) -> tuple[float, float]:
         size = _sizes(turn, shake)
-        motion = motion_of(path.middle, *(a + size * b for a, b in zip(rest, extra, strict=True))).of(T_cam_imu)
+        motion = camera_motion(path.middle, *(a + size * b for a, b in zip(rest, extra, strict=True))).of(T_cam_imu)
         return _mean_norm(motion.omega), _mean_norm(motion.acceleration)
 
     turn = shake = 1.0

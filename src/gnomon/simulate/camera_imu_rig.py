@@ -152,7 +152,7 @@ def drawn_imu_truth(scenario: CameraImuScenario, rng: np.random.Generator, furth
     )
 
 
-def placed(scenario: CameraImuScenario, imu: ImuTruth, number: int, rng: np.random.Generator) -> ImuTruth:
+def place_imu(scenario: CameraImuScenario, imu: ImuTruth, number: int, rng: np.random.Generator) -> ImuTruth:
     """Return imu1, imu2, ... with its pose and its clock.
 
     Parameters
@@ -204,13 +204,15 @@ def drawn_cameras(scenario: CameraImuScenario, rng: np.random.Generator) -> dict
     time_shift_s = scenario.time_shift_s
     if scenario.time_shift_range_s is not None:
         time_shift_s = scenario.time_shift_range_s * shift
-    cameras = {"cam0": CameraCalibration(T_cam_body=T_cam_imu, time_shift_cam_imu=time_shift_s, camera=lens(scenario))}
+    cameras = {
+        "cam0": CameraCalibration(T_cam_body=T_cam_imu, time_shift_cam_imu=time_shift_s, camera=true_lens(scenario))
+    }
     if scenario.cameras == 2:
         T_cam1_cam0 = _transform(rotation_from_rotvec(_TILT_CAM1_CAM0), np.array([-scenario.baseline_m, 0.0, 0.0]))
         cameras["cam1"] = CameraCalibration(
             T_cam_body=T_cam1_cam0 @ T_cam_imu,
             time_shift_cam_imu=time_shift_s + scenario.time_shift_difference_s,
-            camera=lens(scenario),
+            camera=true_lens(scenario),
         )
     return cameras
 
@@ -226,7 +228,7 @@ def _transform(R: Floats, p: Floats) -> Floats:
     return T
 
 
-def lens(scenario: CameraImuScenario) -> Camera:
+def true_lens(scenario: CameraImuScenario) -> Camera:
     """Return the true camera."""
     return Camera(
         projection=scenario.projection,
@@ -250,7 +252,7 @@ def stated_lens(scenario: CameraImuScenario, topic: str) -> Camera:
     if distortion == "radtan5" and not scenario.known_k3:
         coeffs, distortion = coeffs[:4], "radtan"
     return replace(
-        lens(scenario),
+        true_lens(scenario),
         intrinsics=intrinsics,
         distortion=distortion,
         distortion_coeffs=coeffs,

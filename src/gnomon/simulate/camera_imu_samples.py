@@ -10,11 +10,11 @@ from ..geometry.rotation_vector import rotvec_from_rotation
 from ..models.camera import Booleans
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..results.calibration import ImuCalibration
-from .camera_imu_frames import START_NS, outside
+from .camera_imu_frames import START_NS, outside_gaps
 from .camera_imu_path import CameraPath, RigidMotion
 from .camera_imu_rig import ImuTruth, earth_rate_target, gravity_target
 from .camera_imu_scenario import CameraImuScenario
-from .trajectory import exponential
+from .trajectory import rotvec_quaternions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +72,7 @@ class TrueTrajectory:
     def q_target_imu_wxyz(self) -> Floats:
         """Attitude, (n, 4), v_target = q v_imu q*."""
         phi = rotvec_from_rotation(self.R_target_imu)
-        return exponential(phi, np.ones((len(phi), 1)))
+        return rotvec_quaternions(phi, np.ones((len(phi), 1)))
 
     def at(self, t_s: Floats) -> RigidMotion:
         """Return the exact motion of the IMU against the target at any instants (k,) [s from the start]."""
@@ -223,7 +223,7 @@ def _sampled(
     t_s = start_s + np.arange(int((scenario.duration_s - start_s) * rate_hz + 1e-6) + 1) / rate_hz
     dropped, jitter = streams
     kept = dropped.random(len(t_s)) >= scenario.dropped_samples
-    kept &= outside(t_s, scenario.imu_gaps_s)
+    kept &= outside_gaps(t_s, scenario.imu_gaps_s)
     error_s = scenario.imu_jitter_s * jitter.standard_normal(len(t_s))
     own_s = t_s - sensor.time_shift_s + error_s
     stamp_ns = START_NS + sensor.clock_offset_ns + np.rint(own_s * 1e9).astype(np.int64)

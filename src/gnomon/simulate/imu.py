@@ -10,7 +10,7 @@ from ..recording import Floats, ImuSamples, Integers, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
 from ..results.intervals import Booleans
 from .scenarios import Scenario
-from .sensor import Converter, converters, drawn_imu
+from .sensor import Converter, drawn_imu, sensor_converters
 from .trajectory import TOLERANCE_S, Motions, ThesisMotions, hand_motions, thesis_motions
 from .truth import true_calibration
 
@@ -54,7 +54,7 @@ def simulate_imu(scenario: Scenario, seed: int, *, digitised: bool = True) -> tu
     clock = _clock(scenario, end_s, scenario.rate_hz, for_clock)
     # Triads of one rate come in one packet: the same timestamps, the same losses.
     gyroscope_clock = clock if rate_hz == scenario.rate_hz else _clock(scenario, end_s, rate_hz, for_clock)
-    to_force, to_rate = converters(scenario)
+    to_force, to_rate = sensor_converters(scenario)
     if not digitised:
         to_force, to_rate = (replace(one, step=0.0, low=-np.inf, high=np.inf) for one in (to_force, to_rate))
     accelerometer, gyroscope = _models(truth.imus["imu0"])

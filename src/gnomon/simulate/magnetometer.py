@@ -15,10 +15,10 @@ from ..results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
 )
-from ..results.sensors import rotated
+from ..results.sensors import rotate_imu
 from ..units import MAGNETOMETER_UNITS_UT, STANDARD_GRAVITY_M_S2, Units
 from .scenarios import FieldScenario, Scenario
-from .sensor import Converter, converters, drawn_imu
+from .sensor import Converter, drawn_imu, sensor_converters
 from .truth import true_calibration
 
 _LIKE = Scenario(accelerometer_misalignment=0.005, accelerometer_scale=(0.995, 1.005), gyroscope_scale=(0.98, 1.02))
@@ -157,7 +157,7 @@ def _sensor(scenario: FieldScenario, to_field: Converter, rng: np.random.Generat
     """Return the sensor in body frame "accel-x"."""
     inertial = drawn_imu(replace(_LIKE, units=scenario.units), rng)
     assert inertial.accelerometer is not None
-    inertial = rotated(inertial, frame_rotation(inertial.accelerometer.sensitivity, "accel-x"))
+    inertial = rotate_imu(inertial, frame_rotation(inertial.accelerometer.sensitivity, "accel-x"))
     upper = np.triu(rng.uniform(-scenario.soft_iron, scenario.soft_iron, (3, 3)))
     soft = np.eye(3) + upper + np.triu(upper, k=1).T
     axis = rng.standard_normal(3)
@@ -177,7 +177,7 @@ def _inertial(
 ) -> tuple[TriadSamples, TriadSamples]:
     """Return samples of accelerometer and gyroscope, none where there is no such sensor."""
     like = replace(_LIKE, units=scenario.units)
-    to_force, to_rate = converters(like)
+    to_force, to_rate = sensor_converters(like)
     t_s = np.arange(int(scenario.duration_s * scenario.imu_rate_hz)) / scenario.imu_rate_hz
     rotation, rate = motion.attitude(t_s)
     from scipy.signal import lfilter
@@ -208,7 +208,7 @@ def _truth(scenario: FieldScenario, seed: int, imu: ImuCalibration) -> Calibrati
     if not scenario.accelerometer:
         assert magnetometer is not None
         frame, accelerometer, gyroscope = "mag-x", None, None
-        imu = rotated(imu, frame_rotation(magnetometer.sensitivity, "accel-x"))
+        imu = rotate_imu(imu, frame_rotation(magnetometer.sensitivity, "accel-x"))
         magnetometer = imu.magnetometer
     kept: GyroscopeCalibration | None = gyroscope if scenario.gyroscope else None
     return true_calibration(

@@ -17,7 +17,7 @@ from ..results.calibration import (
     ImuCalibration,
 )
 from .scenarios import PoseScenario, Scenario
-from .sensor import Converter, converters, drawn_imu
+from .sensor import Converter, drawn_imu, sensor_converters
 from .truth import true_calibration
 
 TABLE_1 = AngrisanoTriad(
@@ -86,9 +86,9 @@ def simulate_poses(scenario: PoseScenario | None = None, seed: int = 0) -> PoseS
     for_sensor, for_attitude, for_force, for_rate = np.random.default_rng(seed).spawn(4)
     if scenario.sensor_seed is not None:
         for_sensor = np.random.default_rng(scenario.sensor_seed)
-    to_force, to_rate = converters(scenario)
+    to_force, to_rate = sensor_converters(scenario)
     accelerometer, gyroscope = _sensor(scenario, to_rate, for_sensor)
-    meant = scenario.gravity * directions(scenario)
+    meant = scenario.gravity * rest_directions(scenario)
     force, rate = _acting(scenario, meant, for_attitude)
     n, m = len(meant), scenario.samples
     start_s = np.arange(n) * (m / scenario.rate_hz + scenario.wait_s)
@@ -113,7 +113,7 @@ def simulate_poses(scenario: PoseScenario | None = None, seed: int = 0) -> PoseS
     )
 
 
-def directions(scenario: PoseScenario) -> Floats:
+def rest_directions(scenario: PoseScenario) -> Floats:
     """Return the directions of the specific force at rest that are meant, (n, 3) unit vectors, in the jig's axes."""
     if scenario.attitudes == "six":
         return _FACES.copy()
@@ -176,7 +176,7 @@ def _samples(t_s: Floats, a: Floats, w: Floats, unit_a: str, unit_w: str) -> Imu
 
 
 def _truth(scenario: PoseScenario, seed: int, imu: ImuCalibration) -> Calibration:
-    poses = len(directions(scenario))
+    poses = len(rest_directions(scenario))
     assessment = Assessment(
         verdict="pass",
         findings=(),

@@ -54,7 +54,7 @@ class Converter:
         return np.clip(values, self.low, self.high, out=values)
 
 
-def converters(scenario: RecordedSensor) -> tuple[Converter, Converter]:
+def sensor_converters(scenario: RecordedSensor) -> tuple[Converter, Converter]:
     """Return the converters of accelerometer and gyroscope."""
     units = Units.parse(scenario.units)
     accelerometer, gyroscope = units.accelerometer or "m/s^2", units.gyroscope or "rad/s"
@@ -74,7 +74,7 @@ def drawn_imu(scenario: Scenario, rng: np.random.Generator, recorded: RecordedSe
     scenario : how large its errors are
     recorded : how its readings are recorded, if not as the scenario says
     """
-    for_accelerometer, for_gyroscope = converters(recorded or scenario)
+    for_accelerometer, for_gyroscope = sensor_converters(recorded or scenario)
     spread = scenario.accelerometer_misalignment
     accelerometer_t = np.eye(3) + np.triu(rng.uniform(-spread, spread, (3, 3)), k=1)
     accelerometer_k = rng.uniform(*scenario.accelerometer_scale, 3)

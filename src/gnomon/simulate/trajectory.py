@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.quaternion import multiply, normalised
+from ..geometry.quaternion import normalise_quaternion, quaternion_product
 from ..recording import Floats
 from .scenarios import Scenario
 
@@ -74,31 +74,31 @@ class Motions:
     def _in_motion(self, k: np.ndarray, t_s: Floats, up: Floats, earth_rate_world: Floats) -> tuple[Floats, Floats]:
         duration = self.duration_s[k][:, None]
         tau = (t_s - self.start_s[k])[:, None] / duration
-        s, ds, dds = profile(tau)
-        b, db, ddb = bump(tau)
-        bend, sway = exponential(self.bend[k], s * s), exponential(self.sway[k], b)
+        s, ds, dds = smooth_step(tau)
+        b, db, ddb = smooth_bump(tau)
+        bend, sway = rotvec_quaternions(self.bend[k], s * s), rotvec_quaternions(self.sway[k], b)
         rate = rotated_back(bend, self.turn[k] * ds) + self.bend[k] * (2 * s * ds)
         rate = (rotated_back(sway, rate) + self.sway[k] * db) / duration
-        attitude = multiply(self.q_before_wxyz[k], exponential(self.turn[k], s))
-        attitude = multiply(attitude, multiply(bend, sway))
+        attitude = quaternion_product(self.q_before_wxyz[k], rotvec_quaternions(self.turn[k], s))
+        attitude = quaternion_product(attitude, quaternion_product(bend, sway))
         acceleration = (self.shift[k] * dds + self.swing[k] * ddb) / duration**2 + self.push[k] * b
         return rotated_back(attitude, acceleration + up), rate + rotated_back(attitude, earth_rate_world)
 
 
-def profile(tau: Floats) -> tuple[Floats, Floats, Floats]:
+def smooth_step(tau: Floats) -> tuple[Floats, Floats, Floats]:
     """Return s, ds/dtau and d2s/dtau2 of the polynomial of degree 7 from 0 to 1 that is flat to third order."""
     x = tau * (1 - tau)
     s = tau**4 * (35 - tau * (84 - tau * (70 - 20 * tau)))
     return s, 140 * x**3, 420 * x**2 * (1 - 2 * tau)
 
 
-def bump(tau: Floats) -> tuple[Floats, Floats, Floats]:
+def smooth_bump(tau: Floats) -> tuple[Floats, Floats, Floats]:
     """Return b, db/dtau and d2b/dtau2 of b = (4 tau (1 - tau))^4, flat to third order at both ends."""
     x, slope = tau * (1 - tau), 1 - 2 * tau
     return 256 * x**4, 1024 * x**3 * slope, 3072 * x**2 * slope**2 - 2048 * x**3
 
 
-def exponential(rotvec: Floats, factor: Floats) -> Floats:
+def rotvec_quaternions(rotvec: Floats, factor: Floats) -> Floats:
     """Return unit quaternions (n, 4) of rotation vectors (n, 3), each times its factor (n, 1)."""
     angle = np.linalg.norm(rotvec, axis=-1, keepdims=True) * factor
     half_sinc = 0.5 * factor * np.sinc(angle / (2 * np.pi))
@@ -121,8 +121,9 @@ def hand_motions(scenario: Scenario, rng: np.random.Generator) -> tuple[Motions,
     start = scenario.t_init_s + np.cumsum(duration + hold) - duration - hold
     attitudes = _attitudes(scenario, rng)
     turn = _directions(count, rng) * rng.uniform(0.3, 1.0, (count, 1))
-    rest = multiply(
-        _conjugate(exponential(turn, np.ones((count, 1)))), multiply(_conjugate(attitudes[:-1]), attitudes[1:])
+    rest = quaternion_product(
+        _conjugate(rotvec_quaternions(turn, np.ones((count, 1)))),
+        quaternion_product(_conjugate(attitudes[:-1]), attitudes[1:]),
     )
     travel = Motions(
         start_s=start,
@@ -182,12 +183,14 @@ def _attitudes(scenario: Scenario, rng: np.random.Generator) -> Floats:
         longitude = np.where(np.arange(count) > count / 2, np.pi, 0.0)
     zenith_axis, heading_axis = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     zenith = np.asarray(np.arccos(z), dtype=np.float64)
-    heading = exponential(heading_axis, rng.uniform(0, 2 * np.pi, (count, 1)))
-    q_body_world = multiply(exponential(heading_axis, longitude[:, None]), exponential(zenith_axis, zenith[:, None]))
-    lattice = normalised(rng.standard_normal(4))
+    heading = rotvec_quaternions(heading_axis, rng.uniform(0, 2 * np.pi, (count, 1)))
+    q_body_world = quaternion_product(
+        rotvec_quaternions(heading_axis, longitude[:, None]), rotvec_quaternions(zenith_axis, zenith[:, None])
+    )
+    lattice = normalise_quaternion(rng.standard_normal(4))
     if scenario.attitudes == "one-axis":
         lattice = np.array([1.0, 0.0, 0.0, 0.0])
-    return _conjugate(multiply(lattice, multiply(q_body_world, heading)))[rng.permutation(count)]
+    return _conjugate(quaternion_product(lattice, quaternion_product(q_body_world, heading)))[rng.permutation(count)]
 
 
 def _directions(count: int, rng: np.random.Generator) -> Floats:

@@ -9,10 +9,10 @@ from ..models.frames import frame_rotation
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..recording import Floats, ImuSamples, Recording, TriadSamples
 from ..results.calibration import Assessment, Calibration, ImuCalibration
-from ..results.sensors import rotated
-from .poses import directions
+from ..results.sensors import rotate_imu
+from .poses import rest_directions
 from .scenarios import PoseScenario, Scenario, TurntableScenario
-from .sensor import converters, drawn_imu
+from .sensor import drawn_imu, sensor_converters
 from .truth import true_calibration
 
 RPM = 2 * np.pi / 60
@@ -121,7 +121,7 @@ def _attitudes(scenario: TurntableScenario, rng: np.random.Generator) -> list[Fl
     """Return rotations (3, 3) from the platter, z up, to the sensor."""
     sphere = PoseScenario(attitudes="angrisano18" if scenario.poses == 18 else "sphere", poses=scenario.poses)
     turns = list[Floats]()
-    for up in directions(sphere):
+    for up in rest_directions(sphere):
         heading = np.cross(up, rng.standard_normal(3))
         heading /= np.linalg.norm(heading)
         exact = np.column_stack([heading, np.cross(up, heading), up])
@@ -197,7 +197,7 @@ def _recorded(
     scenario: TurntableScenario, imu: ImuCalibration, piece: _Piece, end_s: float, rng: np.random.Generator
 ) -> Recording:
     t_s, force, rate = piece
-    to_force, to_rate = converters(scenario)
+    to_force, to_rate = sensor_converters(scenario)
     accelerometer, gyroscope = imu.accelerometer, imu.gyroscope
     assert accelerometer is not None and gyroscope is not None  # noqa: PT018
     noise = np.sqrt(scenario.rate_hz) * np.array(
@@ -221,7 +221,7 @@ def _sensor(scenario: TurntableScenario, rng: np.random.Generator) -> ImuCalibra
     """Return the sensor in body frame "accel-x"."""
     imu = drawn_imu(Scenario(g_sensitivity=scenario.g_sensitivity), rng, scenario)
     assert imu.accelerometer is not None
-    turned = rotated(imu, frame_rotation(imu.accelerometer.sensitivity, "accel-x"))
+    turned = rotate_imu(imu, frame_rotation(imu.accelerometer.sensitivity, "accel-x"))
     assert turned.accelerometer is not None
     exact = replace(turned.accelerometer, sensitivity=np.tril(turned.accelerometer.sensitivity))
     return replace(turned, accelerometer=exact)
@@ -233,7 +233,7 @@ def _truth(scenario: TurntableScenario, seed: int, imu: ImuCalibration) -> tuple
     if not scenario.accelerometer:
         gyroscope = imu.gyroscope
         assert gyroscope is not None
-        turned = rotated(ImuCalibration(gyroscope=gyroscope), frame_rotation(gyroscope.sensitivity, "accel-x"))
+        turned = rotate_imu(ImuCalibration(gyroscope=gyroscope), frame_rotation(gyroscope.sensitivity, "accel-x"))
         assert turned.gyroscope is not None
         lower = replace(turned.gyroscope, sensitivity=np.tril(turned.gyroscope.sensitivity))
         known, frame = ImuCalibration(gyroscope=lower), "gyro-x"

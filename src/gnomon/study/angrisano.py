@@ -15,16 +15,16 @@ from .angrisano_trial import (
     GROUPS,
     TABLE_2,
     TRUTH,
+    AngrisanoOutcome,
+    AngrisanoTrial,
     Basin,
     Journey,
-    Trial,
-    TrialOutcome,
-    journeys,
-    run_trial,
-    scan,
+    run_angrisano_trial,
+    scan_basins,
+    trace_journeys,
 )
-from .runs import HERE, Progress, Workers, carry_out, seeds
-from .tables import Cell, Claim, StudyTable, claims_table, sigmas_claim, told
+from .runs import HERE, Progress, Workers, carry_out, run_seeds
+from .tables import Cell, Claim, StudyTable, claims_table, ratio_agrees, sigmas_claim
 
 NAMES = ("angle x", "angle y", "angle z", "bias x", "bias y", "bias z", "scale x", "scale y", "scale z")
 UNITS = ("rad", "rad", "rad", "count", "count", "count", "m/s^2 per count", "m/s^2 per count", "m/s^2 per count")
@@ -68,7 +68,7 @@ SETTINGS = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sample:
+class AngrisanoSample:
     """All runs of one setting.
 
     Attributes
@@ -78,7 +78,7 @@ class Sample:
     """
 
     setting: Setting
-    outcomes: tuple[TrialOutcome, ...]
+    outcomes: tuple[AngrisanoOutcome, ...]
 
     def stacked(self, name: str) -> Floats:
         """Return one attribute of the outcomes, (runs, ...)."""
@@ -116,7 +116,7 @@ class AngrisanoStudy:
 
     runs: int
     seed: int
-    samples: tuple[Sample, ...]
+    samples: tuple[AngrisanoSample, ...]
     basins: tuple[tuple[Basin, ...], ...]
     journeys: tuple[Journey, ...]
 
@@ -139,18 +139,22 @@ def study_angrisano(
     seed : every random number follows from it
     progress : is told what is being done
     """
-    drawn = seeds(seed, runs)
-    trials = [Trial(scenario=setting.scenario, seed=number) for setting in SETTINGS for number in drawn]
-    outcomes = carry_out(run_trial, trials, workers=workers, progress=progress, name="experiment")
-    basins = carry_out(scan, trials[: min(runs, scans)], workers=workers, progress=progress, name="scan of starts")
+    drawn = run_seeds(seed, runs)
+    trials = [AngrisanoTrial(scenario=setting.scenario, seed=number) for setting in SETTINGS for number in drawn]
+    outcomes = carry_out(run_angrisano_trial, trials, workers=workers, progress=progress, name="experiment")
+    basins = carry_out(
+        scan_basins, trials[: min(runs, scans)], workers=workers, progress=progress, name="scan of starts"
+    )
     samples = tuple(
-        Sample(setting=setting, outcomes=tuple(outcomes[k * runs : (k + 1) * runs]))
+        AngrisanoSample(setting=setting, outcomes=tuple(outcomes[k * runs : (k + 1) * runs]))
         for k, setting in enumerate(SETTINGS)
     )
-    return AngrisanoStudy(runs=runs, seed=seed, samples=samples, basins=tuple(basins), journeys=journeys(trials[0]))
+    return AngrisanoStudy(
+        runs=runs, seed=seed, samples=samples, basins=tuple(basins), journeys=trace_journeys(trials[0])
+    )
 
 
-def claims(study: AngrisanoStudy) -> Iterator[Claim]:
+def angrisano_claims(study: AngrisanoStudy) -> Iterator[Claim]:
     """Yield what Angrisano says and gnomon promises, and whether the study agrees."""
     for method, whose in (("paper", "Angrisano's"), ("ours", "Gnomon's")):
         ratios = np.concatenate([sample.ratio(method) for sample in study.samples])
@@ -164,13 +168,13 @@ def _table_1(study: AngrisanoStudy) -> Iterator[Claim]:
     for sample in study.samples:
         if sample.setting.table_1 is not None:
             stated = np.array(sample.setting.table_1)
-            found = group_rms(sample.sigma("paper")) / stated
+            found = angrisano_group_rms(sample.sigma("paper")) / stated
             noise = sample.setting.scenario.accelerometer_noise_density
             yield Claim(
                 claim=f"Table 1's sigmas, {sample.setting.name}, at a noise of {1e3 * noise:g} mm/s^2 of each mean",
                 expected=f"sigmas over those of Table 1 {1 / allowed:.2f} to {allowed:.2f}",
                 found=", ".join(f"{group} {ratio:.2f}" for group, ratio in zip(GROUPS, found, strict=True)),
-                holds=told(bool(np.abs(np.log(found)).max() < np.log(allowed)), 1 / allowed, allowed),
+                holds=ratio_agrees(bool(np.abs(np.log(found)).max() < np.log(allowed)), 1 / allowed, allowed),
             )
     close, rough = study.samples[0], study.samples[2]
     change = rough.scatter("paper") / close.scatter("paper")
@@ -179,7 +183,7 @@ def _table_1(study: AngrisanoStudy) -> Iterator[Claim]:
         claim="Roughly known attitudes do: 10 deg as good as 1 deg at the same noise (C7)",
         expected=f"scatter of both alike, ratio {1 / allowed:.2f} to {allowed:.2f}",
         found=f"ratio {change.min():.2f} to {change.max():.2f}",
-        holds=told(bool(np.abs(np.log(change)).max() < np.log(allowed)), 1 / allowed, allowed),
+        holds=ratio_agrees(bool(np.abs(np.log(change)).max() < np.log(allowed)), 1 / allowed, allowed),
     )
 
 
@@ -218,14 +222,14 @@ def _convergence(study: AngrisanoStudy) -> Iterator[Claim]:
     )
 
 
-def group_rms(values: Floats) -> Floats:
+def angrisano_group_rms(values: Floats) -> Floats:
     """Return the rms of angles, of biases and of scale factors, (3,), of values (9,)."""
     return np.sqrt(np.mean(values.reshape(3, 3) ** 2, axis=1))
 
 
-def tables(study: AngrisanoStudy) -> Iterator[StudyTable]:
+def angrisano_tables(study: AngrisanoStudy) -> Iterator[StudyTable]:
     """Yield all numbers of the study."""
-    yield claims_table(claims(study))
+    yield claims_table(angrisano_claims(study))
     yield StudyTable(
         name="parameters",
         head=("setting", "parameter", "unit", "truth", "paper_sigma", "paper_scatter", "ours_sigma", "ours_scatter",

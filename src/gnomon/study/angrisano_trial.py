@@ -9,7 +9,7 @@ from ..errors import GnomonError
 from ..estimate.triads.angrisano import (
     AngrisanoFit,
     Status,
-    canonical,
+    canonical_parameters,
     datasheet_start,
     fit_components,
     fit_magnitudes,
@@ -39,7 +39,7 @@ SAME = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class AngrisanoTrial:
     """What to simulate, and how much wider than in Table 2 the start is drawn."""
 
     scenario: PoseScenario
@@ -48,7 +48,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TrialOutcome:
+class AngrisanoOutcome:
     """What became of one experiment; parameters are X of Angrisano, Eq. (3), (9,).
 
     Attributes
@@ -79,7 +79,7 @@ class TrialOutcome:
         return self.ours_from_start < SAME
 
 
-def run_trial(trial: Trial) -> TrialOutcome:
+def run_angrisano_trial(trial: AngrisanoTrial) -> AngrisanoOutcome:
     """Simulate one experiment and calibrate it."""
     simulation = simulate_poses(trial.scenario, trial.seed)
     start = drawn_start(np.random.default_rng([trial.seed, 1]), trial.widened)
@@ -87,7 +87,7 @@ def run_trial(trial: Trial) -> TrialOutcome:
     poses = pose_means(simulation)
     ours, covariance = as_angrisano(fit_triad(poses))
     sigma = np.sqrt(np.diag(covariance))
-    return TrialOutcome(
+    return AngrisanoOutcome(
         paper=paper.parameters,
         paper_sigma=paper.sigma,
         iterations=paper.iterations,
@@ -97,7 +97,7 @@ def run_trial(trial: Trial) -> TrialOutcome:
         components=fit_components(simulation.accelerometer, simulation.meant, DATASHEET).parameters,
         start=start,
         paper_from_start=paper_fit(simulation, start).status,
-        ours_from_start=distance(poses, start, ours, sigma),
+        ours_from_start=end_distance(poses, start, ours, sigma),
     )
 
 
@@ -125,7 +125,7 @@ def as_angrisano(fit: TriadFit) -> tuple[Floats, Floats]:
     return X, by_sensor @ fit.covariance[:12, :12] @ by_sensor.T
 
 
-def distance(poses: TriadPoses, start: Floats, solution: Floats, sigma: Floats) -> float:
+def end_distance(poses: TriadPoses, start: Floats, solution: Floats, sigma: Floats) -> float:
     """Return how far from a solution gnomon's solver ends when it starts at X (9,), in sigmas; infinite if nowhere."""
     try:
         there, _ = as_angrisano(fit_triad(poses, start=start))
@@ -137,7 +137,7 @@ def distance(poses: TriadPoses, start: Floats, solution: Floats, sigma: Floats) 
 def drawn_start(rng: np.random.Generator, widened: float) -> Floats:
     """Draw X (9,) about the datasheet start in Table 2's intervals times a factor; scale factors made positive."""
     low, high = widened * np.repeat(TABLE_2, 3, axis=0).T
-    return canonical(DATASHEET + rng.uniform(low, high))
+    return canonical_parameters(DATASHEET + rng.uniform(low, high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -191,7 +191,7 @@ class Journey:
     ours: Floats
 
 
-def scan(trial: Trial) -> tuple[Basin, ...]:
+def scan_basins(trial: AngrisanoTrial) -> tuple[Basin, ...]:
     """Return the basins of the three groups in one experiment."""
     simulation = simulate_poses(trial.scenario, trial.seed)
     poses = pose_means(simulation)
@@ -199,8 +199,8 @@ def scan(trial: Trial) -> tuple[Basin, ...]:
     sigma = np.sqrt(np.diag(covariance))
     basins: list[Basin] = []
     for group, name in enumerate(GROUPS):
-        offset = offsets(group, trial.widened)
-        starts = [shifted(group, by) for by in offset]
+        offset = start_offsets(group, trial.widened)
+        starts = [shift_start(group, by) for by in offset]
         basins.append(
             Basin(
                 group=name,
@@ -208,20 +208,23 @@ def scan(trial: Trial) -> tuple[Basin, ...]:
                 paper=_truths(paper_fit(simulation, start).converged for start in starts),
                 printed=_truths(paper_fit(simulation, start, growth_stops=True).converged for start in starts),
                 ours=_truths(
-                    distance(poses, canonical(start), solution, sigma) < SAME for start in starts[::OURS_EVERY]
+                    end_distance(poses, canonical_parameters(start), solution, sigma) < SAME
+                    for start in starts[::OURS_EVERY]
                 ),
             )
         )
     return tuple(basins)
 
 
-def journeys(trial: Trial) -> tuple[Journey, ...]:
+def trace_journeys(trial: AngrisanoTrial) -> tuple[Journey, ...]:
     """Return the iterations of Figs. 4 to 6: from the datasheet, from inside Table 2's intervals, and from outside."""
     simulation = simulate_poses(trial.scenario, trial.seed)
     poses = pose_means(simulation)
     starts = {
         "from the datasheet": DATASHEET,
-        "from inside the intervals": shifted(0, 0.8 * TABLE_2[0, 0]) + shifted(1, 0.5 * TABLE_2[1, 1]) - DATASHEET,
+        "from inside the intervals": shift_start(0, 0.8 * TABLE_2[0, 0])
+        + shift_start(1, 0.5 * TABLE_2[1, 1])
+        - DATASHEET,
         "from outside, angles": _outside(simulation),
     }
     return tuple(
@@ -232,18 +235,18 @@ def journeys(trial: Trial) -> tuple[Journey, ...]:
 
 def _outside(simulation: PoseSimulation) -> Floats:
     """Return the start with poor angles from which the iteration gets lost most slowly, which shows most."""
-    starts = [shifted(0, factor * end) for factor in (1.5, 2.0, 2.5, 3.0, 3.5, 4.0) for end in TABLE_2[0]]
+    starts = [shift_start(0, factor * end) for factor in (1.5, 2.0, 2.5, 3.0, 3.5, 4.0) for end in TABLE_2[0]]
     lost = [start for start in starts if not paper_fit(simulation, start).converged]
     return max(lost or starts[-1:], key=lambda start: paper_fit(simulation, start).iterations)
 
 
-def offsets(group: int, widened: float) -> Floats:
+def start_offsets(group: int, widened: float) -> Floats:
     """Return offsets of the start, ascending through zero: equal steps on either side, which differ in size."""
     low, high = widened * TABLE_2[group]
     return np.concatenate([np.linspace(low, 0, STEPS, endpoint=False), np.linspace(0, high, STEPS + 1)])
 
 
-def shifted(group: int, by: float) -> Floats:
+def shift_start(group: int, by: float) -> Floats:
     """Return the datasheet start (9,) with all three parameters of a group moved."""
     start = DATASHEET.copy()
     start[3 * group : 3 * group + 3] += by

@@ -44,7 +44,7 @@ def cluster_stream(
     """
     with _connected(address) as client:
         done: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        futures = client.map(there, [(work, task, __version__) for task in tasks], pure=False)
+        futures = client.map(run_task, [(work, task, __version__) for task in tasks], pure=False)
         waiting = {future.key: (place, future) for place, future in enumerate(futures)}
         del futures
         for _, future in waiting.values():
@@ -55,7 +55,7 @@ def cluster_stream(
             yield place, _outcome(future, address)
 
 
-def there(item: tuple[Callable[[Task], Outcome], Task, str]) -> Outcome:
+def run_task(item: tuple[Callable[[Task], Outcome], Task, str]) -> Outcome:
     """Do one task on a worker, which must have the gnomon of the study.
 
     Raises

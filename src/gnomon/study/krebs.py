@@ -12,8 +12,8 @@ import numpy as np
 from ..errors import SolveError
 from ..recording import Floats
 from .krebs_run import SCENARIO, KrebsRun, KrebsTask, run_krebs
-from .krebs_thesis import GROUPS, NAMES, columns
-from .runs import HERE, Progress, Workers, carry_out, seeds
+from .krebs_thesis import GROUPS, NAMES, group_columns
+from .runs import HERE, Progress, Workers, carry_out, run_seeds
 
 _FEWEST = 2
 _CHANGED_S = 40.0  # recordings without noise tell as much when they are short
@@ -87,7 +87,7 @@ class Independence:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sample:
+class KrebsSample:
     """All runs of one series; parameters are in the order of `krebs_thesis.NAMES`.
 
     Attributes
@@ -155,27 +155,27 @@ class KrebsStudy:
 
     runs: int
     seed: int
-    samples: tuple[Sample, ...]
+    samples: tuple[KrebsSample, ...]
     independence: Independence
     settings: tuple[tuple[Series, KrebsRun], ...]
     quiet: tuple[KrebsRun, KrebsRun]
 
-    def sample(self, name: str) -> Sample:
+    def sample(self, name: str) -> KrebsSample:
         """Return a series by its name."""
         return next(sample for sample in self.samples if sample.series.name == name)
 
     @property
-    def noise_levels(self) -> tuple[Sample, ...]:
+    def noise_levels(self) -> tuple[KrebsSample, ...]:
         """S1, S2 and S3."""
         return self.samples[:3]
 
     @property
-    def without_pixel_noise(self) -> tuple[Sample, ...]:
+    def without_pixel_noise(self) -> tuple[KrebsSample, ...]:
         """The same without pixel noise."""
         return self.samples[4:]
 
     @property
-    def basic(self) -> Sample:
+    def basic(self) -> KrebsSample:
         """S1 with the basic model."""
         return self.samples[3]
 
@@ -203,11 +203,11 @@ def study_krebs(
     SolveError
         If hardly any recording of a series could be calibrated.
     """
-    drawn = seeds(seed, runs)
+    drawn = run_seeds(seed, runs)
     tasks = [series.run(number, duration_s) for number in drawn for series in SERIES]
     outcomes = carry_out(run_krebs, tasks, workers=workers, progress=progress, name="recording")
     samples = tuple(
-        Sample(series=series, outcomes=tuple(outcomes[k :: len(SERIES)])) for k, series in enumerate(SERIES)
+        KrebsSample(series=series, outcomes=tuple(outcomes[k :: len(SERIES)])) for k, series in enumerate(SERIES)
     )
     for sample in samples:
         if len(sample.found) < _FEWEST:
@@ -233,17 +233,17 @@ def study_krebs(
     )
 
 
-def group_rms(values: Floats) -> dict[str, float]:
+def krebs_group_rms(values: Floats) -> dict[str, float]:
     """Return the rms over the elements of each group, of values (34,)."""
-    return {group.symbol: float(np.sqrt(np.mean(values[columns(group.symbol)] ** 2))) for group in GROUPS}
+    return {group.symbol: float(np.sqrt(np.mean(values[group_columns(group.symbol)] ** 2))) for group in GROUPS}
 
 
 def group_mean(values: Floats) -> dict[str, float]:
     """Return the mean over the elements of each group, as in Table 5.3, of values (34,)."""
-    return {group.symbol: float(np.mean(values[columns(group.symbol)])) for group in GROUPS}
+    return {group.symbol: float(np.mean(values[group_columns(group.symbol)])) for group in GROUPS}
 
 
-def reduction(samples: tuple[Sample, ...]) -> Floats:
+def scatter_reduction(samples: tuple[KrebsSample, ...]) -> Floats:
     """Return by what the scatter of p_cb falls from each noise level to the next, (2, 3)."""
-    place = columns("p_cb")
+    place = group_columns("p_cb")
     return np.array([a.scatter[place] / b.scatter[place] for a, b in pairwise(samples)])

@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..recording import Floats
-from .krebs import KrebsStudy, Sample, group_mean, group_rms, reduction
+from .krebs import KrebsSample, KrebsStudy, group_mean, krebs_group_rms, scatter_reduction
 from .krebs_run import CHANGES
-from .krebs_thesis import GROUPS, NAMES, UNITS, columns, stated_mean, stated_sigma
-from .tables import Cell, Claim, StudyTable, claims_table, sigmas_claim, told
+from .krebs_thesis import GROUPS, NAMES, UNITS, group_columns, stated_mean, stated_sigma
+from .tables import Cell, Claim, StudyTable, claims_table, ratio_agrees, sigmas_claim
 
 _CHANCE = 1e-3
 """That a claim about many means fails although it holds."""
@@ -27,7 +27,7 @@ _AT_MOST_MM = 5.0
 """Bias of p_cb by the basic model on one axis, section 5.1.3."""
 
 
-def claims(study: KrebsStudy) -> Iterator[Claim]:
+def krebs_claims(study: KrebsStudy) -> Iterator[Claim]:
     """Yield what Krebs says and gnomon promises, and whether the study agrees."""
     done = sum(sample.converged for sample in study.samples)
     yield Claim(
@@ -116,7 +116,7 @@ def _honest(study: KrebsStudy) -> Iterator[Claim]:
         claim="Gnomon's covariance is true: squared errors of all 34 parameters together (NEES)",
         expected=f"{len(NAMES)} ± {half:.1f} in S1 and S2, and {earth:.1f} more in S3, the Earth's rate",
         found=", ".join(f"{sample.series.name} {sample.nees:.1f}" for sample in study.noise_levels),
-        holds=told(bool(np.abs(found - expected).max() < half), 1 - half / len(NAMES), 1 + half / len(NAMES)),
+        holds=ratio_agrees(bool(np.abs(found - expected).max() < half), 1 - half / len(NAMES), 1 + half / len(NAMES)),
     )
     ratios = np.concatenate([sample.sigma / sample.scatter for sample in study.noise_levels])
     yield sigmas_claim("And each sigma is that of the scatter", ratios, study.runs - 1, " for all of them, S1 to S3")
@@ -131,7 +131,7 @@ def _like_krebs(study: KrebsStudy) -> Iterator[Claim]:
         claim="The scatter is not larger than in Tables B.1 and B.2 (B12)",
         expected=f"rms of each group over the tables' at most {allowed:.2f}",
         found=", ".join(above) or f"at most {highest:.2f}",
-        holds=told(not above, 1.0, allowed),
+        holds=ratio_agrees(not above, 1.0, allowed),
     )
     below = [
         f"{name} {symbol} {r:.2f}"
@@ -148,9 +148,9 @@ def _like_krebs(study: KrebsStudy) -> Iterator[Claim]:
     )
 
 
-def _over_stated(sample: Sample, series: int) -> dict[str, float]:
+def _over_stated(sample: KrebsSample, series: int) -> dict[str, float]:
     """Return scatter over that of Tables B.1 and B.2, rms over each group that they have."""
-    ours, theirs = group_rms(sample.scatter), group_rms(stated_sigma(series))
+    ours, theirs = krebs_group_rms(sample.scatter), krebs_group_rms(stated_sigma(series))
     return {symbol: ours[symbol] / theirs[symbol] for symbol in ours if np.isfinite(theirs[symbol])}
 
 
@@ -165,18 +165,18 @@ def _noise(study: KrebsStudy) -> Iterator[Claim]:
         ),
         (study.without_pixel_noise, (10.0, 10.0), "Without pixel noise it follows the noise (B20)"),
     ):
-        steps = np.exp(np.mean(np.log(reduction(samples)), axis=1))
+        steps = np.exp(np.mean(np.log(scatter_reduction(samples)), axis=1))
         bounds = wanted[0] / room, wanted[1] * room
         yield Claim(
             claim=claim,
             expected=f"{bounds[0]:.2g} to {bounds[1]:.2g}, mean of the axes, S1 to S2 and S2 to S3",
             found=", ".join(f"{step:.2f}" for step in steps),
-            holds=told(bool(steps.min() > bounds[0] and steps.max() < bounds[1]), 1 / room, room),
+            holds=ratio_agrees(bool(steps.min() > bounds[0] and steps.max() < bounds[1]), 1 / room, room),
         )
 
 
 def _neglect(study: KrebsStudy) -> Iterator[Claim]:
-    place = columns("p_cb")
+    place = group_columns("p_cb")
     basic, full = study.basic, study.samples[0]
     surely = np.abs(basic.mean_in_errors[place]).max()
     chance = basic.scatter[place].max() / np.sqrt(study.runs)
@@ -201,9 +201,9 @@ def _millimetres(values: Floats) -> str:
     return ", ".join(f"{axis} {1e3 * value:+.2f}" for axis, value in zip("xyz", values, strict=True))
 
 
-def tables(study: KrebsStudy) -> Iterator[StudyTable]:
+def krebs_tables(study: KrebsStudy) -> Iterator[StudyTable]:
     """Yield all numbers of the study."""
-    yield claims_table(claims(study))
+    yield claims_table(krebs_claims(study))
     yield StudyTable(
         name="parameters",
         head=("series", "parameter", "unit", "mean_error", "scatter", "sigma", "sigma_thesis", "mean_error_thesis"),
@@ -237,7 +237,7 @@ def tables(study: KrebsStudy) -> Iterator[StudyTable]:
     yield StudyTable(
         name="settings",
         head=("setting", *(f"sigma {group.symbol} [{group.unit}]" for group in GROUPS)),
-        rows=[(setting.name, *group_rms(run.sigma).values()) for setting, run in study.settings],
+        rows=[(setting.name, *krebs_group_rms(run.sigma).values()) for setting, run in study.settings],
     )
 
 

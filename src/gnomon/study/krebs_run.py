@@ -17,7 +17,7 @@ from ..results.camera_diagnostics import CameraImuDiagnostics
 from ..simulate.camera_imu import CameraImuSimulation, simulate_camera_imu
 from ..simulate.camera_imu_rig import THESIS_NOISE, earth_rate_target
 from ..simulate.camera_imu_scenario import CameraImuScenario
-from .krebs_thesis import GRAVITY, NAMES, KrebsRig, columns
+from .krebs_thesis import GRAVITY, NAMES, KrebsRig, group_columns
 
 SCENARIO = CameraImuScenario(
     duration_s=90.0,
@@ -132,17 +132,17 @@ def run_krebs(task: KrebsTask) -> KrebsRun:
         pixel_sigma=task.pixel_noise_px or unseen_px,
         free=() if task.gravity_known else OPTIONS.free,
     )
-    rig = changed(KrebsRig(), task.changed) if task.changed else KrebsRig()
+    rig = change_parameter(KrebsRig(), task.changed) if task.changed else KrebsRig()
     return calibrated_run(simulate_camera_imu(scenario, task.seed), rig, options, task.weighed_as)
 
 
-def changed(rig: KrebsRig, name: str) -> KrebsRig:
+def change_parameter(rig: KrebsRig, name: str) -> KrebsRig:
     """Return the rig with one parameter of `NAMES` changed as `CHANGES` says."""
     step = np.zeros(len(NAMES))
     step[NAMES.index(name)] = CHANGES[name.split(maxsplit=1)[0]]
 
     def part(symbol: str) -> Floats:
-        return step[columns(symbol)]
+        return step[group_columns(symbol)]
 
     T_cam_imu = rig.T_cam_imu.copy()
     T_cam_imu[:3, 3] += part("p_cb")
@@ -163,9 +163,9 @@ def changed(rig: KrebsRig, name: str) -> KrebsRig:
 def calibrated_run(
     simulation: CameraImuSimulation, rig: KrebsRig, options: CameraImuOptions, weighed_as: float = 1.0
 ) -> KrebsRun:
-    """Calibrate what a rig records of a simulated motion; see `sensed`."""
+    """Calibrate what a rig records of a simulated motion; see `sense_motion`."""
     try:
-        result = calibrate_camera_imu(sensed(simulation, rig, weighed_as), simulation.target, options)
+        result = calibrate_camera_imu(sense_motion(simulation, rig, weighed_as), simulation.target, options)
     except GnomonError as error:
         nothing = np.full(len(NAMES), np.nan)
         return KrebsRun(
@@ -175,7 +175,7 @@ def calibrated_run(
     return against_truth(result.calibration, result.diagnostics, rig)
 
 
-def sensed(simulation: CameraImuSimulation, rig: KrebsRig, weighed_as: float = 1.0) -> Recording:
+def sense_motion(simulation: CameraImuSimulation, rig: KrebsRig, weighed_as: float = 1.0) -> Recording:
     """Return the recording that a rig would have made of the motion of a simulation with an ideal IMU.
 
     Noise and walks are those of the simulation: what its ideal sensors show beside the motion. A simulation without
@@ -223,7 +223,7 @@ def against_truth(calibration: Calibration, diagnostics: CameraImuDiagnostics, r
     by_free = np.zeros((len(NAMES), len(free)))
 
     def put(symbol: str, block: str, difference: Floats, factor: float = 1.0) -> None:
-        place = columns(symbol)
+        place = group_columns(symbol)
         names = [f"{block}[{k}]" if place.stop - place.start > 1 else block for k in range(place.stop - place.start)]
         if all(name in sigmas for name in names):
             error[place] = factor * difference
@@ -242,8 +242,8 @@ def against_truth(calibration: Calibration, diagnostics: CameraImuDiagnostics, r
     put("q_bg", "imu0.q_bg", rotvec_from_rotation(rig.C_bg.T @ C_bg), 0.5)
     put("d", "cam0.time_shift_cam_imu", np.array([values["cam0.time_shift_cam_imu"] - rig.time_shift_s]))
     gravity, by_gravity = _gravity(diagnostics, free)
-    error[columns("g_w")] = gravity - rig.gravity
-    by_free[columns("g_w")] = by_gravity
+    error[group_columns("g_w")] = gravity - rig.gravity
+    by_free[group_columns("g_w")] = by_gravity
     fit = calibration.assessment.camera_imu
     return _told(
         error,

@@ -187,7 +187,7 @@ NAMES = tuple(f"{group.symbol} {element}".strip() for group in GROUPS for elemen
 UNITS = tuple(group.unit for group in GROUPS for _ in group.elements)
 
 
-def columns(symbol: str) -> slice:
+def group_columns(symbol: str) -> slice:
     """Return where a group stands among NAMES."""
     first = 0
     for group in GROUPS:

@@ -85,12 +85,12 @@ _TOLD = 20  # times that progress is told where nobody counts
 _NUMBERS = "biufc"  # kinds of arrays that are kept: truth values, integers, floating-point and complex numbers
 
 
-def seeds(seed: int, count: int) -> list[int]:
+def run_seeds(seed: int, count: int) -> list[int]:
     """Return independent seeds of runs; those of fewer runs are the first of more.
 
     Examples
     --------
-    >>> seeds(7, 2) == seeds(7, 5)[:2]
+    >>> run_seeds(7, 2) == run_seeds(7, 5)[:2]
     True
     """
     return [int(state) for state in np.random.SeedSequence(seed).generate_state(count, np.uint64)]

@@ -50,7 +50,7 @@ _TELLING = 2.0
 """Bounds tell something while a number that is wrong by this factor would lie outside."""
 
 
-def told(inside: bool, least: float, most: float) -> bool | None:
+def ratio_agrees(inside: bool, least: float, most: float) -> bool | None:
     """Return whether a ratio whose right value is 1 agrees with its bounds, as `Claim.holds`.
 
     Few runs need wide bounds because of chance. What lies inside of bounds that half or twice of the right value
@@ -58,7 +58,7 @@ def told(inside: bool, least: float, most: float) -> bool | None:
 
     Examples
     --------
-    >>> told(True, 0.85, 1.15), told(True, 0.38, 24.0), told(False, 0.38, 24.0)
+    >>> ratio_agrees(True, 0.85, 1.15), ratio_agrees(True, 0.38, 24.0), ratio_agrees(False, 0.38, 24.0)
     (True, None, False)
     """
     return None if inside and (least <= 1 / _TELLING or most >= _TELLING) else inside
@@ -77,7 +77,7 @@ def sigmas_claim(claim: str, ratios: Floats, runs: int, where: str = "") -> Clai
         claim=claim,
         expected=f"sigma over scatter {least:.2f} to {most:.2f}{where}",
         found=f"{ratios.min():.3f} to {ratios.max():.3f}",
-        holds=told(bool(ratios.min() > least and ratios.max() < most), least, most),
+        holds=ratio_agrees(bool(ratios.min() > least and ratios.max() < most), least, most),
     )
 
 

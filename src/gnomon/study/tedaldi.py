@@ -12,19 +12,19 @@ from ..options import ImuOptions
 from ..recording import Floats
 from ..results.imu_diagnostics import ImuDiagnostics
 from ..simulate.imu import simulate_imu
-from .runs import HERE, Progress, Workers, carry_out, seeds
+from .runs import HERE, Progress, Workers, carry_out, run_seeds
 from .tedaldi_trial import (
     METHODS,
     SCENARIO,
     Method,
     SignalErrors,
-    Trial,
-    TrialOutcome,
-    corrected,
+    TedaldiOutcome,
+    TedaldiTrial,
+    correct_samples,
     ideal_signals,
-    recorded,
-    run_trial,
-    trial,
+    recorded_samples,
+    run_tedaldi_trial,
+    tedaldi_trial,
 )
 
 SETS = 40
@@ -66,7 +66,7 @@ class TedaldiStudy:
 
     runs: int
     seed: int
-    outcomes: tuple[tuple[TrialOutcome, ...], ...]
+    outcomes: tuple[tuple[TedaldiOutcome, ...], ...]
     examples: tuple[Example, ...]
 
     @property
@@ -117,7 +117,7 @@ def known_mean(values: Floats, axis: int | tuple[int, ...]) -> Floats:
     return np.where(count, np.where(known, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
 
 
-def signals_of(outcome: TrialOutcome, method: Method | None) -> SignalErrors:
+def signals_of(outcome: TedaldiOutcome, method: Method | None) -> SignalErrors:
     """Return the errors of the signals that a method corrected; of no method, of those that were recorded."""
     return outcome.before if method is None else outcome.methods[METHODS.index(method)].errors
 
@@ -135,8 +135,8 @@ def study_tedaldi(
     seed : every random number follows from it
     progress : is told what is being done
     """
-    tasks = trials(seed, sets, runs)
-    outcomes = carry_out(run_trial, tasks, workers=workers, progress=progress, name="recording")
+    tasks = tedaldi_trials(seed, sets, runs)
+    outcomes = carry_out(run_tedaldi_trial, tasks, workers=workers, progress=progress, name="recording")
     if progress:
         progress("calibrating the examples")
     return TedaldiStudy(
@@ -147,22 +147,26 @@ def study_tedaldi(
     )
 
 
-def trials(seed: int, sets: int, runs: int) -> list[Trial]:
+def tedaldi_trials(seed: int, sets: int, runs: int) -> list[TedaldiTrial]:
     """Return the recordings, by parameter sets; fewer sets or runs are the first of more."""
-    return [trial(SCENARIO, number, signals) for number in seeds(seed, sets) for signals in seeds(number, runs)]
+    return [
+        tedaldi_trial(SCENARIO, number, signals)
+        for number in run_seeds(seed, sets)
+        for signals in run_seeds(number, runs)
+    ]
 
 
-def _example(task: Trial) -> Example:
+def _example(task: TedaldiTrial) -> Example:
     recording, truth = simulate_imu(task.scenario, task.seed)
     result = calibrate_imu(recording, ImuOptions(gravity=task.scenario.gravity, frame="accel-z"))
     assert isinstance(result.diagnostics, ImuDiagnostics)
-    force, rate = recorded(recording)
+    force, rate = recorded_samples(recording)
     ideal = ideal_signals(task, truth)
     rests = result.diagnostics.intervals
     return Example(
         t_s=ideal.t_s,
         before=(force, rate),
-        after=corrected(result.calibration.imus["imu0"], force, rate),
+        after=correct_samples(result.calibration.imus["imu0"], force, rate),
         truth=(ideal.force, ideal.rate),
         rests=np.stack([rests.start_s, rests.stop_s], axis=1),
     )

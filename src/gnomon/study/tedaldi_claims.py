@@ -86,7 +86,7 @@ def noise_alone() -> tuple[float, float]:
     return float(density[0] * mean_of_one), float(density[1] * mean_of_one)
 
 
-def claims(study: TedaldiStudy) -> Iterator[Claim]:
+def tedaldi_claims(study: TedaldiStudy) -> Iterator[Claim]:
     """Yield what Tedaldi 2014 says and gnomon promises, and whether the study agrees."""
     failed = [len(study.failures(method)) for method in METHODS]
     total = sum(len(outcomes) for outcomes in study.outcomes)
@@ -157,9 +157,9 @@ def _signals(study: TedaldiStudy) -> Iterator[Claim]:
     )
 
 
-def tables(study: TedaldiStudy) -> Iterator[StudyTable]:
+def tedaldi_tables(study: TedaldiStudy) -> Iterator[StudyTable]:
     """Yield all numbers of the study."""
-    yield claims_table(claims(study))
+    yield claims_table(tedaldi_claims(study))
     yield StudyTable(
         name="parameters",
         head=("set", "method", "parameter", "unit", "truth", "mean", "spread", "mean_absolute_error", "sigma"),

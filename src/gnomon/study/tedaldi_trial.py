@@ -10,8 +10,8 @@ import numpy as np
 
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
-from ..estimate.multiposition.rotations import cut_segments, integrate, propagate, segments_between
-from ..geometry.so3 import inverse
+from ..estimate.multiposition.rotations import cut_segments, integrate_rates, propagate_directions, segments_between
+from ..geometry.so3 import invert_3x3
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
 from ..recording import Floats, Recording
@@ -33,7 +33,7 @@ _TG_ENTRIES = ((0, 1, -1), (0, 2, 1), (1, 0, 1), (1, 2, -1), (2, 0, -1), (2, 1, 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class TedaldiTrial:
     """One recording.
 
     Attributes
@@ -88,7 +88,7 @@ class MethodOutcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TrialOutcome:
+class TedaldiOutcome:
     """What became of a recording.
 
     Attributes
@@ -103,69 +103,69 @@ class TrialOutcome:
     methods: tuple[MethodOutcome, ...]
 
 
-def trial(scenario: Scenario, parameter_set: int, seed: int) -> Trial:
+def tedaldi_trial(scenario: Scenario, parameter_set: int, seed: int) -> TedaldiTrial:
     """Return the recording of a parameter set with signals of this seed."""
-    return Trial(scenario=replace(scenario, sensor_seed=parameter_set), seed=seed)
+    return TedaldiTrial(scenario=replace(scenario, sensor_seed=parameter_set), seed=seed)
 
 
-def run_trial(task: Trial) -> TrialOutcome:
+def run_tedaldi_trial(task: TedaldiTrial) -> TedaldiOutcome:
     """Simulate one recording, calibrate it by every method, and measure the calibrations."""
     recording, truth = simulate_imu(task.scenario, task.seed)
     signals = ideal_signals(task, truth)
     gravity = task.scenario.gravity
-    force, rate = recorded(recording)
+    force, rate = recorded_samples(recording)
 
     def measured(method: Method) -> MethodOutcome:
         """Return what a method makes of the recording; not numbers where it refuses."""
         try:
-            calibration = calibrated(recording, method, gravity)
+            calibration = calibrate_recording(recording, method, gravity)
         except GnomonError as error:
             nothing = SignalErrors(**{name: np.full(size, np.nan) for name, size in _SIZES.items()})
             return MethodOutcome(
                 estimate=np.full(18, np.nan), sigma=np.full(18, np.nan), errors=nothing, problem=str(error)
             )
-        corrected_signals = corrected(calibration.imus["imu0"], force, rate)
+        corrected_signals = correct_samples(calibration.imus["imu0"], force, rate)
         estimate, sigma = as_tedaldi(calibration)
         return MethodOutcome(estimate=estimate, sigma=sigma, errors=signal_errors(signals, *corrected_signals, gravity))
 
-    return TrialOutcome(
+    return TedaldiOutcome(
         truth=as_tedaldi(truth.in_frame("accel-z"))[0],
         before=signal_errors(signals, force, rate, gravity),
         methods=tuple(measured(method) for method in METHODS),
     )
 
 
-def ideal_signals(task: Trial, truth: Calibration) -> TrueSignals:
+def ideal_signals(task: TedaldiTrial, truth: Calibration) -> TrueSignals:
     """Return the signals without noise and errors, in Tedaldi's body frame."""
     signals = true_signals(task.scenario, task.seed)
     before, after = (
         truth.in_frame(frame).imus["imu0"].required_accelerometer.sensitivity for frame in ("accel-x", "accel-z")
     )
-    turn = inverse(after) @ before  # the same measurement: after @ f_z = before @ f_x
+    turn = invert_3x3(after) @ before  # the same measurement: after @ f_z = before @ f_x
     return replace(signals, force=signals.force @ turn.T, rate=signals.rate @ turn.T)
 
 
 _SIZES = {name: 3 if name in ("force", "rate") else 2 for name in SignalErrors.__slots__}
 
 
-def calibrated(recording: Recording, method: Method, gravity: float) -> Calibration:
+def calibrate_recording(recording: Recording, method: Method, gravity: float) -> Calibration:
     """Calibrate a recording in Tedaldi's body frame."""
     return calibrate_imu(recording, ImuOptions(preset=method, gravity=gravity, frame="accel-z")).calibration
 
 
-def recorded(recording: Recording) -> tuple[Floats, Floats]:
+def recorded_samples(recording: Recording) -> tuple[Floats, Floats]:
     """Return the samples of accelerometer and gyroscope, (n, 3) both, of one rate."""
     samples = recording.imus["imu0"]
     return samples.accelerometer.values, samples.gyroscope.values
 
 
-def corrected(imu: ImuCalibration, force: Floats, rate: Floats) -> tuple[Floats, Floats]:
+def correct_samples(imu: ImuCalibration, force: Floats, rate: Floats) -> tuple[Floats, Floats]:
     """Return specific force [m/s^2] and angular rate [rad/s], (n, 3) both, of what was recorded."""
     accelerometer, gyroscope = imu.required_accelerometer, imu.gyroscope
     assert gyroscope is not None
-    force = (force - accelerometer.bias) @ inverse(accelerometer.sensitivity).T
+    force = (force - accelerometer.bias) @ invert_3x3(accelerometer.sensitivity).T
     rate = rate - gyroscope.bias - force @ gyroscope.g_sensitivity.T
-    return force, rate @ inverse(gyroscope.sensitivity).T
+    return force, rate @ invert_3x3(gyroscope.sensitivity).T
 
 
 def as_tedaldi(calibration: Calibration) -> tuple[Floats, Floats]:
@@ -194,7 +194,7 @@ def _angles(T: Floats, entries: tuple[tuple[int, int, int], ...]) -> Floats:
 
 def _by_sensitivity(sensitivity: Floats, entries: tuple[tuple[int, int, int], ...]) -> Floats:
     """Return the derivative of the misalignments, then of K, by the sensitivity (row by row), (n, 9)."""
-    C = inverse(sensitivity)
+    C = invert_3x3(sensitivity)
     dC = -np.kron(C, C.T)  # C = T K is the inverse
     rows = [sign * (dC[3 * i + j] - C[i, j] / C[j, j] * dC[4 * j]) / C[j, j] for i, j, sign in entries]
     return np.array([*rows, *dC[::4]])
@@ -210,7 +210,7 @@ def signal_errors(truth: TrueSignals, force: Floats, rate: Floats, gravity: floa
     sensed = interval_means(force, rests)
     free = rate - rate[rests.start[0] : rests.stop[0]].mean(axis=0)
     last, following = truth.t_s[rests.stop - 1], truth.t_s[rests.start]
-    once = propagate(_turned(truth.t_s, free, last[:-1], following[1:]), sensed[:-1])
+    once = propagate_directions(_turned(truth.t_s, free, last[:-1], following[1:]), sensed[:-1])
     middle = 0.5 * (last + following)
     middle[0] = last[0]
     carried = sensed.copy()
@@ -237,7 +237,7 @@ def _turned(t_s: Floats, rate: Floats, start_s: Floats, stop_s: Floats) -> Float
     """Return R_start_stop (m, 3, 3) of the turns between two instants, by Eqs. (3.10)-(3.16)."""
     first, lengths = segments_between(t_s, start_s, stop_s)
     segments = cut_segments(t_s, rate, rate, first, lengths)
-    return integrate(segments, segments.gyroscope).rotation
+    return integrate_rates(segments, segments.gyroscope).rotation
 
 
 def _angle(a: Floats, b: Floats) -> Floats:

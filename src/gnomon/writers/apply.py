@@ -17,7 +17,7 @@ import orjson
 from ..errors import FormatError, RecordingError
 from ..output import atomic_file
 from ..readers.samples.sample_stream import TRIADS, Blocks, SampleStream
-from ..readers.samples.stream import Rows, open_stream, stream_of
+from ..readers.samples.stream import BlockRows, open_stream, stream_of
 from ..recording import Floats, Integers, Recording, TriadSamples
 from ..results.calibration import ImuCalibration
 from ..units import Units
@@ -118,7 +118,7 @@ def calibrated_blocks(calibration: ImuCalibration, stream: SampleStream) -> Iter
     there = _triads(calibration, stream)
     first = next(name for name in ("gyroscope", "accelerometer", "magnetometer") if name in there)
     beside = {
-        name: _Synchroniser(Rows(blocks, _calibrator(calibration, name), name, first))
+        name: _Synchroniser(BlockRows(blocks, _calibrator(calibration, name), name, first))
         for name, blocks in there.items()
         if name != first
     }
@@ -186,7 +186,7 @@ def _calibrator(calibration: ImuCalibration, name: str) -> Callable[[TriadSample
 class _Synchroniser:
     """Brings one triad to the timestamps of consecutive blocks of another, as `calibration.interpolate_triad` does."""
 
-    def __init__(self, rows: Rows) -> None:
+    def __init__(self, rows: BlockRows) -> None:
         self._rows = rows
         self._equal = True  # so far the timestamps were the same
         self._origin: int | None = None

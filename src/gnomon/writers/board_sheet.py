@@ -10,17 +10,17 @@ import numpy as np
 
 from ..errors import OptionError
 from ..formats.kalibr.target import target_lines
-from ..models.board_pattern import Pattern, board_pattern
+from ..models.board_pattern import BoardPattern, board_pattern
 from ..models.target import Target
 from ..recording import Floats
-from .drawing import Drawing, Page, Words
+from .drawing import Drawing, PaperPage, Words
 
 Place = tuple[int, int]
 
 _STEP_M = 1e-9  # corners that are nearer are one
 
 
-def board_paths(pattern: Pattern) -> list[Floats]:
+def board_paths(pattern: BoardPattern) -> list[Floats]:
     """Return closed paths (n, 2) [m] around all that is black; to their left it is black, and holes are inside others.
 
     Corners between edges of the same direction are left out. Where two cells touch with their corners alone the paths
@@ -177,7 +177,7 @@ def board_drawing(target: Target, paper: str = "") -> Drawing:
     return _drawn(target, pattern, size)
 
 
-def tiled(target: Target, paper: str) -> tuple[Drawing, tuple[Page, ...]]:
+def tile_board(target: Target, paper: str) -> tuple[Drawing, tuple[PaperPage, ...]]:
     """Return a board on one large sheet of its own size, and the pages of a smaller paper that make it up.
 
     Pages overlap by 10 mm. They come row by row from the upper left.
@@ -204,7 +204,7 @@ def _tiles(whole: Size, paper: Size) -> tuple[int, int]:
     return cols, rows
 
 
-def _tile(whole: Size, paper: Size, place: tuple[int, int], count: tuple[int, int]) -> Page:
+def _tile(whole: Size, paper: Size, place: tuple[int, int], count: tuple[int, int]) -> PaperPage:
     """Return one page; what is cut off is at its left and at its top, what is covered at its right and below."""
     col, row = place
     low, (right, top) = _TILE_MARGIN, (side - _TILE_MARGIN for side in paper)
@@ -215,7 +215,7 @@ def _tile(whole: Size, paper: Size, place: tuple[int, int], count: tuple[int, in
     words = f"Row {row + 1} of {count[1]}, column {col + 1} of {count[0]}."
     if count != (1, 1):
         words += " Cut off the left and the upper margin at their marks, and glue it where the marks of the others are."
-    return Page(
+    return PaperPage(
         size=paper,
         offset=(low - x, low - y),
         window=(low, low, right, top),
@@ -275,7 +275,7 @@ def sheet_rotation(target: Target) -> Floats:
     return np.eye(2) if level else np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
-def _extent(pattern: Pattern, target: Target) -> Size:
+def _extent(pattern: BoardPattern, target: Target) -> Size:
     """Return width and height of the board on the sheet, its white rim included [mm]."""
     width, height = 1000 * np.abs(sheet_rotation(target) @ (pattern.sheet[2:] - pattern.sheet[:2]))
     return float(width), float(height)
@@ -286,7 +286,7 @@ def _scaled(target: Target, factor: float) -> Target:
     return replace(target, **{name: round(getattr(target, name) * factor, 9) for name in lengths})
 
 
-def _drawn(target: Target, pattern: Pattern, size: Size) -> Drawing:
+def _drawn(target: Target, pattern: BoardPattern, size: Size) -> Drawing:
     width, height = _extent(pattern, target)
     below = _below(size[0])
     low = np.array([max(_LEFT, (size[0] - width) / 2), below + (size[1] - _MARGIN - below - height) / 2])

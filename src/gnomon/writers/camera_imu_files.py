@@ -13,14 +13,14 @@ from ..formats.kalibr.imu import IMU_FILE, imu_text
 from ..formats.kalibr.results import RESULTS_FILE, KalibrResults
 from ..formats.shared.entries import parameter_unit
 from ..formats.shared.ignored_values import ignored_values
-from ..formats.shared.losses import Context, StatedImu, origin_remarks, remarks, sentences
+from ..formats.shared.losses import Context, StatedImu, file_remarks, loss_sentences, origin_remarks
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..output import write_together
 from ..recording import Floats, ImuSamples, Recording
 from ..results.calibration import Calibration
 from ..results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
-from ..results.parameters import parameters
+from ..results.parameters import calibration_parameters
 from ..results.result import Result
 from .pose_files import TRAJECTORY_FILE, trajectory_text
 
@@ -61,13 +61,17 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
     results = KalibrResults(
         calibration=calibration,
         target=target,
-        residuals=residuals(diagnostics),
+        residuals=residual_statistics(diagnostics),
         gravity_target=diagnostics.gravity_target,
         imus=imus,
         notes=tuple(_notes(calibration, diagnostics)),
     )
     said = Context(
-        remarks=(*origin_remarks(calibration), *remarks(calibration), *sentences(ignored_values(calibration, "kalibr")))
+        remarks=(
+            *origin_remarks(calibration),
+            *file_remarks(calibration),
+            *loss_sentences(ignored_values(calibration, "kalibr")),
+        )
     ).comment()
     return {
         CAMCHAIN_FILE: camchain_text(calibration, said),
@@ -77,7 +81,7 @@ def camera_imu_texts(result: Result, recording: Recording, target: Target) -> di
     }
 
 
-def residuals(diagnostics: CameraImuDiagnostics) -> dict[str, Residuals]:
+def residual_statistics(diagnostics: CameraImuDiagnostics) -> dict[str, Residuals]:
     """Return statistics of the residuals of what was used: "cam0", "imu0.gyroscope", ... -> Residuals."""
     found: dict[str, Residuals] = {}
     for name, fit in diagnostics.corners.items():
@@ -128,7 +132,7 @@ def _notes(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Itera
     yield from ("", "", "Added by gnomon", "===============", "")
     yield f"Verdict: {calibration.verdict}; model {calibration.assessment.model}; reasons are in calibration.yaml"
     yield "Normalized residuals are in units of the noise that was used"
-    yield from Context(remarks=remarks(calibration)).lines()
+    yield from Context(remarks=file_remarks(calibration)).lines()
     yield from ("", "Noise: stated beforehand, found in the residuals, used", "----------------------------")
     for level in diagnostics.noise:
         stated = f"{level.nominal:.6g}" if isfinite(level.nominal) else "not stated"
@@ -137,7 +141,7 @@ def _notes(calibration: Calibration, diagnostics: CameraImuDiagnostics) -> Itera
     yield f"  gravity in the target's frame [m/s^2]: {_numbers(diagnostics.gravity_sigma)}"
     paths = [f"{name}.{key}" for name in calibration.cameras for key in _CAMERA_PATHS]
     paths += [f"{imu}.{path}" for imu in calibration.imus for path in _IMU_PATHS]
-    known = dict(parameters(calibration.imus))
+    known = dict(calibration_parameters(calibration.imus))
     paths += [path for imu in calibration.imus for path in (f"{imu}.{rest}" for rest in _RIG_PATHS) if path in known]
     for path in paths:
         sigma = calibration.sigma(path)

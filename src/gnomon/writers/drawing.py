@@ -56,7 +56,7 @@ class Drawing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Page:
+class PaperPage:
     """A sheet of paper, and where on it a part of a drawing comes.
 
     Attributes
@@ -100,12 +100,12 @@ def svg_text(drawing: Drawing, title: str) -> str:
     return "\n".join([*lines, "</svg>"]) + "\n"
 
 
-def pdf_bytes(drawing: Drawing, title: str, pages: Sequence[Page] = ()) -> bytes:
+def pdf_bytes(drawing: Drawing, title: str, pages: Sequence[PaperPage] = ()) -> bytes:
     """Return the drawing as PDF: on one page of its own size, or on others, of which each shows its part.
 
     Viewers are asked not to scale it when they print.
     """
-    pages = pages or (Page(size=drawing.size),)
+    pages = pages or (PaperPage(size=drawing.size),)
     fonts = " ".join(f"/F{k} << /Type /Font /Subtype /Type1 /BaseFont /{name} /Encoding /WinAnsiEncoding >>"
                      for k, name in enumerate(_FONTS))  # fmt: skip
     box = f"[0 0 {' '.join(map(_number, drawing.size))}]"
@@ -130,7 +130,7 @@ def pdf_bytes(drawing: Drawing, title: str, pages: Sequence[Page] = ()) -> bytes
     return _pdf_file(objects)
 
 
-def _pdf_page(page: Page, line_width: float) -> Iterator[str]:
+def _pdf_page(page: PaperPage, line_width: float) -> Iterator[str]:
     yield f"{POINTS_PER_MM:.12f} 0 0 {POINTS_PER_MM:.12f} 0 0 cm"
     yield "q"
     if page.window is not None:

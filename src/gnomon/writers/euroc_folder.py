@@ -19,7 +19,7 @@ from ..formats.shared.yaml_text import yaml_lines
 from ..output import whole_folder
 from ..recording import Floats, ImuSamples
 from ..recording.images import ImageRecording, ImageStream
-from .png_files import encoded
+from .png_files import encode_frames
 
 _FRAMES = "#timestamp [ns],filename\n"
 _SAMPLES = (
@@ -101,7 +101,7 @@ def _save_camera(
     every = max(1, stream.count // _TENTHS) if stream.count else 100
     with (place / "data.csv").open("w", encoding="ascii", newline="") as table:
         table.write(_FRAMES)
-        for number, (t_ns, png) in enumerate(encoded(stream.frames(said))):
+        for number, (t_ns, png) in enumerate(encode_frames(stream.frames(said))):
             if number % every == 0:
                 tell(f"writing {name}: image {number + 1}" + (f" of {stream.count}" if stream.count else ""))
             if isinstance(png, RecordingError):

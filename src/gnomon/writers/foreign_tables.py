@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..formats.foreign import ForeignCalibration, ForeignImu, told
+from ..formats.foreign import ForeignCalibration, ForeignImu, stated_calibration
 from ..models.camera import Camera
-from .tables import Row, Table, form_tables
+from .tables import ParameterRows, Row, form_tables
 
 _FIXED = " (fixed)"
 _NOISE_UNITS = {
@@ -19,7 +19,7 @@ _NOISE_UNITS = {
 }
 
 
-def foreign_tables(foreign: ForeignCalibration, form: str = "sensitivity") -> tuple[Table, ...]:
+def foreign_tables(foreign: ForeignCalibration, form: str = "sensitivity") -> tuple[ParameterRows, ...]:
     """Return what a file of another project tells; values without standard deviations, where the file has none.
 
     Parameters
@@ -33,7 +33,7 @@ def foreign_tables(foreign: ForeignCalibration, form: str = "sensitivity") -> tu
     """
     found = [_summary(foreign)]
     if foreign.imus or foreign.cameras:
-        found += form_tables(told(foreign, unknown=0.0), form)
+        found += form_tables(stated_calibration(foreign, unknown=0.0), form)
     found += [_lens_table(name, camera) for name, camera in foreign.lenses.items()]
     if foreign.sigmas:
         return tuple(table for table in found if table.rows)
@@ -57,7 +57,7 @@ def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
 
 
-def _summary(foreign: ForeignCalibration) -> Table:
+def _summary(foreign: ForeignCalibration) -> ParameterRows:
     rows = [Row(name="format", value=foreign.format, unit="")]
     if foreign.imus:
         rows.append(Row(name="body frame", value=foreign.frame, unit=""))
@@ -73,7 +73,7 @@ def _summary(foreign: ForeignCalibration) -> Table:
         rows.append(Row(name=f"{name} residual, mean", value=f"{found.plain.mean:.6g}", unit=unit))
         rows.append(Row(name=f"{name} residual, mean", value=f"{found.normalised.mean:.6g}", unit="sigma"))
     note = "" if foreign.sigmas else "without standard deviations"
-    return Table(title="another project's file", note=note, rows=tuple(rows))
+    return ParameterRows(title="another project's file", note=note, rows=tuple(rows))
 
 
 def _imu_rows(data: ForeignImu) -> Iterator[Row]:
@@ -90,7 +90,7 @@ def _imu_rows(data: ForeignImu) -> Iterator[Row]:
             yield Row(name=f"T_imu_imu0, row {i}", value=_numbers(row), unit="1; m")
 
 
-def _lens_table(name: str, camera: Camera) -> Table:
+def _lens_table(name: str, camera: Camera) -> ParameterRows:
     units = {"focal": "px", "principal": "px"}
     rows = [
         Row(name=symbol, value=f"{value:.6g}", unit=units.get(kind, "1"))
@@ -100,13 +100,13 @@ def _lens_table(name: str, camera: Camera) -> Table:
     ]
     width, height = camera.resolution
     rows.append(Row(name="resolution", value=f"{width} x {height}", unit="px"))
-    return Table(title=f"{name}, {camera.model}", note="its pose is not stated", rows=tuple(rows))
+    return ParameterRows(title=f"{name}, {camera.model}", note="its pose is not stated", rows=tuple(rows))
 
 
 def _numbers(values: Any) -> str:
     return " ".join(f"{value:.6g}" for value in np.asarray(values).tolist())
 
 
-def _without_sigmas(table: Table) -> Table:
+def _without_sigmas(table: ParameterRows) -> ParameterRows:
     rows = [Row(name=row.name, value=row.value.removesuffix(_FIXED), unit=row.unit) for row in table.rows]
-    return Table(title=table.title, note=table.note, rows=tuple(rows))
+    return ParameterRows(title=table.title, note=table.note, rows=tuple(rows))

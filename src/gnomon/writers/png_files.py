@@ -12,7 +12,7 @@ from ..recording.images import Frame, ImageStream
 _WORKERS, _AHEAD = 2, 8
 
 
-def encoded(frames: Iterable[Frame]) -> Iterator[tuple[int, bytes | RecordingError]]:
+def encode_frames(frames: Iterable[Frame]) -> Iterator[tuple[int, bytes | RecordingError]]:
     """Yield the timestamp [ns] and the PNG of each frame, or what is wrong with it; none is kept."""
     waiting: deque[tuple[int, Future[bytes | RecordingError]]] = deque()
     with ThreadPoolExecutor(_WORKERS) as pool:
@@ -60,7 +60,7 @@ def save_simulated_images(stream: ImageStream, place: Path, progress: Callable[[
         (folder / "data").mkdir()
         with (folder / "data.csv").open("w", encoding="ascii", newline="") as table:
             table.write("#timestamp [ns],filename\n")
-            for number, (t_ns, png) in enumerate(encoded(stream.frames([]))):
+            for number, (t_ns, png) in enumerate(encode_frames(stream.frames([]))):
                 if number % every == 0:
                     tell(f"rendering {place.name}: image {number + 1} of {stream.count}")
                 if isinstance(png, RecordingError):

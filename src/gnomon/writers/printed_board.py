@@ -8,7 +8,7 @@ from ..errors import FormatError, OptionError, OutputError
 from ..formats.kalibr.target import read_target, target_text
 from ..models.target import Target
 from ..output import write_together
-from .board_sheet import board_drawing, tiled
+from .board_sheet import board_drawing, tile_board
 from .drawing import pdf_bytes, svg_text
 
 
@@ -56,7 +56,7 @@ def save_target(target: Target, path: str | PathLike[str], *, paper: str = "", t
     ending = place.suffix.lower()
     if ending not in {"", ".pdf", ".svg"}:
         raise OptionError(f"{place}: boards are drawn as .pdf or .svg; a name without an ending gets both.")
-    drawing, pages = tiled(target, paper or "A4") if tiles else (board_drawing(target, paper), ())
+    drawing, pages = tile_board(target, paper or "A4") if tiles else (board_drawing(target, paper), ())
     title = target.describe()
     contents: dict[str, str | bytes] = {}
     if ending != ".svg":

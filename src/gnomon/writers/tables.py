@@ -11,9 +11,9 @@ import numpy as np
 
 from ..errors import OptionError
 from ..formats.shared import entries
-from ..formats.shared.entries import IMU_EQUATION, Entry, camera_entries, camera_equation, imu_entries
+from ..formats.shared.entries import IMU_EQUATION, FormEntry, camera_entries, camera_equation, imu_entries
 from ..models.frames import Floats, frame_rotation
-from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, parameters
+from ..results.calibration import Calibration, CameraImuFit, CamerasFit, ImuCalibration, calibration_parameters
 from ..simulate.truth import TRUTH_METHOD
 from ..units import share_words
 from .evidence_words import counted_things, held_out_errors, modelled_thing, rests_on_gravity
@@ -21,7 +21,7 @@ from .evidence_words import counted_things, held_out_errors, modelled_thing, res
 if TYPE_CHECKING:
     from ..assess.comparison.comparison import Comparison
 
-_Entries = Callable[..., Iterator[Entry]]
+_Entries = Callable[..., Iterator[FormEntry]]
 _FORMS: dict[str, tuple[str | None, _Entries, _Entries, _Entries]] = {
     "sensitivity": (
         None,
@@ -100,7 +100,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class ParameterRows:
     """Rows under a title; `note` is the equation that defines the names."""
 
     title: str
@@ -108,7 +108,7 @@ class Table:
     rows: tuple[Row, ...]
 
 
-def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Table, ...]:
+def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[ParameterRows, ...]:
     """Return one table for each triad, for each pose of an IMU and for each camera, every value with its sigma.
 
     Sigmas follow from the covariance by the Jacobian of the whole way from gnomon's parameters to the form's, change of
@@ -126,11 +126,11 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
     if form not in _FORMS:
         raise OptionError(f'"{form}" is no form of the sensor model. Choose one of: {", ".join(_FORMS)}.')
     frame, written = calibration.frame, _values_of(calibration)
-    tables: list[Table] = []
+    tables: list[ParameterRows] = []
     for name, imu in calibration.imus.items():
         if imu.accelerometer is not None:  # which defines the frames of the forms; other triads stay in theirs
             frame = _FORMS[form][0] or calibration.frame
-        paths = [path for path, _ in parameters({name: imu})]
+        paths = [path for path, _ in calibration_parameters({name: imu})]
         entries, sigmas = entries_with_sigmas(imu, calibration.covariance(*paths), form)
         for triad, note in zip(_TRIADS, _EQUATIONS[form], strict=True):
             rows = tuple(
@@ -139,11 +139,11 @@ def form_tables(calibration: Calibration, form: str = "sensitivity") -> tuple[Ta
                 if entry.triad == triad
             )
             if rows:
-                tables.append(Table(title=f"{name} {triad}, body frame {frame}", note=note, rows=rows))
+                tables.append(ParameterRows(title=f"{name} {triad}, body frame {frame}", note=note, rows=rows))
     return (*tables, *_rig_tables(calibration, frame))
 
 
-def _rig_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
+def _rig_tables(calibration: Calibration, frame: str) -> Iterator[ParameterRows]:
     """Yield a table for each IMU with a pose, and for each camera; poses are those against the form's body frame."""
     placed = [name for name, imu in calibration.imus.items() if imu.T_imu_body is not None]
     written = _values_of(calibration)
@@ -154,25 +154,25 @@ def _rig_tables(calibration: Calibration, frame: str) -> Iterator[Table]:
             Row(name=entry.name, value=written(entry.value, sigma), unit=entry.unit)
             for entry, sigma in imu_entries(calibration, name)
         )
-        yield Table(title=f"{name}, pose and clock, body frame {frame}", note=IMU_EQUATION, rows=rows)
+        yield ParameterRows(title=f"{name}, pose and clock, body frame {frame}", note=IMU_EQUATION, rows=rows)
     for name, camera in calibration.cameras.items():
         rows = tuple(
             Row(name=entry.name, value=written(entry.value, sigma), unit=entry.unit)
             for entry, sigma in camera_entries(calibration, name)
         )
-        yield Table(
+        yield ParameterRows(
             title=f"{name}, {camera.camera.model}, body frame {frame}", note=camera_equation(calibration), rows=rows
         )
 
 
-def entries_with_sigmas(imu: ImuCalibration, covariance: Floats, form: str) -> tuple[list[Entry], Floats]:
+def entries_with_sigmas(imu: ImuCalibration, covariance: Floats, form: str) -> tuple[list[FormEntry], Floats]:
     """Return the scalars of a form, and their standard deviations (k,).
 
     Parameters
     ----------
     covariance : (n, n), of the IMU's scalars in the order of `calibration.parameters`
     """
-    start = np.concatenate([value.ravel() for _, value in parameters({"": imu})])
+    start = np.concatenate([value.ravel() for _, value in calibration_parameters({"": imu})])
     entries = list(_entries(start, imu, form))
 
     def values(x: Floats) -> Floats:
@@ -192,12 +192,12 @@ def entries_with_sigmas(imu: ImuCalibration, covariance: Floats, form: str) -> t
 
 def _steps(imu: ImuCalibration) -> Iterator[float]:
     """Yield a step for each scalar, small beside its matrix, over which the forms are as good as quadratic."""
-    for _, value in parameters({"": imu}):
+    for _, value in calibration_parameters({"": imu}):
         size = float(np.abs(value).max())
         yield from [1e-5 * size if size else 1.0] * value.size
 
 
-def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[Entry]:
+def _entries(x: Floats, imu: ImuCalibration, form: str) -> Iterator[FormEntry]:
     frame, accelerometer, gyroscope, magnetometer = _FORMS[form]
     shaped = _shaped(x, imu)
     turn = np.eye(3)
@@ -225,7 +225,7 @@ def _shaped(x: Floats, imu: ImuCalibration) -> dict[str, Floats]:
     """Return the scalars (n,) of an IMU as its parameters, "gyroscope.bias" -> (3,)."""
     found: dict[str, Floats] = {}
     start = 0
-    for path, value in parameters({"": imu}):
+    for path, value in calibration_parameters({"": imu}):
         found[path.removeprefix(".")] = x[start : start + value.size].reshape(value.shape)
         start += value.size
     return found
@@ -265,7 +265,7 @@ def value_text(value: float, sigma: float) -> str:
     return f"({value / scale:.{decimals}f} ± {sigma / scale:.{decimals}f})e{largest:+03d}"
 
 
-def summary_table(calibration: Calibration) -> Table:
+def summary_table(calibration: Calibration) -> ParameterRows:
     """Return what concerns the calibration as a whole: verdict, frame, gravity, and what it rests on."""
     if _is_exact(calibration):
         return _truth_table(calibration)
@@ -287,7 +287,7 @@ def summary_table(calibration: Calibration) -> Table:
         rows += _cameras_rows(assessment.cameras)
     elif calibration.imus:
         rows += _magnitude_rows(calibration) if camera_imu is None else _camera_imu_rows(camera_imu)
-    return Table(title="calibration", note=note, rows=tuple(rows))
+    return ParameterRows(title="calibration", note=note, rows=tuple(rows))
 
 
 def _origins(calibration: Calibration) -> Iterator[Row]:
@@ -298,12 +298,12 @@ def _origins(calibration: Calibration) -> Iterator[Row]:
             yield Row(name=f"origin of {name}", value=_POINTS.get(imu.origin.point, imu.origin.words), unit="")
 
 
-def _truth_table(calibration: Calibration) -> Table:
+def _truth_table(calibration: Calibration) -> ParameterRows:
     rows = [Row(name="body frame", value=calibration.frame, unit=""), *_origins(calibration)]
     if rests_on_gravity(calibration):
         rows.append(Row(name="gravity", value=_exact_text(calibration.gravity.value, 0.0), unit="m/s^2"))
     note = f"gnomon {calibration.provenance.gnomon_version}; exact: what the recording was simulated with"
-    return Table(title="truth of a simulation", note=note, rows=tuple(rows))
+    return ParameterRows(title="truth of a simulation", note=note, rows=tuple(rows))
 
 
 def _magnitude_rows(calibration: Calibration) -> Iterator[Row]:

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from gnomon.assess.added_findings import added_findings
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.models.camera import Camera
 
 
-def parameters(focal_px: float) -> Parameters:
+def parameters(focal_px: float) -> RigParameters:
     camera = Camera(
         projection="pinhole",
         intrinsics=np.array([focal_px, focal_px, 320.0, 240.0]),
@@ -17,7 +17,7 @@ def parameters(focal_px: float) -> Parameters:
         resolution=(640, 480),
     )
     entry = CameraParameters(name="cam0", R_cam_imu=np.eye(3), p_cam_imu=np.zeros(3), time_shift_s=0.0, camera=camera)
-    return Parameters(
+    return RigParameters(
         gravity_axes=gravity_axes(np.array([0.0, -1.0, 0.1])),
         gravity_m_s2=9.81,
         target_scale=1.0,

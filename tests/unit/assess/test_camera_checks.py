@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.cameras.camera_views import image_coverage, views
+from gnomon.assess.cameras.camera_views import board_sightings, image_coverage
 from gnomon.assess.checks.camera_checks import check_cameras
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
@@ -109,7 +109,7 @@ def test_views_of_single_frames() -> None:
     line = np.isin(frames.point, [0, 1, 2, 3, 4, 5]) | (frames.frame != 2)  # the lowest row
     diagonal = np.isin(frames.point, [0, 6, 7, 8, 9, 10]) | (frames.frame != 3)  # one below the others is enough
     gone = frames.frame != 4
-    seen = views(kept(frames, few & line & diagonal & gone), BOARD)
+    seen = board_sightings(kept(frames, few & line & diagonal & gone), BOARD)
     assert seen.frame.tolist() == [0, 1, 2, 3, 5]
     assert seen.corners.tolist() == [24, 3, 6, 6, 24]
     assert seen.usable.tolist() == [True, False, False, True, True]
@@ -122,8 +122,8 @@ def test_corners_on_a_slanted_line_are_useless() -> None:
     pixels = np.random.default_rng(1).uniform(10, 400, (36, 2))
     frames = replace(camera(seconds=0.05), point=np.arange(36), frame=np.zeros(36, np.int64), pixels=pixels)
     slanted = kept(frames, np.isin(frames.point, [0, 7, 14, 21, 28, 35]))
-    assert views(slanted, board).usable.tolist() == [False]
-    assert views(kept(frames, np.isin(frames.point, [0, 7, 14, 21, 28, 34])), board).usable.tolist() == [True]
+    assert board_sightings(slanted, board).usable.tolist() == [False]
+    assert board_sightings(kept(frames, np.isin(frames.point, [0, 7, 14, 21, 28, 34])), board).usable.tolist() == [True]
 
 
 def test_coverage_counts_cells() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.comparison.candidates import Candidate, in_common_frame
+from gnomon.assess.comparison.candidates import ComparisonCandidate, in_common_frame
 from gnomon.assess.comparison.comparison import lens_difference
 from gnomon.assess.comparison.quantities import statement_of
 from gnomon.calibrate.comparison import compare
@@ -15,7 +15,7 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 from gnomon.recording import Source
 from gnomon.results.calibration import Calibration, Covariance, Gravity
-from gnomon.results.parameters import parameters
+from gnomon.results.parameters import calibration_parameters
 
 SI = ("m/s^2", "rad/s")
 
@@ -93,7 +93,7 @@ def test_written_in_another_format_and_compared(camera_calibration, tmp_path, fo
     gnomon.convert(calibration, form, tmp_path / form)
     found = compare(calibration, tmp_path / form, names=["original", form])
     compared_paths = {item.path for item in found.differences}
-    everything = set(statement_of(in_common_frame(Candidate.of("a", calibration))).quantities)
+    everything = set(statement_of(in_common_frame(ComparisonCandidate.of("a", calibration))).quantities)
     expected = {path for path in everything if not any(word in path for word in LOST[form])}
     expected -= {path for path in everything if path.endswith(".line_delay")}
     assert expected - {path for path in expected if path.endswith("lens")} <= compared_paths
@@ -117,16 +117,18 @@ def test_derivatives(random_calibration):
         accelerometer = replace(imu.accelerometer, sensitivity=matrices[0], bias=matrices[1])
         gyroscope = replace(imu.gyroscope, sensitivity=matrices[2], bias=matrices[3], g_sensitivity=matrices[4])
         imus = {"imu0": replace(imu, accelerometer=accelerometer, gyroscope=gyroscope)}
-        return statement_of(in_common_frame(Candidate.of("a", replace(calibration, imus=imus))))
+        return statement_of(in_common_frame(ComparisonCandidate.of("a", replace(calibration, imus=imus))))
 
-    start = [value for _, value in parameters(calibration.imus)]
+    start = [value for _, value in calibration_parameters(calibration.imus)]
     free = [(value != 0).astype(float) for value in start]
     steps = [rng.normal(size=value.shape) * mask * np.abs(value).max() for value, mask in zip(start, free, strict=True)]
     direction = np.concatenate([step.ravel() for step in steps])
     matrix = np.outer(direction, direction)  # of one random scalar along the direction
     stated = statement_of(
         in_common_frame(
-            Candidate.of("a", replace(calibration, uncertainty=replace(calibration.uncertainty, matrix=matrix)))
+            ComparisonCandidate.of(
+                "a", replace(calibration, uncertainty=replace(calibration.uncertainty, matrix=matrix))
+            )
         )
     )
     h = 1e-6

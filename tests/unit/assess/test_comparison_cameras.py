@@ -7,11 +7,11 @@ import pytest
 
 from camera_imu_result import make_camera_imu_result
 from cameras_result import make_cameras_result
-from gnomon.assess.comparison.candidates import Candidate
-from gnomon.assess.comparison.comparing import compared
+from gnomon.assess.comparison.candidates import ComparisonCandidate
+from gnomon.assess.comparison.comparing import compare_candidates
 from gnomon.assess.comparison.quantities import statement_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.geometry.so3 import inverse
+from gnomon.geometry.so3 import invert_3x3
 from gnomon.report.comparison import comparison_page, write_comparison_report
 from gnomon.results.calibration import Covariance
 from html_page import Page
@@ -24,14 +24,14 @@ def candidate(name, **changes):
     honest = Covariance(names=calibration.uncertainty.names, matrix=calibration.uncertainty.matrix / 1.3**2)
     inputs = tuple(replace(source, sha256=name * 32) for source in calibration.provenance.inputs)
     provenance = replace(calibration.provenance, inputs=inputs)
-    return Candidate.of(name, replace(calibration, uncertainty=honest, provenance=provenance))
+    return ComparisonCandidate.of(name, replace(calibration, uncertainty=honest, provenance=provenance))
 
 
 def moved(one, *, shift=(0.0, 0.0, 0.0), focal=0.0, upside_down=False):
     camera = one.cameras["cam1"]
     T = camera.T_cam_body.copy()
     T[:3, 3] += shift
-    T = inverse(T) if upside_down else T
+    T = invert_3x3(T) if upside_down else T
     lens = camera.camera.with_parameters(camera.camera.parameters + np.eye(len(camera.camera.parameters))[0] * focal)
     return replace(one, cameras={**one.cameras, "cam1": replace(camera, T_cam_body=T, camera=lens)})
 
@@ -42,7 +42,7 @@ def three():
 
 
 def test_honest_ones_agree_in_lens_and_baseline(three):
-    comparison = compared(three)
+    comparison = compare_candidates(three)
     assert [block.path for block in comparison.blocks] == [
         "cam0.lens", "cam1.cam0.rotation", "cam1.cam0.translation", "cam1.lens",
     ]  # fmt: skip
@@ -56,14 +56,14 @@ def test_honest_ones_agree_in_lens_and_baseline(three):
 
 
 def test_the_one_with_another_baseline_is_named(three):
-    comparison = compared([*three[:2], moved(three[2], shift=(2e-3, 0, 0))])
+    comparison = compare_candidates([*three[:2], moved(three[2], shift=(2e-3, 0, 0))])
     assert comparison.outside == ("wed",)
     assert comparison.verdict == "fail"
     assert "the translation of cam1 against cam0 by 2 mm" in comparison.headline
 
 
 def test_another_focal_length_is_found(three):
-    comparison = compared([three[0], moved(three[1], focal=3.0)])
+    comparison = compare_candidates([three[0], moved(three[1], focal=3.0)])
     assert comparison.verdict == "fail"
     assert "lens of cam1" in comparison.headline
     codes = [finding.code for finding in comparison.findings]
@@ -74,7 +74,7 @@ def test_another_focal_length_is_found(three):
 def test_inverse_baseline_is_recognised(three):
     turned = moved(three[1], shift=(0.0, 0.05, 0.0), upside_down=True)
     first = moved(three[0], shift=(0.0, 0.05, 0.0))
-    found = [finding for finding in compared([first, turned]).findings if finding.code == "pose-inverted"]
+    found = [finding for finding in compare_candidates([first, turned]).findings if finding.code == "pose-inverted"]
     assert len(found) == 1
     assert "T_cam_cam0 of cam1 in mon" in found[0].message
     assert "IMU" not in found[0].consequence + found[0].cure
@@ -83,7 +83,7 @@ def test_inverse_baseline_is_recognised(three):
 def test_one_camera_under_another_name(three):
     one = candidate("one", seed=6, cameras=1).renamed({"cam0": "cam1"})
     assert one.covariance is not None
-    comparison = compared([three[0], one])
+    comparison = compare_candidates([three[0], one])
     assert [block.path for block in comparison.blocks] == ["cam1.lens"]
     assert comparison.verdict == "pass"
 
@@ -91,7 +91,7 @@ def test_one_camera_under_another_name(three):
 def test_exchanged_names_do_not_mix_up_poses(three):
     """Poses to another camera are another quantity: only the lenses are compared."""
     exchanged = three[1].renamed({"cam0": "cam1", "cam1": "cam0"})
-    comparison = compared([three[0], exchanged])
+    comparison = compare_candidates([three[0], exchanged])
     assert {block.kind for block in comparison.blocks} == {"lens"}
 
 
@@ -107,7 +107,7 @@ def with_imu():
 
 def test_poses_to_an_imu_are_compared_as_baselines():
     calibration = with_imu()
-    statement = statement_of(Candidate.of("with", calibration), frozenset({"cam0"}))
+    statement = statement_of(ComparisonCandidate.of("with", calibration), frozenset({"cam0"}))
     turn, shift = (statement.quantities[f"cam1.cam0.{part}"] for part in ("rotation", "translation"))
     rng = np.random.default_rng(3)
     paths = [f"cam{i}.T_cam_imu.{part}" for i in range(2) for part in ("rotation", "translation")]
@@ -128,7 +128,7 @@ def test_poses_to_an_imu_are_compared_as_baselines():
 
 
 def test_with_and_without_an_imu(three):
-    comparison = compared([three[0], Candidate.of("with", with_imu())])
+    comparison = compare_candidates([three[0], ComparisonCandidate.of("with", with_imu())])
     paths = [block.path for block in comparison.blocks]
     assert "cam1.cam0.translation" in paths
     assert "cam1.translation" not in paths  # only one of them states it
@@ -136,7 +136,7 @@ def test_with_and_without_an_imu(three):
 
 
 def test_report_says_what_was_compared(three, tmp_path):
-    comparison = compared(three)
+    comparison = compare_candidates(three)
     write_comparison_report(comparison, tmp_path / "r.html")
     text = Page((tmp_path / "r.html").read_text(encoding="utf-8")).text
     for words in ("Poses are to cam0", "Lens of cam0", "Translation of cam1 against cam0 [mm]", "axes of cam0 against",

@@ -8,12 +8,12 @@ import pytest
 from gnomon import CameraImuOptions, ImuOptions, Recording, calibrate_camera_imu, calibrate_imu, simulate_camera_imu
 from gnomon import simulate as simulated
 from gnomon.assess.prior_findings import prior_findings
-from gnomon.assess.priors import NAMES, TRIADS, known_beforehand
+from gnomon.assess.priors import NAMES, TRIADS, gather_prior
 from gnomon.calibrate.steps.camera_imu_preparation import evidence_of_imu, known_imu
 from gnomon.errors import OptionError
 from gnomon.models.frames import frame_rotation
 from gnomon.results.calibration import Calibration, Covariance
-from gnomon.results.sensors import ImuCalibration, rotated
+from gnomon.results.sensors import ImuCalibration, rotate_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.simulate.scenarios import Scenario
 
@@ -67,7 +67,7 @@ def test_a_prior_of_another_sensor_is_noticed(first: Calibration, second: tuple[
 
 def test_healthy_priors_disagree_rarely() -> None:
     rng = np.random.default_rng(5)
-    known = known_beforehand(None, ImuOptions(prior=("imu0.accelerometer.bias=0.1", "imu0.gyroscope.bias=0.02")), UNITS)
+    known = gather_prior(None, ImuOptions(prior=("imu0.accelerometer.bias=0.1", "imu0.gyroscope.bias=0.02")), UNITS)
     warned = 0
     for _ in range(300):
         sigma = np.zeros(33)
@@ -106,16 +106,16 @@ def test_a_stated_sigma_pulls_towards_the_value(second: tuple[Recording, Calibra
 
 
 def test_free_asks_no_prior(first: Calibration) -> None:
-    known = known_beforehand(first, ImuOptions(), UNITS, free=("imu0.accelerometer",))
+    known = gather_prior(first, ImuOptions(), UNITS, free=("imu0.accelerometer",))
     assert not known.knows("imu0.accelerometer")
     assert known.knows("imu0.gyroscope.sensitivity")
 
 
 def test_other_units_are_converted(first: Calibration) -> None:
-    known = known_beforehand(first, ImuOptions(), {"accelerometer": "g", "gyroscope": "deg/s"})
+    known = gather_prior(first, ImuOptions(), {"accelerometer": "g", "gyroscope": "deg/s"})
     at = TRIADS["gyroscope"].start
     np.testing.assert_allclose(known.value[at : at + 9], np.degrees(first.parameter(RATE)).ravel(), rtol=1e-14)
-    prior = known_beforehand(first, ImuOptions(), {"accelerometer": "mg"}).triad_prior("accelerometer")
+    prior = gather_prior(first, ImuOptions(), {"accelerometer": "mg"}).triad_prior("accelerometer")
     assert prior is not None
     np.testing.assert_allclose(prior.mean[:9] * 9.80665e-3, first.parameter(SENSITIVITY).ravel(), rtol=1e-12)
 
@@ -124,7 +124,7 @@ def test_a_gyroscope_known_in_its_own_frame_says_nothing_of_its_pose(first: Cali
     imu = first.imus["imu0"]
     assert imu.gyroscope is not None
     turn = frame_rotation(imu.gyroscope.sensitivity, "accel-x")
-    own = rotated(ImuCalibration(gyroscope=imu.gyroscope), turn)
+    own = rotate_imu(ImuCalibration(gyroscope=imu.gyroscope), turn)
     rows = [i for i, name in enumerate(first.uncertainty.names) if ".gyroscope." in name]
     variance = np.diag(first.uncertainty.matrix)[rows].copy()
     variance[[1, 2, 5]] = 0.0  # by the frame
@@ -133,7 +133,7 @@ def test_a_gyroscope_known_in_its_own_frame_says_nothing_of_its_pose(first: Cali
     alone = replace(
         first, imus={"imu0": own}, frame="gyro-x", uncertainty=Covariance(names=names, matrix=np.diag(variance))
     )
-    known = known_beforehand(alone, ImuOptions(), UNITS)
+    known = gather_prior(alone, ImuOptions(), UNITS)
     x = np.concatenate([first.parameter(path).ravel() for path in _paths(first)] + [np.zeros(12)])
     precision, information = known.quadratic(x)
     assert np.linalg.matrix_rank(precision[12:21, 12:21], tol=1e-9 * np.abs(precision[12:21, 12:21]).max()) == 6
@@ -185,12 +185,12 @@ def test_a_calibration_enters_the_camera_imu_estimation() -> None:
 )
 def test_names_that_cannot_be_meant(options: dict[str, tuple[str, ...]], told: str) -> None:
     with pytest.raises(OptionError, match=told):
-        known_beforehand(None, ImuOptions(**options), UNITS)  # pyright: ignore[reportArgumentType]
+        gather_prior(None, ImuOptions(**options), UNITS)  # pyright: ignore[reportArgumentType]
 
 
 def test_counts_have_no_nominal_value() -> None:
     with pytest.raises(OptionError, match="Give a calibration that knows it"):
-        known_beforehand(None, ImuOptions(fix=("imu0.accelerometer.bias",)), {"accelerometer": "count"})
+        gather_prior(None, ImuOptions(fix=("imu0.accelerometer.bias",)), {"accelerometer": "count"})
 
 
 def test_published_presets_take_no_evidence(first: Calibration, second: tuple[Recording, Calibration]) -> None:

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from gnomon.assess.checks.camera_checks import check_cameras
-from gnomon.assess.checks.image_checks import BLURRED_PX, Sight, boxes, check_images, check_quality, check_sight
+from gnomon.assess.checks.image_checks import (
+    BLURRED_PX,
+    BoardDetections,
+    check_images,
+    check_quality,
+    check_sight,
+    corner_boxes,
+)
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import CameraFrames, FrameQuality, Recording
@@ -165,7 +172,7 @@ def test_board_vanishes_in_the_middle_by_blur() -> None:
 
 def test_sample_tells_no_edge() -> None:
     seen = np.arange(60) % 2 == 0
-    sight = Sight(
+    sight = BoardDetections(
         t_ns=np.arange(60) * 10**9,
         seen=seen,
         box_px=np.where(seen[:, None], [5.0, 100.0, 200.0, 300.0], np.nan),
@@ -180,10 +187,10 @@ def test_sample_tells_no_edge() -> None:
 
 def test_boxes() -> None:
     pixels = np.array([[1.0, 2], [3, -1], [7, 7]])
-    box = boxes(np.array([1, 1, 3]), pixels, 4)
+    box = corner_boxes(np.array([1, 1, 3]), pixels, 4)
     assert np.isnan(box[[0, 2]]).all()
     assert box[[1, 3]].tolist() == [[1, -1, 3, 2], [7, 7, 7, 7]]
-    assert np.isnan(boxes(np.empty(0, np.int64), np.empty((0, 2)), 2)).all()
+    assert np.isnan(corner_boxes(np.empty(0, np.int64), np.empty((0, 2)), 2)).all()
 
 
 def test_part_of_the_checks_of_a_calibration() -> None:

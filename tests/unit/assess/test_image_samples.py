@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.image_checks import check_looks, check_sizes, edge_blur, look_at
+from gnomon.assess.checks.image_checks import check_looks, check_sizes, edge_blur, measure_image
 from gnomon.models.camera import Camera
 
 
@@ -54,7 +54,7 @@ def test_real_and_rendered_images_are_sharp(real_data) -> None:
         *real_data("euroc-cam-april").glob("*.png"),
         *(real_data("rendered-camimu") / "a-aprilgrid-full" / "images").glob("*.png"),
     ]
-    looks = [look_at(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)) for file in files]
+    looks = [measure_image(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)) for file in files]
     assert len(looks) == 8
     assert all(0.4 < look.blur_px < 0.9 for look in looks)
     assert [finding.code for finding in check_looks("cam0", looks)] == ["images"]
@@ -64,7 +64,7 @@ def test_real_and_rendered_images_are_sharp(real_data) -> None:
 
 
 def looks(change=lambda image, _: image, count=10):
-    return [look_at(change(pictured(scene(seed), seed=seed), seed)) for seed in range(count)]
+    return [measure_image(change(pictured(scene(seed), seed=seed), seed)) for seed in range(count)]
 
 
 def codes(found):
@@ -105,14 +105,14 @@ def test_sizes() -> None:
     same = looks(count=4)
     assert check_sizes("cam0", same, CAMERA) == []
     assert check_sizes("cam0", [], CAMERA) == []
-    (mixed,) = check_sizes("cam0", [*same, look_at(scene(size=(240, 320)))], None)
+    (mixed,) = check_sizes("cam0", [*same, measure_image(scene(size=(240, 320)))], None)
     assert (mixed.severity, mixed.code) == ("problem", "image-size")
     assert "640 x 480, 320 x 240 px" in mixed.message
-    (other,) = check_sizes("cam0", [look_at(scene(size=(240, 320)))], CAMERA)
+    (other,) = check_sizes("cam0", [measure_image(scene(size=(240, 320)))], CAMERA)
     assert (other.severity, other.code) == ("problem", "image-size")
     assert "the images are 320 x 240 px, the intrinsics are of 640 x 480 px" in other.message
 
 
 def test_a_camera_that_hung() -> None:
-    one = look_at(scene())
+    one = measure_image(scene())
     assert codes(check_sizes("cam0", [one] * 6, CAMERA)) == {"images-same": "warning"}

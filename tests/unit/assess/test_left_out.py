@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.protocol import cluster, left_out_findings
+from gnomon.assess.checks.protocol import left_out_rests_findings, significant_cluster
 
 
 @pytest.mark.parametrize(
@@ -20,12 +20,12 @@ from gnomon.assess.checks.protocol import cluster, left_out_findings
     ],
 )
 def test_rests_left_out_together(out, n, expected):
-    assert cluster(np.isin(np.arange(n), out)) == expected
+    assert significant_cluster(np.isin(np.arange(n), out)) == expected
 
 
 def test_independent_rests_are_rarely_together():
     rng = np.random.default_rng(1)
-    found = [cluster(rng.permutation(200) < 15) for _ in range(200)]
+    found = [significant_cluster(rng.permutation(200) < 15) for _ in range(200)]
     assert sum(one is not None for one in found) < 30
 
 
@@ -35,7 +35,7 @@ def test_rests_left_out_are_grouped_by_reason_and_runs():
     for k in (3, 4, 5, 20):
         reason[k] = "it turned"
     reason[8] = "saturated"
-    [finding] = left_out_findings(start_s, start_s + 4, reason, "imu0: ")
+    [finding] = left_out_rests_findings(start_s, start_s + 4, reason, "imu0: ")
     assert finding.message == (
         "imu0: 5 of 40 static intervals left out: 4 to 6 (30.0 to 54.0 s), 21 (200.0 to 204.0 s): it turned; "
         "9 (80.0 to 84.0 s): saturated."
@@ -45,9 +45,9 @@ def test_rests_left_out_are_grouped_by_reason_and_runs():
 
 def test_the_list_ends_and_says_how_many_more():
     reason = ["", "touched"] * 20
-    [finding] = left_out_findings(np.arange(40.0), np.arange(40.0) + 0.5, reason)
+    [finding] = left_out_rests_findings(np.arange(40.0), np.arange(40.0) + 0.5, reason)
     assert "12 (11.0 to 11.5 s) and 14 more, which the report lists: touched." in finding.message
 
 
 def test_nothing_left_out_is_not_said():
-    assert not left_out_findings(np.arange(3.0), np.arange(3.0), ["", "", ""])
+    assert not left_out_rests_findings(np.arange(3.0), np.arange(3.0), ["", "", ""])

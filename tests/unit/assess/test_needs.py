@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.needs import needs, number_words, offers
+from gnomon.assess.needs import achieved_quantities, needs_of_use, number_words
 from gnomon.errors import OptionError
 from gnomon.options.requirements import GENERAL_IMU, USES, Use
 from gnomon.results.calibration import Covariance, Gravity
@@ -143,7 +143,7 @@ def test_general_takes_back_what_it_was_judged_for(waved):
 
 
 def test_the_unit_of_the_recording_does_not_matter(turned):
-    found = {offer.quantity: offer.sigma for offer in offers(turned)}
+    found = {offer.quantity: offer.sigma for offer in achieved_quantities(turned)}
     size = np.abs(np.linalg.det(turned.imus["imu0"].gyroscope.sensitivity)) ** (1 / 3)
     assert found["gyroscope_bias"] == pytest.approx(turned.sigma("imu0.gyroscope.bias").max() / size, rel=0.2)
     assert 1e-6 < found["gyroscope_bias"] < 1e-2
@@ -151,21 +151,21 @@ def test_the_unit_of_the_recording_does_not_matter(turned):
 
 
 def test_gravity_is_nobodys_fault(turned):
-    sigma = {offer.quantity: offer.sigma for offer in offers(turned)}["accelerometer_scale"]
+    sigma = {offer.quantity: offer.sigma for offer in achieved_quantities(turned)}["accelerometer_scale"]
     assert turned.gravity.sigma / turned.gravity.value > 1.5e-3
     assert sigma < 5e-4
     stated = replace(turned, gravity=Gravity(value=turned.gravity.value, sigma=0.0, source="as stated"))
-    assert {offer.quantity: offer.sigma for offer in offers(stated)}["accelerometer_scale"] > 1.5e-3
+    assert {offer.quantity: offer.sigma for offer in achieved_quantities(stated)}["accelerometer_scale"] > 1.5e-3
 
 
 def test_an_imu_alone_is_told_how_many_attitudes_to_add(turned):
     strict = Use(name="strict", words="strict", needs={"accelerometer_misalignment": 1e-9, "gyroscope_bias": 1e-9})
-    cures = [need.cure for need in needs(turned, strict)]
+    cures = [need.cure for need in needs_of_use(turned, strict)]
     assert all(cures)
     coarse = scaled(turned, 50.0, "imu0.accelerometer.sensitivity")  # so that what one recording cannot know is small
-    scale = {offer.quantity: offer.sigma for offer in offers(coarse)}["accelerometer_scale"]
+    scale = {offer.quantity: offer.sigma for offer in achieved_quantities(coarse)}["accelerometer_scale"]
     nearly = Use(name="nearly", words="nearly", needs={"accelerometer_scale": scale / 1.5})
-    (need,) = needs(coarse, nearly)
+    (need,) = needs_of_use(coarse, nearly)
     assert need.verdict == "warn"
     assert need.cure.startswith("Add 25 attitudes, spread over the sphere")
 
@@ -204,7 +204,7 @@ def test_a_magnetometer_tells_the_heading():
 
 
 def test_general_thresholds_are_those_of_the_verdict(turned):
-    assert {need.verdict for need in needs(turned, GENERAL_IMU)} == {"pass"}
+    assert {need.verdict for need in needs_of_use(turned, GENERAL_IMU)} == {"pass"}
     assert turned.verdict == "pass"
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuPlan, ImuPlan, plan
-from gnomon.assess.directions import amount, axis_words
+from gnomon.assess.directions import axis_words, duration_text
 from gnomon.assess.observability import LIMITS, known_of, weak_directions
 from gnomon.assess.weak_findings import through_stated_focal
 from gnomon.calibrate.plan_camera_imu import planned_camera_imu
@@ -153,4 +153,9 @@ def test_axes_have_the_names_that_people_know():
     assert axis_words(np.array([0.1, -0.99, 0.0]), of_camera=True) == "y axis (down)"
     assert axis_words(np.array([0.0, 0.0, -1.0]), of_camera=False) == "z axis"
     assert axis_words(np.array([0.7, -0.7, 0.0]), of_camera=False) == "diagonal of x axis and y axis"
-    assert [amount(seconds) for seconds in (2.0, 21.0, 100.0, 1e4)] == ["10 s more", "25 s more", "120 s more", ""]
+    assert [duration_text(seconds) for seconds in (2.0, 21.0, 100.0, 1e4)] == [
+        "10 s more",
+        "25 s more",
+        "120 s more",
+        "",
+    ]

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnomon.assess.imu.triad_verdict import redundancy_findings, relative_sigmas, scatter_findings
-from gnomon.assess.verdict import graded
+from gnomon.assess.verdict import grade_value
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.estimate.triads.triad_poses import TriadPoses
 
@@ -21,7 +21,12 @@ def fitted(count=12, noise=0.01, stated=0.01, **options):
 
 
 def test_grades():
-    assert [graded(value, 1.0, 2.0) for value in (0.5, 1.5, 2.5, np.nan)] == ["good", "warning", "problem", "problem"]
+    assert [grade_value(value, 1.0, 2.0) for value in (0.5, 1.5, 2.5, np.nan)] == [
+        "good",
+        "warning",
+        "problem",
+        "problem",
+    ]
 
 
 def test_few_poses_are_told():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon.assess.checks.early_findings import neighbours
-from gnomon.assess.verdict import model_incomplete, parts_disagree, trust_note
+from gnomon.assess.checks.early_findings import neighbour_correlation
+from gnomon.assess.verdict import model_incomplete, parts_disagree, uncertainty_summary
 from gnomon.results.camera_diagnostics import SignalFit
 from gnomon.results.trust import BlockAgreement, Clusters, SigmaRatio, Splits, Trust
 
@@ -55,11 +55,11 @@ def test_parts_disagree_beyond_the_limit_only():
 
 
 def test_note_keeps_what_counts():
-    note = trust_note(trust(2.5, splits=parts(1.1)))
+    note = uncertainty_summary(trust(2.5, splits=parts(1.1)))
     assert (note.covariance, note.clusters, note.cluster_s) == ("cluster-robust", 20, 2.5)
     assert note.sigma_ratio == {"block0": 2.5}
     assert note.split_z == 1.1
-    note = trust_note(trust(1.0, clusters=False))
+    note = uncertainty_summary(trust(1.0, clusters=False))
     assert (note.covariance, note.clusters) == ("ordinary", 0)
     assert np.isnan(note.split_z)
 
@@ -73,4 +73,4 @@ def test_correlation_of_neighbouring_residuals(share):
         t_s=np.arange(5000) / 200, measured=residual, predicted=np.zeros_like(residual), basic=None,
         used=np.ones(5000, dtype=bool), sigma=1.0, unit="rad/s",
     )  # fmt: skip
-    assert neighbours(fit) == pytest.approx(share / (1 + share**2), abs=0.03)
+    assert neighbour_correlation(fit) == pytest.approx(share / (1 + share**2), abs=0.03)

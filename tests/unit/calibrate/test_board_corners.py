@@ -15,7 +15,7 @@ from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.recording import Source
 from gnomon.recording.images import Frame, Grey, ImageStream
-from gnomon.simulate.images.rendering import render
+from gnomon.simulate.images.rendering import render_board
 from rendered import FACING
 
 BOARD = Target.aprilgrid(tag_cols=3, tag_rows=3, tag_size_m=0.08, tag_spacing=0.3)
@@ -34,7 +34,9 @@ def views() -> list[Grey]:
     pattern = board_pattern(BOARD)
     middle = BOARD.points.mean(axis=0)
     places = [np.array([0.002 * k, -0.001 * k, 0.4]) for k in range(20)]
-    return [render(pattern, CAMERA, FACING, place - FACING @ middle, rng=np.random.default_rng(1)) for place in places]
+    return [
+        render_board(pattern, CAMERA, FACING, place - FACING @ middle, rng=np.random.default_rng(1)) for place in places
+    ]
 
 
 def frames(images: list[Grey], stamps: list[int] | None = None) -> list[Frame]:

@@ -8,7 +8,7 @@ import pytest
 from gnomon.detect.boards.board_guess import guess_board
 from gnomon.models.target import Target
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 
@@ -78,7 +78,7 @@ def test_part_of_a_checkerboard():
 
 def test_no_board():
     away = np.array([0.0, 0.0, -1.0])
-    wall = render(
+    wall = render_board(
         _pattern(), euroc_camera(), FACING, away, options=Optics(noise=2.0), wall=cluttered_wall(0), rng=_random()
     )
     assert guess_board([wall], BOARDS["april"]).startswith("They show no board")

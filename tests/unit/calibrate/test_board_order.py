@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.calibrate.steps.board_order import numbered_alike, views_of, with_views
+from gnomon.calibrate.steps.board_order import board_views, number_cameras_alike, with_views
 from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu
-from gnomon.detect.boards.checkerboard_order import consistent_order, renumbered
+from gnomon.detect.boards.checkerboard_order import consistent_order, renumber_view
 from gnomon.estimate.camera_imu.start.first_guess import imu_stream
 from gnomon.options import CameraImuOptions
 
@@ -33,9 +33,9 @@ def flipped(frames, target, seed: int):
     rng = np.random.default_rng(seed)
     views, turn = [], 0
     gaps = np.diff(frames.t_ns, prepend=frames.t_ns[0]) > 1_000_000_000
-    for view, gap in zip(views_of(frames), gaps, strict=True):
+    for view, gap in zip(board_views(frames), gaps, strict=True):
         turn = (turn + 2) % 4 if gap or rng.random() < 0.1 else turn
-        views.append(renumbered(view, target, turn))
+        views.append(renumber_view(view, target, turn))
     return with_views(frames, tuple(views))
 
 
@@ -45,9 +45,9 @@ def same(first, second) -> bool:
 
 def test_views_and_frames_are_the_same_thing(simulation):
     frames = simulation.recording.cameras["cam0"]
-    assert same(with_views(frames, tuple(views_of(frames))), frames)
+    assert same(with_views(frames, tuple(board_views(frames))), frames)
     own = replace(frames, sigma_px=np.linspace(0.1, 0.2, len(frames.frame)))
-    assert np.array_equal(with_views(own, tuple(views_of(own))).sigma_px, own.sigma_px)
+    assert np.array_equal(with_views(own, tuple(board_views(own))).sigma_px, own.sigma_px)
 
 
 def test_the_gyroscope_joins_what_gaps_parted(simulation):
@@ -55,13 +55,13 @@ def test_the_gyroscope_joins_what_gaps_parted(simulation):
     true = recording.cameras["cam0"]
     mixed = flipped(true, target, 0)
     assert not same(mixed, true)
-    alone = consistent_order(views_of(mixed), mixed.t_ns, target, camera=mixed.camera)
+    alone = consistent_order(board_views(mixed), mixed.t_ns, target, camera=mixed.camera)
     assert not alone.certain
     prepared = prepare_camera_imu(recording, target, CameraImuOptions())
     stream = imu_stream(prepared.inertial)
-    found, said = numbered_alike({"cam0": mixed}, target, prepared.origin_ns, stream)
+    found, said = number_cameras_alike({"cam0": mixed}, target, prepared.origin_ns, stream)
     assert not said
-    other = with_views(true, tuple(renumbered(view, target, 2) for view in views_of(true)))
+    other = with_views(true, tuple(renumber_view(view, target, 2) for view in board_views(true)))
     assert same(found["cam0"], true) or same(found["cam0"], other)
 
 
@@ -87,7 +87,7 @@ def test_what_stays_uncertain_is_left_out_and_said(simulation):
     prepared = prepare_camera_imu(recording, target, CameraImuOptions())
     stream = imu_stream(prepared.inertial)
     noise = replace(stream, rate=np.random.default_rng(0).standard_normal(stream.rate.shape))
-    found, said = numbered_alike({"cam0": frames}, target, prepared.origin_ns, noise)
+    found, said = number_cameras_alike({"cam0": frames}, target, prepared.origin_ns, noise)
     (finding,) = said
     assert finding.code == "board-ends"
     kept = np.unique(found["cam0"].frame)
@@ -100,7 +100,7 @@ def test_boards_with_two_ends_are_passed_through(simulation):
     target = gnomon.Target.checkerboard(cols=7, rows=6, row_spacing_m=0.07, col_spacing_m=0.07)
     cameras = {"cam0": simulation.recording.cameras["cam0"]}
     stream = imu_stream(prepare_camera_imu(simulation.recording, simulation.target, CameraImuOptions()).inertial)
-    assert numbered_alike(cameras, target, 0, stream) == (cameras, ())
+    assert number_cameras_alike(cameras, target, 0, stream) == (cameras, ())
 
 
 def test_two_cameras_count_from_the_same_end():
@@ -108,11 +108,11 @@ def test_two_cameras_count_from_the_same_end():
     simulation = gnomon.simulate_camera_imu(scenario, 3)
     recording, target = simulation.recording, simulation.target
     second = recording.cameras["cam1"]
-    turned = with_views(second, tuple(renumbered(view, target, 2) for view in views_of(second)))
+    turned = with_views(second, tuple(renumber_view(view, target, 2) for view in board_views(second)))
     stream = imu_stream(prepare_camera_imu(recording, target, CameraImuOptions()).inertial)
     for given in (second, turned):
         cameras = {"cam0": recording.cameras["cam0"], "cam1": given}
         origin = prepare_camera_imu(recording, target, CameraImuOptions()).origin_ns
-        found, _ = numbered_alike(cameras, target, origin, stream)
+        found, _ = number_cameras_alike(cameras, target, origin, stream)
         assert same(found["cam0"], recording.cameras["cam0"])
         assert same(found["cam1"], second)

@@ -7,10 +7,10 @@ import pytest
 
 from board_views import BOARD, lens, pose, seen
 from gnomon.estimate.cameras.first_rig import posed_rig
-from gnomon.estimate.cameras.holdout import held_out_rms, merged, posed
+from gnomon.estimate.cameras.holdout import held_out_residuals, held_out_rms, merge_corners
 from gnomon.estimate.cameras.information import chosen_views, information_of_views
 from gnomon.estimate.cameras.rig import SeenCorners
-from gnomon.estimate.cameras.solution import solved
+from gnomon.estimate.cameras.solution import solve_rig
 from gnomon.estimate.cameras.views import gathered_views
 
 PAIR = {"cam0": lens("pinhole-radtan"), "cam1": lens("ds-none")}
@@ -24,12 +24,12 @@ def views():
 
 @pytest.fixture(scope="module")
 def solution(views):
-    return solved(views, posed_rig(views, PAIR, APART))
+    return solve_rig(views, posed_rig(views, PAIR, APART))
 
 
 def test_views_at_the_true_rig_scatter_as_their_noise(views) -> None:
     rig = posed_rig(views.where(np.arange(2)), PAIR, APART)
-    found = posed(views, rig)
+    found = held_out_residuals(views, rig)
     for seen_corners in found.values():
         freedom = 1 - 6 * len(views) / sum(2 * len(one.point) for one in found.values())
         assert held_out_rms({"": seen_corners})[""].rms_px == pytest.approx(0.2 * np.sqrt(freedom), rel=0.05)
@@ -41,8 +41,8 @@ def test_a_wrong_lens_is_worse_on_views_that_were_held_out(views) -> None:
     wrong = {**PAIR, "cam1": PAIR["cam1"].with_parameters(PAIR["cam1"].parameters * [1.0, 1.02, 1, 1, 1, 1])}
     found = held_out_rms(
         {
-            "true": posed(views.where(~half), true)["cam1"],
-            "wrong": posed(views.where(~half), replace(true, cameras=wrong))["cam1"],
+            "true": held_out_residuals(views.where(~half), true)["cam1"],
+            "wrong": held_out_residuals(views.where(~half), replace(true, cameras=wrong))["cam1"],
         }
     )
     assert found["wrong"].rms_px > 1.2 * found["true"].rms_px
@@ -85,7 +85,7 @@ def test_a_corner_that_the_lens_cannot_image_counts_as_far_as_the_worst() -> Non
 
 def test_parts_are_counted_on() -> None:
     one = _corners(np.full(4, 0.1))
-    assert merged([one, one]).view.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
+    assert merge_corners([one, one]).view.tolist() == [0, 0, 1, 1, 2, 2, 3, 3]
 
 
 def test_information_of_a_view_is_what_the_others_lack(solution) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.trust.clusters import ClusterSums
-from gnomon.estimate.trust.model_choice import Candidate, model_steps
+from gnomon.estimate.trust.model_choice import CandidateBlock, model_steps
 
 _CLUSTERS, _ROWS = 20, 30
 
@@ -23,9 +23,9 @@ def _sums(rng: np.random.Generator, truth: np.ndarray, at: np.ndarray, memory: i
     )
 
 
-def _candidates(at: np.ndarray) -> list[Candidate]:
+def _candidates(at: np.ndarray) -> list[CandidateBlock]:
     return [
-        Candidate(name=name, columns=np.arange(k, k + 2), away=-at[k : k + 2])
+        CandidateBlock(name=name, columns=np.arange(k, k + 2), away=-at[k : k + 2])
         for name, k in (("scale", 2), ("lever arms", 4))
     ]
 
@@ -58,8 +58,8 @@ def test_what_a_person_says_is_done() -> None:
     truth = np.array([1.0, -1.0, 0.4, 0.0, 0.0, 0.0])
     scale, arms = _candidates(truth)
     stated = [
-        Candidate(name=scale.name, columns=scale.columns, away=scale.away, forced=False),
-        Candidate(name=arms.name, columns=arms.columns, away=arms.away, forced=True),
+        CandidateBlock(name=scale.name, columns=scale.columns, away=scale.away, forced=False),
+        CandidateBlock(name=arms.name, columns=arms.columns, away=arms.away, forced=True),
     ]
     first, second = model_steps(_sums(rng, truth, truth), np.arange(2), stated)
     assert not first.used

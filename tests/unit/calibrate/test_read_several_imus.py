@@ -11,8 +11,8 @@ from gnomon import CameraImuScenario, FormatError, OptionError, Recording, read_
 from gnomon.assess.checks import rig_lens
 from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.calibrate.steps.camera_imu_preparation import prepare_camera_imu, with_looks
-from gnomon.estimate.camera_imu.start.first_guess import Look
-from gnomon.estimate.camera_imu.start.imu_alignment import Beside
+from gnomon.estimate.camera_imu.start.first_guess import CameraAlignment
+from gnomon.estimate.camera_imu.start.imu_alignment import ImuAlignment
 from gnomon.findings import Finding
 from gnomon.formats.sensor_inputs import read_imus
 from gnomon.formats.shared.yaml_text import kalibr_yaml
@@ -150,8 +150,8 @@ def test_a_calibration_tells_of_each_imu_and_looks_at_a_lens_once(monkeypatch):
     monkeypatch.setattr("gnomon.calibrate.steps.camera_imu_preparation.gyroscope_integral", lambda *_: None)
     aligned = SimpleNamespace(score=1.0)
     frames = simulation.recording.cameras["cam0"]
-    look = Look(name="cam0", frames=frames, poses=None, alignment=aligned, target=simulation.target)
-    beside = Beside(name="imu1", look=look, alignment=aligned, R_imu_body=np.eye(3), time_shift_s=0.0)
+    look = CameraAlignment(name="cam0", frames=frames, poses=None, alignment=aligned, target=simulation.target)
+    beside = ImuAlignment(name="imu1", look=look, alignment=aligned, R_imu_body=np.eye(3), time_shift_s=0.0)
     stream = SimpleNamespace(t_s=None, rate=None)
     found = with_looks(prepared, [look], simulation.target, [stream, stream], [beside]).findings
     told = [finding.message for finding in found if finding.code in {"triads-apart", "frames-late"}]

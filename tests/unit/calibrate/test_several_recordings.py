@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.needs import needs
+from gnomon.assess.needs import needs_of_use
 from gnomon.errors import OptionError, RecordingError
-from gnomon.estimate.trust.between_recordings import Block, join_estimates
+from gnomon.estimate.trust.between_recordings import RecordingBlock, join_estimates
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import save
 from gnomon.options.requirements import BETWEEN_RECORDINGS, USES
@@ -62,7 +62,7 @@ def joined(recordings):
 @pytest.mark.parametrize("times_usual", [0.3, 1.0, 5.0])
 def test_the_next_recording_is_foretold(count, times_usual):
     rng = np.random.default_rng(count)
-    blocks = [Block(index=np.arange(3), usual=1.0), Block(index=np.arange(3, 6), usual=0.2)]
+    blocks = [RecordingBlock(index=np.arange(3), usual=1.0), RecordingBlock(index=np.arange(3, 6), usual=0.2)]
     between = times_usual * np.repeat([1.0, 0.2], 3)
     within = np.diag([0.1] * 6) + 0.02
     z = []
@@ -78,7 +78,7 @@ def test_the_next_recording_is_foretold(count, times_usual):
 def test_recordings_that_say_little_gain_from_each_other():
     within = np.array([np.eye(3)] * 4)
     found = join_estimates(
-        np.random.default_rng(1).normal(0, 1, (4, 3)), within, [Block(index=np.arange(3), usual=0.1)]
+        np.random.default_rng(1).normal(0, 1, (4, 3)), within, [RecordingBlock(index=np.arange(3), usual=0.1)]
     )
     assert (np.sqrt(np.diag(found.covariance)) < 0.75).all()
     assert (np.sqrt(np.diag(found.mean_covariance)) > 0.5).all()
@@ -120,9 +120,9 @@ def test_what_one_recording_cannot_know_is_a_floor_that_several_measure(recordin
     assert floors["accelerometer bias"] == pytest.approx(1e3 * BETWEEN_RECORDINGS["accelerometer_bias"])
     assert "use-turn-on" in [finding.code for finding in single.assessment.findings]
     assert next(n for n in single.assessment.trust.needs if n.block == "accelerometer bias").verdict == "pass"
-    assert {need.floor for need in needs(joined.calibration, USES["vio"])} == {0.0}
+    assert {need.floor for need in needs_of_use(joined.calibration, USES["vio"])} == {0.0}
     fine = replace(USES["vio"], needs={"gyroscope_scale": 0.8 * BETWEEN_RECORDINGS["gyroscope_scale"]})
-    (need,) = needs(gnomon.calibrate_imu(recordings[0], OPTIONS).calibration, fine)
+    (need,) = needs_of_use(gnomon.calibrate_imu(recordings[0], OPTIONS).calibration, fine)
     assert need.sigma < need.needed
     assert need.verdict == "warn"
     assert "Join several recordings" in need.cure

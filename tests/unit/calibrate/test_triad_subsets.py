@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 import gnomon
 from gnomon.cli.summary import parameter_lines, summary_lines
 from gnomon.errors import FormatError, OptionError
-from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
-from gnomon.results.calibration import Covariance, parameters
+from gnomon.results.calibration import Covariance, calibration_parameters
 from gnomon.writers.tables import form_tables, summary_table
 from triad_subsets import FRAMES, SUBSETS, TRIADS, recorded, subset_calibration
 
@@ -52,7 +52,7 @@ def test_every_subset_reads_back_bit_by_bit(tmp_path_factory, triads, which, see
     gnomon.save(saved, folder / "a.yaml")
     read = gnomon.load(folder / "a.yaml")
     assert [name for name in TRIADS if getattr(read.imus["imu0"], name) is not None] == list(triads)
-    for path, value in parameters(saved.imus):
+    for path, value in calibration_parameters(saved.imus):
         assert np.array_equal(read.parameter(path), value)
         assert np.array_equal(read.sigma(path), saved.sigma(path))
     assert np.array_equal(np.tril(read.uncertainty.matrix), np.tril(saved.uncertainty.matrix))
@@ -158,7 +158,7 @@ def test_sigmas_of_a_gyroscope_alone_are_those_of_many_draws(form):
     (table,) = form_tables(calibration, form)
     imu = calibration.imus["imu0"]
     rng = np.random.default_rng(0)
-    start = np.concatenate([value.ravel() for _, value in parameters({"": imu})])
+    start = np.concatenate([value.ravel() for _, value in calibration_parameters({"": imu})])
     from gnomon.writers.tables import _entries, entries_with_sigmas
 
     entries, sigmas = entries_with_sigmas(imu, calibration.uncertainty.matrix, form)
@@ -213,7 +213,7 @@ def test_convert_every_subset(tmp_path, to, triads):
     assert all(files.values())
     lost = any("magnetometer of imu0" in loss.what for loss in losses)
     assert lost == ("magnetometer" in triads and to not in {"c-header", "csv", "json"})
-    assert exported(calibration, to).files == files
+    assert export_texts(calibration, to).files == files
 
 
 @pytest.mark.parametrize("triads", SUBSETS)
@@ -223,8 +223,8 @@ def test_csv_reads_back(tmp_path, triads):
         gnomon.convert(calibration, "csv", tmp_path)
         read = load_foreign(tmp_path / "calibration.csv")
         assert read.frame == calibration.frame
-        for path, value in parameters(calibration.imus):
-            assert np.array_equal(dict(parameters(read.imus))[path], value)
+        for path, value in calibration_parameters(calibration.imus):
+            assert np.array_equal(dict(calibration_parameters(read.imus))[path], value)
             assert np.array_equal(read.sigmas[path], calibration.sigma(path))
         if "magnetometer" in triads:
             assert read.imus["imu0"].magnetometer.field_unit == field

@@ -15,7 +15,7 @@ import yaml
 import gnomon
 from gnomon.cli import main
 from gnomon.cli.camera_imu import CameraImu, SimulateCameraImu
-from gnomon.cli.commands import COMMANDS, parse
+from gnomon.cli.commands import COMMANDS, parse_command
 from gnomon.cli.output_folder import CAMERA_IMU_FILES
 from gnomon.formats.own.options_file import options_text
 from gnomon.options import CameraImuOptions
@@ -393,10 +393,10 @@ def test_a_scenario_file_states_the_options(tmp_path):
     scenario = replace(gnomon.CameraImuScenario(), duration_s=2.5, cameras=2, line_delay_s=2e-5, known_line_delay=False)
     (tmp_path / "scenario.yaml").write_text(options_text(scenario))
     for words in (["--scenario", tmp_path / "scenario.yaml"], [f"--scenario={tmp_path / 'scenario.yaml'}"]):
-        command = parse(["simulate-camera-imu", "-o", "x", *map(str, words)])
+        command = parse_command(["simulate-camera-imu", "-o", "x", *map(str, words)])
         assert command.options == scenario
     # What is given on the line wins, also where it is the usual default.
-    command = parse(
+    command = parse_command(
         ["simulate-camera-imu", "--cameras", "1", "--scenario", str(tmp_path / "scenario.yaml"), "-o", "x",
          "--line-delay-s", "0"]
     )  # fmt: skip

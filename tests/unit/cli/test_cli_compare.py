@@ -71,7 +71,7 @@ def test_with_the_truth_among_them_the_figure_shows_errors(rig, monkeypatch):
     def dots(panel, x, y, color, **_):
         drawn.append((color, np.abs(x).max(initial=0.0)))
 
-    monkeypatch.setattr("gnomon.report.comparison.dots", dots)
+    monkeypatch.setattr("gnomon.report.comparison.draw_dots", dots)
     for names, words, colors, errors in (
         (("truth.yaml", "tue-gnomon", "wed-gnomon"), "Deviation from the truth", {"y", "z"}, {"y"}),
         (("mon-gnomon", "tue-gnomon", "wed-gnomon"), "Deviation from the mean", {"x", "y", "z"}, set()),

@@ -13,7 +13,7 @@ from gnomon.report.camera_imu import camera_imu_page
 from gnomon.report.camera_parameters import placed_imu_groups
 from gnomon.results.calibration import Covariance
 from gnomon.results.parameters import covariance_names
-from gnomon.writers.camera_imu_files import residuals
+from gnomon.writers.camera_imu_files import residual_statistics
 
 POSE = np.eye(4)
 POSE[:3, :3] = rotation_from_rotvec(np.array([0.0, 0.0, np.pi / 2 + 0.01]))
@@ -97,4 +97,4 @@ def test_the_groups_of_a_placed_imu_are_told_as_a_person_measures(result):
 
 
 def test_residuals_of_every_imu_go_into_kalibr_s_results(result):
-    assert {"imu0.gyroscope", "imu1.gyroscope", "imu1.accelerometer"} <= set(residuals(result.diagnostics))
+    assert {"imu0.gyroscope", "imu1.gyroscope", "imu1.accelerometer"} <= set(residual_statistics(result.diagnostics))

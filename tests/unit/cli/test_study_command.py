@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from gnomon.cli import main
-from gnomon.cli.study import STUDIES, Parts, StudyCount, StudyEntry
+from gnomon.cli.study import STUDIES, StudyCount, StudyEntry, StudyFunctions
 from gnomon.cli.study_journal import JOURNAL
 from gnomon.cli.terminal import Terminal
-from gnomon.report.page import KeyNumber, render
+from gnomon.report.page import KeyNumber, render_page
 from gnomon.report.studies.page import study_page
-from gnomon.study.runs import carry_out, scatter_bounds, seeds
-from gnomon.study.tables import Claim, StudyTable, claims_table, told
+from gnomon.study.runs import carry_out, run_seeds, scatter_bounds
+from gnomon.study.tables import Claim, StudyTable, claims_table, ratio_agrees
 from study_work import Task, drawn
 
 
@@ -34,7 +34,7 @@ class Quick:
         self.stop_at = None
 
     def carry_out(self, *, runs, workers, seed, progress):
-        tasks = [Task(seed=number) for number in seeds(seed, runs)]
+        tasks = [Task(seed=number) for number in run_seeds(seed, runs)]
         outcomes = carry_out(self.work(), tasks, workers=workers, progress=progress, name="draw")
         return Found(runs=runs, seed=seed, largest=[float(o.matrix.max()) for o in outcomes])
 
@@ -64,7 +64,7 @@ class Quick:
 @pytest.fixture
 def quick(monkeypatch, tmp_path):
     made = Quick()
-    parts = Parts(carry_out=made.carry_out, claims=made.claims, tables=made.tables, page=made.page)
+    parts = StudyFunctions(carry_out=made.carry_out, claims=made.claims, tables=made.tables, page=made.page)
     entry = StudyEntry(
         about="nothing at all",
         counted="draws",
@@ -144,7 +144,7 @@ def test_more_runs_take_over_fewer_and_another_seed_none(quick, tmp_path):
     assert len(quick.began) == 5
     quick.stop_at = None
     assert main(["study", "quick", "--runs", "8"]) == 0
-    assert quick.began == [*seeds(0, 3), *seeds(1, 2), *seeds(0, 8)[3:]]
+    assert quick.began == [*run_seeds(0, 3), *run_seeds(1, 2), *run_seeds(0, 8)[3:]]
     assert (tmp_path / "gnomon-study-quick" / "largest.csv").read_text().count("\n") == 9
 
 
@@ -158,17 +158,17 @@ def test_a_finished_study_is_shown_again_from_its_journal_unless_something_chang
     assert quick.began == []
     assert files(folder) == first
     assert main(["study", "quick", "--runs", "7"]) == 0
-    assert quick.began == seeds(0, 7)[6:]
+    assert quick.began == run_seeds(0, 7)[6:]
     quick.began.clear()
     monkeypatch.setattr("gnomon.cli.study_journal._sources", lambda: "changed")
     assert main(["study", "quick"]) == 0
-    assert quick.began == seeds(0, 6)
+    assert quick.began == run_seeds(0, 6)
 
 
 def test_what_few_runs_cannot_tell_is_neither_held_nor_failed(quick, capsys, tmp_path):
     def claims(found):
         least, most = scatter_bounds(found.runs, 0.15)
-        yield Claim(claim="alike", expected="about 1", found="1.5", holds=told(least < 1.5 < most, least, most))
+        yield Claim(claim="alike", expected="about 1", found="1.5", holds=ratio_agrees(least < 1.5 < most, least, most))
 
     quick.claims = claims
     page = quick.page(Found(runs=6, seed=0, largest=[1.0]))
@@ -178,7 +178,7 @@ def test_what_few_runs_cannot_tell_is_neither_held_nor_failed(quick, capsys, tmp
 
 
 def test_claims_can_be_read_on_a_narrow_screen(quick):
-    html = render(quick.page(Found(runs=6, seed=0, largest=[1.0]))).decode()
+    html = render_page(quick.page(Found(runs=6, seed=0, largest=[1.0]))).decode()
     assert '<th scope="row" data-head="Holds">no</th><td data-head="Claim">never</td>' in html
     assert re.search(r"max-width: 520px.*\.stacked td::before \{ content: attr\(data-head\)", html, re.DOTALL)
 

@@ -13,7 +13,7 @@ from gnomon.detect.boards.aprilgrid import detect_aprilgrid
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING, Ranges, rendered_views
 
 KALIBR = Target.aprilgrid(tag_cols=6, tag_rows=6, tag_size_m=0.088, tag_spacing=0.3)
@@ -66,7 +66,7 @@ def looked_at(target, *, camera=None, away_m=1.0, turn=0.1, shift=(0.0, 0.0), op
     p = np.array([*shift, away_m]) - R @ middle
     optics = optics or Optics(noise=1.0, blur_px=0.6)
     rng = np.random.default_rng(seed)
-    image = render(board_pattern(target), camera, R, p, options=optics, occluders=covers, rng=rng)
+    image = render_board(board_pattern(target), camera, R, p, options=optics, occluders=covers, rng=rng)
     return image, camera.project(target.points @ R.T + p).pixels
 
 

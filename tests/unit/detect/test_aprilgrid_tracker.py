@@ -10,7 +10,7 @@ from gnomon.detect.boards.plane_map import plane_map
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING
 
 BOARD = Target.aprilgrid(tag_cols=5, tag_rows=4, tag_size_m=0.08, tag_spacing=0.3)
@@ -31,7 +31,7 @@ def picture(shift, roll, seed, *, away_m=0.62, covers=()):
     p = np.array([*shift, away_m]) - R @ middle
     optics = Optics(noise=1.5, blur_px=0.6)
     rng = np.random.default_rng(seed)
-    image = render(board_pattern(BOARD), LENS, R, p, options=optics, occluders=covers, rng=rng)
+    image = render_board(board_pattern(BOARD), LENS, R, p, options=optics, occluders=covers, rng=rng)
     return image, LENS.project(BOARD.points @ R.T + p).pixels
 
 

@@ -8,7 +8,7 @@ from gnomon import OptionError
 from gnomon.models.board_pattern import board_pattern, tag_cells
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING, euroc_camera
 
 APRILGRID = Target.aprilgrid(tag_cols=6, tag_rows=6, tag_size_m=0.088, tag_spacing=0.3)
@@ -27,7 +27,7 @@ def straight_on(target, camera=LENS, distance=1.0, optics=PLAIN):
     """Image and pixels of the points, the board's x to the right and its y up."""
     middle = (target.points.min(axis=0) + target.points.max(axis=0)) / 2
     p = np.array([0.0, 0.0, distance]) - FACING @ middle
-    image = render(board_pattern(target), camera, FACING, p, options=optics)
+    image = render_board(board_pattern(target), camera, FACING, p, options=optics)
     return image, camera.project(target.points @ FACING.T + p).pixels
 
 
@@ -127,7 +127,7 @@ def test_boards_look_as_another_renderer_made_them(name, target, real_data):
         theirs = cv2.imread(str(folder / f"{stamp}.png"), cv2.IMREAD_GRAYSCALE)
         rows = table[stamps == stamp]
         R, p = pose_of(camera, rows[:, 3:], rows[:, 1:3])
-        mine = render(board_pattern(target), camera, R, p, options=Optics(blur_px=0.6))
+        mine = render_board(board_pattern(target), camera, R, p, options=Optics(blur_px=0.6))
         assert likeness(mine, theirs, rows[:, 1:3]) > 0.97  # light and noise differ
 
 
@@ -140,5 +140,5 @@ def test_the_board_of_euroc_looks_like_its_photograph(real_data):
     assert len(view) > 100
     camera = euroc_camera()
     R, p = pose_of(camera, APRILGRID.points[view.point], view.pixels)
-    mine = render(board_pattern(APRILGRID), camera, R, p, options=Optics(blur_px=0.6))
+    mine = render_board(board_pattern(APRILGRID), camera, R, p, options=Optics(blur_px=0.6))
     assert likeness(mine, theirs, view.pixels) > 0.95

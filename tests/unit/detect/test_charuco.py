@@ -13,7 +13,7 @@ from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 BOARD = Target.charuco(cols=8, rows=6, square_size_m=0.06, marker_size_m=0.045)
@@ -34,7 +34,7 @@ def picture(target, rotvec=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.5), *, camera=Non
     camera = camera or euroc_camera()
     R = FACING @ rotation_from_rotvec(np.array(rotvec))
     p = np.array(place) - R @ target.points.mean(axis=0)
-    image = render(
+    image = render_board(
         board_pattern(target),
         camera,
         R,

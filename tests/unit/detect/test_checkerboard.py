@@ -8,13 +8,13 @@ import pytest
 
 import gnomon.detect.boards.checkerboard as module
 from gnomon.detect.boards.checkerboard import CheckerboardTracker, detect_checkerboard, find_board
-from gnomon.detect.boards.checkerboard_grid import Board, board_at, completed
+from gnomon.detect.boards.checkerboard_grid import CheckerboardGrid, board_at, fill_grid
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING, Ranges, rendered_views
 
 
@@ -37,7 +37,7 @@ def picture(target, rotvec=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.55), *, seed=0, w
     """Return an image of a board about the middle of the image, and where its corners are."""
     R = FACING @ rotation_from_rotvec(np.array(rotvec))
     p = np.array(place) - R @ target.points.mean(axis=0)
-    image = render(
+    image = render_board(
         board_pattern(target),
         CAMERA,
         R,
@@ -192,7 +192,7 @@ def test_the_tracker_finds_what_the_search_finds(searches):
     for image, true in motion(12, EVEN):
         view = tracker.detect(image)
         board = find_board(image, EVEN)
-        searched = module.measured(image, board)
+        searched = module.measure_corners(image, board)
         assert len(view) == len(searched) == len(EVEN)
         error, other = errors(view, true, EVEN)
         assert np.abs(error).max() < 0.2
@@ -242,7 +242,7 @@ def test_the_tracker_searches_now_and_then(searches, monkeypatch):
 def test_a_lattice_of_which_a_part_slipped_is_no_board():
     image, true = picture(EVEN, wall=False)
     grid = true.reshape(EVEN.rows, EVEN.cols, 2)
-    assert isinstance(board_at(image, grid), Board)
+    assert isinstance(board_at(image, grid), CheckerboardGrid)
     slipped = grid.copy()
     slipped[:, :3] -= grid[:, 1:2] - grid[:, :1]
     assert board_at(image, slipped) is None
@@ -257,7 +257,7 @@ def test_gaps_and_stray_corners_are_put_where_their_neighbours_say():
     broken = grid.copy()
     broken[2, 3], broken[0, 0], broken[:, -1] = np.nan, np.nan, np.nan
     broken[4, 4] += 15
-    mended = completed(broken)
+    mended = fill_grid(broken)
     assert mended is not None
     assert np.linalg.norm(mended - grid, axis=2).max() < 3
-    assert completed(np.full((3, 4, 2), np.nan)) is None
+    assert fill_grid(np.full((3, 4, 2), np.nan)) is None

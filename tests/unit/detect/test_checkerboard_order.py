@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.detect.boards.board import BoardView, nothing_seen
-from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumbered
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumber_view
 from gnomon.errors import OptionError
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
@@ -51,7 +51,7 @@ def sequence(target: Target, count: int, seed=0, gaps=()):
     rng = np.random.default_rng(seed)
     t_ns = STEP_NS * np.arange(count)
     turns = rng.choice(ambiguous_turns(target), count)
-    views = [renumbered(seen(target, 1e-9 * t, rng), target, int(turn)) for t, turn in zip(t_ns, turns, strict=True)]
+    views = [renumber_view(seen(target, 1e-9 * t, rng), target, int(turn)) for t, turn in zip(t_ns, turns, strict=True)]
     for first, last in gaps:
         views[first:last] = [nothing_seen()] * (last - first)
     return views, t_ns, turns
@@ -73,7 +73,7 @@ def test_which_turns_cannot_be_told_apart():
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_numbers_are_turned_about_the_normal(turns):
-    view, other = seen(QUARTER, 0.3), renumbered(seen(QUARTER, 0.3), QUARTER, turns)
+    view, other = seen(QUARTER, 0.3), renumber_view(seen(QUARTER, 0.3), QUARTER, turns)
     assert np.array_equal(np.sort(other.point), np.arange(36))
     middle = QUARTER.points.mean(axis=0)
     Rz = rotation_from_rotvec(np.array([0, 0, turns * np.pi / 2]))
@@ -81,7 +81,7 @@ def test_numbers_are_turned_about_the_normal(turns):
     old = (QUARTER.points - middle) @ Rz.T + middle
     number = np.argmin(np.linalg.norm(QUARTER.points[None] - old[:, None], axis=2), axis=1)
     assert np.array_equal(other.pixels, view.pixels[number])
-    assert np.array_equal(renumbered(other, QUARTER, 4 - turns).pixels, view.pixels)
+    assert np.array_equal(renumber_view(other, QUARTER, 4 - turns).pixels, view.pixels)
 
 
 @pytest.mark.parametrize("target", [HALF, QUARTER, checkerboard(5, 5)])

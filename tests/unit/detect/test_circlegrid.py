@@ -7,14 +7,14 @@ import pytest
 import gnomon.detect.boards.circlegrid as module
 from detection import Score, Truth
 from gnomon.detect.boards.board import BoardView
-from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumbered
+from gnomon.detect.boards.checkerboard_order import ambiguous_turns, consistent_order, renumber_view
 from gnomon.detect.boards.circlegrid import CircleGridDetector, detect_circlegrid
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.rendering import Optics, render
+from gnomon.simulate.images.rendering import Optics, render_board
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 GRID = Target.circlegrid(cols=8, rows=6, spacing_m=0.06)
@@ -33,7 +33,7 @@ def picture(target, rotvec=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.6), *, wall=True,
     camera = euroc_camera()
     R = FACING @ rotation_from_rotvec(np.array(rotvec))
     p = np.array(place) - R @ (target.points.min(axis=0) + target.points.max(axis=0)) / 2
-    image = render(
+    image = render_board(
         board_pattern(target),
         camera,
         R,
@@ -47,7 +47,7 @@ def picture(target, rotvec=(0.0, 0.0, 0.0), place=(0.0, 0.0, 0.6), *, wall=True,
 
 def nearest_end(view, true, target) -> BoardView:
     """Return the view as it is numbered from the end that is the true one."""
-    ends = [renumbered(view, target, turn) for turn in ambiguous_turns(target)]
+    ends = [renumber_view(view, target, turn) for turn in ambiguous_turns(target)]
     return min(ends, key=lambda end: np.abs(end.pixels - true[end.point]).mean())
 
 
@@ -116,7 +116,7 @@ def test_grids_are_never_mirrored_and_numbered_from_an_end_that_may_be(target, r
     image, true = picture(target, (0.2, -0.3, roll), (0.0, 0.0, 0.7))
     view = detect_circlegrid(image, target)
     assert len(view) == len(target)
-    ends = [np.abs(renumbered(view, target, k).pixels - true).max() for k in ambiguous_turns(target)]
+    ends = [np.abs(renumber_view(view, target, k).pixels - true).max() for k in ambiguous_turns(target)]
     assert min(ends) < 0.2
 
 
@@ -176,7 +176,7 @@ def test_grids_are_numbered_alike_over_time():
     ordered = consistent_order(views, t_ns, GRID, camera=euroc_camera())
     assert ordered.certain
     ends = {
-        min((0, 2), key=lambda turn: np.abs(renumbered(view, GRID, turn).pixels - true).mean())
+        min((0, 2), key=lambda turn: np.abs(renumber_view(view, GRID, turn).pixels - true).mean())
         for view, true in zip(ordered.views, truth, strict=True)
     }
     assert len(ends) == 1

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.imu.threshold import choose_threshold, detect_rests, disturbed
+from gnomon.assess.imu.threshold import choose_threshold, detect_rests, disturbed_intervals
 from gnomon.detect.samples import static
 from gnomon.detect.samples.noise import allan_deviation, averaging_time, resting_noise
-from gnomon.detect.samples.rests import Motion, find_rests
+from gnomon.detect.samples.rests import RestStatistics, find_rests
 from gnomon.detect.samples.static import (
     quantisation_step,
     resting_variances,
     runs_below,
     static_statistic,
-    trimmed,
+    trim_intervals,
     variance_magnitude_squared,
     window_samples,
     window_variances,
@@ -159,7 +159,7 @@ def test_pieces_of_one_rest_count_once():
     for first, last in pieces:
         statistic[first:last] = 1.0
     nothing = np.zeros(300, dtype=bool)
-    motion = Motion(samples=triad(values), statistic=statistic, saturated=nothing, marks=RateMarks.none(300))
+    motion = RestStatistics(samples=triad(values), statistic=statistic, saturated=nothing, marks=RateMarks.none(300))
     rests = find_rests(motion, 10.0, 5)
     np.testing.assert_array_equal(rests.kept.start, [20, 110, 210])  # the longest; the same attitude later counts again
     np.testing.assert_array_equal(rests.kept.stop, [55, 140, 290])
@@ -177,7 +177,7 @@ def motion_of(samples, saturated=None):
     nothing = np.zeros(len(samples), dtype=bool)
     statistic = static_statistic(samples.values, window_samples(samples, 1.0))
     clipped = nothing if saturated is None else saturated
-    return Motion(samples=samples, statistic=statistic, saturated=clipped, marks=RateMarks.none(len(samples)))
+    return RestStatistics(samples=samples, statistic=statistic, saturated=clipped, marks=RateMarks.none(len(samples)))
 
 
 def test_threshold_takes_the_rests_and_not_the_motion():
@@ -187,7 +187,7 @@ def test_threshold_takes_the_rests_and_not_the_motion():
     assert len(best.intervals) == 20
     assert best.criterion == min(trial.criterion for trial in trials)
     assert best.heldout_rms < 5e-3
-    assert not disturbed(best, motion.samples).any()
+    assert not disturbed_intervals(best, motion.samples).any()
     # A threshold at which nothing moves leaves one interval, and one at which everything does leaves none.
     for multiplier, found in ((1e30, 1), (1e-6, 0)):
         none, _ = choose_threshold(motion, 9.80665, (multiplier,))
@@ -217,7 +217,7 @@ def test_touched_intervals_are_noticed(pressed):
         values[best.intervals.start[k] - 100 : best.intervals.stop[k] + 100] += 0.05 * up
     touched = TriadSamples(t_ns=samples.t_ns, values=values, unit=samples.unit)
     best, _ = choose_threshold(motion_of(touched), 9.80665)
-    np.testing.assert_array_equal(np.flatnonzero(disturbed(best, touched)), pressed)
+    np.testing.assert_array_equal(np.flatnonzero(disturbed_intervals(best, touched)), pressed)
 
 
 # --- turning about the vertical ------------------------------------------------------------------------------------
@@ -306,10 +306,12 @@ def test_ends_that_stir_are_trimmed_off():
     stirs[[10, 11, 12, 25, 28, 29, 49, 60]] = True  # what stirs in the middle may stay
     stirs[70:90] = True
     intervals = StaticIntervals(start=np.array([10, 40, 60, 72]), stop=np.array([30, 50, 65, 88]))
-    kept = trimmed(intervals, stirs, shortest=5)
+    kept = trim_intervals(intervals, stirs, shortest=5)
     np.testing.assert_array_equal([kept.start, kept.stop], [[13, 40], [28, 49]])
-    assert len(trimmed(intervals, np.ones(100, dtype=bool), shortest=1)) == 0
-    np.testing.assert_array_equal(trimmed(intervals, np.zeros(100, dtype=bool), shortest=1).start, intervals.start)
+    assert len(trim_intervals(intervals, np.ones(100, dtype=bool), shortest=1)) == 0
+    np.testing.assert_array_equal(
+        trim_intervals(intervals, np.zeros(100, dtype=bool), shortest=1).start, intervals.start
+    )
 
 
 # --- noise at rest -------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from gnomon.calibrate.platter_rate import rate_from_video
 from gnomon.detect.platter.clock import missing_frames, rate_by_jitter, stamps_are_nominal
 from gnomon.detect.platter.period import read_pictures
 from gnomon.detect.platter.rate import platter_rate
-from gnomon.detect.platter.steady import Blocks, PhaseLine, even_rate, longest_run, steady_blocks
+from gnomon.detect.platter.steady import DeviationMeans, PhaseLine, even_rate, longest_run, steady_blocks
 from gnomon.errors import DetectionError, OptionError, RecordingError
 from gnomon.recording.images import Frame, ImageStream
 from gnomon.simulate.images.platter_video import simulate_platter_video
@@ -237,7 +237,9 @@ def blocks_of_walk(rng, own, walk, count=30):
     """Return blocks of a line with slope 0 and errors of both kinds."""
     off = rng.normal(0, own, count) + np.cumsum(rng.normal(0, walk, count))
     number = np.arange(count)
-    return Blocks(t_s=number + 0.5, off=off, variance=np.full(count, own**2), number=number, length_s=1.0, start_s=0.0)
+    return DeviationMeans(
+        t_s=number + 0.5, off=off, variance=np.full(count, own**2), number=number, length_s=1.0, start_s=0.0
+    )
 
 
 @pytest.mark.parametrize(("own", "walk"), [(1e-3, 0.0), (1e-3, 1e-3), (1e-4, 3e-3)])
@@ -254,7 +256,9 @@ def test_steady_blocks_leave_the_spin_up_out():
     rng = np.random.default_rng(6)
     number = np.arange(40)
     off = rng.normal(0, 1e-3, 40) - 0.5 * np.exp(-number / 2.0)
-    blocks = Blocks(t_s=number + 0.5, off=off, variance=np.full(40, 1e-6), number=number, length_s=1.0, start_s=0.0)
+    blocks = DeviationMeans(
+        t_s=number + 0.5, off=off, variance=np.full(40, 1e-6), number=number, length_s=1.0, start_s=0.0
+    )
     kept = steady_blocks(blocks)
     assert kept[-1] == 39
     assert 8 <= kept[0] <= 14

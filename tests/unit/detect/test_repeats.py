@@ -11,7 +11,7 @@ from gnomon.assess.checks.signals import check_signal
 from gnomon.detect.samples.repeats import RepeatWatch, repeated_stretches
 from gnomon.errors import OptionError, RecordingError
 from gnomon.recording import ImuSamples, Recording, Source, TriadSamples
-from gnomon.recording.fingerprint import alike, fingerprint
+from gnomon.recording.fingerprint import same_measurements, sample_fingerprint
 
 OPTIONS = gnomon.ImuOptions(gravity=9.80665)
 
@@ -137,11 +137,11 @@ def test_other_recordings_have_other_fingerprints():
     programme = np.sin(np.linspace(0, 40, 4000))[:, None] * [1.0, 2.0, 3.0]
     series = [programme + 0.05 * rng.standard_normal((4000, 3)) for _ in range(6)]
     series += [np.round(rng.standard_normal((4000, 3)) / step) * step for step in (0.1, 1.0, 4.0) for _ in range(6)]
-    prints = [fingerprint(values) for values in series]
+    prints = [sample_fingerprint(values) for values in series]
     assert all(prints[:12])
-    assert not any(alike(a, b) for a, b in combinations(prints, 2))
-    assert fingerprint(np.zeros((500, 3))) == ""
-    assert not alike("xyz", "xyz")
+    assert not any(same_measurements(a, b) for a, b in combinations(prints, 2))
+    assert sample_fingerprint(np.zeros((500, 3))) == ""
+    assert not same_measurements("xyz", "xyz")
 
 
 @pytest.mark.parametrize("block", [700, 5000, 40_000])

@@ -6,7 +6,7 @@ import pytest
 import gnomon
 from gnomon.detect.samples.noise import averaging_time
 from gnomon.detect.samples.rounding import rounding_variance, smallest_steps
-from gnomon.results.calibration import parameters
+from gnomon.results.calibration import calibration_parameters
 from gnomon.results.intervals import StaticIntervals
 
 
@@ -71,7 +71,7 @@ def test_a_sensor_quieter_than_its_steps_is_no_better_known_than_a_step(seed):
     )
     recording, truth = gnomon.simulate(scenario, seed)
     calibration = gnomon.calibrate_imu(recording, gnomon.ImuOptions(gravity=9.80665)).calibration
-    found, true = dict(parameters(calibration.imus)), dict(parameters(truth.imus))
+    found, true = dict(calibration_parameters(calibration.imus)), dict(calibration_parameters(truth.imus))
     sigma = dict(zip(calibration.uncertainty.names, np.sqrt(np.diag(calibration.uncertainty.matrix)), strict=True))
     for path in ("imu0.accelerometer.bias", "imu0.gyroscope.bias"):
         for axis in range(3):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gnomon.detect.boards.quads import black_quads
-from gnomon.detect.boards.tags import BITS, FAMILY, codes, likeness_of, read_tags
+from gnomon.detect.boards.tags import BITS, FAMILY, likeness_of, read_tags, tag_pictures
 
 WHITE, BLACK = 205, 25
 SIZE = 240
@@ -13,7 +13,7 @@ SIZE = 240
 
 def tag_picture(number, border_bits, side_px, *, turn=0.0, blur=0.7, noise=0.0, mirrored=False):
     """Return a picture of a tag, and its corners counter-clockwise from the lower left."""
-    cells = np.pad(codes()[number], border_bits)
+    cells = np.pad(tag_pictures()[number], border_bits)
     fine = np.pad(np.kron(cells, np.ones((16, 16))), 32, constant_values=1).astype(np.float32)
     cells_across = len(cells)
     scale = side_px / (16 * cells_across)
@@ -30,8 +30,8 @@ def tag_picture(number, border_bits, side_px, *, turn=0.0, blur=0.7, noise=0.0, 
 
 
 def test_codes_differ_however_they_are_turned():
-    assert codes().shape == (FAMILY, BITS, BITS)
-    flat = np.stack([np.rot90(codes(), k, axes=(1, 2)) for k in range(4)]).reshape(4, FAMILY, -1)
+    assert tag_pictures().shape == (FAMILY, BITS, BITS)
+    flat = np.stack([np.rot90(tag_pictures(), k, axes=(1, 2)) for k in range(4)]).reshape(4, FAMILY, -1)
     apart = (flat[0][:, None, None] != flat.transpose(1, 0, 2)[None]).sum(axis=3)  # tag, other tag, turn
     apart[np.arange(FAMILY), np.arange(FAMILY), 0] = 36
     assert apart.min() == 11
@@ -39,7 +39,7 @@ def test_codes_differ_however_they_are_turned():
 
 def test_codes_are_those_of_the_family_row_by_row_from_the_top():
     for number, code in enumerate((0xD5D628584, 0xD97F18B49, 0xDD280910E)):  # as the family was published
-        assert "".join("01"[int(bit)] for bit in codes()[number].ravel()) == f"{code:036b}"
+        assert "".join("01"[int(bit)] for bit in tag_pictures()[number].ravel()) == f"{code:036b}"
 
 
 @pytest.mark.parametrize("border_bits", [1, 2])

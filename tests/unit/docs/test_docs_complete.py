@@ -16,7 +16,7 @@ import triad_result
 from cameras_result import BOARD, make_cameras_result
 from docs_pages import DOCS, PAGES, shell_commands, text
 from gnomon.calibrate.steps import board_reading
-from gnomon.cli.commands import COMMANDS, parse
+from gnomon.cli.commands import COMMANDS, parse_command
 from gnomon.cli.convert import RecordingForm
 from gnomon.cli.study import PAGE, STUDIES
 from gnomon.formats.conversion import FORMATS
@@ -26,13 +26,13 @@ from gnomon.formats.own.calibration_file import SIGMAS
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.own.noise_file import allan_text, noise_document
 from gnomon.formats.own.options_file import read_use
-from gnomon.options.requirements import QUANTITIES, USES, stated
+from gnomon.options.requirements import QUANTITIES, USES, parse_sigma
 from gnomon.readers.images.image_file import IMAGE_SUFFIXES
 from gnomon.readers.images.image_pixels import ENCODINGS
 from gnomon.readers.samples.npz import __doc__ as npz_keys
 from gnomon.readers.samples.pose_table import pose_column
 from gnomon.recording import FrameQuality
-from gnomon.results.calibration import parameters
+from gnomon.results.calibration import calibration_parameters
 from gnomon.results.trust import ParameterChange, WeakDirection
 from gnomon.units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from gnomon.writers.diagnostics_file import diagnostic_arrays
@@ -90,7 +90,7 @@ def test_generated_pages_are_up_to_date(name, generated):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_in_the_help_is_documented(name, capsys):
     with pytest.raises(SystemExit):
-        parse([name, "--help"])
+        parse_command([name, "--help"])
     options = set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", capsys.readouterr().out)) - {"-h", "--help"}
     options -= {"-x", "-y", "-z"}  # axes that point down
     section = text("cli.md").split(f"## gnomon {name}\n")[1].split("\n## ")[0]
@@ -123,7 +123,7 @@ def test_every_key_of_the_calibration_file_is_documented(which, request):
     document["assessment"].get("trust", {})["sigma_ratio"] = {}  # by the paths of the other keys
     sensors = {*calibration.imus, *calibration.cameras}
     last = {path.rsplit(".", 1)[-1] for path in keys_of(document)} - {*sensors, *document["provenance"]["options"]}
-    sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in parameters(calibration.imus)}
+    sigmas = {f"{path.rsplit('.', 1)[-1]}_sigma" for path, _ in calibration_parameters(calibration.imus)}
     if calibration.cameras:
         of_imu = {"time_shift_cam_imu", "line_delay"} if not calibration.imus else set()
         sigmas |= {key for path, key in SIGMAS.items() if not path.startswith("T_cam_") and path not in of_imu}
@@ -264,7 +264,7 @@ def test_every_need_of_every_use_is_documented():
     ]
     written = {use: {row[0]: row[i] for row in rows if row[i]} for i, use in enumerate(head) if i}
     assert {row[0] for row in rows} == {*QUANTITIES}
-    known = {name: {q: stated(q, words) for q, words in needs.items()} for name, needs in written.items()}
+    known = {name: {q: parse_sigma(q, words) for q, words in needs.items()} for name, needs in written.items()}
     assert known == {name: {q: pytest.approx(size) for q, size in use.needs.items()} for name, use in USES.items()}
 
 
@@ -345,4 +345,4 @@ def test_commands_can_be_parsed(page, tmp_path, monkeypatch):
             file.parent.mkdir(exist_ok=True)
             file.write_text("motion: shaky\n", encoding="utf-8")
         if words[0] != "demo" or words[1:]:
-            assert type(parse(words)) is COMMANDS[words[0]]
+            assert type(parse_command(words)) is COMMANDS[words[0]]

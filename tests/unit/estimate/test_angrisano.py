@@ -6,18 +6,18 @@ import pytest
 from gnomon.errors import InitialisationError, OptionError
 from gnomon.estimate.triads.angrisano import (
     TOLERANCE,
-    canonical,
+    canonical_parameters,
     datasheet_start,
-    design,
+    design_matrix,
     fit_components,
     fit_magnitudes,
-    predicted,
+    predict_magnitudes,
     sensor_jacobian,
 )
-from gnomon.models.angrisano import AngrisanoTriad, alignment, alignment_derivatives, angles_and_scales
+from gnomon.models.angrisano import AngrisanoTriad, alignment_derivatives, alignment_matrix, angles_and_scales
 from gnomon.models.forms import AngrisanoAccelerometer
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.simulate.poses import TABLE_1, directions
+from gnomon.simulate.poses import TABLE_1, rest_directions
 
 GRAVITY = 9.80665
 X = TABLE_1.parameters
@@ -27,7 +27,7 @@ GEOMETRIES = ("small-angle", "exact")
 
 def forces(count=18, error=0.1, seed=0):
     rng = np.random.default_rng(seed)
-    u = directions(PoseScenario()) + error * rng.standard_normal((18, 3))
+    u = rest_directions(PoseScenario()) + error * rng.standard_normal((18, 3))
     return GRAVITY * (u / np.linalg.norm(u, axis=1, keepdims=True))[:count]
 
 
@@ -48,7 +48,7 @@ STEP = np.repeat([1e-5, 1.0, 1e-8], 3)
 
 def test_design_is_equation_6_with_its_sign_of_the_x_bias_corrected():
     (ax, ay, az), (bx, by, bz), (kx, ky, kz) = X.reshape(3, 3)
-    for (x, y, z), A in zip(readings(), design(X, readings()), strict=True):
+    for (x, y, z), A in zip(readings(), design_matrix(X, readings()), strict=True):
         printed = np.array([
             [0, -kz * (z - bz), 0],
             [-kz * (z - bz), 0, 0],
@@ -67,8 +67,8 @@ def test_design_is_equation_6_with_its_sign_of_the_x_bias_corrected():
 def test_design_is_the_derivative_of_equation_5(geometry):
     there = X + np.repeat([0.2, 30.0, 1e-4], 3)
     measured = readings()
-    by_hand = -numerical(lambda x: predicted(x, measured, geometry), there, STEP)
-    A = design(there, measured, geometry)
+    by_hand = -numerical(lambda x: predict_magnitudes(x, measured, geometry), there, STEP)
+    A = design_matrix(there, measured, geometry)
     np.testing.assert_allclose(A * STEP, by_hand * STEP, rtol=1e-6, atol=1e-9)
 
 
@@ -86,19 +86,19 @@ def test_sensor_jacobian_is_that_of_the_conversion(geometry):
 
 def test_alignment_is_equation_14_or_15():
     x, y, z = angles = np.array([0.3, -0.2, 0.1])
-    np.testing.assert_allclose(alignment(angles, "small-angle"), [[1, z, y], [0, 1, x], [0, 0, 1]])
+    np.testing.assert_allclose(alignment_matrix(angles, "small-angle"), [[1, z, y], [0, 1, x], [0, 0, 1]])
     s, c = np.sin, np.cos
     exact = [[1, s(z), c(x) * s(y)], [0, c(z), c(y) * s(x)], [0, 0, c(x) * c(y)]]
-    np.testing.assert_allclose(alignment(angles, "exact"), exact)
+    np.testing.assert_allclose(alignment_matrix(angles, "exact"), exact)
     for geometry in GEOMETRIES:
-        by_hand = numerical(lambda a, g=geometry: alignment(a, g), angles, 1e-6 * np.ones(3))
+        by_hand = numerical(lambda a, g=geometry: alignment_matrix(a, g), angles, 1e-6 * np.ones(3))
         np.testing.assert_allclose(np.moveaxis(alignment_derivatives(angles, geometry), 0, -1), by_hand, atol=1e-9)
 
 
 def test_both_geometries_agree_to_second_order():
     for size in (1e-2, 1e-3):
         angles = size * np.array([1.0, -0.7, 0.4])
-        gap = np.abs(alignment(angles, "exact") - alignment(angles, "small-angle")).max()
+        gap = np.abs(alignment_matrix(angles, "exact") - alignment_matrix(angles, "small-angle")).max()
         assert 0.1 * size**2 < gap < size**2
 
 
@@ -173,7 +173,7 @@ def test_sigmas_are_those_of_ordinary_least_squares():
     simulation = simulate_poses(seed=1)
     fit = fit_magnitudes(simulation.accelerometer, GRAVITY, START)
     before = fit.visited[-2]
-    N, A = predicted(before, simulation.accelerometer), design(before, simulation.accelerometer)
+    N, A = predict_magnitudes(before, simulation.accelerometer), design_matrix(before, simulation.accelerometer)
     H = np.einsum("ni,nij->nj", N, A) / STEP**-1
     covariance = fit.q[-1] / 9 * np.linalg.inv(H.T @ H) * np.outer(STEP, STEP)
     np.testing.assert_allclose(fit.covariance, covariance, rtol=1e-6)
@@ -231,8 +231,8 @@ def test_a_reversed_axis_is_a_mirrored_minimum_and_its_canonical_form_is_the_rig
     mirrored = fit_magnitudes(measured, GRAVITY, start)
     assert mirrored.status == "mirrored"
     assert mirrored.parameters[7] < 0
-    np.testing.assert_allclose(canonical(mirrored.parameters), right.parameters, rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(canonical(right.parameters), right.parameters, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(canonical_parameters(mirrored.parameters), right.parameters, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(canonical_parameters(right.parameters), right.parameters, rtol=1e-12, atol=1e-15)
 
 
 def test_poses_that_determine_nothing_end_without_an_exception():

@@ -9,8 +9,8 @@ from gnomon.estimate.multiposition.bias_changes import (
     BiasChanges,
     RestMeans,
     accelerometer_changes,
-    before,
     gyroscope_changes,
+    shares_before,
 )
 from gnomon.estimate.multiposition.bias_segments import with_bias_steps
 from gnomon.estimate.multiposition.fit import fit_multiposition
@@ -57,7 +57,7 @@ def test_a_step_is_found_where_it_is(find):
         found = find(rng, size * np.array([0.6, -0.6, 0.5]) * (np.arange(N) >= at)[:, None])
         assert found.steps == (at,)
         assert not found.warm_up_s
-        np.testing.assert_array_equal(before(found.steps[0], N), np.arange(N) < at)
+        np.testing.assert_array_equal(shares_before(found.steps[0], N), np.arange(N) < at)
 
 
 @pytest.mark.parametrize("find", [gyroscope, accelerometer])
@@ -87,7 +87,7 @@ def test_parts_of_a_long_rest_show_when_a_bias_stepped_within_it():
     t_s = np.concatenate([3.0 + 6.0 * np.arange(8), T_S[1:]])
     sigma = 4e-4 / np.sqrt(6.0) * np.ones((len(rest), 3))
     u = directions(rng)
-    means = u[rest] + before(2.3, len(rest))[:, None] * 8e-3 * u[0] + sigma * rng.normal(size=sigma.shape)
+    means = u[rest] + shares_before(2.3, len(rest))[:, None] * 8e-3 * u[0] + sigma * rng.normal(size=sigma.shape)
     rests = RestMeans(rest=rest, t_s=t_s, half_s=np.full(len(rest), 2.0), means=means, variance=sigma**2)
     [place] = accelerometer_changes(rests).steps
     assert abs(place - 2.3 / 8) < 0.02

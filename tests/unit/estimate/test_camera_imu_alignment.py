@@ -8,9 +8,9 @@ import pytest
 
 from gnomon import CameraImuScenario, InitialisationError, simulate_camera_imu
 from gnomon.assess.checks.rig_checks import check_recording_rig
-from gnomon.estimate.camera_imu.start.alignment import align, gyroscope_integral
-from gnomon.estimate.camera_imu.start.board_poses import board_poses, gathered
-from gnomon.estimate.camera_imu.start.first_guess import ImuStream, looks
+from gnomon.estimate.camera_imu.start.alignment import align_camera, gyroscope_integral
+from gnomon.estimate.camera_imu.start.board_poses import board_poses, gather_exposures
+from gnomon.estimate.camera_imu.start.first_guess import ImuStream, align_cameras
 from gnomon.estimate.camera_imu.start.first_place import first_place
 from gnomon.estimate.camera_imu.terms.corner_sums import CornerSums, frame_scatter
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -116,7 +116,7 @@ def test_frames_that_tell_no_pose_are_left_out():
     kept[frames.frame == 6] &= np.isin(frames.point[frames.frame == 6], lined_up)
     kept[np.flatnonzero(frames.frame == 7)[5:]] = False  # five corners
     fewer = replace(frames, frame=frames.frame[kept], point=frames.point[kept], pixels=frames.pixels[kept])
-    found = gathered(fewer, target)
+    found = gather_exposures(fewer, target)
     assert not set(found.frame) & {5, 6, 7}
     assert len(found) == len(set(frames.frame)) - 3
     assert len(found.points) == found.start[-1] == len(found.pixels)
@@ -131,7 +131,7 @@ def test_without_any_pose_there_is_none():
     poses = poses_of(simulation, frames=nothing)
     assert len(poses) == 0
     with pytest.raises(InitialisationError, match="seen in 0 frames"):
-        align(poses, integral_of(simulation), "cam0")
+        align_camera(poses, integral_of(simulation), "cam0")
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -141,7 +141,7 @@ def test_clocks_of_unrelated_origin_and_any_rotation(seed, clock_offset_s):
         seed, clock_offset_s=clock_offset_s, random_extrinsics=True, time_shift_range_s=5.0, gyroscope_bias_range=0.5,
         accelerometer_bias_range=2.0, scale_range=0.05,
     )  # fmt: skip
-    found = align(poses_of(simulation), integral_of(simulation), "cam0")
+    found = align_camera(poses_of(simulation), integral_of(simulation), "cam0")
     assert_aligned(found, simulation)
     np.testing.assert_allclose(found.gyroscope_bias, simulation.b_g.mean(axis=0), atol=0.05)
     assert found.score > 0.95
@@ -152,14 +152,16 @@ def test_clocks_of_unrelated_origin_and_any_rotation(seed, clock_offset_s):
 @pytest.mark.parametrize("motion", ["gentle", "tremor", "shaky", "rolling"])
 def test_every_motion(motion):
     simulation = simulated(motion=motion, random_extrinsics=True, time_shift_range_s=2.0, duration_s=32.0)
-    found = align(poses_of(simulation), integral_of(simulation), "cam0")
+    found = align_camera(poses_of(simulation), integral_of(simulation), "cam0")
     assert_aligned(found, simulation, shift=6e-3)
 
 
 @pytest.mark.parametrize("camera_rate_hz", [4.0, 7.0, 60.0])
 def test_every_frame_rate(camera_rate_hz):
     simulation = simulated(camera_rate_hz=camera_rate_hz, time_shift_s=1.234)
-    assert_aligned(align(poses_of(simulation), integral_of(simulation), "cam0"), simulation, shift=8e-3, angle=0.1)
+    assert_aligned(
+        align_camera(poses_of(simulation), integral_of(simulation), "cam0"), simulation, shift=8e-3, angle=0.1
+    )
 
 
 @pytest.mark.parametrize(("first", "last"), [(0.0, 5.0), (7.0, 12.0), (4.0, 9.0)])
@@ -167,7 +169,7 @@ def test_an_imu_that_ran_for_a_part_of_the_time_only(first, last):
     simulation = simulated(clock_offset_s=50.0)
     t_s = stream_of(simulation).t_s
     integral = integral_of(simulation, kept=(t_s >= first) & (t_s < last))
-    assert_aligned(align(poses_of(simulation), integral, "cam0"), simulation, shift=4e-3)
+    assert_aligned(align_camera(poses_of(simulation), integral, "cam0"), simulation, shift=4e-3)
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 80), (160, 240)])
@@ -180,14 +182,17 @@ def test_a_camera_that_ran_for_a_part_of_the_time_only(first, last):
         pixels=frames.pixels[kept], camera=frames.camera,
     )  # fmt: skip
     assert_aligned(
-        align(poses_of(simulation, frames=part), integral_of(simulation), "cam0"), simulation, shift=6e-3, angle=0.1
+        align_camera(poses_of(simulation, frames=part), integral_of(simulation), "cam0"),
+        simulation,
+        shift=6e-3,
+        angle=0.1,
     )
 
 
 def test_late_frames_stand_out():
     simulation = simulated(motion="shaky", late_frames=0.04, pixel_noise_px=0.05, target_cols=6, target_rows=6)
     poses = poses_of(simulation)
-    found = align(poses, integral_of(simulation), "cam0")
+    found = align_camera(poses, integral_of(simulation), "cam0")
     assert_aligned(found, simulation)
     late = simulation.frames["cam0"].late[poses.exposures.frame]
     assert late.sum() > 5
@@ -197,7 +202,7 @@ def test_late_frames_stand_out():
 
 def test_lost_frames_and_samples_do_not_matter():
     simulation = simulated(dropped_frames=0.4, dropped_samples=0.1, imu_gaps_s=((5.0, 0.5),), time_shift_s=-0.8)
-    assert_aligned(align(poses_of(simulation), integral_of(simulation), "cam0"), simulation, shift=4e-3)
+    assert_aligned(align_camera(poses_of(simulation), integral_of(simulation), "cam0"), simulation, shift=4e-3)
 
 
 @pytest.mark.parametrize(
@@ -210,7 +215,7 @@ def test_lost_frames_and_samples_do_not_matter():
 def test_a_gyroscope_in_another_unit_is_named(factor, message):
     simulation = simulated(gyroscope_bias_range=0.01)
     with pytest.raises(InitialisationError, match=message):
-        align(poses_of(simulation), integral_of(simulation, factor=factor), "cam0")
+        align_camera(poses_of(simulation), integral_of(simulation, factor=factor), "cam0")
 
 
 @pytest.mark.parametrize("motion", ["static", "translation"])
@@ -219,33 +224,33 @@ def test_without_rotation_there_is_nothing_to_align(motion):
     with pytest.raises(
         InitialisationError, match=r"cam0: the camera turned by .* deg/s \(rms\) only; without rotation"
     ):
-        align(poses_of(simulation), integral_of(simulation), "cam0")
+        align_camera(poses_of(simulation), integral_of(simulation), "cam0")
 
 
 def test_too_few_frames_near_each_other():
     simulation = simulated(camera_rate_hz=2.0)
     with pytest.raises(InitialisationError, match=r"seen in 2\d frames, and in fewer than ten pairs .* 4 Hz or more"):
-        align(poses_of(simulation), integral_of(simulation), "cam0")
+        align_camera(poses_of(simulation), integral_of(simulation), "cam0")
 
 
 def test_streams_that_are_too_short_to_overlap():
     simulation = simulated()
     t_s = stream_of(simulation).t_s
     with pytest.raises(InitialisationError, match=r"camera \(\d+\.\d s\) and IMU \(2\.0 s\) are too short to overlap"):
-        align(poses_of(simulation), integral_of(simulation, kept=t_s < 2.0), "cam0")
+        align_camera(poses_of(simulation), integral_of(simulation, kept=t_s < 2.0), "cam0")
 
 
 @pytest.mark.parametrize(("camera", "imu"), [(0, 1), (1, 2), (1, 3), (3, 0)])
 def test_streams_of_different_recordings_are_refused_or_doubted(camera, imu):
     score = 0.0
     with suppress(InitialisationError):
-        score = align(poses_of(simulated(camera)), integral_of(simulated(imu)), "cam0").score
+        score = align_camera(poses_of(simulated(camera)), integral_of(simulated(imu)), "cam0").score
     assert score < 0.6
 
 
 def test_hardly_any_common_rotation_is_refused():
     with pytest.raises(InitialisationError, match="do not show the same rotation at any time shift"):
-        align(poses_of(simulated(0)), integral_of(simulated(3)), "cam0")
+        align_camera(poses_of(simulated(0)), integral_of(simulated(3)), "cam0")
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -256,7 +261,7 @@ def test_a_few_poses_far_off_do_not_hide_the_time_shift(seed):
     bad = rng.choice(len(poses), len(poses) // 20, replace=False)
     turned = poses.R_cam_target.copy()
     turned[bad] = rotation_from_rotvec(rng.normal(0, 0.6, (len(bad), 3))) @ turned[bad]
-    found = align(replace(poses, R_cam_target=turned), integral_of(simulation), "cam0")
+    found = align_camera(replace(poses, R_cam_target=turned), integral_of(simulation), "cam0")
     assert_aligned(found, simulation, shift=5e-3)
     assert found.score > 0.9
     assert found.consistent[bad].mean() < 0.2
@@ -269,7 +274,7 @@ def test_the_imu_is_found_where_it_is(motion, camera_rate_hz):
         motion=motion, camera_rate_hz=camera_rate_hz, lever_arm_m=1.5, random_extrinsics=True, duration_s=16.0,
         time_shift_s=0.2,
     )  # fmt: skip
-    (look,) = looks(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
+    (look,) = align_cameras(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
     place = first_place(look.alignment, look.poses, stream_of(simulation))
     true = simulation.truth.cameras["cam0"].T_cam_imu[:3, 3]
     assert np.linalg.norm(true) > 0.3
@@ -278,7 +283,7 @@ def test_the_imu_is_found_where_it_is(motion, camera_rate_hz):
 
 def test_two_cameras_have_clocks_of_their_own():
     simulation = simulated(cameras=2, time_shift_s=0.3, time_shift_difference_s=0.2, random_extrinsics=True)
-    found = looks(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
+    found = align_cameras(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
     assert [look.name for look in found] == ["cam0", "cam1"]
     for look in found:
         assert_aligned(look.alignment, simulation, look.name)
@@ -288,18 +293,18 @@ def test_two_cameras_have_clocks_of_their_own():
 def test_a_turn_about_one_axis_is_set_upright_by_gravity_and_acceleration(seed):
     # Rotations about one axis leave the turn about that axis open; the specific force tells it.
     simulation = simulated(seed, motion="one-axis", random_extrinsics=True, target_cols=6, target_rows=6)
-    (look,) = looks(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
+    (look,) = align_cameras(simulation.recording.cameras, simulation.target, START_NS, stream_of(simulation))
     assert look.alignment.axes[1] < 0.1 * look.alignment.axes[0]
     assert_aligned(look.alignment, simulation, shift=5e-3, angle=0.15)
 
 
 def test_noise_of_the_poses_is_no_rotation():
-    found = align(poses_of(simulation := simulated(motion="one-axis")), integral_of(simulation), "cam0")
+    found = align_camera(poses_of(simulation := simulated(motion="one-axis")), integral_of(simulation), "cam0")
     assert found.axes[1] < 0.1 * found.axes[0]
 
 
 def test_many_frames_a_second_are_no_reason_for_doubt():
-    found = align(poses_of(simulation := simulated(camera_rate_hz=60.0)), integral_of(simulation), "cam0")
+    found = align_camera(poses_of(simulation := simulated(camera_rate_hz=60.0)), integral_of(simulation), "cam0")
     assert found.score > 0.95
 
 
@@ -310,12 +315,12 @@ def test_a_stated_guess_is_used_where_nothing_turns():
     guess[:3, :3] = rotation_from_rotvec(np.array([0.1, 0.2, 0.3]))
     stated = replace(frames, T_cam_imu=guess, time_shift_cam_imu_s=0.02)
     stream = stream_of(simulation)
-    (look,) = looks({"cam0": stated}, simulation.target, START_NS, stream)
+    (look,) = align_cameras({"cam0": stated}, simulation.target, START_NS, stream)
     np.testing.assert_array_equal(look.alignment.R_cam_imu, guess[:3, :3])
     assert look.alignment.time_shift_s == 0.02
     assert look.alignment.score == 0.0
     with pytest.raises(InitialisationError):
-        looks({"cam0": frames}, simulation.target, START_NS, stream)
+        align_cameras({"cam0": frames}, simulation.target, START_NS, stream)
 
 
 @pytest.mark.parametrize("axes", [[1, 0, 2], [0, 2, 1]])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuOptions, OptionError
-from gnomon.estimate.camera_imu.blocks import blocks
-from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.layout import layout
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.blocks import parameter_blocks
+from gnomon.estimate.camera_imu.choices import estimation_choices
+from gnomon.estimate.camera_imu.layout import border_layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.camera import Camera
 
@@ -19,7 +19,7 @@ LENSES = (
 
 
 def start(imus=1):
-    return Parameters(
+    return RigParameters(
         gravity_axes=gravity_axes(np.array([0.0, -1.0, 0.1])),
         gravity_m_s2=9.81,
         target_scale=1.0,
@@ -41,7 +41,7 @@ def start(imus=1):
 
 
 def chosen(**options):
-    return choices(start(), CameraImuOptions(**options))
+    return estimation_choices(start(), CameraImuOptions(**options))
 
 
 def estimated(found):
@@ -49,7 +49,7 @@ def estimated(found):
 
 
 def scalars(*names):
-    return {s for b in blocks(start()) for s in b.scalars() if b.name in names}
+    return {s for b in parameter_blocks(start()) for s in b.scalars() if b.name in names}
 
 
 CAMERAS = [
@@ -72,7 +72,7 @@ def test_models_are_those_of_table_4_1():
 
 
 def test_every_scalar_has_a_status_and_its_name_is_unique():
-    names = [scalar for block in blocks(start()) for scalar in block.scalars()]
+    names = [scalar for block in parameter_blocks(start()) for scalar in block.scalars()]
     assert len(set(names)) == len(names)
     assert list(chosen().status) == names
     for expected in ("gravity.magnitude", "target.scale", "imu0.B_g[8]", "left.distortion_coeffs", "cam7.line_delay"):
@@ -89,7 +89,7 @@ def test_every_scalar_has_a_status_and_its_name_is_unique():
         ("cam0.T_cam_imu", [f"cam0.T_cam_imu.{part}[{k}]" for part in ("rotation", "translation") for k in range(3)]),
         ("left.time_shift_cam_imu", ["left.time_shift_cam_imu"]),
         ("gravity", ["gravity.direction[0]", "gravity.direction[1]", "gravity.magnitude"]),
-        ("imu0", [s for b in blocks(start()) if b.name.startswith("imu0.") for s in b.scalars()]),
+        ("imu0", [s for b in parameter_blocks(start()) if b.name.startswith("imu0.") for s in b.scalars()]),
     ],
 )
 def test_a_name_stands_for_itself_and_for_all_below_it(name, members):
@@ -130,7 +130,7 @@ def test_unknown_names_get_a_suggestion_and_the_list(option, wrong, meant):
         chosen(**{option: (text,)})
     message = str(error.value)
     assert message.startswith(f"--{option} {wrong}: there is no such parameter. Did you mean {meant}?")
-    assert all(block.name in message for block in blocks(start()))
+    assert all(block.name in message for block in parameter_blocks(start()))
 
 
 def test_a_name_like_nothing_gets_the_list_alone():
@@ -170,7 +170,7 @@ def test_priors_that_are_none_are_refused(text):
 
 def test_layout_has_columns_for_what_is_estimated_or_considered():
     found = chosen(free=("left.distortion_coeffs",), fix=("imu0.M_a[1]", "cam0.T_cam_imu"), prior=("imu0.B_g=1e-3",))
-    columns = layout(start(), found.status, found.prior_sigma, consider=("target.scale",))
+    columns = border_layout(start(), found.status, found.prior_sigma, consider=("target.scale",))
     assert set(np.array(columns.names)[columns.free]) == estimated(found)
     assert set(np.array(columns.names)[~columns.free]) == {"imu0.M_a[1]", "target.scale"}
     assert columns.get("cam0.T_cam_imu.rotation") is None
@@ -186,7 +186,7 @@ def test_layout_has_columns_for_what_is_estimated_or_considered():
 
 def test_without_columns_nothing_moves():
     status = dict.fromkeys(chosen().status, "fixed")
-    columns = layout(start(), status, {})
+    columns = border_layout(start(), status, {})
     assert len(columns) == 0
     assert columns.free.dtype == columns.weak.dtype == bool
     parameters = start()
@@ -195,7 +195,7 @@ def test_without_columns_nothing_moves():
 
 def test_steps_move_what_they_name_and_are_read_back():
     everything = dict.fromkeys(chosen().status, "estimated")
-    columns = layout(start(imus=1), everything, {})
+    columns = border_layout(start(imus=1), everything, {})
     step = 1e-3 * np.random.default_rng(0).normal(size=len(columns))
     step[columns.get("cam0.line_delay")] = 1e-5
     moved = columns.plus(start(), step)
@@ -219,7 +219,7 @@ def test_steps_move_what_they_name_and_are_read_back():
 
 def test_a_lens_may_not_leave_its_domain():
     everything = dict.fromkeys(chosen().status, "estimated")
-    columns = layout(start(), everything, {})
+    columns = border_layout(start(), everything, {})
     step = np.zeros(len(columns))
     step[columns.get("cam0.intrinsics").start] = -500.0
     with pytest.raises(OptionError, match="focal length"):

@@ -9,7 +9,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camera_imu_problem import problem
-from gnomon.estimate.camera_imu.batch import linearised
+from gnomon.estimate.camera_imu.batch import linearize_batch
 from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step
 from gnomon.estimate.camera_imu.result.cluster_sums import bias_sides, cluster_sums
 from gnomon.estimate.camera_imu.solution import Solution
@@ -18,7 +18,7 @@ from gnomon.estimate.camera_imu.trajectory import POSE
 
 def solution(of):
     """Return the linearisation of a problem as if it were its solution, no step taken."""
-    lin = linearised(of.measurements, of.state, of.layout, of.noise, probing=True)
+    lin = linearize_batch(of.measurements, of.state, of.layout, of.noise, probing=True)
     return Solution(
         state=of.state, measurements=of.measurements, noise=of.noise, noise_found=of.noise, layout=of.layout, lin=lin,
         step=gauss_newton_step(lin), iterations=(), converged=True,

@@ -16,13 +16,13 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camera_imu_problem import LENSES, problem
 from camera_imu_reference import differentiated
-from gnomon.estimate.camera_imu.batch import State, linearised, mean_weights
-from gnomon.estimate.camera_imu.blocks import blocks
-from gnomon.estimate.camera_imu.gauss_newton import gauss_newton_step, moved
-from gnomon.estimate.camera_imu.layout import layout
+from gnomon.estimate.camera_imu.batch import RigState, linearize_batch, mean_weights
+from gnomon.estimate.camera_imu.blocks import parameter_blocks
+from gnomon.estimate.camera_imu.gauss_newton import apply_step, gauss_newton_step
+from gnomon.estimate.camera_imu.layout import border_layout
 from gnomon.estimate.camera_imu.noise_found import estimated_noise
 from gnomon.estimate.camera_imu.parameters import ImuParameters, gravity_axes
-from gnomon.estimate.camera_imu.result.uncertainty import uncertainty
+from gnomon.estimate.camera_imu.result.uncertainty import solution_uncertainty
 from gnomon.estimate.camera_imu.solution import Solution
 from gnomon.estimate.camera_imu.walk_noise import PROBES
 
@@ -70,7 +70,7 @@ def inverse_of_square(J):
 
 
 def linearised_problem(of, *, probing=False):
-    return linearised(of.measurements, of.state, of.layout, of.noise, probing=probing)
+    return linearize_batch(of.measurements, of.state, of.layout, of.noise, probing=probing)
 
 
 def assert_same_equations(of):
@@ -128,11 +128,11 @@ def test_gaps_streams_and_weights(changes):
 def without(of, *names):
     """Return the problem with some blocks held, and without columns."""
     parameters = of.state.parameters
-    status = {s: "fixed" if b.name in names else "estimated" for b in blocks(parameters) for s in b.scalars()}
-    return replace(of, layout=layout(parameters, status, dict.fromkeys(status, 0.3)))
+    status = {s: "fixed" if b.name in names else "estimated" for b in parameter_blocks(parameters) for s in b.scalars()}
+    return replace(of, layout=border_layout(parameters, status, dict.fromkeys(status, 0.3)))
 
 
-EVERY_BLOCK = [block.name for block in blocks(problem().state.parameters)]
+EVERY_BLOCK = [block.name for block in parameter_blocks(problem().state.parameters)]
 
 
 @pytest.mark.parametrize("name", EVERY_BLOCK)
@@ -179,9 +179,9 @@ def test_priors_about_another_attitude_have_the_gradient_of_their_cost(lean):
     # Gravity is moved past where the axes of its plane, drawn anew, would be others.
     of = problem(models=(("pinhole", "none"),))
     parameters = of.state.parameters
-    status = dict.fromkeys([scalar for b in blocks(parameters) for scalar in b.scalars()], "estimated")
+    status = dict.fromkeys([scalar for b in parameter_blocks(parameters) for scalar in b.scalars()], "estimated")
     start = replace(parameters, gravity_axes=gravity_axes(np.array([0.01, -1.0, 0.02])))
-    held = layout(start, status, dict.fromkeys(status, 1e-3))
+    held = border_layout(start, status, dict.fromkeys(status, 1e-3))
     columns_of = held.get("gravity.direction")
     moved_by = np.zeros(len(held))
     moved_by[columns_of] = lean * np.array([0.04, 0.03])
@@ -197,20 +197,20 @@ def border_step(of, k, size):
     """Return the state after a step of one scalar of the border."""
     step = np.zeros(len(of.layout))
     step[k] = size
-    return State(trajectory=of.state.trajectory, parameters=of.layout.plus(of.state.parameters, step))
+    return RigState(trajectory=of.state.trajectory, parameters=of.layout.plus(of.state.parameters, step))
 
 
 def controls_step(of, row, column, size):
     step = np.zeros_like(of.state.trajectory.controls)
     step[row, column] = size
-    return State(trajectory=of.state.trajectory.plus(step), parameters=of.state.parameters)
+    return RigState(trajectory=of.state.trajectory.plus(step), parameters=of.state.parameters)
 
 
 def slope(of, state_at, size):
     """Return the derivative of the cost along a line, by differences of sixth order."""
 
     def cost(h):
-        return linearised(of.measurements, state_at(h), of.layout, of.noise, probing=False).cost
+        return linearize_batch(of.measurements, state_at(h), of.layout, of.noise, probing=False).cost
 
     weights = ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
     return sum(w * (cost(k * size) - cost(-k * size)) for k, w in weights) / size
@@ -255,7 +255,7 @@ def test_the_step_is_the_dense_one():
     np.testing.assert_allclose(scaled, inverse[n * d :, n * d :] / np.outer(sigma, sigma), rtol=0, atol=1e-8)
     assert step.decrease == pytest.approx(0.5 * right[kept, 0] @ expected, rel=1e-8)
     assert step.largest == pytest.approx(np.abs(expected[n * d :] / sigma).max(), rel=1e-6)
-    after = moved(of.state, of.layout, step)
+    after = apply_step(of.state, of.layout, step)
     np.testing.assert_allclose(after.trajectory.controls - of.state.trajectory.controls, step.trajectory, atol=1e-12)
 
 
@@ -316,7 +316,7 @@ def test_covariance_of_parameters_and_mean_biases_and_what_held_ones_would_do():
         state=of.state, measurements=of.measurements, noise=of.noise, noise_found=of.noise, layout=of.layout, lin=lin,
         step=step, iterations=(), converged=True,
     )  # fmt: skip
-    found = uncertainty(solution, ("target.scale", "cam0.intrinsics", "imu0.S_a"))
+    found = solution_uncertainty(solution, ("target.scale", "cam0.intrinsics", "imu0.S_a"))
     values, jacobians, _ = differentiated(of)
     residual, J = np.concatenate(list(values.values())), np.concatenate(list(jacobians.values()))
     trajectory = of.state.trajectory

@@ -9,12 +9,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from camera_imu_problem import problem
-from gnomon.estimate.camera_imu.result.publish import published
-from gnomon.estimate.camera_imu.result.uncertainty import Held, Uncertainty
+from gnomon.estimate.camera_imu.result.publish import publish_rig
+from gnomon.estimate.camera_imu.result.uncertainty import FixedParameterEffect, Uncertainty
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.models.forms import KrebsAccelerometer, KrebsGyroscope
 from gnomon.models.pattern import LOWER
-from gnomon.results.parameters import covariance_names, parameters
+from gnomon.results.parameters import calibration_parameters, covariance_names
 
 MODELS = (("pinhole", "fov"), ("ds", "none"), ("eucm", "radtan"))
 
@@ -27,7 +27,7 @@ def case(*, imus=1, fixed=(), gravity=True):
     count = len(names) + 6 * imus
     root = 1e-3 * rng.normal(size=(count, count))
     by_unit = rng.normal(size=(1, count))
-    held = {"gravity.magnitude": Held(
+    held = {"gravity.magnitude": FixedParameterEffect(
         names=("gravity.magnitude",), by_unit=by_unit, wanted=np.zeros(1), wanted_sigma=np.ones(1)
     )}  # fmt: skip
     found = Uncertainty(
@@ -44,7 +44,7 @@ def values(found, at):
     """Return all published scalars, of rotations the small ones on the right from those of `at`."""
     result = []
     for (name, value), (_, origin) in zip(
-        parameters(found.imus, found.cameras), parameters(at.imus, at.cameras), strict=True
+        calibration_parameters(found.imus, found.cameras), calibration_parameters(at.imus, at.cameras), strict=True
     ):
         if name.endswith("rotation"):
             value = rotvec_from_rotation(rotation_from_rotvec(origin).T @ rotation_from_rotvec(value))  # noqa: PLW2901
@@ -59,7 +59,7 @@ def jacobian(of, found, at):
         step = np.zeros(len(of.layout))
         step[k] = 1e-7 if "line_delay" in of.layout.names[k] else 1e-5
         ahead, behind = (
-            values(published(found, of.layout.plus(of.state.parameters, sign * step), gravity_sigma=0.0), at)
+            values(publish_rig(found, of.layout.plus(of.state.parameters, sign * step), gravity_sigma=0.0), at)
             for sign in (1, -1)
         )
         columns.append((ahead - behind) / (2 * step[k]))
@@ -73,7 +73,7 @@ def jacobian(of, found, at):
             bias_mean=found.bias_mean + step,
             held=found.held,
         )
-        columns.append(values(published(moved, of.state.parameters, gravity_sigma=0.0), at) - values(at, at))
+        columns.append(values(publish_rig(moved, of.state.parameters, gravity_sigma=0.0), at) - values(at, at))
     return np.column_stack(columns)
 
 
@@ -84,7 +84,7 @@ def jacobian(of, found, at):
 )
 def test_covariance_is_that_of_the_published_values(changes):
     of, found, _ = case(**changes)
-    at = published(found, of.state.parameters, gravity_sigma=0.0)
+    at = publish_rig(found, of.state.parameters, gravity_sigma=0.0)
     assert at.covariance.shape == (len(covariance_names(at.imus, at.cameras)),) * 2
     J = jacobian(of, found, at)
     expected = J @ found.covariance @ J.T
@@ -98,18 +98,18 @@ def test_covariance_is_that_of_the_published_values(changes):
 
 def test_uncertain_gravity_adds_what_it_does():
     of, found, by_unit = case()
-    without, uncertain = (published(found, of.state.parameters, gravity_sigma=s).covariance for s in (0.0, 0.02))
-    at = published(found, of.state.parameters, gravity_sigma=0.0)
+    without, uncertain = (publish_rig(found, of.state.parameters, gravity_sigma=s).covariance for s in (0.0, 0.02))
+    at = publish_rig(found, of.state.parameters, gravity_sigma=0.0)
     moved = jacobian(of, found, at) @ by_unit * 0.02
     np.testing.assert_allclose(uncertain - without, np.outer(moved, moved), rtol=0, atol=1e-7 * np.max(moved**2))
     of, found, _ = case(gravity=False)  # it was estimated
-    a, b = (published(found, of.state.parameters, gravity_sigma=s).covariance for s in (0.0, 0.02))
+    a, b = (publish_rig(found, of.state.parameters, gravity_sigma=s).covariance for s in (0.0, 0.02))
     np.testing.assert_array_equal(a, b)
 
 
 def test_values_are_those_of_document_b():
     of, found, _ = case()
-    at, imu = published(found, of.state.parameters, gravity_sigma=0.0), of.state.parameters.imus[0]
+    at, imu = publish_rig(found, of.state.parameters, gravity_sigma=0.0), of.state.parameters.imus[0]
     triads = at.imus["imu0"]
     accelerometer = KrebsAccelerometer.from_sensor(triads.accelerometer.sensitivity, triads.accelerometer.bias)
     np.testing.assert_allclose(accelerometer.S, imu.S_a, rtol=1e-14)

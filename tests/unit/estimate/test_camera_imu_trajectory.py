@@ -8,9 +8,9 @@ import pytest
 from gnomon import CameraImuScenario, simulate_camera_imu
 from gnomon.errors import InitialisationError
 from gnomon.estimate.camera_imu.batch import mean_weights
-from gnomon.estimate.camera_imu.knots import knots_per_s, motion_limit_hz, spectrum
+from gnomon.estimate.camera_imu.knots import knots_per_s, motion_limit_hz, power_spectrum
 from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, imu_path, initial_trajectory
-from gnomon.estimate.camera_imu.trajectory import Bases, Grid, Segment, Trajectory
+from gnomon.estimate.camera_imu.trajectory import Bases, KnotGrid, Segment, Trajectory
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.simulate.camera_imu_frames import START_NS
 
@@ -24,7 +24,7 @@ def grid_of(order, *, gap_s=1.0, spacing_s=0.1):
         R = rotation_from_rotvec(np.random.default_rng(number).normal(size=3))
         segments.append(Segment(start_s=start_s, spans=count, first=first, R_reference=R))
         start_s, first = start_s + count * spacing_s + gap_s, first + count + order - 1
-    return Grid(segments=tuple(segments), spacing_s=spacing_s, order=order)
+    return KnotGrid(segments=tuple(segments), spacing_s=spacing_s, order=order)
 
 
 def random_trajectory(order, seed=0):
@@ -222,7 +222,7 @@ def test_spectrum_has_the_power_of_a_sine_and_of_white_noise():
     t_s = np.arange(0, 60, 0.005)
     values = 0.2 * rng.normal(size=(len(t_s), 3))
     values[:, 1] += 3.0 * np.sin(2 * np.pi * 20.0 * t_s)
-    frequency, power = spectrum(t_s, values, 200.0)
+    frequency, power = power_spectrum(t_s, values, 200.0)
     step = frequency[1] - frequency[0]
     beside = np.abs(frequency - 20.0) > 2.0
     assert np.median(power[beside]) == pytest.approx(0.2**2 / 100.0, rel=0.1)  # one-sided, to 100 Hz

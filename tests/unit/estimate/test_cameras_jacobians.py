@@ -7,10 +7,10 @@ import pytest
 
 from board_views import BOARD, MODELS, lens, pose, seen
 from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise
-from gnomon.estimate.cameras.board_shape import offsets_information, stated
+from gnomon.estimate.cameras.board_shape import offsets_information, stated_shape
 from gnomon.estimate.cameras.first_rig import posed_rig
-from gnomon.estimate.cameras.layout import POSE, Layout
-from gnomon.estimate.cameras.normal import linearised, reduced, view_sums
+from gnomon.estimate.cameras.layout import POSE, SharedLayout
+from gnomon.estimate.cameras.normal import accumulate_normal_equations, eliminate_poses, view_sums
 from gnomon.estimate.cameras.views import camera_corners, gathered_views
 
 APART = np.stack([np.eye(4), pose([0.02, -0.15, 0.3], [-0.1, 0.02, 0.03])])
@@ -22,16 +22,19 @@ def _problem(model: str, board=EVERYTHING):
     views = gathered_views(seen(cameras, APART, 3, 5, fewest=16), BOARD)
     rng = np.random.default_rng(2)
     shape = replace(
-        stated(BOARD), aspect=0.01, bow_m=np.array([2e-3, -1e-3]), offsets=1e-3 * rng.standard_normal((len(BOARD), 3))
+        stated_shape(BOARD),
+        aspect=0.01,
+        bow_m=np.array([2e-3, -1e-3]),
+        offsets=1e-3 * rng.standard_normal((len(BOARD), 3)),
     )
     rig = replace(posed_rig(views, cameras, APART), board=shape)
     own = {name: np.arange(len(camera.parameters)) for name, camera in cameras.items()}
-    layout = Layout.of(cameras, own, board, len(BOARD))
+    layout = SharedLayout.of(cameras, own, board, len(BOARD))
     noise = dict.fromkeys(cameras, CornerNoise(sigma_px=0.5, huber=np.inf))
     return camera_corners(views), rig, layout, noise
 
 
-def _steps(layout: Layout, rig) -> np.ndarray:
+def _steps(layout: SharedLayout, rig) -> np.ndarray:
     """Return a small step of each shared column."""
     sizes = np.full(layout.size, 1e-6)
     for name, camera in rig.cameras.items():
@@ -43,11 +46,11 @@ def _steps(layout: Layout, rig) -> np.ndarray:
 def test_gradient_of_every_column(model) -> None:
     # The points of the board have columns of their own with one of the models.
     corners, rig, layout, noise = _problem(model, EVERYTHING if model == "ds-none" else ("aspect", "bow"))
-    at = linearised(corners, BOARD, rig, layout, noise)
+    at = accumulate_normal_equations(corners, BOARD, rig, layout, noise)
     views, still = len(at.cost), np.zeros((len(at.cost), POSE))
 
     def cost(poses, shared):
-        return linearised(corners, BOARD, layout.moved(rig, poses, shared), layout, noise).cost
+        return accumulate_normal_equations(corners, BOARD, layout.moved(rig, poses, shared), layout, noise).cost
 
     gradients = at.gradients()
     sizes = _steps(layout, rig)
@@ -71,18 +74,22 @@ def test_information_is_the_derivative_of_the_gradient_where_the_residuals_are_s
             one,
             exposures=replace(
                 one.exposures,
-                pixels=one.exposures.pixels + linearised(corners, BOARD, rig, layout, noise).sums[k].residual,
+                pixels=one.exposures.pixels
+                + accumulate_normal_equations(corners, BOARD, rig, layout, noise).sums[k].residual,
             ),
         )
         for k, one in enumerate(corners)
     ]
-    at = linearised(exact, BOARD, rig, layout, noise)
+    at = accumulate_normal_equations(exact, BOARD, rig, layout, noise)
     shared, border, sizes = at.shared(), at.border, _steps(layout, rig)
     still = np.zeros((len(at.cost), POSE))
     for k in (0, 5, 9, 14, layout.aspect.start, layout.bow.start, layout.offsets.start + 40):
         step = np.zeros(layout.size)
         step[k] = sizes[k]
-        two = [linearised(exact, BOARD, layout.moved(rig, still, sign * step), layout, noise) for sign in (1, -1)]
+        two = [
+            accumulate_normal_equations(exact, BOARD, layout.moved(rig, still, sign * step), layout, noise)
+            for sign in (1, -1)
+        ]
         slope = (two[0].gradients() - two[1].gradients()).sum(axis=0) / (2 * sizes[k])
         scale = np.sqrt(np.diag(shared) * shared[k, k])
         np.testing.assert_allclose(slope / scale, shared[k] / scale, atol=2e-5)
@@ -93,8 +100,8 @@ def test_information_is_the_derivative_of_the_gradient_where_the_residuals_are_s
 
 def test_sums_of_views_add_up_to_the_reduced_equations() -> None:
     corners, rig, layout, noise = _problem("eucm-none")
-    at = linearised(corners, BOARD, rig, layout, noise)
-    equations = reduced(at)
+    at = accumulate_normal_equations(corners, BOARD, rig, layout, noise)
+    equations = eliminate_poses(at)
     pull, information = view_sums(at)
     size = np.sqrt(np.diag(at.shared()))
     np.testing.assert_allclose(
@@ -104,7 +111,9 @@ def test_sums_of_views_add_up_to_the_reduced_equations() -> None:
 
 
 def test_offsets_hold_no_motion_of_the_whole_board() -> None:
-    layout = Layout.of({"cam0": lens("pinhole-none")}, {"cam0": np.arange(4)}, ("aspect", "bow", "corners"), len(BOARD))
+    layout = SharedLayout.of(
+        {"cam0": lens("pinhole-none")}, {"cam0": np.arange(4)}, ("aspect", "bow", "corners"), len(BOARD)
+    )
     moves = layout.board_moves(BOARD)
     information = offsets_information(BOARD, moves)
     free = np.linalg.eigvalsh(information)[0]
@@ -118,7 +127,7 @@ def test_steps_stay_within_what_the_models_allow() -> None:
     cameras = {"cam0": lens("ds-none")}
     views = gathered_views(seen(cameras, np.eye(4)[None], 2, 3), BOARD)
     rig = posed_rig(views, cameras, np.eye(4)[None])
-    layout = Layout.of(cameras, {"cam0": np.arange(6)}, (), len(BOARD))
+    layout = SharedLayout.of(cameras, {"cam0": np.arange(6)}, (), len(BOARD))
     far = np.array([5.0, 5.0, -1e5, 0.0, 0.0, 0.0])
     moved = layout.moved(rig, np.zeros((2, POSE)), far).cameras["cam0"]
     assert moved.parameters[0] == 1.0

@@ -8,11 +8,11 @@ from scipy.stats import chi2
 
 from board_views import BOARD, MODELS, STEP_NS, lens, pose, seen
 from gnomon.errors import InitialisationError, OptionError
-from gnomon.estimate.cameras.board_shape import places, stated
-from gnomon.estimate.cameras.first_lens import first_lens, fitted, general_lens
-from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, numbered_alike
-from gnomon.estimate.cameras.lens_prior import undetermined
-from gnomon.estimate.cameras.solution import solved
+from gnomon.estimate.cameras.board_shape import board_points, stated_shape
+from gnomon.estimate.cameras.first_lens import first_lens, fit_lens_model, general_lens
+from gnomon.estimate.cameras.first_rig import first_lenses, first_rig, number_views_alike
+from gnomon.estimate.cameras.lens_prior import undetermined_parameters
+from gnomon.estimate.cameras.solution import solve_rig
 from gnomon.estimate.cameras.views import gathered_views
 from gnomon.estimate.trust.clusters import jackknife_covariance
 from gnomon.geometry.rotation_vector import rotvec_from_rotation
@@ -42,7 +42,7 @@ def _sure(solution, errors: np.ndarray, covariance: np.ndarray, level: float = 1
 def test_lens_is_found_with_no_guess_and_the_truth_is_within_the_covariance(model) -> None:
     cameras = {"cam0": lens(model)}
     views = gathered_views(seen(cameras, ALONE, 30, 11), BOARD)
-    solution = solved(views, first_rig(views, {"cam0": model}))
+    solution = solve_rig(views, first_rig(views, {"cam0": model}))
     assert solution.converged
     assert solution.rig.cameras["cam0"].model == model
     assert solution.names == tuple(f"cam0.{name}" for name in cameras["cam0"].parameter_names)
@@ -71,7 +71,7 @@ def test_first_lens_of_unusual_cameras_with_wrong_corners(what) -> None:
     wrong = rng.random(len(frames.pixels)) < 0.05
     pixels = frames.pixels + wrong[:, None] * rng.normal(0, 30, frames.pixels.shape)
     views = gathered_views({"cam0": replace(frames, pixels=pixels)}, BOARD)
-    solution = solved(views, first_rig(views, {"cam0": model}))
+    solution = solve_rig(views, first_rig(views, {"cam0": model}))
     assert solution.sigma_px["cam0"] == pytest.approx(0.2, rel=0.2)  # the tails of the wrong ones count as far as cut
     _sure(solution, _errors(solution, {"cam0": camera}, ALONE), 1.5 * solution.ordinary)
 
@@ -83,7 +83,7 @@ def test_cameras_in_a_row_of_which_only_neighbours_share_views() -> None:
     views = gathered_views(frames, BOARD)
     both = (views.frame[:, 0] >= 0) & (views.frame[:, 2] >= 0)
     views = views.where(~both)
-    solution = solved(views, first_rig(views, {name: one.model for name, one in cameras.items()}))
+    solution = solve_rig(views, first_rig(views, {name: one.model for name, one in cameras.items()}))
     errors = _errors(solution, cameras, T)
     assert len(errors) == len(solution.names) == 8 + 6 + 6 + 8 + 6
     _sure(solution, errors, solution.ordinary)
@@ -114,7 +114,7 @@ def test_an_unknown_model_is_refused() -> None:
 def test_one_lens_is_fitted_to_another() -> None:
     camera = lens("ds-none")
     pixels = np.random.default_rng(1).uniform((100, 80), (650, 400), (400, 2))
-    other = fitted(camera, "pinhole-equidistant", pixels)
+    other = fit_lens_model(camera, "pinhole-equidistant", pixels)
     apart = other.project(camera.unproject(pixels)[0]).pixels - pixels
     assert np.sqrt(np.mean(apart**2)) < 0.3
 
@@ -129,12 +129,12 @@ def test_bad_frames_are_left_out_and_bad_corners_count_less() -> None:
     wrong = ~bad & (rng.random(len(pixels)) < 0.03)
     pixels[wrong] += rng.normal(0, 20, (wrong.sum(), 2))
     views = gathered_views({"cam0": replace(frames, pixels=pixels)}, BOARD)
-    solution = solved(views, first_rig(views, {"cam0": "pinhole-radtan"}))
+    solution = solve_rig(views, first_rig(views, {"cam0": "pinhole-radtan"}))
     used = set(solution.corners["cam0"].frame.tolist())
     assert not used & {3, 17}
     assert len(used) == len(set(frames.frame.tolist())) - 2
     _sure(solution, _errors(solution, cameras, ALONE), 1.5 * solution.ordinary)
-    plain = solved(views, solution.rig, robust=False)
+    plain = solve_rig(views, solution.rig, robust=False)
     assert set(plain.corners["cam0"].frame.tolist()) >= {3, 17}
     assert (plain.corners["cam0"].weight == 1).all()
     assert plain.sigma_px["cam0"] > 1
@@ -148,8 +148,8 @@ def test_what_the_detector_knows_of_corners_weighs_them() -> None:
     noisy = frames.pixels + np.sqrt(sigma**2 - 0.01)[:, None] * rng.standard_normal(frames.pixels.shape)
     views = gathered_views({"cam0": replace(frames, pixels=noisy, sigma_px=sigma)}, BOARD)
     start = first_rig(views, {"cam0": "pinhole-radtan"})
-    knowing = solved(views, start)
-    alike = solved(gathered_views({"cam0": replace(frames, pixels=noisy)}, BOARD), start)
+    knowing = solve_rig(views, start)
+    alike = solve_rig(gathered_views({"cam0": replace(frames, pixels=noisy)}, BOARD), start)
     assert np.sqrt(np.diag(knowing.ordinary)).sum() < 0.8 * np.sqrt(np.diag(alike.ordinary)).sum()
     assert np.ptp(np.log(knowing.corners["cam0"].spread)) == pytest.approx(np.log(10), rel=0.05)
     _sure(knowing, _errors(knowing, cameras, ALONE), knowing.ordinary)
@@ -158,10 +158,10 @@ def test_what_the_detector_knows_of_corners_weighs_them() -> None:
 def test_shape_of_the_board() -> None:
     cameras = {"cam0": lens("pinhole-radtan"), "cam1": lens("pinhole-equidistant")}
     T = np.stack([np.eye(4), pose([0, 0.1, 0], [-0.2, 0, 0])])
-    shape = replace(stated(BOARD), aspect=2e-3, bow_m=np.array([1.5e-3, -0.8e-3]))
-    views = gathered_views(seen(cameras, T, 40, 7, points=places(BOARD, shape)), BOARD)
+    shape = replace(stated_shape(BOARD), aspect=2e-3, bow_m=np.array([1.5e-3, -0.8e-3]))
+    views = gathered_views(seen(cameras, T, 40, 7, points=board_points(BOARD, shape)), BOARD)
     start = first_rig(views, {name: camera.model for name, camera in cameras.items()})
-    solution = solved(views, start, board=("aspect", "bow"))
+    solution = solve_rig(views, start, board=("aspect", "bow"))
     assert solution.names[-3:] == ("target.aspect", "target.bow[0]", "target.bow[1]")
     board = solution.rig.board
     errors = np.array([board.aspect - shape.aspect, *(board.bow_m - shape.bow_m)])
@@ -175,7 +175,7 @@ def test_places_of_the_points_of_the_board() -> None:
     shift = 3e-4 * np.random.default_rng(1).standard_normal((len(BOARD), 3)) * (1, 1, 0.3)
     views = gathered_views(seen(cameras, ALONE, 40, 8, points=BOARD.points + shift), BOARD)
     start = first_rig(views, {"cam0": "pinhole-radtan"})
-    solution = solved(views, start, board=("corners",))
+    solution = solve_rig(views, start, board=("corners",))
     assert solution.sigma_px["cam0"] == pytest.approx(0.2, rel=0.05)
     # Up to a shift, a turn and a size of the whole board, which no view tells.
     basis = np.concatenate([np.tile(np.eye(3), (1, len(BOARD))).reshape(3, -1), [BOARD.points.ravel()]])
@@ -200,12 +200,12 @@ def test_one_attitude_leaves_lenses_open_but_does_not_run_away() -> None:
         point=np.tile(frames.point, 6),
         pixels=np.tile(frames.pixels, (6, 1)) + np.random.default_rng(1).normal(0, 0.2, (6 * len(frames.point), 2)),
     )
-    solution = solved(one := gathered_views({"cam0": same}, BOARD), first_rig(one, {"cam0": "pinhole-radtan"}))
+    solution = solve_rig(one := gathered_views({"cam0": same}, BOARD), first_rig(one, {"cam0": "pinhole-radtan"}))
     assert np.isfinite(solution.rig.cameras["cam0"].parameters).all()
     assert 30 < solution.rig.cameras["cam0"].parameters[0] < 5000
-    assert undetermined(solution)
-    full = solved(views, first_rig(views, {"cam0": "pinhole-none"}))
-    assert not undetermined(full)
+    assert undetermined_parameters(solution)
+    full = solve_rig(views, first_rig(views, {"cam0": "pinhole-none"}))
+    assert not undetermined_parameters(full)
 
 
 @pytest.mark.parametrize("kind", ["even", "square"])
@@ -226,8 +226,8 @@ def test_boards_that_look_the_same_from_two_ends_are_numbered_alike_by_all_camer
         frames[name] = replace(one, point=point[order], pixels=one.pixels[order])
     views = gathered_views(frames, board)
     lenses = first_lenses(views, {name: camera.model for name, camera in cameras.items()})
-    views = numbered_alike(views, lenses, numberings)
-    solution = solved(views, first_rig(views, {name: one.model for name, one in lenses.items()}, lenses))
+    views = number_views_alike(views, lenses, numberings)
+    solution = solve_rig(views, first_rig(views, {name: one.model for name, one in lenses.items()}, lenses))
     assert max(solution.sigma_px.values()) < 0.25
     _sure(solution, _errors(solution, cameras, T), solution.ordinary)
 
@@ -238,7 +238,7 @@ def _joint(model: str, seeds: range, views: int, common_px: float) -> tuple[floa
     ordinary = clustered = 0.0
     for seed in seeds:
         found = gathered_views(seen(cameras, ALONE, views, seed, common_px=common_px), BOARD)
-        solution = solved(found, first_rig(found, {"cam0": model}, cameras))
+        solution = solve_rig(found, first_rig(found, {"cam0": model}, cameras))
         errors = _errors(solution, cameras, ALONE)
         ordinary += errors @ np.linalg.solve(solution.ordinary, errors)
         clustered += errors @ np.linalg.solve(jackknife_covariance(solution.sums), errors)

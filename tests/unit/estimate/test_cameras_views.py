@@ -7,7 +7,7 @@ import pytest
 
 from board_views import BOARD, STEP_NS, lens, pose, seen
 from gnomon.estimate.cameras.alike import views_alike
-from gnomon.estimate.cameras.views import camera_corners, gathered_views, renumbered
+from gnomon.estimate.cameras.views import camera_corners, gathered_views, renumber_camera
 from gnomon.recording import CameraFrames
 
 PAIR = {"cam0": lens("pinhole-radtan"), "cam1": lens("pinhole-radtan")}
@@ -80,7 +80,7 @@ def test_renumbering_a_view_moves_its_points_and_no_other(frames) -> None:
     way = np.zeros(len(views), np.int64)
     at = int(np.flatnonzero(views.frame[:, 1] >= 0)[2])
     way[at] = 1
-    changed = renumbered(views, 1, way, np.stack([np.arange(len(BOARD)), turned]))
+    changed = renumber_camera(views, 1, way, np.stack([np.arange(len(BOARD)), turned]))
     before, after = views.cameras["cam1"], changed.cameras["cam1"]
     mine = before.frame == views.frame[at, 1]
     np.testing.assert_array_equal(after.point[~mine], before.point[~mine])

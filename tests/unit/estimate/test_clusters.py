@@ -8,7 +8,7 @@ from gnomon.estimate.trust.clusters import (
     held_out_costs,
     in_clusters,
     jackknife_covariance,
-    left_out,
+    leave_clusters_out,
     part_estimates,
 )
 
@@ -43,7 +43,7 @@ def _estimate(a: np.ndarray, y: np.ndarray, prior: np.ndarray) -> np.ndarray:
 def test_left_out_is_the_estimate_without_the_cluster() -> None:
     a, y, sums = _problem(0)
     whole = _estimate(a, y, sums.prior_information)
-    for c, moved in enumerate(left_out(sums)):
+    for c, moved in enumerate(leave_clusters_out(sums)):
         others = np.arange(len(a)) != c
         assert whole + moved == pytest.approx(_estimate(a[others], y[others], sums.prior_information), rel=1e-9)
 
@@ -56,7 +56,7 @@ def test_gathered_cells_are_the_same_estimates_as_whole_clusters() -> None:
     whole = _estimate(a, y, sums.prior_information)
     others = number != 1
     expected = _estimate(a[others], y[others], sums.prior_information)
-    assert whole + left_out(clusters)[1] == pytest.approx(expected, rel=1e-9)
+    assert whole + leave_clusters_out(clusters)[1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_parts_are_estimated_from_their_own_clusters() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.layout import layout
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.choices import estimation_choices
+from gnomon.estimate.camera_imu.layout import border_layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.start.board_poses import board_poses
 from gnomon.estimate.camera_imu.terms.corner_sums import CornerNoise, Exposures, corner_sums
 from gnomon.options import CameraImuOptions
@@ -27,7 +27,7 @@ def known(recording: Recording, covariance: np.ndarray | None) -> Recording:
     return replace(recording, cameras={"cam0": frames})
 
 
-def parameters(camera, covariance) -> Parameters:
+def parameters(camera, covariance) -> RigParameters:
     entry = CameraParameters(
         name="cam0",
         R_cam_imu=np.eye(3),
@@ -36,7 +36,7 @@ def parameters(camera, covariance) -> Parameters:
         camera=camera,
         lens_covariance=covariance,
     )
-    return Parameters(
+    return RigParameters(
         gravity_axes=gravity_axes(np.array([0.0, 0.0, -1.0])),
         gravity_m_s2=9.81,
         target_scale=1.0,
@@ -54,8 +54,8 @@ def test_information_is_the_inverse_of_what_is_known(simulation):
     camera = simulation.recording.cameras["cam0"].camera
     covariance = correlated(np.random.default_rng(0), 8)
     start = parameters(camera, covariance)
-    chosen = choices(start, CameraImuOptions())
-    columns = layout(start, chosen.status, chosen.prior_sigma)
+    chosen = estimation_choices(start, CameraImuOptions())
+    columns = border_layout(start, chosen.status, chosen.prior_sigma)
     at = [columns.names.index(name) for name in start.cameras[0].lens_names()]
     np.testing.assert_allclose(columns.prior_information[np.ix_(at, at)], np.linalg.inv(covariance), rtol=1e-12)
     np.testing.assert_allclose(columns.prior_sigma[at], np.sqrt(np.diag(covariance)))
@@ -69,12 +69,12 @@ def test_what_the_user_states_comes_first(simulation):
     options = CameraImuOptions(
         prior=("cam0.intrinsics[0]=0.25",), fix=("cam0.distortion_coeffs",), free=("cam0.intrinsics[1]",)
     )
-    chosen = choices(start, options)
+    chosen = estimation_choices(start, options)
     assert chosen.prior_sigma["cam0.intrinsics[0]"] == 0.25
     assert chosen.status["cam0.distortion_coeffs[2]"] == "fixed"
     assert chosen.status["cam0.intrinsics[1]"] == "estimated"
     assert "cam0.intrinsics[1]" not in chosen.prior_sigma
-    columns = layout(start, chosen.status, chosen.prior_sigma)
+    columns = border_layout(start, chosen.status, chosen.prior_sigma)
     row = columns.prior_information[columns.names.index("cam0.intrinsics[0]")]
     assert np.count_nonzero(row) == 1
     assert row.max() == 0.25**-2
@@ -83,7 +83,7 @@ def test_what_the_user_states_comes_first(simulation):
 def test_scalars_that_are_known_exactly_are_kept(simulation):
     camera = simulation.recording.cameras["cam0"].camera
     covariance = np.diag([1.0, 1.0, 1.0, 1.0, 0, 0, 0, 0])
-    chosen = choices(parameters(camera, covariance), CameraImuOptions())
+    chosen = estimation_choices(parameters(camera, covariance), CameraImuOptions())
     assert chosen.status["cam0.intrinsics[3]"] == "prior"
     assert chosen.status["cam0.distortion_coeffs[0]"] == "fixed"
 

@@ -18,8 +18,8 @@ from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.report.drawing.rig import origin_figure
 from gnomon.results.calibration import Covariance
-from gnomon.results.parameters import covariance_names, parameters
-from gnomon.results.trust import Need, TrustNote
+from gnomon.results.parameters import calibration_parameters, covariance_names
+from gnomon.results.trust import Need, UncertaintySummary
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 from gnomon.writers.tables import summary_table
@@ -75,7 +75,9 @@ def scalars(calibration, at):
     """Return all scalars, of rotations the small ones on the right from those of `at`."""
     found = []
     for (name, value), (_, origin) in zip(
-        parameters(calibration.imus, calibration.cameras), parameters(at.imus, at.cameras), strict=True
+        calibration_parameters(calibration.imus, calibration.cameras),
+        calibration_parameters(at.imus, at.cameras),
+        strict=True,
     ):
         turn = rotation_from_rotvec(origin).T @ rotation_from_rotvec(value) if name.endswith("rotation") else None
         found.append(np.ravel(value) if turn is None else rotvec_from_rotation(turn))
@@ -147,7 +149,7 @@ def test_places_turn_with_the_body_frame(camera_calibration):
 
 
 def trusted(calibration):
-    note = TrustNote(
+    note = UncertaintySummary(
         covariance="cluster-robust", clusters=29, cluster_s=2.0, split_z=1.125, added=("lever arms", "board"), tries=7,
         sigma_ratio={"imu0.gyroscope.bias": 3.5, "cam0.T_cam_imu.rotation": float("inf")}, use="vio",
         needs=(

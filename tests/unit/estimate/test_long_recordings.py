@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from gnomon.estimate.trust.clusters import ClusterSums
-from gnomon.estimate.trust.model_choice import Candidate, model_steps
-from gnomon.estimate.trust.robust import _jackknife, robust
+from gnomon.estimate.trust.model_choice import CandidateBlock, model_steps
+from gnomon.estimate.trust.robust import _jackknife, robust_variances
 from gnomon.solve.bordered_band import BorderedBand, Workspace
 
 SIZE = 6
@@ -49,10 +49,10 @@ def test_the_jackknife_is_that_of_the_whole_covariance_of_the_pulls():
 def test_memory_of_clusters_grows_with_their_number_and_not_with_its_square():
     def work(count: int) -> Callable[[], object]:
         many, block = sums(count), np.arange(SIZE)
-        steps = [Candidate(name="last", columns=np.array([SIZE - 1]), away=np.zeros(1))]
+        steps = [CandidateBlock(name="last", columns=np.array([SIZE - 1]), away=np.zeros(1))]
 
         def all_of_it() -> None:
-            robust([many, many.gathered(np.arange(count) // 2)], np.eye(SIZE), block)
+            robust_variances([many, many.gathered(np.arange(count) // 2)], np.eye(SIZE), block)
             model_steps(many, np.arange(SIZE - 1), steps)
 
         return all_of_it
@@ -75,7 +75,9 @@ def test_clusters_in_any_order_are_gathered():
 
 def test_of_thousands_of_clusters_the_gain_that_chance_needs_is_that_of_their_signs():
     many = sums(3_000)
-    (step,) = model_steps(many, np.arange(SIZE - 1), [Candidate(name="b", columns=np.array([5]), away=np.zeros(1))])
+    (step,) = model_steps(
+        many, np.arange(SIZE - 1), [CandidateBlock(name="b", columns=np.array([5]), away=np.zeros(1))]
+    )
     spread = step.gain_sigma  # of a sum of so many the 99 % point is that of a normal distribution
     assert 0.9 < step.needed / max(2.326 * spread, 2.0) < 1.15
 

@@ -8,7 +8,7 @@ import pytest
 import gnomon
 from gnomon.calibrate.magnetometer import calibrate_magnetometer
 from gnomon.errors import DetectionError, OptionError, RecordingError
-from gnomon.estimate.triads.blocks import Blocks, Stage, block_covariance, left_out, memory_s
+from gnomon.estimate.triads.blocks import Stage, TimeBlocks, block_covariance, leave_blocks_out, memory_s
 from gnomon.estimate.triads.dip import fit_dip
 from gnomon.estimate.triads.field_poses import field_poses, rough_ellipsoid, sample_noise
 from gnomon.estimate.triads.triad_start import Ellipsoid
@@ -395,9 +395,9 @@ def test_blocks_tell_the_sigma_of_a_mean_with_memory() -> None:
         stage = Stage(residual=residual, jacobian=-np.ones((len(t), 1)), covariance=np.array([[1 / len(t)]]))
         memory = memory_s(t, residual)
         assert 1.0 < memory < 6.0
-        blocks = Blocks.of(t, memory)
+        blocks = TimeBlocks.of(t, memory)
         assert blocks.long_enough
-        moves = left_out([stage], blocks.block)
+        moves = leave_blocks_out([stage], blocks.block)
         found.append(np.sqrt(block_covariance([stage], blocks, moves)[0, 0]))
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(truth, rel=0.2)
 
@@ -408,7 +408,7 @@ def test_leaving_a_block_out_is_fitting_without_it() -> None:
     x = np.linalg.lstsq(a, y, rcond=None)[0]
     block = np.repeat(np.arange(6), 10)
     stage = Stage(residual=a @ x - y, jacobian=a, covariance=np.linalg.inv(a.T @ a))
-    moves = left_out([stage], block)
+    moves = leave_blocks_out([stage], block)
     for k in range(6):
         kept = block != k
         np.testing.assert_allclose(moves[k], np.linalg.lstsq(a[kept], y[kept], rcond=None)[0] - x, atol=1e-12)

@@ -12,18 +12,18 @@ from gnomon.estimate.multiposition.leave_one_out import leave_one_out
 from gnomon.estimate.multiposition.model import (
     CG_,
     PARAMETERS,
-    Linearisation,
-    State,
+    MultiPositionLinearization,
+    MultiPositionState,
     Whitening,
-    linearise,
+    linearize_model,
     normal_equations,
 )
-from gnomon.estimate.multiposition.rotations import integrate, propagate
-from gnomon.estimate.multiposition.scaling import Scaling, unscaled
+from gnomon.estimate.multiposition.rotations import integrate_rates, propagate_directions
+from gnomon.estimate.multiposition.scaling import Scaling, to_physical_units
 from gnomon.geometry.so3 import tangent_basis
 from gnomon.models.frames import frame_rotation, rotation_jacobian
 from gnomon.models.gravity import EARTH_RATE_RAD_S
-from gnomon.results.calibration import ImuCalibration, parameters, rotated
+from gnomon.results.calibration import ImuCalibration, calibration_parameters, rotate_imu
 from gnomon.solve.arrow import solve_arrow
 
 SMALL = {"intervals": 16, "t_init_s": 5.0, "hold_s": (2.5, 3.5)}
@@ -59,7 +59,7 @@ def either(request, noisy, fitted):
 
 
 def matrices(imu: ImuCalibration):
-    return [value for _, value in parameters({"": imu})]
+    return [value for _, value in calibration_parameters({"": imu})]
 
 
 def flat(values):
@@ -67,7 +67,7 @@ def flat(values):
 
 
 def estimate_of(problem, fit, accelerometer=None, gravity=GRAVITY, gravity_sigma=0.0, latitude=None):
-    return unscaled(
+    return to_physical_units(
         fit,
         accelerometer or problem.accelerometer,
         problem.gyroscope,
@@ -116,7 +116,7 @@ def central_differences(data, state, move, h=1e-6):
 
     def residuals(sign):
         state = move(sign * h)
-        lines = linearise(data, state)
+        lines = linearize_model(data, state)
         gap = state.u[1:] - lines.propagated  # lines.rotation has tangent planes that turn with u
         return lines.accelerometer, lines.gyroscope, np.einsum("kij,ki->kj", basis[1:], gap)
 
@@ -131,14 +131,14 @@ def off_minimum(either):
     size = np.full(len(fit.state.theta), 0.01)
     size[CG_] = 0.02 * np.abs(fit.state.theta[CG_]).max()
     state = fit.state.moved(size * rng.normal(size=len(size)), 0.01 * rng.normal(size=(len(fit.state.u), 2)))
-    return problem.data, state, linearise(problem.data, state)
+    return problem.data, state, linearize_model(problem.data, state)
 
 
 def test_derivatives_by_parameters(off_minimum):
     data, state, lines = off_minimum
     for k, one in enumerate(np.eye(len(state.theta))):
         still, at_rest, turned = central_differences(
-            data, state, lambda d, one=one: State(theta=state.theta + d * one, u=state.u)
+            data, state, lambda d, one=one: MultiPositionState(theta=state.theta + d * one, u=state.u)
         )
         np.testing.assert_allclose(lines.accelerometer_theta[:, :, k], still, atol=1e-8)
         np.testing.assert_allclose(lines.gyroscope_theta[:, :, k], at_rest, atol=1e-8)
@@ -167,7 +167,7 @@ def test_extrapolation_is_linear(off_minimum):
     data, state, lines = off_minimum
     rng = np.random.default_rng(12)
     d_theta, d_u = 1e-5 * rng.normal(size=len(state.theta)), 1e-5 * rng.normal(size=(len(state.u), 2))
-    again, foretold = linearise(data, state.moved(d_theta, d_u)), lines.extrapolated(d_theta, d_u)
+    again, foretold = linearize_model(data, state.moved(d_theta, d_u)), lines.extrapolated(d_theta, d_u)
     np.testing.assert_allclose(foretold.accelerometer, again.accelerometer, atol=1e-9)
     np.testing.assert_allclose(foretold.gyroscope, again.gyroscope, atol=1e-9)
     # Lengths, as the tangent plane's two axes turn with u; the trapezoid rule's share is 1e-7.
@@ -176,7 +176,7 @@ def test_extrapolation_is_linear(off_minimum):
     )
 
 
-def dense(lines: Linearisation, whitening: Whitening, free):
+def dense(lines: MultiPositionLinearization, whitening: Whitening, free):
     """Return Jacobian and residual of the whole problem without its structure: directions first, then parameters."""
     n, p = len(lines.accelerometer), int(free.sum())
     rows, residuals = [np.zeros((p, 2 * n + p))], [np.zeros(p)]
@@ -247,7 +247,7 @@ def test_noiseless_recording_gives_the_truth(multiposition):
 
 
 def true_cost(data, fit, theta, u):
-    lines = linearise(data, State(theta=theta, u=u))
+    lines = linearize_model(data, MultiPositionState(theta=theta, u=u))
     parts = [
         np.einsum("kij,kj->ki", fit.whitening.accelerometer, lines.accelerometer),
         np.einsum("kij,kj->ki", fit.whitening.gyroscope, lines.gyroscope),
@@ -445,7 +445,7 @@ def test_rotation_left_out_is_what_refitting_without_it_gives(noisy, fitted):
         rate = (data.segments.gyroscope - b_g - force @ g.T) @ c_g.T
         u = np.linalg.solve(s, (data.accelerometer - b).T).T
         u /= np.linalg.norm(u, axis=1, keepdims=True)
-        error = u[1:] - propagate(integrate(data.segments, rate).rotation, u[:-1])
+        error = u[1:] - propagate_directions(integrate_rates(data.segments, rate).rotation, u[:-1])
         refitted = tangent_basis(fitted.state.u)[k + 1].T @ error[k]
         np.testing.assert_allclose(held.rotation[k], refitted, atol=0.05 * scale)
     assert np.mean(held.rotation**2) > np.mean(held.rotation_fit**2)
@@ -480,7 +480,7 @@ def test_covariance_in_the_sensors_units_against_differences(noisy, fitted, lati
     gravity_sigma = 0.01
 
     def values(theta, gravity=GRAVITY, earth=0.0):
-        moved = replace(fitted, state=State(theta=theta, u=fitted.state.u))
+        moved = replace(fitted, state=MultiPositionState(theta=theta, u=fitted.state.u))
         estimate = estimate_of(noisy, moved, gravity=gravity, latitude=latitude)
         found = list(values_of(estimate))
         found[4] = found[4] - found[2] * earth / gravity
@@ -578,5 +578,5 @@ def test_left_handed_accelerometer_keeps_a_minus_in_either_frame(random_calibrat
     for frame in ("accel-x", "accel-z"):
         rotation = frame_rotation(mirrored.sensitivity, frame)
         assert np.linalg.det(rotation) == pytest.approx(1.0)
-        turned = rotated(replace(imu, accelerometer=mirrored), rotation).accelerometer.sensitivity
+        turned = rotate_imu(replace(imu, accelerometer=mirrored), rotation).accelerometer.sensitivity
         assert np.count_nonzero(np.diag(turned) < 0) == 1

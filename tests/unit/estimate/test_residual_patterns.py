@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.camera_imu.result.residual_patterns import _neighbours, _pattern, along_board
-from gnomon.estimate.camera_imu.terms.board import Board
+from gnomon.estimate.camera_imu.terms.board import BoardPoints
 from gnomon.models.target import Target
 
 LABELS, RATE_HZ = 40, 10.0
@@ -59,10 +59,10 @@ def test_residuals_are_turned_along_the_board(angle):
 
 
 def test_neighbours_of_tags_are_the_same_corners_of_the_next_tag():
-    board = Board.nominal(Target.aprilgrid(tag_cols=3, tag_rows=2, tag_size_m=0.08, tag_spacing=0.3))
+    board = BoardPoints.nominal(Target.aprilgrid(tag_cols=3, tag_rows=2, tag_size_m=0.08, tag_spacing=0.3))
     pairs = _neighbours(board)
     assert len(pairs) == 4 * (2 * 2 + 3)
     apart = board.points[pairs[:, 1]] - board.points[pairs[:, 0]]
     np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 0.104)
-    plain = Board.nominal(Target.checkerboard(cols=4, rows=3, row_spacing_m=0.03, col_spacing_m=0.03))
+    plain = BoardPoints.nominal(Target.checkerboard(cols=4, rows=3, row_spacing_m=0.03, col_spacing_m=0.03))
     assert len(_neighbours(plain)) == 3 * 3 + 4 * 2

@@ -7,9 +7,9 @@ import pytest
 
 import gnomon
 from cameras_example import cameras_calibration
-from gnomon.estimate.camera_imu.choices import choices
-from gnomon.estimate.camera_imu.layout import layout
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
+from gnomon.estimate.camera_imu.choices import estimation_choices
+from gnomon.estimate.camera_imu.layout import border_layout
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
 from gnomon.estimate.camera_imu.rig_prior import from_known, pose_residual
 from gnomon.estimate.camera_imu.terms.prior_terms import border_priors
 from gnomon.formats.shared.baselines import baseline_of
@@ -74,7 +74,7 @@ def own_block(rig, name):
 
 
 def parameters(truth, rig, lenses):
-    return Parameters(
+    return RigParameters(
         gravity_axes=gravity_axes(np.array([0.1, 0.2, -1.0])),
         gravity_m_s2=9.81,
         target_scale=1.0,
@@ -98,8 +98,8 @@ def parameters(truth, rig, lenses):
 def border(simulation):
     rig, lenses = drawn_rig(simulation.truth, 0)
     start = parameters(simulation.truth, rig, lenses)
-    chosen = choices(start, CameraImuOptions())
-    return layout(start, chosen.status, chosen.prior_sigma), rig
+    chosen = estimation_choices(start, CameraImuOptions())
+    return border_layout(start, chosen.status, chosen.prior_sigma), rig
 
 
 def test_jacobian_of_the_poses(border):

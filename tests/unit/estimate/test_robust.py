@@ -5,10 +5,10 @@ import pytest
 
 from gnomon.estimate.multiposition.drift import accelerometer_drifts, with_trend
 from gnomon.estimate.multiposition.fit import fit_multiposition
-from gnomon.estimate.multiposition.sums import stretch_sums
-from gnomon.estimate.trust.cluster_trust import trusted
+from gnomon.estimate.multiposition.sums import segment_sums
+from gnomon.estimate.trust.cluster_trust import robust_covariance
 from gnomon.estimate.trust.clusters import ClusterSums
-from gnomon.estimate.trust.robust import _jackknife, clustered, memory
+from gnomon.estimate.trust.robust import _jackknife, correlation_time, group_into_clusters
 
 NAMES = ("x.scale[0]", "x.scale[1]", "x.scale[2]", "x.bias[0]", "x.bias[1]", "x.bias[2]")
 BLOCK = np.array([0, 0, 0, 1, 1, 1])
@@ -42,7 +42,7 @@ def linear(rng, stretches=36, rows=2, correlation=0.0, drift=0.0):
 
 def found(sums):
     ordinary = np.linalg.inv(sums.total)
-    return trusted(sums, np.eye(6), NAMES, ordinary, biases=("x.bias",))
+    return robust_covariance(sums, np.eye(6), NAMES, ordinary, biases=("x.bias",))
 
 
 def z_rms(rng, count, **options):
@@ -85,11 +85,14 @@ def test_factors_without_shrinkage_are_right_on_the_average():
 
 def test_memory_makes_clusters_longer():
     rng = np.random.default_rng(4)
-    seen = [memory(linear(rng, stretches=48, correlation=c)[0], np.eye(6), BLOCK) for c in (0.0,) * 20 + (0.8,) * 20]
+    seen = [
+        correlation_time(linear(rng, stretches=48, correlation=c)[0], np.eye(6), BLOCK)
+        for c in (0.0,) * 20 + (0.8,) * 20
+    ]
     assert np.mean(np.array(seen[:20]) > 0) < 0.4
     assert np.mean(np.array(seen[20:]) > 0) > 0.8
     sums, _ = linear(rng, stretches=48)
-    phases, length = clustered(sums, 1)
+    phases, length = group_into_clusters(sums, 1)
     assert length == 3
     assert [len(phase) for phase in phases] == [16, 17]
     np.testing.assert_allclose(phases[1].total, sums.total, rtol=1e-12)
@@ -115,7 +118,7 @@ def test_stretches_add_up_to_the_whole(multiposition):
     for walk, g_sensitivity in ((0.0, True), (3e-4, True), (0.0, False)):
         problem, _ = multiposition(4, g_sensitivity=2e-4, intervals=24, t_init_s=10.0, gyroscope_bias_walk=walk)
         fit = fit_multiposition(problem.data, g_sensitivity=g_sensitivity)
-        sums = stretch_sums(fit)
+        sums = segment_sums(fit)
         sigma = np.sqrt(np.diag(fit.arrow.corner_covariance))
         np.testing.assert_allclose((sums.pull.sum(axis=0) + sums.prior_pull) * sigma, 0.0, atol=1e-4)
         inverse = np.linalg.inv(fit.arrow.corner_covariance / np.outer(sigma, sigma))

@@ -6,13 +6,19 @@ import pytest
 from gnomon.estimate.multiposition.rotations import (
     MotionSegments,
     cut_segments,
-    integrate,
+    integrate_rates,
     linear_start,
-    propagate,
+    propagate_directions,
     segments_between,
 )
 from gnomon.estimate.multiposition.tedaldi import fit_gyroscope, leave_group_out
-from gnomon.geometry.quaternion import multiply, normalised, rk4n_steps, rotation_from_quaternion, running_products
+from gnomon.geometry.quaternion import (
+    normalise_quaternion,
+    quaternion_product,
+    rk4n_steps,
+    rotation_from_quaternion,
+    running_products,
+)
 
 
 def bump(t, duration):
@@ -77,11 +83,11 @@ def test_cut_segments_keeps_samples_and_steps():
 
 def test_integrated_rotation_is_the_product_of_its_steps():
     omega, dt, lengths, _ = motions(50.0)
-    turns = integrate(as_segments(omega, dt, lengths), omega)
+    turns = integrate_rates(as_segments(omega, dt, lengths), omega)
     for k, (a, n) in enumerate(zip(np.cumsum(lengths) - lengths, lengths, strict=True)):
         q = np.array([1.0, 0, 0, 0])
         for i in range(a, a + n - 1):
-            q = normalised(multiply(q, rk4n_steps(omega[i], omega[i + 1], dt[i])))
+            q = normalise_quaternion(quaternion_product(q, rk4n_steps(omega[i], omega[i + 1], dt[i])))
         np.testing.assert_allclose(turns.rotation[k], rotation_from_quaternion(q), atol=1e-13)
 
 
@@ -89,7 +95,7 @@ def test_gravity_is_propagated_into_the_turned_body():
     # Eq. (3.7): a body that turns by +90 degrees about x sees a vector that stood along y stand along -z.
     rate = np.tile([np.pi / 2, 0, 0], (101, 1))
     segments = as_segments(rate, np.append(np.full(100, 0.01), 0.0), np.array([101]))
-    found = propagate(integrate(segments, rate).rotation, np.array([[0.0, 1.0, 0.0]]))
+    found = propagate_directions(integrate_rates(segments, rate).rotation, np.array([[0.0, 1.0, 0.0]]))
     np.testing.assert_allclose(found, [[0, 0, -1]], atol=1e-9)
 
 
@@ -115,12 +121,12 @@ def test_sensitivities_are_derivatives_up_to_the_trapezoid_rule(rate_hz, toleran
     regressors = np.column_stack([omega, np.ones(len(omega)), path])
     segments = as_segments(omega, dt, lengths)
     coefficients = np.concatenate([np.eye(3), np.zeros((3, 4))], axis=1)
-    turns = integrate(segments, omega, regressors)
+    turns = integrate_rates(segments, omega, regressors)
     expected = np.empty_like(turns.sensitivity)
     for a, c in np.ndindex(3, 7):
         step = np.zeros((3, 7))
         step[a, c] = 1e-5
-        plus, minus = (integrate(segments, regressors @ (coefficients + s * step).T).rotation for s in (1, -1))
+        plus, minus = (integrate_rates(segments, regressors @ (coefficients + s * step).T).rotation for s in (1, -1))
         expected[:, :, a, c] = small_turn(minus, plus) / 2e-5
     size = np.abs(expected).max(axis=(0, 1, 2))  # of the columns: rate, bias, force
     assert (np.abs(turns.sensitivity - expected) / size).max() < tolerance
@@ -168,7 +174,9 @@ def test_gyroscope_jacobian_and_the_minimum():
     fit = fit_gyroscope(segments, 9.81 * path, u_start, u_end)
 
     def residual(correction):
-        return u_end - propagate(integrate(segments, segments.gyroscope @ correction.T).rotation, u_start)
+        return u_end - propagate_directions(
+            integrate_rates(segments, segments.gyroscope @ correction.T).rotation, u_start
+        )
 
     np.testing.assert_allclose(fit.residual, residual(fit.correction), atol=1e-12)
     gradient = np.empty(9)
@@ -193,6 +201,6 @@ def test_leaving_a_rotation_out_is_what_refitting_without_it_gives():
         samples = np.repeat(keep, segments.lengths)
         others = as_segments(segments.gyroscope[samples], segments.dt_s[samples], segments.lengths[keep])
         fit_without = fit_gyroscope(others, 9.81 * path[samples], u_start[keep], u_end[keep])
-        rotation = integrate(segments, segments.gyroscope @ fit_without.correction.T).rotation
-        refitted = u_end[k] - propagate(rotation, u_start)[k]
+        rotation = integrate_rates(segments, segments.gyroscope @ fit_without.correction.T).rotation
+        refitted = u_end[k] - propagate_directions(rotation, u_start)[k]
         np.testing.assert_allclose(foretold[k], refitted, atol=0.02 * np.abs(foretold).max())

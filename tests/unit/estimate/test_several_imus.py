@@ -12,12 +12,12 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from camera_imu_problem import problem
 from gnomon.assess.cameras.rig_residuals import cut_findings
 from gnomon.errors import FormatError, OptionError
-from gnomon.estimate.camera_imu.choices import choices
+from gnomon.estimate.camera_imu.choices import estimation_choices
 from gnomon.estimate.camera_imu.parameters import ImuParameters
 from gnomon.estimate.camera_imu.start.imu_alignment import with_stated_pose
 from gnomon.estimate.camera_imu.start.initial_trajectory import ImuPath, initial_trajectory
 from gnomon.estimate.camera_imu.terms.imu_prediction import predicted_readings
-from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, TriadData, apart, well_inside
+from gnomon.estimate.camera_imu.terms.inertial_data import InertialData, TriadData, split_triads, within_trajectory
 from gnomon.formats.own.calibration_file import load
 from gnomon.formats.own.calibration_text import calibration_text, save
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
@@ -26,7 +26,7 @@ from gnomon.models.origin import Origin, single_point_weights
 from gnomon.options import CameraImuOptions
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.results.calibration import Calibration, Covariance
-from gnomon.results.parameters import covariance_names, moved_into_frame, moved_to_origin, parameters
+from gnomon.results.parameters import calibration_parameters, covariance_names, moved_into_frame, moved_to_origin
 from gnomon.simulate.camera_imu import simulate_camera_imu
 from gnomon.simulate.camera_imu_scenario import CameraImuScenario
 
@@ -72,7 +72,9 @@ def two_imus(camera_calibration, random_calibration):
 def scalars(imus, cameras, at):
     """Return all scalars, of rotations the small ones on the right from those of `at`."""
     found = []
-    for (name, value), (_, origin) in zip(parameters(imus, cameras), parameters(*at), strict=True):
+    for (name, value), (_, origin) in zip(
+        calibration_parameters(imus, cameras), calibration_parameters(*at), strict=True
+    ):
         turn = rotation_from_rotvec(origin).T @ rotation_from_rotvec(value) if name.endswith("rotation") else None
         found.append(np.ravel(value) if turn is None else rotvec_from_rotation(turn))
     return np.concatenate(found)
@@ -196,7 +198,7 @@ def test_files_that_are_wrong_are_refused(two_imus, tmp_path, old, new, said):
 
 
 def status_of(of, **options):
-    return choices(of.state.parameters, CameraImuOptions(**options)).status
+    return estimation_choices(of.state.parameters, CameraImuOptions(**options)).status
 
 
 def test_pose_and_clock_are_always_estimated_and_delays_where_stamps_differ():
@@ -243,7 +245,7 @@ def test_readings_near_the_ends_are_left_out_while_a_clock_moves():
         accelerometer=TriadData(values=np.zeros((701, 3)), used=np.ones(701, dtype=bool)),
     )
     imu = replace(ImuParameters.ideal(), time_shift_s=0.1, accelerometer_shift_s=0.02)
-    gyroscope, accelerometer = (well_inside(grid, one, imu, 0.05) for one in apart(data))
+    gyroscope, accelerometer = (within_trajectory(grid, one, imu, 0.05) for one in split_triads(data))
     for one, shift in ((gyroscope, 0.1), (accelerometer, 0.12)):
         at = one.t_s + shift
         edges = [(s.start_s, s.start_s + s.spans * grid.spacing_s) for s in grid.segments]
@@ -297,7 +299,7 @@ def test_the_model_reads_what_was_simulated():
             data = InertialData(
                 imu=i, t_s=stamps, gyroscope=None if which else own, accelerometer=own if which else None
             )
-            inside = well_inside(flat.grid, data, known.imus[i], 0.3)
+            inside = within_trajectory(flat.grid, data, known.imus[i], 0.3)
             read = (inside.accelerometer if which else inside.gyroscope).values
             expected = predicted_readings(flat, known, inside)[which] + bias
             assert len(read) > 500

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gnomon import InitialisationError, OptionError
 from gnomon.estimate.triads.triad import fit_triad
-from gnomon.estimate.triads.triad_ellipsoid import constrained_ellipsoid, general_ellipsoid, sphere
+from gnomon.estimate.triads.triad_ellipsoid import constrained_ellipsoid, fit_sphere, general_ellipsoid
 from gnomon.estimate.triads.triad_poses import TriadPoses, TriadPrior
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 
@@ -331,7 +331,7 @@ def test_every_closed_form_is_exact_where_it_holds():
     u = np.concatenate([ATTITUDES, tilted(ATTITUDES, 0.3, np.random.default_rng(2))])
     w = np.where(np.arange(36) < 18, 2.0, 1.0)
     m = u * w[:, None] * 3.0 + 0.1
-    for form, length in ((general_ellipsoid, w), (sphere, w), (sphere, np.full(36, 2.0))):
+    for form, length in ((general_ellipsoid, w), (fit_sphere, w), (fit_sphere, np.full(36, 2.0))):
         found = form(m if np.ptp(length) else u * 6.0 + 0.1, length)
         np.testing.assert_allclose(found.correction, np.eye(3) / 3, atol=1e-6)
         np.testing.assert_allclose(found.bias, 0.1, atol=1e-6)

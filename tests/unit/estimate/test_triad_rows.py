@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gnomon.estimate.triads.triad_poses import TriadPoses
-from gnomon.estimate.triads.triad_rows import Noise, latent, noise_at, rows
+from gnomon.estimate.triads.triad_rows import TriadNoiseLevels, eliminate_directions, noise_at, triad_residuals
 from gnomon.estimate.triads.triad_scaling import TriadScaling, scaled_problem
 
 
@@ -53,9 +53,9 @@ def test_derivatives_are_those_of_the_cost(seed):
     noise = noise_at(problem, theta, 1e-4)
 
     def cost(x):
-        return 0.5 * np.sum(rows(problem, x, noise).residual ** 2)
+        return 0.5 * np.sum(triad_residuals(problem, x, noise).residual ** 2)
 
-    at = rows(problem, theta, noise)
+    at = triad_residuals(problem, theta, noise)
     steps = 1e-5 * np.eye(len(theta))
     expected = np.array([(cost(theta + step) - cost(theta - step)) / 2e-5 for step in steps])
     size = np.linalg.norm(at.jacobian, axis=0) * np.linalg.norm(at.residual)
@@ -75,6 +75,6 @@ def test_length_by_noise_is_taken_off():
     theta[:9], theta[9:12] = np.diag(1 / scaling.spread).ravel(), -scaling.centre / scaling.spread
     noise = noise_at(problem, theta, 0.0)
     np.testing.assert_allclose(noise.excess, sigma**2, rtol=0.01)
-    plain = Noise(covariance=noise.covariance, excess=np.zeros(n))
-    assert abs(latent(problem, theta, noise).error.mean()) < 3 * sigma / np.sqrt(n)
-    assert latent(problem, theta, plain).error.mean() > 15 * sigma / np.sqrt(n)
+    plain = TriadNoiseLevels(covariance=noise.covariance, excess=np.zeros(n))
+    assert abs(eliminate_directions(problem, theta, noise).error.mean()) < 3 * sigma / np.sqrt(n)
+    assert eliminate_directions(problem, theta, plain).error.mean() > 15 * sigma / np.sqrt(n)

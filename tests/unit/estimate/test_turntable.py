@@ -7,7 +7,7 @@ import pytest
 
 from gnomon import ImuNoise
 from gnomon.calibrate.turntable import calibrate_turntable
-from gnomon.detect.samples.saturation import saturated
+from gnomon.detect.samples.saturation import saturated_samples
 from gnomon.detect.samples.steady import find_steady, largest_rate
 from gnomon.errors import DetectionError, OptionError
 from gnomon.estimate.turntable.axis import ForceBlocks, axis_in_sensor
@@ -52,7 +52,7 @@ def test_steady_parts_are_those_that_were_steady(changes):
     size = largest_rate(streams)
     found = []
     for k, samples in enumerate(streams):
-        steady = find_steady(samples, saturated(samples), size)
+        steady = find_steady(samples, saturated_samples(samples), size)
         assert not steady.clipped.any()
         found += [(k, a, b) for a, b in zip(steady.intervals.start / 100, steady.intervals.stop / 100, strict=True)]
     assert len(found) == len(simulation.parts)
@@ -66,7 +66,7 @@ def test_steady_parts_are_those_that_were_steady(changes):
 def test_parts_at_the_end_of_the_range_are_marked():
     simulation = simulate_turntable(TurntableScenario(rpm=(33.333,), **QUICK), seed=1)
     samples = simulation.recordings[0].imus["imu0"].gyroscope  # 200 deg/s, of 150
-    steady = find_steady(samples, saturated(samples), largest_rate([samples]))
+    steady = find_steady(samples, saturated_samples(samples), largest_rate([samples]))
     assert 10 <= steady.clipped.sum() < 18  # where no axis is along the platter's it is not reached
 
 

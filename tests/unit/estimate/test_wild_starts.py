@@ -8,12 +8,12 @@ import pytest
 
 from gnomon.assess.checks.doctor import check_triad_clocks
 from gnomon.errors import InitialisationError
-from gnomon.estimate.camera_imu.blocks import blocks
-from gnomon.estimate.camera_imu.choices import lens_prior
-from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, Parameters
+from gnomon.estimate.camera_imu.blocks import parameter_blocks
+from gnomon.estimate.camera_imu.choices import lens_tolerances
+from gnomon.estimate.camera_imu.parameters import CameraParameters, ImuParameters, RigParameters
 from gnomon.estimate.camera_imu.start.alignment import Alignment
 from gnomon.estimate.camera_imu.start.board_poses import BoardPoses
-from gnomon.estimate.camera_imu.start.first_guess import ImuStream, upright
+from gnomon.estimate.camera_imu.start.first_guess import ImuStream, align_with_gravity
 from gnomon.estimate.multiposition.drift import walk_precision
 from gnomon.estimate.trust.robust import Robust
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
@@ -30,11 +30,11 @@ def test_the_only_coefficient_of_a_lens_is_called_as_its_block_is():
         resolution=(640, 480),
     )
     entry = CameraParameters(name="cam0", R_cam_imu=np.eye(3), p_cam_imu=np.zeros(3), time_shift_s=0.0, camera=camera)
-    start = Parameters(
+    start = RigParameters(
         gravity_axes=np.eye(3), gravity_m_s2=9.81, target_scale=1.0, imus=(ImuParameters.ideal(),), cameras=(entry,)
     )
-    known = {scalar for block in blocks(start) for scalar in block.scalars()}
-    assert set(lens_prior(start)) <= known
+    known = {scalar for block in parameter_blocks(start) for scalar in block.scalars()}
+    assert set(lens_tolerances(start)) <= known
 
 
 def test_a_turn_about_one_axis_in_few_frames_is_refused_in_words():
@@ -52,7 +52,7 @@ def test_a_turn_about_one_axis_in_few_frames_is_refused_in_words():
     poses = _poses(t_s, R)
     stream = ImuStream(t_s=np.linspace(0, 7, 700), rate=np.zeros((700, 3)), force=np.zeros((700, 3)))
     with pytest.raises(InitialisationError, match="about one axis only"):
-        upright(alignment, poses, stream)
+        align_with_gravity(alignment, poses, stream)
 
 
 def _poses(t_s, R) -> BoardPoses:

@@ -10,13 +10,13 @@ import yaml
 import gnomon
 from cameras_example import LENSES, cameras_calibration
 from gnomon.errors import FormatError, OptionError, OutputError
-from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.sensor_inputs import read_cameras, read_rig
 from gnomon.formats.shared.baselines import baseline_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.results.parameters import covariance_names
-from gnomon.results.trust import TrustNote
+from gnomon.results.trust import UncertaintySummary
 from gnomon.writers.tables import form_tables, summary_table
 
 GOLDEN = Path(__file__).parents[2] / "golden"
@@ -148,7 +148,7 @@ HOLDS = {"kalibr", "ros2", "json", "csv"}
 @pytest.mark.parametrize("to", sorted(set(FORMATS) - HOLDS))
 def test_formats_of_an_imu_refuse(to):
     with pytest.raises(OptionError, match=rf"^{to} describes an IMU, and this calibration is of cameras alone"):
-        exported(cameras_calibration(), to)
+        export_texts(cameras_calibration(), to)
 
 
 def test_kalibrs_camchain(tmp_path):
@@ -181,8 +181,8 @@ def test_csv_and_json_read_back(tmp_path):
 
 
 def test_ros2_camera_info_of_one_camera_needs_no_transforms():
-    assert list(exported(cameras_calibration(0, 1), "ros2").files) == ["cam0_camera_info.yaml"]
-    files = exported(cameras_calibration(0, 2), "ros2").files
+    assert list(export_texts(cameras_calibration(0, 1), "ros2").files) == ["cam0_camera_info.yaml"]
+    files = export_texts(cameras_calibration(0, 2), "ros2").files
     assert files["static_transforms.launch.yaml"].count("--child-frame-id") == 1
     assert "--frame-id cam0 --child-frame-id cam1" in files["static_transforms.launch.yaml"]
 
@@ -216,7 +216,7 @@ def test_frames_of_an_imu_are_refused():
 
 def test_two_of_them_agree(tmp_path):
     one, other = cameras_calibration(0, 2), cameras_calibration(0, 2, findings=False)
-    other = replace(other, assessment=replace(other.assessment, trust=TrustNote()))
+    other = replace(other, assessment=replace(other.assessment, trust=UncertaintySummary()))
     found = gnomon.compare(one, other)
     assert found.verdict == "pass"
     assert {block.path for block in found.blocks} >= {"cam0.lens", "cam1.lens"}

@@ -12,7 +12,7 @@ from gnomon.errors import FormatError, OptionError, OutputError
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
 from gnomon.results.calibration import CameraCalibration
-from gnomon.results.parameters import covariance_names, element_names, moved_into_frame, parameters
+from gnomon.results.parameters import calibration_parameters, covariance_names, element_names, moved_into_frame
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 CAMERA_PATHS = (
@@ -80,7 +80,7 @@ def test_a_change_of_frame_takes_the_cameras_along(camera_calibration, frame):
 
 def scalars(imus, cameras):
     """All scalars; a camera's rotation as its rotation vector."""
-    return np.concatenate([value.ravel() for _, value in parameters(imus, cameras)])
+    return np.concatenate([value.ravel() for _, value in calibration_parameters(imus, cameras)])
 
 
 def perturbed(calibration, x):
@@ -88,7 +88,7 @@ def perturbed(calibration, x):
     imus, cameras = {}, {}
     values = {}
     start = 0
-    for path, value in parameters(calibration.imus, calibration.cameras):
+    for path, value in calibration_parameters(calibration.imus, calibration.cameras):
         values[path] = x[start : start + value.size].reshape(value.shape)
         start += value.size
     for name, imu in calibration.imus.items():

@@ -14,7 +14,7 @@ from gnomon.errors import FormatError, OutputError
 from gnomon.findings import Finding
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.recording import Source
-from gnomon.results.calibration import Covariance, Gravity, Provenance, parameters
+from gnomon.results.calibration import Covariance, Gravity, Provenance, calibration_parameters
 
 GOLDEN = Path(__file__).parents[2] / "golden"
 AWKWARD = ["no", "1e5", "a: b", " #x", 'quo"te\\', "é\x85\u2028\n", "\U0001f600", "", "-", "null", "[1]", "\ufeff~"]
@@ -27,7 +27,7 @@ def test_reads_back_bit_by_bit(random_calibration, tmp_path, frame, gyroscope):
         saved = random_calibration(seed, frame=frame, gyroscope=gyroscope, units=("g", "deg/s"))
         gnomon.save(saved, tmp_path / "a.yaml")
         read = gnomon.load(tmp_path / "a.yaml")
-        for path, value in parameters(saved.imus):
+        for path, value in calibration_parameters(saved.imus):
             assert np.array_equal(read.parameter(path), value)
         assert np.array_equal(np.tril(read.uncertainty.matrix), np.tril(saved.uncertainty.matrix))
         assert read.frame == frame

@@ -12,7 +12,7 @@ import yaml
 
 import gnomon
 from gnomon.errors import FormatError, OptionError, OutputError
-from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.imu_tk import read_imu_tk
 from gnomon.formats.imucal import read_imucal
@@ -69,7 +69,7 @@ def test_imu_tk_size_of_the_g_sensitivity(random_calibration):
     up *= 9.80665 / np.linalg.norm(up, axis=1)[:, None]
     feigned = up @ (np.linalg.inv(gyroscope.sensitivity) @ gyroscope.g_sensitivity).T
     worst = np.linalg.norm(feigned, axis=1).max()
-    assert f"up to {worst:.2g} rad/s" in said(exported(calibration, "imu_tk").losses)
+    assert f"up to {worst:.2g} rad/s" in said(export_texts(calibration, "imu_tk").losses)
 
 
 @pytest.mark.parametrize("units", [("m/s^2", "rad/s"), ("g", "deg/s"), ("mg", "mdeg/s")])
@@ -210,7 +210,7 @@ def test_every_format_states_losses_and_gives_the_same_bytes(random_calibration,
     before = {path.name: path.read_bytes() for path in (tmp_path / "new" / "folder").iterdir()}
     gnomon.convert(calibration, to, tmp_path / "new" / "folder")
     assert before == {path.name: path.read_bytes() for path in (tmp_path / "new" / "folder").iterdir()}
-    assert set(before) == set(exported(calibration, to).files)
+    assert set(before) == set(export_texts(calibration, to).files)
 
 
 @pytest.mark.parametrize("to", [name for name in FORMATS if name not in OF_CAMERAS])

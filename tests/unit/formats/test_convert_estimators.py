@@ -10,7 +10,7 @@ import yaml
 
 import gnomon
 from gnomon.formats.basalt import basalt_text
-from gnomon.formats.conversion import exported
+from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.kalibr.imu import StatedImu
 from gnomon.formats.openvins import imu_chain_text
@@ -134,7 +134,7 @@ def test_openvins(rig, tmp_path, seed):
 
 
 def test_openvins_says_what_its_letters_mean(rig):
-    texts = exported(rig(1, "radtan", units=SI), "openvins").files
+    texts = export_texts(rig(1, "radtan", units=SI), "openvins").files
     for text in texts.values():
         assert text.startswith("%YAML:1.0\n")
     assert "p_cam = T_cam_imu p_imu [m], t_imu = t_cam + timeshift_cam_imu [s]" in texts["kalibr_imucam_chain.yaml"]
@@ -216,7 +216,7 @@ def test_basalt(rig, tmp_path, seed, lens):
 def test_basalts_noise(rig, tmp_path):
     calibration = rig(0, "ds", units=SI)
     assert "put in your own" in basalt_text(calibration)
-    assert "consumer IMU" in said(exported(calibration, "basalt").losses)
+    assert "consumer IMU" in said(export_texts(calibration, "basalt").losses)
     (tmp_path / "c.json").write_text(basalt_text(calibration, STATED))
     data = load_foreign(tmp_path / "c.json").imu_data["imu0"]
     assert (data.noise, data.update_rate_hz) == (NOISE, 200.0)
@@ -246,12 +246,12 @@ def test_the_formats_that_are_advised_for_a_lens_can_hold_it(rig):
         cameras = {"cam0": replace(calibration.cameras["cam0"], camera=lens)}
         calibration = calibration_of(calibration.imus, cameras)
         for name in formats:
-            assert "lens of cam0" not in said(exported(calibration, name, imu={"imu0": STATED}).losses)
+            assert "lens of cam0" not in said(export_texts(calibration, name, imu={"imu0": STATED}).losses)
     by_model = {lens.model: set(formats) for lens, formats in advised.items()}
     assert by_model["pinhole-fov"] == {"kalibr"}
     assert by_model["ds-none"] == {"kalibr", "basalt"}
     assert by_model["ds-radtan"] == {"json", "csv"}  # Kalibr reads ds without
-    flight = exported(calibration, "px4").losses
+    flight = export_texts(calibration, "px4").losses
     assert "Use json or csv to write them too" in said(flight)
 
 
@@ -280,12 +280,12 @@ def test_what_else_is_said(rig, tmp_path):
     cameras = {**calibration.cameras, "cam0": replace(calibration.cameras["cam0"], camera=slow)}
     imus = {**calibration.imus, "imu1": calibration.imus["imu0"]}
     for to in ("openvins", "basalt"):
-        words = said(exported(calibration_of(imus, cameras), to).losses)
+        words = said(export_texts(calibration_of(imus, cameras), to).losses)
         assert "line_delay of cam0 (30 us a row, 14.4 ms an image): " in words
         assert "imu1: " in words
         assert "time shifts (the others differ by up to" in words
-    assert "rostopic of cam0" in said(exported(calibration_of(imus, cameras), "openvins").losses)
-    assert "at most 0.5 ns" in said(exported(calibration_of(imus, cameras), "basalt").losses)
+    assert "rostopic of cam0" in said(export_texts(calibration_of(imus, cameras), "openvins").losses)
+    assert "at most 0.5 ns" in said(export_texts(calibration_of(imus, cameras), "basalt").losses)
     alone = calibration_of(calibration.imus, {})
     for to in ("openvins", "basalt"):
         assert "of an IMU alone" in said(gnomon.convert(alone, to, tmp_path / to))
@@ -424,7 +424,7 @@ def test_damaged_files_are_read_or_refused(rig, camera_imu_case, tmp_path, seed)
     rng = np.random.default_rng(seed)
     calibration = rig(seed, "radtan", "equidistant", units=SI)
     texts = list(camera_imu_texts(*camera_imu_case()).values())[:3]
-    texts += [text for to in ("openvins", "basalt") for text in exported(calibration, to).files.values()]
+    texts += [text for to in ("openvins", "basalt") for text in export_texts(calibration, to).files.values()]
     read = refused = 0
     for _ in range(150):
         text = texts[rng.integers(len(texts))]

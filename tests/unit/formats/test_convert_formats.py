@@ -12,14 +12,14 @@ import gnomon
 from gnomon.errors import FormatError, OptionError
 from gnomon.findings import Finding
 from gnomon.formats import orb_slam3
-from gnomon.formats.conversion import FORMATS, WITH_NOISE, exported
+from gnomon.formats.conversion import FORMATS, WITH_NOISE, export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.formats.shared.losses import Context, StatedImu
 from gnomon.models.camera import Camera
 from gnomon.models.noise import ImuNoise
 from gnomon.results.calibration import Assessment, Calibration, Covariance, Gravity, ImuCalibration, Provenance
-from gnomon.results.parameters import covariance_names, parameters
+from gnomon.results.parameters import calibration_parameters, covariance_names
 
 NOISE = ImuNoise(
     accelerometer_noise_density=0.0039,
@@ -123,7 +123,7 @@ def test_vins_knows_omni(rig, tmp_path):
 @pytest.mark.parametrize("form", ESTIMATORS)
 def test_estimators_refuse_a_calibration_without_cameras(rig, form):
     with pytest.raises(OptionError, match=r"holds no camera. Convert to kalibr"):
-        exported(calibration_of(rig(0, RADTAN).imus), form)
+        export_texts(calibration_of(rig(0, RADTAN).imus), form)
 
 
 def test_orb_slam3_takes_two_lenses_of_a_kind(rig, tmp_path):
@@ -137,7 +137,7 @@ def test_orb_slam3_takes_two_lenses_of_a_kind(rig, tmp_path):
     assert text.count("Camera2.k3:") == 1  # the fullest lens of that kind
     with pytest.raises(OptionError, match="cam0 and cam1 have lenses of two kinds"):
         orb_slam3.export(rig(0, RADTAN, WIDE, units=SI), Context(stated={}))
-    assert "cam2: ORB-SLAM3 takes 2 cameras at most" in said(exported(rig(0, WIDE, WIDE, WIDE), "orb-slam3").losses)
+    assert "cam2: ORB-SLAM3 takes 2 cameras at most" in said(export_texts(rig(0, WIDE, WIDE, WIDE), "orb-slam3").losses)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -166,7 +166,7 @@ def test_csv_holds_the_cameras(camera_calibration, tmp_path):
     calibration = camera_calibration(1, cameras=4)
     gnomon.convert(calibration, "csv", tmp_path)
     found = load_foreign(tmp_path / "calibration.csv")
-    begin, end = (dict(parameters(c.imus, c.cameras)) for c in (calibration, found))
+    begin, end = (dict(calibration_parameters(c.imus, c.cameras)) for c in (calibration, found))
     for path, value in begin.items():
         assert np.allclose(end[path], value, rtol=0, atol=1e-13 if "rotation" in path else 0)
         assert np.array_equal(found.sigmas[path], calibration.sigma(path))
@@ -186,7 +186,7 @@ def test_directions_and_signs(rig):
     T[:3, :3], T[:3, 3] = R_imu_cam.T, -R_imu_cam.T @ [0.1, 0.2, 0.3]
     cameras = {"cam0": replace(calibration.cameras["cam0"], T_cam_body=T)}
     calibration = calibration_of(calibration.imus, cameras)
-    texts = {form: exported(calibration, form, imu=STATED).files for form in ESTIMATORS}
+    texts = {form: export_texts(calibration, form, imu=STATED).files for form in ESTIMATORS}
     plain = {
         form: yaml.safe_load(next(iter(files.values())).replace("%YAML:1.0", "").replace("!!opencv-matrix", ""))
         for form, files in texts.items()
@@ -213,7 +213,7 @@ def test_directions_and_signs(rig):
 
 def test_the_second_camera_of_orb_slam3(rig):
     calibration = rig(3, RADTAN, RADTAN, units=SI)
-    text = exported(calibration, "orb-slam3", imu=STATED).files["orb_slam3.yaml"]
+    text = export_texts(calibration, "orb-slam3", imu=STATED).files["orb_slam3.yaml"]
     plain = yaml.safe_load(text.replace("%YAML:1.0", "").replace("!!opencv-matrix", ""))
     T_c1_c2 = np.reshape(plain["Stereo.T_c1_c2"]["data"], (4, 4))
     point = np.array([0.3, -0.2, 1.5, 1.0])  # in the IMU's frame
@@ -238,7 +238,7 @@ DEFINITIONS = {
 
 @pytest.mark.parametrize("form", DEFINITIONS)
 def test_every_file_defines_its_letters(rig, form):
-    text = "".join(exported(rig(0, RADTAN, units=SI), form).files.values())
+    text = "".join(export_texts(rig(0, RADTAN, units=SI), form).files.values())
     for words in DEFINITIONS[form]:
         assert words in text
 
@@ -302,7 +302,7 @@ def test_offsets_and_scales(random_calibration, tmp_path, form, units):
 
 
 def test_parameter_names(random_calibration):
-    texts = {form: next(iter(exported(random_calibration(0, units=SI), form).files.values())) for form in FLIGHT}
+    texts = {form: next(iter(export_texts(random_calibration(0, units=SI), form).files.values())) for form in FLIGHT}
     names = {form: re.findall(r"(?m)^(?:1\t1\t)?([A-Z]\w+)[\t,]", text) for form, text in texts.items()}
     axes = "XYZ"
     assert names["px4"] == [
@@ -316,7 +316,7 @@ def test_parameter_names(random_calibration):
         *(f"INS_GYROFFS_{axis}" for axis in axes),
     ]
     imus = dict.fromkeys(("imu0", "imu1"), random_calibration(0, units=SI).imus["imu0"])
-    second = next(iter(exported(calibration_of(imus), "ardupilot").files.values()))
+    second = next(iter(export_texts(calibration_of(imus), "ardupilot").files.values()))
     assert all(name in second for name in ("INS_ACC2OFFS_X,", "INS_ACC2SCAL_Z,", "INS_GYR2OFFS_Y,"))
 
 
@@ -346,7 +346,7 @@ def test_values_out_of_range_are_said(random_calibration):
     sensor = replace(calibration.imus["imu0"].accelerometer, sensitivity=np.eye(3) * 1.5)
     imus = {"imu0": replace(calibration.imus["imu0"], accelerometer=sensor)}
     assert "range of imu0: ArduPilot states scales from 0.8 to 1.2" in said(
-        exported(calibration_of(imus), "ardupilot").losses
+        export_texts(calibration_of(imus), "ardupilot").losses
     )
 
 
@@ -356,7 +356,7 @@ def test_values_out_of_range_are_said(random_calibration):
 @pytest.mark.parametrize("form", ["vins-fusion", "orb-slam3", "okvis"])
 def test_what_an_ideal_imu_leaves_uncorrected(rig, form):
     calibration = rig(1, RADTAN, units=SI)
-    stated = said(exported(calibration, form, imu=STATED).losses)
+    stated = said(export_texts(calibration, form, imu=STATED).losses)
     rest = calibration.imus["imu0"].gyroscope.sensitivity - np.eye(3)
     rates = np.random.default_rng(0).normal(size=(100_000, 3))
     worst = (np.linalg.norm(rates @ rest.T, axis=1) / np.linalg.norm(rates, axis=1)).max()
@@ -368,7 +368,7 @@ def test_what_an_ideal_imu_leaves_uncorrected(rig, form):
         accelerometer=replace(ideal.accelerometer, sensitivity=np.eye(3)),
         gyroscope=replace(ideal.gyroscope, sensitivity=np.eye(3), g_sensitivity=np.zeros((3, 3))),
     )
-    stated = said(exported(calibration_of({"imu0": ideal}, calibration.cameras), form, imu=STATED).losses)
+    stated = said(export_texts(calibration_of({"imu0": ideal}, calibration.cameras), form, imu=STATED).losses)
     assert "scales and axes" not in stated
     assert "g-sensitivity" not in stated
 
@@ -379,7 +379,7 @@ def test_lever_arms_are_said(rig):
     sensor = replace(calibration.imus["imu0"].accelerometer, lever_arms_m=arms)
     imus = {"imu0": replace(calibration.imus["imu0"], accelerometer=sensor)}
     for form in ("openvins", "basalt", "vins-fusion", "okvis", "px4", "c-header", "imucal", "imu_tk"):
-        words = said(exported(calibration_of(imus, calibration.cameras), form).losses)
+        words = said(export_texts(calibration_of(imus, calibration.cameras), form).losses)
         assert "lever arms of the accelerometers of imu0 (20 mm: up to 0.5 m/s^2 at 5 rad/s)" in words
 
 
@@ -394,7 +394,7 @@ def test_what_a_prior_holds_is_said_in_every_file(rig, form):
     calibration = rig(0, RADTAN, units=SI)
     problem = Finding(severity="problem", code="x", message="The board was bent */ by 3 mm.")
     assessment = replace(calibration.assessment, held_by_prior=HELD, verdict="fail", findings=(problem,))
-    export = exported(replace(calibration, assessment=assessment), form)
+    export = export_texts(replace(calibration, assessment=assessment), form)
     assert "held by assumption, not measured (4 numbers)" in said(export.losses)
     assert "verdict fail: this calibration should not be used: The board was bent" in said(export.losses)
     for text in export.files.values():
@@ -405,7 +405,7 @@ def test_what_a_prior_holds_is_said_in_every_file(rig, form):
         assert "this calibration should not be used" in flat
     if form == "c-header":
         assert export.files["gnomon_imu.h"].count("*/") == export.files["gnomon_imu.h"].count("/*")
-    clean = exported(calibration, form)
+    clean = export_texts(calibration, form)
     assert "held by" not in said(clean.losses).lower() + "".join(clean.files.values()).lower()
 
 
@@ -419,9 +419,9 @@ def test_files_with_remarks_are_read(rig, tmp_path):
 
 
 def test_lenses_taken_as_given_are_said(camera_calibration):
-    words = said(exported(camera_calibration(0, cameras=1), "kalibr").losses)
+    words = said(export_texts(camera_calibration(0, cameras=1), "kalibr").losses)
     assert "taken as given, not estimated: intrinsics of cam0" in words
-    assert "taken as given" not in said(exported(camera_calibration(0, cameras=1), "imucal").losses)
+    assert "taken as given" not in said(export_texts(camera_calibration(0, cameras=1), "imucal").losses)
 
 
 # ---- noise ----
@@ -430,7 +430,7 @@ def test_lenses_taken_as_given_are_said(camera_calibration):
 @pytest.mark.parametrize("form", WITH_NOISE)
 def test_noise_is_never_made_up_in_silence(rig, form):
     calibration = rig(0, RADTAN, units=SI)
-    without, with_it = exported(calibration, form), exported(calibration, form, imu=STATED)
+    without, with_it = export_texts(calibration, form), export_texts(calibration, form, imu=STATED)
     assert "noise and rate: accelerometer_noise_density" in said(without.losses)
     assert "noise and rate" not in said(with_it.losses)
     text = "".join(without.files.values())
@@ -440,7 +440,7 @@ def test_noise_is_never_made_up_in_silence(rig, form):
         assert not re.search(r"(?m)^\W*(acc_n|sigma_g_c|IMU.NoiseGyro|gyroscope_noise_density)\s*:", text)
         assert re.search(r"also needs .*add them", text)
     alone = {"imu0": StatedImu(noise=NOISE)}
-    assert "rate: update_rate" in said(exported(calibration, form, imu=alone).losses)
+    assert "rate: update_rate" in said(export_texts(calibration, form, imu=alone).losses)
 
 
 # ---- from one project to the other ----

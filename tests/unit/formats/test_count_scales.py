@@ -9,7 +9,7 @@ import pytest
 import gnomon
 from gnomon.cli import main
 from gnomon.errors import OptionError
-from gnomon.formats.conversion import exported
+from gnomon.formats.conversion import export_texts
 from gnomon.formats.shared.si_units import with_full_scale
 
 FLIGHT = ("px4", "ardupilot")
@@ -42,14 +42,14 @@ def counts(random_calibration):
 @pytest.mark.parametrize("to", FLIGHT)
 def test_counts_are_refused_with_the_likely_full_scale(counts, to):
     with pytest.raises(OptionError) as refused:
-        exported(counts, to)
+        export_texts(counts, to)
     assert "1.0 % from 16384: likely --accelerometer-lsb-per-g 16384" in str(refused.value)
     assert "0.6 % from 131: likely --gyroscope-lsb-per-deg-s 131" in str(refused.value)
 
 
 @pytest.mark.parametrize("to", FLIGHT)
 def test_with_the_full_scale_offsets_are_those_of_the_drivers_samples(counts, to):
-    (text,) = exported(counts, to, accelerometer_lsb_per_g=PER_G, gyroscope_lsb_per_deg_s=PER_DEG_S).files.values()
+    (text,) = export_texts(counts, to, accelerometer_lsb_per_g=PER_G, gyroscope_lsb_per_deg_s=PER_DEG_S).files.values()
     values = dict(re.findall(r"(?m)^(?:1\t1\t)?([A-Z]\w+)[\t,]([-\d.e]+)", text))
     offset, scale, rate = (
         [float(values[name.format(axis)]) for axis in "XYZ"]
@@ -75,11 +75,11 @@ def test_the_covariance_goes_along(counts):
 
 def test_what_does_not_fit_is_refused(counts, random_calibration):
     with pytest.raises(OptionError, match="above zero"):
-        exported(counts, "px4", accelerometer_lsb_per_g=0.0)
+        export_texts(counts, "px4", accelerometer_lsb_per_g=0.0)
     with pytest.raises(OptionError, match="no gyroscope of this calibration is in counts"):
-        exported(random_calibration(0, units=("count", "rad/s")), "px4", gyroscope_lsb_per_deg_s=131.0)
+        export_texts(random_calibration(0, units=("count", "rad/s")), "px4", gyroscope_lsb_per_deg_s=131.0)
     with pytest.raises(OptionError, match="counts per g, no usual full scale"):
-        exported(random_calibration(0, units=("count", "rad/s")), "px4")
+        export_texts(random_calibration(0, units=("count", "rad/s")), "px4")
 
 
 def test_the_command(counts, tmp_path, capsys):

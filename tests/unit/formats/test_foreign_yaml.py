@@ -6,7 +6,13 @@ import pytest
 from gnomon.errors import FormatError
 from gnomon.formats.kalibr.camchain import read_camchain
 from gnomon.formats.kalibr.imu import read_imu_input
-from gnomon.formats.shared.foreign_yaml import matrix, read_foreign_yaml, rigid, rotation, unwrapped
+from gnomon.formats.shared.foreign_yaml import (
+    read_foreign_yaml,
+    read_matrix,
+    read_rotation,
+    read_transform,
+    unwrap_rows,
+)
 from gnomon.formats.shared.structured import read_yaml
 
 CAMERA = """\
@@ -94,7 +100,7 @@ def test_what_opencv_wrote_itself(tmp_path):
     storage.write("number", 0.1)
     storage.release()
     root = read_foreign_yaml(tmp_path / "m.yaml")
-    assert np.array_equal(matrix(root.child("matrix"), 3, 4), expected)
+    assert np.array_equal(read_matrix(root.child("matrix"), 3, 4), expected)
     assert root.child("number").number() == 0.1
 
 
@@ -142,7 +148,7 @@ def test_tabs_that_could_mean_two_things_are_refused(write):
 def test_a_comma_within_a_table_is_left_alone(write):
     text = "T: [[1, 2],\n  [3, 4],\n  [5, 6]]\n"
     notes = []
-    assert matrix(read_foreign_yaml(write(text), notes).child("T"), 3, 2).tolist() == [[1, 2], [3, 4], [5, 6]]
+    assert read_matrix(read_foreign_yaml(write(text), notes).child("T"), 3, 2).tolist() == [[1, 2], [3, 4], [5, 6]]
     assert notes == []
 
 
@@ -158,20 +164,20 @@ def test_matrices_in_every_layout(write):
     text = f"a: {rows}\nb: {values.tolist()}\nc: {{rows: 3, cols: 4, data: {values.tolist()}}}\n"
     root = read_foreign_yaml(write(text))
     for key in "abc":
-        assert np.array_equal(matrix(root.child(key), 3, 4), values.reshape(3, 4))
+        assert np.array_equal(read_matrix(root.child(key), 3, 4), values.reshape(3, 4))
     with pytest.raises(FormatError, match=r"a: found 3 rows, expected 4"):
-        matrix(root.child("a"), 4, 3)
-    assert unwrapped(root.child("a")) is not None
+        read_matrix(root.child("a"), 4, 3)
+    assert unwrap_rows(root.child("a")) is not None
 
 
 def test_rotations_keep_their_digits(write):
     exact = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     root = read_foreign_yaml(write(f"R: {exact.tolist()}\nS: {(exact + 1e-4).tolist()}\nT: {(-exact).tolist()}\n"))
-    assert np.array_equal(rotation(root.child("R")), exact)
-    near = rotation(root.child("S"))
+    assert np.array_equal(read_rotation(root.child("R")), exact)
+    near = read_rotation(root.child("S"))
     assert np.abs(near @ near.T - np.eye(3)).max() < 1e-14
     assert np.abs(near - exact).max() < 2e-4
     with pytest.raises(FormatError, match=r"T: this is mirrored"):
-        rotation(root.child("T"))
+        read_rotation(root.child("T"))
     with pytest.raises(FormatError, match=r"R: found 3 rows, expected 4"):
-        rigid(root.child("R"))
+        read_transform(root.child("R"))

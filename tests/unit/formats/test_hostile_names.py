@@ -17,8 +17,8 @@ from camera_imu_result import make_camera_imu_result
 from cameras_result import make_cameras_result
 from gnomon.cli import main
 from gnomon.cli.terminal import Terminal
-from gnomon.findings import Finding, printable
-from gnomon.formats.conversion import FORMATS, exported
+from gnomon.findings import Finding, printable_text
+from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.own.calibration_text import calibration_text
 from gnomon.recording import Source
 from gnomon.report import write_report
@@ -111,7 +111,7 @@ def test_converted_files_hold_names_as_text(form, evil):
     stated = {"imu0": StatedImu(noise=NOISE, update_rate_hz=200.0, topic=evil)}
     kept = ("kalibr", "openvins", "vins-fusion", "orb-slam3", "basalt", "okvis")
     files = [
-        exported(one, form, imu=stated if form in kept else None).files
+        export_texts(one, form, imu=stated if form in kept else None).files
         for one in (named(result, "/honest").calibration, named(result, evil).calibration)
     ]
     assert list(files[0]) == list(files[1])
@@ -151,5 +151,5 @@ def test_terminals_are_not_steered(make_result, tmp_path, capsys, evil):
 
 
 def test_what_is_no_command_is_left_alone():
-    assert printable("\u00e9t\u00e9 \u6f22 m/s\u00b2\n\tx") == "\u00e9t\u00e9 \u6f22 m/s\u00b2\n\tx"
-    assert printable("\x1b[0m\u202e") == "\\x1b[0m\\u202e"
+    assert printable_text("\u00e9t\u00e9 \u6f22 m/s\u00b2\n\tx") == "\u00e9t\u00e9 \u6f22 m/s\u00b2\n\tx"
+    assert printable_text("\x1b[0m\u202e") == "\\x1b[0m\\u202e"

@@ -7,7 +7,7 @@ import pytest
 
 import gnomon
 from gnomon.cli import main
-from gnomon.formats.conversion import exported
+from gnomon.formats.conversion import export_texts
 from gnomon.models.camera import Camera
 from gnomon.results.calibration import Gravity
 
@@ -35,7 +35,7 @@ def rig(camera_calibration):
 
 
 def loss(calibration, to, what):
-    return next((one for one in exported(calibration, to).losses if one.what.startswith(what)), None)
+    return next((one for one in export_texts(calibration, to).losses if one.what.startswith(what)), None)
 
 
 @pytest.mark.parametrize(("to", "key"), [("basalt", "cam_time_offset_ns"), ("okvis", "image_delay")])
@@ -44,7 +44,7 @@ def test_a_shift_that_is_not_applied(rig, to, key):
     shift = calibration.cameras["cam0"].time_shift_cam_imu
     found = loss(calibration, to, key)
     assert f"{shift * 1e3:+.6g} ms" in found.size
-    text = " ".join("".join(exported(calibration, to).files.values()).replace("#", " ").split())
+    text = " ".join("".join(export_texts(calibration, to).files.values()).replace("#", " ").split())
     assert "add the shift to the timestamps of the images" in text
     still = replace(calibration.cameras["cam0"], time_shift_cam_imu=0.0)
     assert loss(replace(calibration, cameras={"cam0": still}), to, key) is None
@@ -63,10 +63,10 @@ def test_orb_slam3_takes_the_first_lens_twice(rig):
     second = replace(WIDE, distortion_coeffs=[-0.02, 0.03, -0.02, 0.005])
     found = loss(rig(WIDE, second), "orb-slam3", "Camera2.k1")
     assert float(found.size.split(" px at worst")[0].split()[-1]) > 1
-    text = "".join(exported(rig(WIDE, second), "orb-slam3").files.values())
+    text = "".join(export_texts(rig(WIDE, second), "orb-slam3").files.values())
     for line in ("Camera1.overlappingBegin: 0", "Camera1.overlappingEnd: 639", "Camera2.overlappingEnd: 639"):
         assert line in text
-    alone = "".join(exported(rig(WIDE), "orb-slam3").files.values())
+    alone = "".join(export_texts(rig(WIDE), "orb-slam3").files.values())
     assert "overlapping" not in alone
 
 
@@ -92,7 +92,7 @@ def test_ardupilot_wants_its_sensor(random_calibration):
 
 
 def test_the_csv_says_what_its_rotations_are(rig):
-    (text,) = exported(rig(WIDE), "csv").files.values()
+    (text,) = export_texts(rig(WIDE), "csv").files.values()
     assert "rotation vector: axis times angle [rad]" in text
 
 

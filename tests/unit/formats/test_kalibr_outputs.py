@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import gnomon
-from gnomon.formats.conversion import exported
+from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign import Residuals, Statistics
 from gnomon.formats.kalibr.camchain import camchain_text, read_camchain
 from gnomon.formats.kalibr.imu import StatedImu, imu_text, read_imu_input, read_kalibr
@@ -21,7 +21,7 @@ from gnomon.models.camera import Camera
 from gnomon.models.target import Target
 from gnomon.results.calibration import Assessment, Calibration, CameraCalibration, Covariance, Gravity, Provenance
 from gnomon.results.parameters import covariance_names
-from gnomon.writers.camera_imu_files import camera_imu_texts, residuals, save_camera_imu_files
+from gnomon.writers.camera_imu_files import camera_imu_texts, residual_statistics, save_camera_imu_files
 
 SAMPLES = [
     "a-aprilgrid-full/kalibr/calibrated",
@@ -265,7 +265,7 @@ def test_basic_model_is_kalibrs_calibrated(camera_imu_case):
 def test_statistics_of_what_was_used(camera_imu_case):
     result, *_ = camera_imu_case()
     diagnostics = result.diagnostics
-    found = residuals(diagnostics)
+    found = residual_statistics(diagnostics)
     fit = diagnostics.corners["cam0"]
     used = [
         np.hypot(*residual)
@@ -355,8 +355,8 @@ def test_convert_to_kalibr_takes_the_cameras_along(camera_calibration, tmp_path,
 
 @pytest.mark.parametrize("to", ["imu_tk", "imucal", "c-header"])
 def test_formats_without_cameras_say_so(camera_calibration, random_calibration, to):
-    assert "cam0, cam1: " in said(exported(camera_calibration(4), to).losses)
-    assert "camera" not in said(exported(random_calibration(4), to).losses).replace("pose of a camera", "")
+    assert "cam0, cam1: " in said(export_texts(camera_calibration(4), to).losses)
+    assert "camera" not in said(export_texts(random_calibration(4), to).losses).replace("pose of a camera", "")
 
 
 def test_csv_lists_the_cameras(camera_calibration, tmp_path):

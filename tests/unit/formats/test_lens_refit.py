@@ -8,11 +8,11 @@ import pytest
 
 import gnomon
 from gnomon.errors import OptionError
-from gnomon.formats.conversion import exported
+from gnomon.formats.conversion import export_texts
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.shared.lens_refit import with_known_lenses
 from gnomon.models.camera import Camera
-from gnomon.models.lens_programs import PROGRAMS, knows, models_of, refit_models
+from gnomon.models.lens_programs import PROGRAMS, knows_lens, models_of, refit_models
 from gnomon.results.calibration import Covariance
 from gnomon.results.parameters import covariance_names
 
@@ -49,8 +49,8 @@ def test_what_is_stated_is_how_far_the_lenses_are_apart(rig, to):
     calibration = rig(EUCM)
     found, losses = with_known_lenses(calibration, to)
     lens = found.cameras["cam0"].camera
-    assert knows(to, lens)
-    if knows(to, EUCM):
+    assert knows_lens(to, lens)
+    if knows_lens(to, EUCM):
         assert losses == ()
         assert found is calibration
         return
@@ -86,7 +86,7 @@ def test_the_covariance_follows(rig):
     assert np.array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize("to", [name for name in PROGRAMS if not knows(name, EUCM)])
+@pytest.mark.parametrize("to", [name for name in PROGRAMS if not knows_lens(name, EUCM)])
 def test_every_program_gets_a_file_that_says_so(rig, to, tmp_path):
     calibration = rig(EUCM)
     losses = gnomon.convert(calibration, to, tmp_path)
@@ -131,4 +131,4 @@ def test_the_fit_keeps_to_where_the_lens_is_known(rig):
 def test_a_lens_that_nothing_is_like_is_refused(rig):
     wider = replace(FISHEYE, intrinsics=[-0.2, 0.62, 95.0, 95.0, 376.0, 240.0])
     with pytest.raises(OptionError, match=r"cam0 is ds-none, and okvis knows .*gnomon camera --for okvis, or convert"):
-        exported(rig(wider), "okvis")
+        export_texts(rig(wider), "okvis")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gnomon import CameraImuScenario, convert, simulate_camera_imu
-from gnomon.formats.conversion import FORMATS, exported
+from gnomon.formats.conversion import FORMATS, export_texts
 from gnomon.formats.foreign import as_calibration
 from gnomon.formats.foreign_files import load_foreign
 from gnomon.formats.kalibr.results import KalibrResults
@@ -84,7 +84,7 @@ def test_the_table_holds_them_with_their_sigmas(calibration, tmp_path):
 
 @pytest.mark.parametrize("to", ESTIMATORS)
 def test_programs_of_one_imu_get_the_first_and_say_so(to, calibration, simulation):
-    losses = exported(calibration, to, imu=stated(simulation)).losses
+    losses = export_texts(calibration, to, imu=stated(simulation)).losses
     left_out = [loss for loss in losses if loss.what in ("imu1", "imu2")]
     assert len(left_out) == 2
     assert all("knows one IMU; only imu0 is in the file" in loss.why for loss in left_out)
@@ -93,7 +93,7 @@ def test_programs_of_one_imu_get_the_first_and_say_so(to, calibration, simulatio
 
 @pytest.mark.parametrize("to", SENSORS)
 def test_formats_of_sensors_lose_the_poses_in_words(to, calibration):
-    found = {loss.what: loss for loss in exported(calibration, to).losses}
+    found = {loss.what: loss for loss in export_texts(calibration, to).losses}
     loss = found["pose and clock of imu1"]
     mm = 1e3 * np.linalg.norm(calibration.imus["imu1"].T_imu_body[:3, 3])
     assert f"{mm:.3g} mm" in loss.size
@@ -111,7 +111,7 @@ def test_ros_2_gets_a_transform_of_every_sensor(calibration, tmp_path):
 
 def test_every_format_says_what_it_does_with_several_imus(calibration, simulation):
     for to in FORMATS:
-        texts = exported(calibration, to, imu=stated(simulation))
+        texts = export_texts(calibration, to, imu=stated(simulation))
         words = " ".join((*texts.files, *texts.files.values(), *(loss.what for loss in texts.losses)))
         assert "imu1" in words or "IMU1" in words or "INS_ACC2" in words or "CAL_ACC1" in words, to
 

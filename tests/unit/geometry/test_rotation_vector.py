@@ -7,12 +7,12 @@ import pytest
 from gnomon.geometry.quaternion import quaternion_from_rotation, rotation_from_quaternion
 from gnomon.geometry.rotation_vector import (
     angular_acceleration_by_phi,
+    body_rotation,
     nearest_branch,
     right_jacobian,
     rotation_from_rotvec,
     rotvec_from_rotation,
-    turning,
-    unwrapped,
+    unwrap_rotvecs,
 )
 
 # The series ends at |phi|^2 = 0.25: on both sides of it, and from nothing to nearly a full turn.
@@ -71,7 +71,7 @@ def test_exponential_jacobian_and_turning_in_high_precision(angle):
         R, J, omega, by_phi = exact(angle, axis, rate)
         np.testing.assert_allclose(rotation_from_rotvec(phi), R, rtol=0, atol=1e-14)
         np.testing.assert_allclose(right_jacobian(phi), J, rtol=0, atol=2e-14)
-        found = turning(phi[None], rate[None])
+        found = body_rotation(phi[None], rate[None])
         for value, expected in zip(found, (R, J, omega, by_phi), strict=True):
             np.testing.assert_allclose(value[0], expected, rtol=0, atol=2e-14)
 
@@ -115,9 +115,9 @@ def test_many_at_once_are_the_same_as_one_by_one():
     rng = np.random.default_rng(3)
     phi = rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(-9, 0.5, (40, 1))
     rate = rng.normal(size=(40, 3))
-    together = turning(phi, rate)
+    together = body_rotation(phi, rate)
     for i in range(len(phi)):
-        for many, one in zip(together, turning(phi[i : i + 1], rate[i : i + 1]), strict=True):
+        for many, one in zip(together, body_rotation(phi[i : i + 1], rate[i : i + 1]), strict=True):
             np.testing.assert_array_equal(many[i], one[0])
     stacked = rotation_from_rotvec(phi.reshape(2, 20, 3))
     np.testing.assert_array_equal(stacked.reshape(-1, 3, 3), rotation_from_rotvec(phi))
@@ -177,14 +177,14 @@ def test_unwrapped_follows_many_turns_about_an_axis_that_leans():
     truth = angle[:, None] * axis / np.linalg.norm(axis, axis=1, keepdims=True)
     wrapped = rotvec_from_rotation(rotation_from_rotvec(truth))
     assert np.linalg.norm(wrapped - truth, axis=1).max() > 1
-    np.testing.assert_allclose(unwrapped(wrapped), truth, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(unwrap_rotvecs(wrapped), truth, rtol=0, atol=1e-13)
 
 
 def test_unwrapped_takes_many_tracks_at_once():
     angle = np.linspace(0.1, 5.5, 40)
     tracks = angle[:, None, None] * np.array(AXES) * np.array([1.0, -1.0, 0.5])[:, None]
     wrapped = rotvec_from_rotation(rotation_from_rotvec(tracks))
-    np.testing.assert_allclose(unwrapped(wrapped), tracks, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(unwrap_rotvecs(wrapped), tracks, rtol=0, atol=1e-13)
 
 
 def test_of_no_rotation_the_branch_lies_along_the_guide():

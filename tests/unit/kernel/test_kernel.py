@@ -10,7 +10,7 @@ import pytest
 
 from camera_imu_problem import problem
 from gnomon import kernel
-from gnomon.estimate.camera_imu.batch import linearised
+from gnomon.estimate.camera_imu.batch import linearize_batch
 
 ROOT = Path(__file__).parents[3]
 compiled = pytest.mark.skipif(kernel.loaded() is None, reason="the kernel was not compiled")
@@ -31,7 +31,7 @@ PROBLEMS = {
 
 def equations(given):
     """Return all that a linearisation says, name -> array; sums on the board's corners too."""
-    lin = linearised(given.measurements, given.state, given.layout, given.noise, probing=True)
+    lin = linearize_batch(given.measurements, given.state, given.layout, given.noise, probing=True)
     system = lin.system
     found = {f"band {g} {h}": part for g, row in enumerate(system.band) for h, part in enumerate(row)}
     found |= {"tail": system.tail, "corner": system.corner, "corner_rhs": system.corner_rhs}

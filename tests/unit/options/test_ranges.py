@@ -6,7 +6,7 @@ from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
 
-from gnomon.cli.commands import COMMANDS, parse
+from gnomon.cli.commands import COMMANDS, parse_command
 from gnomon.errors import OptionError
 from gnomon.options import check_ranges, option_range
 from gnomon.units import parse_rate
@@ -55,7 +55,7 @@ def test_there_are_many_and_their_defaults_are_in_range():
 def test_no_class_of_options_takes_an_absurd_number(value):
     for cls, name, default in NUMBERS:
         if any(entry.default is MISSING and entry.default_factory is MISSING for entry in fields(cls)):
-            continue  # a command, which asks `parse`
+            continue  # a command, which asks `parse_command`
         if "tuple" in str(get_type_hints(cls)[name]):
             wrong = (value, *default[1:]) if default and not isinstance(default[0], tuple) else (value,)
         else:
@@ -81,7 +81,7 @@ def test_no_class_of_options_takes_an_absurd_number(value):
 )
 def test_the_command_line_refuses_them(words):
     with pytest.raises(OptionError, match=r"is out of range|not a finite number"):
-        parse(words)
+        parse_command(words)
 
 
 @pytest.mark.parametrize("text", ["1e300rpm", "1e9Hz", "nanrpm"])

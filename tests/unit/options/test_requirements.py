@@ -5,16 +5,16 @@ import pytest
 
 from gnomon.errors import FormatError, OptionError
 from gnomon.formats.own.options_file import read_use
-from gnomon.options.requirements import QUANTITIES, USES, stated
+from gnomon.options.requirements import QUANTITIES, USES, parse_sigma
 
 
 def test_units_are_those_that_people_use():
-    assert stated("camera_rotation", "0.1 deg") == pytest.approx(np.radians(0.1))
-    assert stated("camera_rotation", "2 mrad") == pytest.approx(2e-3)
-    assert stated("camera_translation", "5 mm") == pytest.approx(5e-3)
-    assert stated("gyroscope_scale", "0.1%") == stated("gyroscope_scale", "0.1 %") == pytest.approx(1e-3)
-    assert stated("accelerometer_bias", "2 mg") == pytest.approx(2e-3 * 9.80665)
-    assert stated("gyroscope_g_sensitivity", "0.05 deg/s/g") == pytest.approx(np.radians(0.05) / 9.80665)
+    assert parse_sigma("camera_rotation", "0.1 deg") == pytest.approx(np.radians(0.1))
+    assert parse_sigma("camera_rotation", "2 mrad") == pytest.approx(2e-3)
+    assert parse_sigma("camera_translation", "5 mm") == pytest.approx(5e-3)
+    assert parse_sigma("gyroscope_scale", "0.1%") == parse_sigma("gyroscope_scale", "0.1 %") == pytest.approx(1e-3)
+    assert parse_sigma("accelerometer_bias", "2 mg") == pytest.approx(2e-3 * 9.80665)
+    assert parse_sigma("gyroscope_g_sensitivity", "0.05 deg/s/g") == pytest.approx(np.radians(0.05) / 9.80665)
 
 
 @pytest.mark.parametrize("use", USES.values(), ids=lambda use: use.name)

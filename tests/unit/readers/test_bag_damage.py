@@ -13,7 +13,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from bag_maker import T0, Message, image, imu, make_bag, picture, usual
 from gnomon.errors import GnomonError, RecordingError
-from gnomon.readers.bags.bag import is_bag, open_bag
+from gnomon.readers.bags.bag import is_bag_path, open_bag
 
 LZ4, BZ2 = (Writer1.CompressionFormat.LZ4,), (Writer1.CompressionFormat.BZ2,)
 ZSTD = (CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -158,7 +158,7 @@ def test_a_file_compressed_with_zstd_says_how_to_unpack_it(tmp_path):
 def test_what_only_has_the_name_of_a_bag(name, content, words, tmp_path):
     path = tmp_path / name
     path.write_bytes(content)
-    assert is_bag(path)
+    assert is_bag_path(path)
     with pytest.raises(RecordingError, match=words):
         open_bag(path)
 

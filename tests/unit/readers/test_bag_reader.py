@@ -14,7 +14,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
 from bag_maker import FORMS, T0, compressed, image, imu, make_bag, other, picture, usual
 from gnomon.errors import RecordingError
-from gnomon.readers.bags.bag import is_bag, open_bag
+from gnomon.readers.bags.bag import is_bag_path, open_bag
 from gnomon.readers.bags.messages import imu_block
 from gnomon.readers.files import file_source
 from gnomon.units import Units
@@ -68,7 +68,7 @@ def check_usual(recording, messages):
 def test_what_was_written_is_read(form, compression, tmp_path):
     messages = usual()
     path = make_bag(tmp_path, form, [*messages, other("/temperature", T0)], compression=compression)
-    assert is_bag(path)
+    assert is_bag_path(path)
     recording = open_bag(path)
     check_usual(recording, messages)
     files = [path] if path.is_file() else [file for file in path.iterdir() if file.name != "metadata.yaml"]
@@ -80,7 +80,7 @@ def test_the_file_of_a_ros2_bag_alone_is_read(form, tmp_path):
     messages = usual()
     folder = make_bag(tmp_path, form, messages)
     (file,) = (file for file in folder.iterdir() if file.name != "metadata.yaml")
-    assert is_bag(file)
+    assert is_bag_path(file)
     check_usual(open_bag(file), messages)
 
 
@@ -90,7 +90,7 @@ def test_the_content_counts_not_the_name(form, tmp_path):
     path = make_bag(tmp_path, form, messages)
     file = path if path.is_file() else next(file for file in path.iterdir() if file.name != "metadata.yaml")
     renamed = file.rename(tmp_path / "a file # with 100 % of odd names")
-    assert is_bag(renamed)
+    assert is_bag_path(renamed)
     recording = open_bag(renamed)
     check_usual(recording, messages)
     assert not any("early" in note for note in recording.assumptions)
@@ -101,7 +101,7 @@ def test_a_folder_without_metadata_is_read_with_a_note(form, tmp_path):
     messages = usual()
     folder = make_bag(tmp_path, form, messages)
     (folder / "metadata.yaml").unlink()
-    assert is_bag(folder)
+    assert is_bag_path(folder)
     recording = open_bag(folder)
     check_usual(recording, messages)
     assert any("there is no metadata.yaml" in note for note in recording.assumptions)
@@ -164,7 +164,7 @@ def test_what_is_no_bag(tmp_path):
     (tmp_path / "mav0").mkdir()
     (tmp_path / "samples.csv").write_text("t,ax,ay,az\n")
     (tmp_path / "metadata.yaml").write_text("camera: cam0\n")
-    assert not any(map(is_bag, (tmp_path, tmp_path / "mav0", tmp_path / "samples.csv", tmp_path / "nothing")))
+    assert not any(map(is_bag_path, (tmp_path, tmp_path / "mav0", tmp_path / "samples.csv", tmp_path / "nothing")))
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -327,5 +327,5 @@ def test_an_unsupported_encoding_is_named_with_its_topic(tmp_path):
 def test_paths_are_given_as_text_too(tmp_path):
     path = make_bag(tmp_path, "ros1", usual())
     assert Path(str(path)) == path
-    assert is_bag(str(path))
+    assert is_bag_path(str(path))
     assert open_bag(str(path)).streams["cam0"].count == 3

@@ -11,7 +11,7 @@ import gpmf_files as made
 from gnomon.errors import OptionError, RecordingError
 from gnomon.readers.devices.device_log import read_device_log
 from gnomon.readers.devices.gpmf import has_gpmf, is_gpmf
-from gnomon.readers.devices.gpmf_streams import Telemetry, entries, in_camera_axes
+from gnomon.readers.devices.gpmf_streams import Telemetry, gpmf_entries, in_camera_axes
 from gnomon.readers.images.image_recording import holds_images, open_images
 from gnomon.readers.samples.stream import open_stream
 from gnomon.units import Units
@@ -96,8 +96,8 @@ def gravity_of(path):
     with av.open(str(path)) as container:
         for packet in container.demux([s for s in container.streams if s.type == "data"]):
             if bytes(packet)[:4] == b"DEVC":
-                ((root,), _) = entries(bytes(packet))
-                streams = [entries(e.data)[0] for e in entries(root.data)[0] if e.key == "STRM"]
+                ((root,), _) = gpmf_entries(bytes(packet))
+                streams = [gpmf_entries(e.data)[0] for e in gpmf_entries(root.data)[0] if e.key == "STRM"]
                 found += [e.numbers() for inside in streams for e in inside if e.key == "GRAV"]
     up = np.concatenate(found)[:, [0, 2, 1]]
     return up / np.linalg.norm(up, axis=1, keepdims=True)
@@ -329,7 +329,7 @@ def test_a_stream_that_ends_early_is_read_as_far_as_it_goes(tmp_path):
 
 @given(st.binary(max_size=400))
 def test_any_bytes_are_entries_or_are_cut(data):
-    found, whole = entries(data)
+    found, whole = gpmf_entries(data)
     assert sum(8 + len(entry.data) for entry in found) <= len(data)
     assert whole or len(data) >= 1
     for entry in found:

@@ -18,7 +18,7 @@ import gnomon
 from bag_maker import make_bag, usual
 from gnomon.errors import GnomonError, RecordingError
 from gnomon.readers import files
-from gnomon.readers.bags.unpacking import TooLargeError, unpack
+from gnomon.readers.bags.unpacking import TooLargeError, unpack_bytes
 from gnomon.readers.images.image_file import read_grey
 from gnomon.readers.images.image_pixels import stated_pixels
 from gnomon.readers.images.image_recording import open_images
@@ -108,12 +108,12 @@ def test_chunks_of_bags_are_unpacked_up_to_a_bound(name):
     else:
         pack = pytest.importorskip("backports.zstd").compress
     text = os.urandom(5000) * 9
-    assert unpack(name, pack(text)) == text
-    assert unpack(name, pack(text) + pack(b"more")) == text + b"more"
+    assert unpack_bytes(name, pack(text)) == text
+    assert unpack_bytes(name, pack(text) + pack(b"more")) == text + b"more"
     with pytest.raises(TooLargeError, match="would be unpacked to more than"):
-        unpack(name, pack(bytes(8 << 20)))
+        unpack_bytes(name, pack(bytes(8 << 20)))
     with pytest.raises(Exception, match=r".+"):
-        unpack(name, pack(text)[:-9])
+        unpack_bytes(name, pack(text)[:-9])
 
 
 @pytest.mark.parametrize("at", [6, 8, 10])

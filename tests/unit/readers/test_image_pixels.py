@@ -10,10 +10,10 @@ from gnomon.readers.images.image_pixels import (
     RawImage,
     bit_depth,
     compressed_image,
+    decode_picture,
     grey_image,
     largest_in_picture,
     largest_value,
-    picture,
 )
 
 RNG = np.random.default_rng(3)
@@ -152,7 +152,7 @@ def test_a_bayer_pattern_that_was_compressed_as_grey_is_interpolated():
 def test_pictures_of_sixteen_bits_are_scaled_by_the_depth_of_their_stream():
     file = encoded(GREY.astype(np.uint16) << 4, ".png")
     assert bit_depth(largest_in_picture(file, "here")) == 12
-    np.testing.assert_array_equal(picture(file, "here", 12), GREY)
+    np.testing.assert_array_equal(decode_picture(file, "here", 12), GREY)
     assert largest_in_picture(encoded(GREY, ".png"), "here") == 0
 
 
@@ -162,14 +162,14 @@ def test_a_picture_that_is_cut_off_is_damaged(suffix, keep):
     file = encoded(RNG.integers(0, 256, (48, 64), dtype=np.uint8), suffix)
     part = file[: keep if isinstance(keep, int) else int(keep * len(file))]
     with pytest.raises(RecordingError, match=rf"here: the picture is (cut off|damaged).*{len(part)} bytes"):
-        picture(part, "here")
+        decode_picture(part, "here")
 
 
 def test_a_png_with_a_flipped_byte_is_damaged():
     file = bytearray(encoded(RNG.integers(0, 256, (48, 64), dtype=np.uint8), ".png"))
     file[len(file) // 2] ^= 0xFF
     with pytest.raises(RecordingError, match="damaged"):
-        picture(bytes(file), "here")
+        decode_picture(bytes(file), "here")
 
 
 @pytest.mark.parametrize("form", ["16UC1; compressedDepth png", "h264", "bgr8; theora"])
@@ -192,7 +192,7 @@ def test_a_damaged_png_is_refused_without_a_word_on_the_terminal(capfd, spoil, s
     """The library that decodes it would write to the terminal for every image of a folder."""
     png = cv2.imencode(".png", np.random.default_rng(0).integers(0, 255, (24, 32), dtype=np.uint8))[1].tobytes()
     with pytest.raises(RecordingError, match=rf"^a\.png: the picture is {said} \(\d+ bytes\)\.$"):
-        picture(spoil(png), "a.png")
+        decode_picture(spoil(png), "a.png")
     assert capfd.readouterr() == ("", "")
 
 
@@ -201,4 +201,4 @@ def test_what_a_program_wrote_into_a_png_may_be_damaged():
     image = np.random.default_rng(0).integers(0, 255, (24, 32), dtype=np.uint8)
     png = cv2.imencode(".png", image)[1].tobytes()
     text = (5).to_bytes(4, "big") + b"tEXt" + b"a\0bcd" + bytes(4)
-    np.testing.assert_array_equal(picture(png[:33] + text + png[33:], "a.png"), image)
+    np.testing.assert_array_equal(decode_picture(png[:33] + text + png[33:], "a.png"), image)

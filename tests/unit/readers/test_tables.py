@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
-from gnomon.models.forms import TedaldiAccelerometer, inverse
-from gnomon.results.calibration import AccelerometerCalibration, GyroscopeCalibration, ImuCalibration, parameters
+from gnomon.models.forms import TedaldiAccelerometer, invert_matrix
+from gnomon.results.calibration import (
+    AccelerometerCalibration,
+    GyroscopeCalibration,
+    ImuCalibration,
+    calibration_parameters,
+)
 from gnomon.simulate import CameraImuScenario, simulate_camera_imu
 from gnomon.writers import tables
 from gnomon.writers.tables import entries_with_sigmas, form_tables, summary_table, value_text
@@ -17,7 +22,7 @@ FORMS = ["sensitivity", "tedaldi", "krebs", "angrisano", "kalibr"]
 
 def imu_and_covariance(calibration):
     imu = calibration.imus["imu0"]
-    return imu, calibration.covariance(*[path for path, _ in parameters(calibration.imus)])
+    return imu, calibration.covariance(*[path for path, _ in calibration_parameters(calibration.imus)])
 
 
 def by_name(calibration, form):
@@ -41,7 +46,7 @@ def test_tedaldi_sigmas_by_hand(random_calibration):
     calibration = random_calibration(12, frame="accel-z")
     table = by_name(calibration, "tedaldi")
     S = calibration.parameter("imu0.accelerometer.sensitivity")
-    C = inverse(S)
+    C = invert_matrix(S)
     jacobian = -np.kron(C, C.T)  # of the nine entries in row order
     K = np.diag(C)
     covariance = calibration.covariance("imu0.accelerometer.sensitivity")
@@ -61,7 +66,7 @@ def test_sigmas_are_the_scatter_of_drawn_sensors(random_calibration, form):
     calibration = random_calibration(13, frame="accel-z")
     imu, covariance = imu_and_covariance(calibration)
     entries, sigmas = entries_with_sigmas(imu, covariance, form)
-    start = np.concatenate([value.ravel() for _, value in parameters({"": imu})])
+    start = np.concatenate([value.ravel() for _, value in calibration_parameters({"": imu})])
     drawn = np.random.default_rng(3).multivariate_normal(start, covariance, 2000)
     values = np.array([[entry.value for entry in tables._entries(x, imu, form)] for x in drawn])
     scatter, free = values.std(axis=0), sigmas > 0

@@ -5,10 +5,10 @@ import pytest
 
 from gnomon.calibrate.comparison import compare
 from gnomon.formats.foreign import ForeignCalibration
-from gnomon.geometry.quaternion import normalised, rotation_from_quaternion
+from gnomon.geometry.quaternion import normalise_quaternion, rotation_from_quaternion
 from gnomon.models.camera import Camera
 from gnomon.report.comparison import comparison_page
-from gnomon.report.page import render
+from gnomon.report.page import render_page
 from gnomon.results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
 from gnomon.writers.tables import comparison_csv
 from html_page import Page
@@ -73,7 +73,7 @@ def triad(S, M):
 
 def dataset(numbers):
     p, q, M_a, M_g, S_a, S_g = np.split(numbers, [3, 7, 10, 13, 16])
-    C_bg = rotation_from_quaternion(normalised(q))
+    C_bg = rotation_from_quaternion(normalise_quaternion(q))
     T = np.eye(4)
     T[:3, 3] = p
     zero = np.zeros(3)
@@ -119,7 +119,7 @@ def test_nobody_stands_out_and_nothing_is_claimed_without_sigmas(found):
 
 
 def test_the_page_and_the_table(found):
-    words = Page(render(comparison_page(found)).decode()).words
+    words = Page(render_page(comparison_page(found)).decode()).words
     assert {"−11.52", "0.914"} <= set(words)  # mean and scatter of the second scalar of table B.4 [mm]
     lines = comparison_csv(found).splitlines()
     assert lines[0] == "calibration,path,element,value,sigma,unit"

@@ -11,9 +11,9 @@ import pytest
 from gnomon.errors import OutputError
 from gnomon.findings import Finding
 from gnomon.report import write_report
-from gnomon.report.drawing.figures import Sheet, coarser, dots, thinned
+from gnomon.report.drawing.figures import Sheet, coarsen_envelope, draw_dots, thin_points
 from gnomon.report.imu_parameters import parameter_groups
-from gnomon.report.numbers import fixed, number, prefixed, quantity, with_sigma
+from gnomon.report.numbers import fixed_text, number_text, quantity_text, si_prefix, with_sigma
 from gnomon.results.imu_diagnostics import DetectorTrace
 from gnomon.results.result import Result
 from html_page import Page
@@ -241,15 +241,15 @@ def test_importing_the_room_is_light():
     [(0.0, "0"), (-1234.5678, "−1235"), (1e-9, "10⁻⁹"), (-3.2e8, "−3.2·10⁸"), (float("inf"), "–"), (100.0, "100")],
 )
 def test_number(value, text):
-    assert number(value) == text
+    assert number_text(value) == text
 
 
 def test_numbers_with_units_and_sigma():
-    assert quantity(0.0014, "m/s²") == "1.40\u00a0mm/s²"
-    assert quantity(0.0, "rad") == "0\u00a0rad"
-    assert quantity(float("nan"), "rad") == "–"
-    assert prefixed(3e-10) == ("n", 1e9)
-    assert fixed(1.005, 1, sign=True) == "+1.0"
+    assert quantity_text(0.0014, "m/s²") == "1.40\u00a0mm/s²"
+    assert quantity_text(0.0, "rad") == "0\u00a0rad"
+    assert quantity_text(float("nan"), "rad") == "–"
+    assert si_prefix(3e-10) == ("n", 1e9)
+    assert fixed_text(1.005, 1, sign=True) == "+1.0"
     assert with_sigma(1.0, 0.0) == ("1", "")
     assert with_sigma(float("nan"), 1.0) == ("–", "")
     assert with_sigma(12345.678, 25.0) == ("12346", "25")
@@ -261,7 +261,7 @@ def test_coarser_keeps_extremes_and_gaps():
     rng = np.random.default_rng(3)
     low = rng.normal(size=(10_000, 3))
     low[2000:3000] = np.nan
-    t, coarse_low, coarse_high = coarser(np.arange(10_000.0), low, low + 1, bins=100)
+    t, coarse_low, coarse_high = coarsen_envelope(np.arange(10_000.0), low, low + 1, bins=100)
     assert len(t) == 100
     assert np.nanmin(coarse_low) == np.nanmin(low)
     assert np.nanmax(coarse_high) == np.nanmax(low + 1)
@@ -273,7 +273,7 @@ def test_thinned_keeps_extremes():
     rng = np.random.default_rng(4)
     y = rng.normal(size=5000)
     y[17] = np.nan
-    x, kept = thinned(np.arange(5000.0), y, bins=100)
+    x, kept = thin_points(np.arange(5000.0), y, bins=100)
     assert len(x) <= 200
     assert kept.min() == np.nanmin(y)
     assert kept.max() == np.nanmax(y)
@@ -282,7 +282,7 @@ def test_thinned_keeps_extremes():
 def test_drawing_keeps_every_dot_and_its_own_ids():
     sheet = Sheet()
     axes = sheet.panel("<b>", top=30, height=100)
-    dots(axes, np.arange(5.0), np.array([1.0, 2.0, np.nan, 4.0, 5.0]), "x", ring=True)
+    draw_dots(axes, np.arange(5.0), np.array([1.0, 2.0, np.nan, 4.0, 5.0]), "x", ring=True)
     svg = sheet.draw("name", 200, 'a "quoted" <alt>')
     paths = re.findall(r'class="dots"><path d="([^"]*)"', svg)
     assert [path.count("M") for path in paths] == [4, 4]

@@ -13,8 +13,8 @@ from gnomon.findings import Finding
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from gnomon.report import write_report
 from gnomon.report.camera_imu_sections import imu_section
-from gnomon.report.camera_imu_signals import motion_of, signal_name, telling_section
-from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting, mounting_text
+from gnomon.report.camera_imu_signals import rig_motion, signal_name, telling_section
+from gnomon.report.camera_parameters import baseline_groups, camera_groups, mounting_text, nominal_mounting
 from gnomon.report.corners import corner_view, field_magnification
 from gnomon.report.estimation import every_parameter
 from gnomon.report.imu_parameters import NOT_ABOVE, imu_groups, other_reading
@@ -144,7 +144,7 @@ def test_extrinsics_are_right_and_so_are_their_sigmas(uncertain):
     groups = camera_groups(uncertain, "cam1")
     poses = drawn_poses(uncertain)[:, 1]
     R, t = poses[:, :3, :3], poses[:, :3, 3]
-    nominal = mounting(T_CAM_IMU[1][:3, :3])
+    nominal = nominal_mounting(T_CAM_IMU[1][:3, :3])
     agree(shown(groups, "Attitude"), np.degrees(rotvec_from_rotation(nominal.T @ R)))
     agree(shown(groups, "Translation"), 1e3 * t)
     agree(shown(groups, "Position"), -1e3 * np.einsum("nji,nj->ni", R, t))
@@ -180,13 +180,13 @@ def test_baseline_of_unknown_cameras_is_left_out(uncertain):
 def test_mounting_is_the_nearest_of_all_axis_aligned_rotations(seed):
     rng = np.random.default_rng(seed)
     turned = rotation_from_rotvec(rng.uniform(-3, 3, 3))
-    found = mounting(turned)
+    found = nominal_mounting(turned)
     assert np.linalg.det(found) == pytest.approx(1.0)
     assert (np.abs(found).sum(axis=0) == 1).all()
     # No rotation lies farther from the 24 than 62.8 deg, the angle to a cube's corner cell.
     assert np.linalg.norm(rotvec_from_rotation(found.T @ turned)) < np.radians(62.81)
     slightly = found @ rotation_from_rotvec(rng.uniform(-0.2, 0.2, 3))
-    assert (mounting(slightly) == found).all()
+    assert (nominal_mounting(slightly) == found).all()
 
 
 def test_mounting_reads_as_the_directions_of_the_camera_axes():
@@ -371,7 +371,7 @@ def test_motion_has_no_gravity_in_its_acceleration(short):
     track, gravity = diagnostics.trajectory, diagnostics.gravity_target
     half_turn = np.tile([np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], (len(track.t_ns), 1))  # x_body = -z_target
     force = np.tile(-np.array([-gravity[2], gravity[1], gravity[0]]), (len(track.t_ns), 1))
-    motion = motion_of(replace(track, q_target_imu_wxyz=half_turn, f_imu=force), gravity)
+    motion = rig_motion(replace(track, q_target_imu_wxyz=half_turn, f_imu=force), gravity)
     assert np.abs(motion.acceleration).max() < 1e-12
     assert motion.rate[:, 1] == pytest.approx(np.degrees(track.omega_imu[:, 1]))
 

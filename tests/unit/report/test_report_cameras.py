@@ -20,7 +20,7 @@ from gnomon.report.cameras_lens import (
     lens_covariance,
     projection_spread,
     radial_curve,
-    straightened,
+    undistorted_grid,
 )
 from gnomon.report.cameras_sections import board_section
 from gnomon.report.cameras_views import epipolar_errors, views_around
@@ -231,7 +231,7 @@ def test_field_of_view_of_a_pinhole():
     camera = Camera(projection="pinhole", intrinsics=[300, 200, 299.5, 199.5], distortion="none", distortion_coeffs=[],
                     resolution=(600, 400))  # fmt: skip
     assert field_of_view(camera) == pytest.approx((2 * np.arctan(299.5 / 300), 2 * np.arctan(199.5 / 200)))
-    lines = straightened(camera)
+    lines = undistorted_grid(camera)
     assert all(np.ptp(line, axis=0).min() < 1e-9 for line in lines)  # rows and columns stay straight
     ends = np.concatenate(lines)
     assert (ends.min(axis=0), ends.max(axis=0)) == (pytest.approx([0, 0]), pytest.approx([599, 399]))

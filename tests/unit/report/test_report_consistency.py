@@ -12,7 +12,7 @@ from gnomon.readers.samples.stamps import guess_time_unit
 from gnomon.recording import TriadSamples
 from gnomon.report import write_report
 from gnomon.report.cameras_lens import projection_spread
-from gnomon.report.numbers import share
+from gnomon.report.numbers import percent_text
 from html_page import Page
 from report_numbers import Shown, number, parameters_shown
 
@@ -128,7 +128,11 @@ def test_whole_coverage_leaves_no_cell_without_corners(pair):
     assert projection_spread(camera, covariance, np.array(one_a_cell)).seen.all()
     missing = projection_spread(camera, covariance, np.array(one_a_cell[:-1])).seen
     assert 0 < np.count_nonzero(~missing) < 0.05 * missing.size
-    assert (share(1.0), share(79 / 80), share(0.9999)) == ("100\u00a0%", "99\u00a0%", "> 99\u00a0%")
+    assert (percent_text(1.0), percent_text(79 / 80), percent_text(0.9999)) == (
+        "100\u00a0%",
+        "99\u00a0%",
+        "> 99\u00a0%",
+    )
 
 
 def test_a_reader_states_the_rate_that_everything_else_states():

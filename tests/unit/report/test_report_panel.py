@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gnomon.report.drawing import svg
 from gnomon.report.drawing.figures import Sheet, log_limits
-from gnomon.report.drawing.panel import DASHED, Panel, Scale, decades, round_numbers
+from gnomon.report.drawing.panel import DASHED, Panel, Scale, decade_ticks, round_numbers
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_no_round_numbers_where_there_is_no_span(span):
 
 
 def test_decades():
-    assert decades(10**-3.1, 10**1.1) == pytest.approx([1e-3, 1e-2, 0.1, 1, 10])
-    assert len(decades(1e-9, 1e9)) <= 7
+    assert decade_ticks(10**-3.1, 10**1.1) == pytest.approx([1e-3, 1e-2, 0.1, 1, 10])
+    assert len(decade_ticks(1e-9, 1e9)) <= 7
 
 
 def test_places_of_a_scale():

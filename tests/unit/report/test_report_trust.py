@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from gnomon.cli.summary import trust_lines
-from gnomon.report.page import Figure, Prose, Table
+from gnomon.report.page import Figure, Prose, ReportTable
 from gnomon.report.trust_section import trust_section
 from gnomon.results.calibration import Assessment
-from gnomon.results.trust import Clusters, Trust, TrustNote
+from gnomon.results.trust import Clusters, Trust, UncertaintySummary
 from gnomon.writers.diagnostics_file import diagnostic_arrays
 from trust_example import NEED, example_trust
 
 
 def _assessment(**note: object) -> Assessment:
-    return Assessment(verdict="pass", findings=(), model="full", trust=TrustNote(**note))  # type: ignore[arg-type]
+    return Assessment(verdict="pass", findings=(), model="full", trust=UncertaintySummary(**note))  # type: ignore[arg-type]
 
 
 def test_nothing_known_makes_no_section() -> None:
@@ -26,7 +26,7 @@ def test_nothing_known_makes_no_section() -> None:
 def test_all_that_is_known_is_said() -> None:
     section = trust_section(_assessment(use="vio", needs=(NEED,)), example_trust())
     assert section is not None
-    tables = {block.title: block for block in section.blocks if isinstance(block, Table)}
+    tables = {block.title: block for block in section.blocks if isinstance(block, ReportTable)}
     needs = tables["What vio needs"]
     assert needs.rows[0][0] == "rotation of cam0"
     assert needs.rows[0][3] == "not enough"
@@ -75,7 +75,7 @@ def _saved(folder: Path) -> Path:
 
 
 def test_the_terminal_says_where_sigmas_come_from_and_what_a_use_lacks() -> None:
-    note = TrustNote(
+    note = UncertaintySummary(
         covariance="cluster-robust",
         clusters=24,
         cluster_s=2.0,
@@ -88,4 +88,4 @@ def test_the_terminal_says_where_sigmas_come_from_and_what_a_use_lacks() -> None
     lines = list(trust_lines(note))
     assert any("24 clusters of 2 s, 2.5 x those of white noise" in line for line in lines)
     assert any("1 of 1 needs not met" in line for line in lines)
-    assert list(trust_lines(TrustNote())) == []
+    assert list(trust_lines(UncertaintySummary())) == []

@@ -13,9 +13,9 @@ from gnomon.geometry.rotation_vector import rotation_from_rotvec
 from gnomon.models.board_pattern import board_pattern, tag_codes
 from gnomon.models.camera import Camera
 from gnomon.models.target import Target
-from gnomon.simulate.images.board_outlines import coverage
+from gnomon.simulate.images.board_outlines import pixel_coverage
 from gnomon.simulate.images.clutter import cluttered_wall
-from gnomon.simulate.images.rendering import Optics, render, render_moving
+from gnomon.simulate.images.rendering import Optics, render_board, render_moving
 from rendered import FACING, Ranges, euroc_camera, rendered_views
 
 SIZE, GAP = 0.088, 0.0264
@@ -85,7 +85,7 @@ def test_corners_are_where_they_are_projected(blur_px):
     for R, p in ((FACING, STRAIGHT), (askew(0.5, -0.3, 0.7), np.array([-0.05, 0.35, 0.9]))):
         pixels = CAMERA.project(APRILGRID.points @ R.T + p).pixels
         inside = ((pixels > 15) & (pixels < np.array(CAMERA.resolution) - 15)).all(axis=1)
-        image = render(PATTERN, CAMERA, R, p, options=Optics(white=250.0, black=5.0, blur_px=blur_px))
+        image = render_board(PATTERN, CAMERA, R, p, options=Optics(white=250.0, black=5.0, blur_px=blur_px))
         chosen = rng.permutation(np.flatnonzero(inside))[:10]
         shifts += [displacement(image, *reference(R, p, pixels[point], blur_px, rng)) for point in chosen]
     assert np.sqrt(np.mean(np.square(shifts))) < 0.003  # of which the grey levels' rounding is 0.002
@@ -102,7 +102,7 @@ def test_coverage_is_the_area_inside(corners, clockwise):
     ends = np.roll(outline, -1, axis=0)
     pieces = [a + parts * (b - a) for a, b in zip(outline, ends, strict=True)]
     start, end = (np.concatenate([piece[k] for piece in pieces]) for k in (slice(None, -1), slice(1, None)))
-    found = coverage(start, end, (5, 6))
+    found = pixel_coverage(start, end, (5, 6))
     # signed area of the outline clipped to each half plane and strip, by the shoelace formula on a finer grid
     n = 60
     x, y = ((np.arange(side * n) + 0.5) / n for side in (6, 5))
@@ -121,10 +121,10 @@ def test_a_moving_board_is_the_mean_over_the_exposure():
     p = STRAIGHT + np.outer(np.linspace(-1, 1, 5), [0.004, 0.001, 0.002])
     R = np.array([askew(0.0, angle, 0.1) for angle in np.linspace(0, 0.004, 5)])
     optics = Optics(blur_px=0.6)
-    mean = np.mean([render(PATTERN, CAMERA, R[k], p[k], options=optics) for k in range(5)], axis=0)
-    moving = render(PATTERN, CAMERA, R, p, options=optics)
+    mean = np.mean([render_board(PATTERN, CAMERA, R[k], p[k], options=optics) for k in range(5)], axis=0)
+    moving = render_board(PATTERN, CAMERA, R, p, options=optics)
     assert np.abs(moving - mean).max() < 1.1
-    assert np.abs(moving.astype(float) - render(PATTERN, CAMERA, R[2], p[2], options=optics)).max() > 20
+    assert np.abs(moving.astype(float) - render_board(PATTERN, CAMERA, R[2], p[2], options=optics)).max() > 20
 
 
 def passing(R, p, velocity):
@@ -135,13 +135,13 @@ def passing(R, p, velocity):
 def test_rows_are_exposed_one_after_the_other():
     R, velocity, optics = askew(0.1, 0.2, 0.3), np.array([3.0, 1.0, 0.0]), Optics(blur_px=0.5)
     rolling = replace(CAMERA, line_delay_s=3e-5)
-    still = render(PATTERN, CAMERA, R, STRAIGHT, options=optics)
+    still = render_board(PATTERN, CAMERA, R, STRAIGHT, options=optics)
     np.testing.assert_allclose(
         render_moving(PATTERN, rolling, passing(R, STRAIGHT, [0, 0, 0]), options=optics).astype(float), still, atol=1
     )
     rolled = render_moving(PATTERN, rolling, passing(R, STRAIGHT, velocity), options=optics).astype(float)
     for row in (150, 250, 350):
-        frozen = render(PATTERN, CAMERA, R, STRAIGHT + 3e-5 * row * velocity, options=optics)
+        frozen = render_board(PATTERN, CAMERA, R, STRAIGHT + 3e-5 * row * velocity, options=optics)
         assert np.abs(rolled[row] - frozen[row]).max() < 12  # the rows above and below blur into it
         assert np.abs(rolled[row] - frozen[row]).mean() < 0.5
         assert np.abs(rolled[row - 100] - frozen[row - 100]).max() > 60
@@ -150,14 +150,16 @@ def test_rows_are_exposed_one_after_the_other():
 def test_light_and_noise():
     away = np.array([0.0, 0.0, -1.0])  # behind the camera: nothing but the background
     flat = Optics(background=100.0, noise=3.0)
-    image = render(PATTERN, CAMERA, FACING, away, options=flat, rng=np.random.default_rng(1))
+    image = render_board(PATTERN, CAMERA, FACING, away, options=flat, rng=np.random.default_rng(1))
     assert abs(image.mean() - 100) < 0.05
     assert abs(image.std() - np.hypot(3, 1 / np.sqrt(12))) < 0.05
-    assert (render(PATTERN, CAMERA, FACING, away, options=flat) == 100).all()
+    assert (render_board(PATTERN, CAMERA, FACING, away, options=flat) == 100).all()
     shot = Optics(background=100.0, noise=0.0, shot_noise=0.16)
-    image = render(PATTERN, CAMERA, FACING, away, options=shot, rng=np.random.default_rng(1))
+    image = render_board(PATTERN, CAMERA, FACING, away, options=shot, rng=np.random.default_rng(1))
     assert abs(image.std() - 4) < 0.1
-    dim = render(PATTERN, CAMERA, FACING, away, options=Optics(background=100.0, vignetting=0.4, gradient=(0.2, 0.1)))
+    dim = render_board(
+        PATTERN, CAMERA, FACING, away, options=Optics(background=100.0, vignetting=0.4, gradient=(0.2, 0.1))
+    )
     assert abs(int(dim[240, 376]) - 100) <= 1
     np.testing.assert_allclose(
         [dim[0, 0], dim[0, -1], dim[-1, -1]], [60 * 0.7, 60 * 1.1, 60 * 1.3], atol=1
@@ -168,7 +170,7 @@ def test_what_is_not_seen_is_not_drawn():
     optics = Optics(background=100.0)
     from_behind = np.diag([1.0, 1.0, 1.0])
     for R, p in ((from_behind, STRAIGHT), (FACING, np.array([30.0, 0.0, 1.0])), (FACING, np.array([0.0, 0.0, -1.0]))):
-        assert (render(PATTERN, CAMERA, R, p, options=optics) == 100).all()
+        assert (render_board(PATTERN, CAMERA, R, p, options=optics) == 100).all()
 
 
 def test_a_board_that_reaches_behind_the_camera_is_drawn_where_it_is_seen():
@@ -180,7 +182,7 @@ def test_a_board_that_reaches_behind_the_camera_is_drawn_where_it_is_seen():
         resolution=(640, 480),
     )
     R, p = askew(0.0, -1.2, 0.0), np.array([-0.15, 0.3, -0.1])
-    image = render(PATTERN, wide, R, p, options=Optics(background=100.0))
+    image = render_board(PATTERN, wide, R, p, options=Optics(background=100.0))
     seen = wide.project(APRILGRID.points @ R.T + p)
     assert not seen.valid.all()
     with np.errstate(invalid="ignore"):
@@ -194,7 +196,7 @@ def test_a_board_that_reaches_behind_the_camera_is_drawn_where_it_is_seen():
 def test_covers_and_walls():
     wall = cluttered_wall(3)
     square = np.array([[100.0, 100], [180, 100], [180, 180], [100, 180]])
-    image = render(PATTERN, CAMERA, FACING, STRAIGHT, options=Optics(black=30.0), wall=wall, occluders=[square])
+    image = render_board(PATTERN, CAMERA, FACING, STRAIGHT, options=Optics(black=30.0), wall=wall, occluders=[square])
     assert (image[105:176, 105:176] == 30).all()
     parameters = cv2.aruco.DetectorParameters()
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)

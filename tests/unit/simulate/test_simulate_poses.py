@@ -5,7 +5,7 @@ import pytest
 
 from gnomon.errors import OptionError
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.simulate.poses import TABLE_1, directions
+from gnomon.simulate.poses import TABLE_1, rest_directions
 
 QUIET = {"accelerometer_noise_density": 0.0, "gyroscope_noise_density": 0.0, "samples": 4}
 EXACT = {**QUIET, "sensor": "drawn", "units": "si"}
@@ -14,7 +14,7 @@ B_G = (-1.4e-5, -0.1e-5, 1.8e-5, -2.6e-5, 1.3e-4, 1.2e-4, 3.5e-5, -1.5e-4, -1.5e
 
 @pytest.mark.parametrize(("attitudes", "count"), [("angrisano18", 18), ("six", 6), ("seven", 7), ("sphere", 24)])
 def test_sets_of_attitudes(attitudes, count):
-    u = directions(PoseScenario(attitudes=attitudes))
+    u = rest_directions(PoseScenario(attitudes=attitudes))
     assert u.shape == (count, 3)
     np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0)
     assert len(np.unique(u.round(9), axis=0)) == min(count, 24 if attitudes != "seven" else 6)
@@ -23,7 +23,7 @@ def test_sets_of_attitudes(attitudes, count):
 
 def test_document_b_goes_from_minus_z_over_all_faces_back_to_it():
     order = [(0, 0, -1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, -1)]
-    np.testing.assert_array_equal(directions(PoseScenario(attitudes="seven")), order)
+    np.testing.assert_array_equal(rest_directions(PoseScenario(attitudes="seven")), order)
 
 
 def test_readings_follow_the_truth():

@@ -14,21 +14,21 @@ from gnomon.errors import OptionError, OutputError
 from gnomon.estimate.triads.angrisano import fit_magnitudes
 from gnomon.estimate.triads.triad import fit_triad
 from gnomon.models.angrisano import AngrisanoTriad
-from gnomon.report.page import render
+from gnomon.report.page import render_page
 from gnomon.report.studies.angrisano import angrisano_page
 from gnomon.simulate import PoseScenario, simulate_poses
-from gnomon.study.angrisano import SETTINGS, claims, group_rms, study_angrisano, tables
+from gnomon.study.angrisano import SETTINGS, angrisano_claims, angrisano_group_rms, angrisano_tables, study_angrisano
 from gnomon.study.angrisano_trial import (
     DATASHEET,
     TABLE_2,
     TRUTH,
+    AngrisanoTrial,
     Basin,
-    Trial,
     as_angrisano,
     drawn_start,
-    offsets,
     pose_means,
-    run_trial,
+    run_angrisano_trial,
+    start_offsets,
 )
 from gnomon.study.runs import Workers, carry_out
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
@@ -49,7 +49,7 @@ def small():
 
 
 def test_every_claim_holds_but_for_what_few_runs_can_tell(small):
-    found = {claim.claim: claim.holds for claim in claims(small)}
+    found = {claim.claim: claim.holds for claim in angrisano_claims(small)}
     assert [text for text, holds in found.items() if holds is False] == []
     assert [text.split()[-1] for text, holds in found.items() if holds is None] == ["scatter", "scatter", "(C7)"]
 
@@ -66,8 +66,8 @@ def test_both_methods_find_the_truth(small):
             z = (sample.stacked(method) - TRUTH) / sample.stacked(f"{method}_sigma")
             assert np.abs(z).max() < 6
             assert 0.4 < np.sqrt(np.mean(z**2)) < 2
-        roughly_known = group_rms(sample.scatter("components"))
-        assert (roughly_known > 10 * group_rms(sample.scatter("paper"))).all()
+        roughly_known = angrisano_group_rms(sample.scatter("components"))
+        assert (roughly_known > 10 * angrisano_group_rms(sample.scatter("paper"))).all()
 
 
 def test_document_c_needs_a_good_start_and_gnomon_none(small):
@@ -87,8 +87,11 @@ def test_document_c_needs_a_good_start_and_gnomon_none(small):
 
 
 def test_a_run_depends_on_its_seed_alone():
-    trials = [Trial(scenario=SETTINGS[1].scenario, seed=seed) for seed in (5, 6)]
-    alone, shared = ([run_trial(trial) for trial in trials], carry_out(run_trial, trials, workers=Workers(jobs=2)))
+    trials = [AngrisanoTrial(scenario=SETTINGS[1].scenario, seed=seed) for seed in (5, 6)]
+    alone, shared = (
+        [run_angrisano_trial(trial) for trial in trials],
+        carry_out(run_angrisano_trial, trials, workers=Workers(jobs=2)),
+    )
     for a, b in zip(alone, shared, strict=True):
         np.testing.assert_array_equal(a.ours, b.ours)
         np.testing.assert_array_equal(a.paper, b.paper)
@@ -121,7 +124,7 @@ def test_starts_are_drawn_in_the_widened_intervals_with_positive_scales():
 
 
 def test_the_interval_of_a_basin_ends_at_the_first_failure():
-    offset = offsets(1, 3.0)
+    offset = start_offsets(1, 3.0)
     found = (offset > -2000) & (offset < 3000)
     found[0] = True  # beyond the failures
     basin = Basin(group="biases", offset=offset, paper=found, printed=found, ours=np.ones(13, dtype=bool))
@@ -132,7 +135,7 @@ def test_the_interval_of_a_basin_ends_at_the_first_failure():
 
 
 def test_the_page_shows_tables_and_figures(small):
-    html = render(angrisano_page(small)).decode()
+    html = render_page(angrisano_page(small)).decode()
     page = Page(html)
     assert html.count('<svg class="plot"') == 4
     assert "nan" not in page.text.split()
@@ -146,7 +149,7 @@ def test_the_page_shows_tables_and_figures(small):
 @pytest.mark.parametrize(("width", "mobile", "scheme"), [(1440, False, "light"), (390, True, "dark")])
 def test_the_page_fits_any_screen(small, tmp_path, width, mobile, scheme):
     path = tmp_path / "study.html"
-    path.write_bytes(render(angrisano_page(small)))
+    path.write_bytes(render_page(angrisano_page(small)))
     browser = Browser(tmp_path / "profile")
     try:
         browser.open(path, width=width, height=900, mobile=mobile, scheme=scheme)
@@ -171,7 +174,7 @@ def test_a_claim_that_fails_is_a_warning(small):
 
 
 def test_tables_are_whole_csv_files(small):
-    found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in tables(small)}
+    found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in angrisano_tables(small)}
     assert set(found) == {"claims", "parameters", "runs", "starts", "iterations"}
     assert len(found["runs"]) == 12
     assert len(found["parameters"]) == 27
@@ -191,7 +194,7 @@ def run(monkeypatch, small, capsys, *, as_json=False, **options):
 def test_the_command_writes_a_folder_and_says_what_holds(small, monkeypatch, capsys, tmp_path):
     code, out = run(monkeypatch, small, capsys, output=tmp_path / "out")
     assert code == 0
-    assert out.count("holds  ") == sum(claim.holds is True for claim in claims(small)) == 6
+    assert out.count("holds  ") == sum(claim.holds is True for claim in angrisano_claims(small)) == 6
     assert out.count("too few runs to tell: ") == 3
     assert str(tmp_path / "out" / PAGE) in out
     names = {path.name for path in (tmp_path / "out").iterdir()}

@@ -7,11 +7,11 @@ from io import StringIO
 import numpy as np
 import pytest
 
-from gnomon.report.page import render
+from gnomon.report.page import render_page
 from gnomon.report.studies.krebs import krebs_page
 from gnomon.simulate.camera_imu import simulate_camera_imu
-from gnomon.study.krebs import SERIES, SETTINGS, Independence, KrebsStudy, Sample, group_mean, study_krebs
-from gnomon.study.krebs_claims import claims, tables
+from gnomon.study.krebs import SERIES, SETTINGS, Independence, KrebsSample, KrebsStudy, group_mean, study_krebs
+from gnomon.study.krebs_claims import krebs_claims, krebs_tables
 from gnomon.study.krebs_run import (
     CHANGES,
     OPTIONS,
@@ -19,12 +19,12 @@ from gnomon.study.krebs_run import (
     KrebsRun,
     KrebsTask,
     calibrated_run,
-    changed,
+    change_parameter,
     run_krebs,
-    sensed,
+    sense_motion,
 )
-from gnomon.study.krebs_thesis import GROUPS, NAMES, KrebsRig, columns, stated_sigma
-from gnomon.study.runs import Records, seeds
+from gnomon.study.krebs_thesis import GROUPS, NAMES, KrebsRig, group_columns, stated_sigma
+from gnomon.study.runs import Records, run_seeds
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 from html_page import Page
 
@@ -39,14 +39,14 @@ def drawn_study(runs: int = RUNS, seed: int = 0) -> KrebsStudy:
         sigma = np.nan_to_num(stated_sigma(k % 4 if k < 3 else 0), nan=1e-3) * series.task.noise_factor ** (k > 3)
         bias = np.zeros(len(NAMES))
         if series.task.model == "basic":
-            bias[columns("p_cb")] = 4e-3, 1e-3, -2e-3
+            bias[group_columns("p_cb")] = 4e-3, 1e-3, -2e-3
             sigma = sigma / 3
         errors = bias + sigma * rng.standard_normal((runs, len(NAMES)))
         outcomes = tuple(
             KrebsRun(error=e, sigma=sigma, nees=float(np.sum((e / sigma) ** 2)), iterations=4, converged=True)
             for e in errors
         )
-        samples.append(Sample(series=series, outcomes=outcomes))
+        samples.append(KrebsSample(series=series, outcomes=outcomes))
     size = len(NAMES)
     quiet = KrebsRun(error=np.zeros(size), sigma=np.ones(size), nees=0.0, iterations=3, converged=True)
     return KrebsStudy(
@@ -61,7 +61,7 @@ def drawn_study(runs: int = RUNS, seed: int = 0) -> KrebsStudy:
 
 def test_the_numbers_of_the_thesis_agree_with_themselves():
     assert len(NAMES) == 34
-    assert NAMES[columns("B_g")][5] == "B_g yz"
+    assert NAMES[group_columns("B_g")][5] == "B_g yz"
     means = group_mean(stated_sigma(0))
     agree = {group.symbol: means[group.symbol] / group.table_5_3 for group in GROUPS if group.sigma}
     for symbol in ("p_cb", "M_a", "S_a", "S_g", "B_g"):
@@ -74,7 +74,7 @@ def test_a_rig_senses_what_the_equations_of_document_b_say():
     scenario = replace(SCENARIO, duration_s=1.0, noise_factor=0.0, pixel_noise_px=0.0, earth_rate_latitude=None)
     simulation = simulate_camera_imu(scenario, 3)
     rig = KrebsRig(gravity=simulation.gravity_target, time_shift_s=0.05)
-    recording = sensed(simulation, rig)
+    recording = sense_motion(simulation, rig)
     motion = simulation.trajectory.path.at(simulation.trajectory.t_s).of(rig.T_cam_imu)
     R = motion.R_target_body[7]
     f = R.T @ (motion.acceleration[7] - rig.gravity)
@@ -99,8 +99,8 @@ def test_noise_is_scaled_and_motion_kept():
 
 @pytest.mark.parametrize("symbol", ["p_cb", "q_bg", "B_g", "g_w"])
 def test_one_parameter_of_a_rig_changes_alone(symbol):
-    name = NAMES[columns(symbol)][1]
-    before, after = KrebsRig(), changed(KrebsRig(), name)
+    name = NAMES[group_columns(symbol)][1]
+    before, after = KrebsRig(), change_parameter(KrebsRig(), name)
     different = [
         field for field in before.__slots__ if not np.array_equal(getattr(before, field), getattr(after, field))
     ]
@@ -112,7 +112,7 @@ def test_one_parameter_of_a_rig_changes_alone(symbol):
 
 @pytest.fixture(scope="module")
 def short_runs():
-    drawn = seeds(0, 2)
+    drawn = run_seeds(0, 2)
     return [run_krebs(KrebsTask(seed=number, duration_s=12.0)) for number in drawn]
 
 
@@ -126,7 +126,7 @@ def test_a_run_finds_the_truth(short_runs):
 
 
 def test_sigmas_of_gravity_follow_from_direction_and_magnitude(short_runs):
-    across, along, ahead = short_runs[0].sigma[columns("g_w")]
+    across, along, ahead = short_runs[0].sigma[group_columns("g_w")]
     assert 0.3 < across / ahead < 3
     assert along < 0.05  # the weak prior about the stated magnitude
 
@@ -168,12 +168,12 @@ def test_runs_can_be_kept_in_a_journal():
 
 
 def test_claims_hold_where_document_b_is_true():
-    for claim in claims(drawn_study(150)):  # as many as its large scatter of p_cb asks for
+    for claim in krebs_claims(drawn_study(150)):  # as many as its large scatter of p_cb asks for
         assert claim.holds, claim
 
 
 def test_few_recordings_tell_little():
-    held = {claim.claim: claim.holds for claim in claims(drawn_study(6))}
+    held = {claim.claim: claim.holds for claim in krebs_claims(drawn_study(6))}
     assert False not in held.values()
     too_few = [text for text, holds in held.items() if holds is None]
     for word in ("mean lies", "Earth's rate", "each sigma", "by 2 to 4", "follows", "extended model"):
@@ -184,7 +184,7 @@ def test_few_recordings_tell_little():
     hidden = replace(basic.basic, outcomes=tuple(replace(o, error=0.05 * (-1) ** k + 0.1 * o.error)
                                                  for k, o in enumerate(basic.basic.outcomes)))  # fmt: skip
     samples = (*basic.samples[:3], hidden, *basic.samples[4:])
-    held = {claim.claim: claim.holds for claim in claims(replace(basic, samples=samples))}
+    held = {claim.claim: claim.holds for claim in krebs_claims(replace(basic, samples=samples))}
     assert [holds for text, holds in held.items() if "biases p_cb" in text] == [None]
 
 
@@ -204,17 +204,17 @@ def test_few_recordings_tell_little():
 def test_claims_fail_where_it_is_not(word, series, symbol, worse):
     study = drawn_study()
     errors = study.samples[series].errors.copy()
-    errors[:, columns(symbol)] = worse(errors[:, columns(symbol)])
+    errors[:, group_columns(symbol)] = worse(errors[:, group_columns(symbol)])
     outcomes = tuple(replace(run, error=e) for run, e in zip(study.samples[series].outcomes, errors, strict=True))
     samples = list(study.samples)
     samples[series] = replace(samples[series], outcomes=outcomes)
-    found = {claim.claim: claim.holds for claim in claims(replace(study, samples=tuple(samples)))}
+    found = {claim.claim: claim.holds for claim in krebs_claims(replace(study, samples=tuple(samples)))}
     assert [holds for claim, holds in found.items() if word in claim] == [False]
 
 
 def test_the_page_shows_tables_and_figures():
     study = drawn_study()
-    html = render(krebs_page(study)).decode()
+    html = render_page(krebs_page(study)).decode()
     page = Page(html)
     assert html.count('<svg class="plot"') == 4
     assert "nan" not in page.text.split()
@@ -228,7 +228,7 @@ def test_the_page_shows_tables_and_figures():
 @pytest.mark.parametrize(("width", "mobile", "scheme"), [(1440, False, "light"), (390, True, "dark")])
 def test_the_page_fits_any_screen(tmp_path, width, mobile, scheme):
     path = tmp_path / "study.html"
-    path.write_bytes(render(krebs_page(drawn_study())))
+    path.write_bytes(render_page(krebs_page(drawn_study())))
     browser = Browser(tmp_path / "profile")
     try:
         browser.open(path, width=width, height=900, mobile=mobile, scheme=scheme)
@@ -244,7 +244,7 @@ def test_the_page_fits_any_screen(tmp_path, width, mobile, scheme):
 
 def test_tables_are_whole_csv_files():
     study = drawn_study(runs=5)
-    found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in tables(study)}
+    found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in krebs_tables(study)}
     assert set(found) == {"claims", "parameters", "table_5_3", "runs", "independence", "settings"}
     assert len(found["runs"]) == 5 * len(SERIES)
     assert len(found["parameters"]) == len(NAMES) * len(SERIES)
@@ -270,10 +270,10 @@ def test_every_run_comes_into_its_series(monkeypatch):
     monkeypatch.setattr("gnomon.study.krebs.run_krebs", run)
     study = study_krebs(runs=3, seed=4)
     for sample in study.samples:
-        expected = [0, 0, 0] if sample is study.basic else seeds(4, 3)
+        expected = [0, 0, 0] if sample is study.basic else run_seeds(4, 3)
         np.testing.assert_array_equal(sample.errors[:, 0], np.array(expected, dtype=np.float64))
     np.testing.assert_array_equal(study.independence.moved[:, 0], np.arange(len(NAMES)))
-    assert [run.nees for _, run in study.settings] == [seeds(4, 1)[0], *range(1, len(SETTINGS))]
+    assert [run.nees for _, run in study.settings] == [run_seeds(4, 1)[0], *range(1, len(SETTINGS))]
     assert [run.nees for run in study.quiet] == [1, 0]
 
 

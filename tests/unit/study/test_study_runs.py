@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError, RecordingError, SolveError
-from gnomon.study.runs import Records, Workers, carry_out, seeds
-from gnomon.study.tedaldi_trial import SCENARIO, run_trial, trial
+from gnomon.study.runs import Records, Workers, carry_out, run_seeds
+from gnomon.study.tedaldi_trial import SCENARIO, run_tedaldi_trial, tedaldi_trial
 from repeatable import to_the_last_digit
 from study_work import Task, drawn, lost, process, product, refused
 
@@ -38,15 +38,15 @@ def assert_alike(a, b):
 
 
 def test_seeds_differ_and_begin_alike():
-    many = seeds(0, 1000)
+    many = run_seeds(0, 1000)
     assert len(set(many)) == 1000
-    assert many[:10] == seeds(0, 10)
-    assert seeds(1, 10) != many[:10]
+    assert many[:10] == run_seeds(0, 10)
+    assert run_seeds(1, 10) != many[:10]
 
 
 @to_the_last_digit
 def test_results_do_not_depend_on_the_number_of_processes():
-    tasks = seeds(3, 9)
+    tasks = run_seeds(3, 9)
     alone = carry_out(product, tasks)
     assert carry_out(product, tasks, workers=Workers(jobs=2)) == alone
     assert alone == [product(seed) for seed in tasks]
@@ -97,7 +97,7 @@ def test_no_jobs_are_refused():
 @pytest.mark.parametrize("after", [1, 4, 5])
 def test_an_interrupted_study_goes_on_where_it_was(after, tmp_path):
     done = tmp_path / "done"
-    tasks = [Task(seed=seed, done=str(done)) for seed in seeds(0, 5)]
+    tasks = [Task(seed=seed, done=str(done)) for seed in run_seeds(0, 5)]
     journal = Memory(interrupt_after=after)
     with pytest.raises(KeyboardInterrupt):
         carry_out(drawn, tasks, workers=Workers(journal=journal))
@@ -153,9 +153,9 @@ def test_objects_are_not_kept():
 
 
 def test_the_outcome_of_a_study_is_kept_to_the_bit():
-    task = trial(replace(SCENARIO, intervals=12, t_init_s=20.0), 5, 6)
-    outcome = run_trial(task)
-    records = Records(run_trial, [task])
+    task = tedaldi_trial(replace(SCENARIO, intervals=12, t_init_s=20.0), 5, 6)
+    outcome = run_tedaldi_trial(task)
+    records = Records(run_tedaldi_trial, [task])
     (back,) = records.read(records.written(outcome))
     np.testing.assert_array_equal(back.truth, outcome.truth)
     for a, b in zip(back.methods, outcome.methods, strict=True):

@@ -8,35 +8,35 @@ import numpy as np
 import pytest
 
 from gnomon.models.forms import TedaldiAccelerometer, TedaldiGyroscope
-from gnomon.report.page import render
+from gnomon.report.page import render_page
 from gnomon.report.studies.tedaldi import tedaldi_page
 from gnomon.simulate.imu import simulate_imu, true_signals
 from gnomon.simulate.scenarios import Scenario
 from gnomon.study import tedaldi
-from gnomon.study.tedaldi import study_tedaldi, trials
+from gnomon.study.tedaldi import study_tedaldi, tedaldi_trials
 from gnomon.study.tedaldi_claims import (
     GROUPS,
     MEAN_ERROR,
     SET_1,
     SPREAD,
     UNITS,
-    claims,
     group_errors,
     noise_alone,
     sigma_over_scatter,
-    tables,
+    tedaldi_claims,
+    tedaldi_tables,
 )
 from gnomon.study.tedaldi_trial import (
     METHODS,
     SCENARIO,
     SignalErrors,
     as_tedaldi,
-    corrected,
+    correct_samples,
     ideal_signals,
-    recorded,
-    run_trial,
+    recorded_samples,
+    run_tedaldi_trial,
     signal_errors,
-    trial,
+    tedaldi_trial,
 )
 from headless import CHROMIUM, MEASURE, WHY_NOT, Browser
 from html_page import Page
@@ -60,18 +60,18 @@ def test_the_numbers_of_the_thesis_agree_with_themselves():
 
 
 def test_sets_and_runs_of_a_smaller_study_are_the_first_of_a_larger_one():
-    many = trials(3, 3, 4)
+    many = tedaldi_trials(3, 3, 4)
     assert len({(task.scenario.sensor_seed, task.seed) for task in many}) == 12
-    assert trials(3, 2, 2) == [*many[:2], *many[4:6]]
-    assert not {task.seed for task in trials(4, 3, 4)} & {task.seed for task in many}
+    assert tedaldi_trials(3, 2, 2) == [*many[:2], *many[4:6]]
+    assert not {task.seed for task in tedaldi_trials(4, 3, 4)} & {task.seed for task in many}
 
 
 def test_ideal_signals_are_those_of_the_recording():
     silent = replace(SCENARIO, intervals=6, t_init_s=8.0, accelerometer_noise_density=0.0, gyroscope_noise_density=0.0)
-    task = trial(silent, 5, 6)
+    task = tedaldi_trial(silent, 5, 6)
     recording, truth = simulate_imu(task.scenario, task.seed)
     ideal = ideal_signals(task, truth)
-    force, rate = corrected(truth.in_frame("accel-z").imus["imu0"], *recorded(recording))
+    force, rate = correct_samples(truth.in_frame("accel-z").imus["imu0"], *recorded_samples(recording))
     np.testing.assert_allclose(force, ideal.force, atol=1e-12)
     np.testing.assert_allclose(rate, ideal.rate, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(ideal.force[~ideal.moving], axis=1), silent.gravity, rtol=1e-12)
@@ -85,7 +85,7 @@ def test_ideal_signals_are_those_of_the_recording():
 
 
 def test_the_metrics_measure_what_is_wrong():
-    task = trial(replace(SCENARIO, intervals=6, t_init_s=8.0), 5, 6)
+    task = tedaldi_trial(replace(SCENARIO, intervals=6, t_init_s=8.0), 5, 6)
     ideal = true_signals(task.scenario, task.seed)
     shift, turn = np.array([0.3, 0.0, 0.0]), np.array([0.0, 0.02, 0.0])
     errors = signal_errors(ideal, ideal.force + shift, ideal.rate + turn, task.scenario.gravity)
@@ -133,7 +133,7 @@ def test_letters_and_sigmas_of_document_a():
 
 
 def test_every_claim_holds_but_for_what_few_runs_can_tell(small):
-    found = {claim.claim: claim.holds for claim in claims(small)}
+    found = {claim.claim: claim.holds for claim in tedaldi_claims(small)}
     assert [text for text, holds in found.items() if holds is False] == []
     assert [text for text, holds in found.items() if holds is None] == [
         "Gnomon's sigmas agree with the scatter, each of the 18 parameters"
@@ -149,13 +149,13 @@ def test_gnomon_is_nearer_to_the_truth_than_what_was_published(small):
 
 
 def test_a_recording_that_cannot_be_calibrated_is_counted(small):
-    outcome = run_trial(trial(replace(SCENARIO, intervals=5, t_init_s=4.0), 1, 2))
+    outcome = run_tedaldi_trial(tedaldi_trial(replace(SCENARIO, intervals=5, t_init_s=4.0), 1, 2))
     assert all(one.problem for one in outcome.methods)
     assert np.isnan(outcome.methods[0].estimate).all()
     assert np.isfinite(outcome.before.drift).all()
     first, *rest = small.outcomes[0]
     study = replace(small, outcomes=((outcome, *rest), *small.outcomes[1:]))
-    failed = {claim.claim: claim for claim in claims(study)}["Every recording is calibrated"]
+    failed = {claim.claim: claim for claim in tedaldi_claims(study)}["Every recording is calibrated"]
     assert not failed.holds
     assert failed.found.startswith("3;")
     assert np.isfinite(group_errors(study, "gnomon")).all()
@@ -164,7 +164,7 @@ def test_a_recording_that_cannot_be_calibrated_is_counted(small):
 
 
 def test_the_page_shows_tables_and_figures(small):
-    html = render(tedaldi_page(small)).decode()
+    html = render_page(tedaldi_page(small)).decode()
     page = Page(html)
     assert html.count('<svg class="plot"') == 1 + 2 * len(small.examples) + 1 + 6
     assert "nan" not in page.text.split()
@@ -181,7 +181,7 @@ def test_the_page_shows_tables_and_figures(small):
 @pytest.mark.parametrize(("width", "mobile", "scheme"), [(1440, False, "light"), (390, True, "dark")])
 def test_the_page_fits_any_screen(small, tmp_path, width, mobile, scheme):
     path = tmp_path / "study.html"
-    path.write_bytes(render(tedaldi_page(small)))
+    path.write_bytes(render_page(tedaldi_page(small)))
     browser = Browser(tmp_path / "profile")
     try:
         browser.open(path, width=width, height=900, mobile=mobile, scheme=scheme)
@@ -194,7 +194,7 @@ def test_the_page_fits_any_screen(small, tmp_path, width, mobile, scheme):
 
 
 def test_tables_are_whole_csv_files(small):
-    found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in tables(small)}
+    found = {table.name: list(csv.DictReader(StringIO(table.csv()))) for table in tedaldi_tables(small)}
     assert set(found) == {"claims", "parameters", "tedaldi_2014", "signals"}
     assert len(found["parameters"]) == 2 * len(METHODS) * 18
     assert len(found["signals"]) == 2 * FEW * (1 + len(METHODS))

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 
 from gnomon.errors import OutputError, RecordingError
 from gnomon.readers.bags.bag import open_bag
-from gnomon.readers.bags.salvage import Outcome, records
+from gnomon.readers.bags.salvage import Outcome, read_records
 from gnomon.recording import ImuSamples, TriadSamples
 from gnomon.recording.images import Arrivals, Frame, ImageRecording, ImageStream
 from gnomon.writers.bag_recording import save_bag
@@ -139,7 +139,7 @@ def test_times_of_receipt_are_kept(form, name, tmp_path):
 
 def test_messages_are_in_the_order_of_time(tmp_path):
     save_bag(recording(), tmp_path / "a.mcap", "mcap")
-    times = [record.received_ns for record in records(tmp_path / "a.mcap", None, Outcome())]
+    times = [record.received_ns for record in read_records(tmp_path / "a.mcap", None, Outcome())]
     assert times == sorted(times)
     assert len(times) == 34
 

@@ -13,9 +13,9 @@ from scipy.spatial import KDTree
 
 from gnomon import OptionError, OutputError
 from gnomon.formats.kalibr.target import read_target, target_text
-from gnomon.models.board_pattern import Pattern, _outline, board_pattern
+from gnomon.models.board_pattern import BoardPattern, _outline, board_pattern
 from gnomon.models.target import Target
-from gnomon.writers.board_sheet import PAPERS, board_drawing, board_paths, largest_on, paper_size, tiled
+from gnomon.writers.board_sheet import PAPERS, board_drawing, board_paths, largest_on, paper_size, tile_board
 from gnomon.writers.drawing import pdf_bytes, svg_text
 from gnomon.writers.printed_board import save_target
 from headless import CHROMIUM, WHY_NOT, Browser
@@ -82,7 +82,7 @@ def test_what_is_printed_is_the_board_to_a_micrometre(target):
 @given(arrays(bool, st.tuples(st.integers(1, 7), st.integers(1, 7))))
 def test_paths_go_round_any_cells(black):
     edges = _outline(black, np.array([0.01, 0.02]), np.array([0.003, 0.0021]))
-    pattern = Pattern(edges=edges, area=np.zeros(len(edges)), sheet=np.zeros(4))
+    pattern = BoardPattern(edges=edges, area=np.zeros(len(edges)), sheet=np.zeros(4))
     paths = board_paths(pattern)
     if not black.any():
         assert paths == []
@@ -192,7 +192,7 @@ def _stated(target):
 
 def test_tiles_make_up_the_sheet():
     target = Target.aprilgrid(tag_cols=4, tag_rows=3, tag_size_m=0.08, tag_spacing=0.3)
-    drawing, pages = tiled(target, "A4")
+    drawing, pages = tile_board(target, "A4")
     assert len(pages) == 6
     shown = np.zeros((int(drawing.size[1] * 2), int(drawing.size[0] * 2)), int)
     for page in pages:

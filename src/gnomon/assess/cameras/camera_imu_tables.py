@@ -5,21 +5,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...estimate.camera_imu.batch import State
-from ...estimate.camera_imu.blocks import blocks
-from ...estimate.camera_imu.choices import choices
-from ...estimate.camera_imu.layout import coordinates
-from ...estimate.camera_imu.parameters import Parameters
-from ...estimate.camera_imu.result.publish import Published
+from ...estimate.camera_imu.batch import RigState
+from ...estimate.camera_imu.blocks import parameter_blocks
+from ...estimate.camera_imu.choices import estimation_choices
+from ...estimate.camera_imu.layout import block_coordinates
+from ...estimate.camera_imu.parameters import RigParameters
+from ...estimate.camera_imu.result.publish import PublishedRig
 from ...estimate.camera_imu.result.uncertainty import Uncertainty, with_uncertain
 from ...estimate.camera_imu.solution import Solution, frame_mean_square
-from ...estimate.camera_imu.start.first_guess import Look
+from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.assembly import TRIAD
 from ...estimate.camera_imu.terms.board import OFFSETS
 from ...estimate.camera_imu.terms.imu_prediction import predicted_readings, specific_force
-from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, shifted
-from ...estimate.camera_imu.terms.visual_terms import instants
-from ...estimate.camera_imu.trajectory import BIAS, POSE, Bases, Grid, Places
+from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, body_clock_times
+from ...estimate.camera_imu.terms.visual_terms import exposure_times
+from ...estimate.camera_imu.trajectory import BIAS, POSE, Bases, KnotGrid, Places
 from ...geometry.quaternion import quaternion_from_rotation
 from ...models.target import Target
 from ...options import CameraImuOptions
@@ -44,7 +44,7 @@ _UNITS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraImuEvidence:
+class CameraImuFitSummary:
     """What a camera-IMU calibration was made of.
 
     Attributes
@@ -63,13 +63,13 @@ class CameraImuEvidence:
     target: Target
     imus: tuple[ImuBeforehand, ...]
     options: CameraImuOptions
-    looks: tuple[Look, ...]
-    start: Parameters
+    looks: tuple[CameraAlignment, ...]
+    start: RigParameters
     solution: Solution
     uncertainty: Uncertainty
-    basic: State | None
+    basic: RigState | None
     gravity: Gravity
-    published: Published
+    published: PublishedRig
 
     @property
     def origin_ns(self) -> int:
@@ -77,7 +77,7 @@ class CameraImuEvidence:
         return self.imus[0].origin_ns
 
 
-def describe(evidence: CameraImuEvidence) -> CameraImuDiagnostics:
+def describe_camera_imu(evidence: CameraImuFitSummary) -> CameraImuDiagnostics:
     """Return the tables."""
     solution = evidence.solution
     parameters, grid = solution.state.parameters, solution.state.trajectory.grid
@@ -108,27 +108,27 @@ def describe(evidence: CameraImuEvidence) -> CameraImuDiagnostics:
     )
 
 
-def _covariance(evidence: CameraImuEvidence) -> Floats:
+def _covariance(evidence: CameraImuFitSummary) -> Floats:
     """Return the covariance of the free parameters, the uncertainty of gravity included."""
     count = len(evidence.uncertainty.names)
     return with_uncertain(evidence.uncertainty, "gravity.magnitude", evidence.gravity.sigma)[:count, :count]
 
 
-def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
+def _parameters(evidence: CameraImuFitSummary) -> tuple[EstimatedParameter, ...]:
     solution = evidence.solution
     sigma = dict(zip(evidence.uncertainty.names, np.sqrt(np.diag(_covariance(evidence))), strict=True))
     prior = dict(zip(solution.layout.names, solution.layout.prior_sigma, strict=True))
     columns, origin = solution.layout, solution.layout.start
-    status = choices(evidence.start, evidence.options).status
+    status = estimation_choices(evidence.start, evidence.options).status
     for name, free, weak in zip(columns.names, columns.free, columns.weak, strict=True):
         if free and status.get(name, "fixed") == "fixed":  # added by evidence
             status[name] = "estimated" if weak else "prior"
     found: list[EstimatedParameter] = []
-    for block in blocks(origin):
+    for block in parameter_blocks(origin):
         if block.name == OFFSETS and status.get(f"{OFFSETS}[0]", "fixed") == "fixed":
             continue  # hundreds of zeros
-        values = np.atleast_1d(coordinates(block.name, solution.state.parameters, origin))
-        starts = np.atleast_1d(coordinates(block.name, origin, origin))
+        values = np.atleast_1d(block_coordinates(block.name, solution.state.parameters, origin))
+        starts = np.atleast_1d(block_coordinates(block.name, origin, origin))
         for scalar, unit, value, start in zip(block.scalars(), block.units, values, starts, strict=True):
             held = (kind := status.get(scalar, "fixed")) == "fixed"
             carried = evidence.gravity.sigma if held and scalar == "gravity.magnitude" else 0.0
@@ -146,7 +146,7 @@ def _parameters(evidence: CameraImuEvidence) -> tuple[EstimatedParameter, ...]:
     return tuple(found)
 
 
-def _signals(evidence: CameraImuEvidence) -> dict[str, SignalFit]:
+def _signals(evidence: CameraImuFitSummary) -> dict[str, SignalFit]:
     found: dict[str, SignalFit] = {}
     for data in evidence.solution.measurements.inertial:
         full = _predictions(evidence.solution.state, data)
@@ -158,7 +158,8 @@ def _signals(evidence: CameraImuEvidence) -> dict[str, SignalFit]:
             if triad is None:
                 continue
             found[f"imu{data.imu}.{name}"] = SignalFit(
-                t_s=shifted(data, imu) + (imu.accelerometer_shift_s if k and data.gyroscope is not None else 0.0),
+                t_s=body_clock_times(data, imu)
+                + (imu.accelerometer_shift_s if k and data.gyroscope is not None else 0.0),
                 measured=triad.values,
                 predicted=full[k],
                 basic=None if basic is None else basic[k],
@@ -169,12 +170,12 @@ def _signals(evidence: CameraImuEvidence) -> dict[str, SignalFit]:
     return found
 
 
-def _predictions(state: State, data: InertialData) -> tuple[Floats, Floats]:
+def _predictions(state: RigState, data: InertialData) -> tuple[Floats, Floats]:
     """Return what gyroscope and accelerometer should read, (n, 3) each; nan outside of the trajectory."""
     return predicted_readings(state.trajectory, state.parameters, data)
 
 
-def _marginals(evidence: CameraImuEvidence) -> tuple[Floats, Floats] | None:
+def _marginals(evidence: CameraImuFitSummary) -> tuple[Floats, Floats] | None:
     """Return the covariances of the control points' super-blocks where the report or the options ask for them."""
     solution = evidence.solution
     if not (evidence.options.compare or evidence.options.marginals):
@@ -182,7 +183,7 @@ def _marginals(evidence: CameraImuEvidence) -> tuple[Floats, Floats] | None:
     return solution.step.factor.marginals(solution.layout.free_index, solution.step.covariance)
 
 
-def _biases(evidence: CameraImuEvidence, marginals: tuple[Floats, Floats] | None) -> dict[str, BiasTrack]:
+def _biases(evidence: CameraImuFitSummary, marginals: tuple[Floats, Floats] | None) -> dict[str, BiasTrack]:
     """Return the biases at the knots, with their standard deviations; nan without marginals."""
     solution = evidence.solution
     trajectory, size = solution.state.trajectory, solution.step.factor.size
@@ -207,13 +208,13 @@ def _biases(evidence: CameraImuEvidence, marginals: tuple[Floats, Floats] | None
     return found
 
 
-def _corners(evidence: CameraImuEvidence, camera: int, look: Look) -> CornerFit:
+def _corners(evidence: CameraImuFitSummary, camera: int, look: CameraAlignment) -> CornerFit:
     """Return the fit of every corner that was detected, also in frames that were not used."""
     frames, solution = look.frames, evidence.solution
     data, sums = solution.measurements.visual[camera], solution.lin.sums[camera]
     count = len(frames.t_ns)
     corners = np.bincount(frames.frame, minlength=count)
-    places = solution.state.trajectory.grid.places(instants(data, solution.state.parameters.cameras[camera]))
+    places = solution.state.trajectory.grid.places(exposure_times(data, solution.state.parameters.cameras[camera]))
     predicted_exposure = places.inside & (sums.valid > 0)
     chosen = np.isin(frames.frame, look.poses.exposures.frame)
     residual, weight = np.full((len(frames.frame), 2), np.nan), np.zeros(len(frames.frame))
@@ -262,7 +263,7 @@ def _reasons(
     return tuple(reasons.tolist())
 
 
-def _trajectory(evidence: CameraImuEvidence, marginals: tuple[Floats, Floats] | None) -> TrajectoryTrack:
+def _trajectory(evidence: CameraImuFitSummary, marginals: tuple[Floats, Floats] | None) -> TrajectoryTrack:
     solution = evidence.solution
     trajectory = solution.state.trajectory
     data = next(d for d in solution.measurements.inertial if d.gyroscope is not None)
@@ -285,7 +286,7 @@ def _trajectory(evidence: CameraImuEvidence, marginals: tuple[Floats, Floats] | 
 
 
 def _pose_sigma(
-    grid: Grid, places: Places, phi_jacobian: Floats, marginals: tuple[Floats, Floats], size: int
+    grid: KnotGrid, places: Places, phi_jacobian: Floats, marginals: tuple[Floats, Floats], size: int
 ) -> Floats:
     """Return standard deviations (n, 6) of attitude (right, body axes) [rad] and position [m] at places.
 
@@ -311,7 +312,7 @@ def _pose_sigma(
     return sigma
 
 
-def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:
+def _noise(evidence: CameraImuFitSummary) -> tuple[NoiseLevel, ...]:
     solution = evidence.solution
     levels: list[NoiseLevel] = []
     for i, (used, found) in enumerate(zip(solution.noise.imus, solution.noise_found.imus, strict=True)):
@@ -350,7 +351,7 @@ def _noise(evidence: CameraImuEvidence) -> tuple[NoiseLevel, ...]:
     return tuple(levels)
 
 
-def _gravity_sigma(evidence: CameraImuEvidence) -> Floats:
+def _gravity_sigma(evidence: CameraImuFitSummary) -> Floats:
     """Return the standard deviation of gravity's components in the target's frame, (3,) [m/s^2]."""
     names = evidence.uncertainty.names
     direction = evidence.solution.state.parameters.gravity_direction
@@ -363,7 +364,7 @@ def _gravity_sigma(evidence: CameraImuEvidence) -> Floats:
     return np.sqrt(np.diag(jacobian @ covariance @ jacobian.T + along))
 
 
-def _baselines(evidence: CameraImuEvidence) -> dict[str, Floats]:
+def _baselines(evidence: CameraImuFitSummary) -> dict[str, Floats]:
     cameras = list(evidence.published.cameras.items())
     return {
         f"{later}_{earlier}": b.T_cam_imu @ np.linalg.inv(a.T_cam_imu)

@@ -11,9 +11,9 @@ from ...geometry.rotation_vector import rotvec_from_rotation
 from ...results.calibration import Assessment, CameraImuFit
 from ...results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
 from ..checks.clock_drift import check_drift
-from ..verdict import grade, gravity_findings, merge_by_cause, most_severe, verdict_of
+from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, verdict_of
 from ..weak_findings import PLACES_AND_CLOCKS, weak_findings
-from .camera_imu_tables import MISFIT, CameraImuEvidence
+from .camera_imu_tables import MISFIT, CameraImuFitSummary
 from .rig_residuals import cut_findings, residual_findings
 
 _HELD = 0.3
@@ -28,7 +28,9 @@ _ONE_AXIS = 0.1
 _EXPLAINED, _FITS = 0.9, 2.0
 
 
-def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Assessment:
+def assess_camera_imu(
+    noticed: tuple[Finding, ...], evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics
+) -> Assessment:
     """Judge a calibration.
 
     Parameters
@@ -67,12 +69,12 @@ def assess(noticed: tuple[Finding, ...], evidence: CameraImuEvidence, diagnostic
     )
 
 
-def _model_name(evidence: CameraImuEvidence) -> str:
+def _model_name(evidence: CameraImuFitSummary) -> str:
     """Return the model of the IMU; "auto" is the full one, to which blocks are added."""
     return "full" if evidence.options.model == "auto" else evidence.options.model
 
 
-def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> CameraImuFit:
+def _fit(evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics) -> CameraImuFit:
     corners = diagnostics.corners
     rms: dict[str, float] = {}
     used: dict[str, int] = {}
@@ -90,14 +92,14 @@ def _fit(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> Came
     )
 
 
-def _convergence(evidence: CameraImuEvidence) -> list[Finding]:
+def _convergence(evidence: CameraImuFitSummary) -> list[Finding]:
     if evidence.solution.converged:
         return []
     accepted = sum(step.accepted for step in evidence.solution.iterations)
     return [make_finding("not-converged/rig", accepted=accepted)]
 
 
-def _rotation(evidence: CameraImuEvidence) -> list[Finding]:
+def _rotation(evidence: CameraImuFitSummary) -> list[Finding]:
     findings: list[Finding] = []
     # What the poses' noise hid before the estimation is no disagreement where the gyroscope fits after it.
     level = evidence.solution.noise_found.imus[0].gyroscope / np.sqrt(evidence.imus[0].rates_hz[0])
@@ -139,11 +141,11 @@ def _listed(names: list[str], most: int = 6) -> str:
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
-def _residuals(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+def _residuals(evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics) -> list[Finding]:
     findings: list[Finding] = []
     for look in evidence.looks:
         sigma = diagnostics.corners[look.name].sigma_px
-        severity = grade("corner residual", sigma)
+        severity = grade_by_limits("corner residual", sigma)
         if severity != "good":
             findings.append(make_finding("reprojection/rig", severity=severity, name=look.name, sigma=sigma))
     return findings
@@ -154,7 +156,7 @@ def _frames(fit: CameraImuFit, diagnostics: CameraImuDiagnostics) -> list[Findin
     for name, found in fit.frames_found.items():
         left = found - fit.frames_used[name]
         share = left / max(found, 1)
-        severity = grade("left out", share)
+        severity = grade_by_limits("left out", share)
         if not left:
             continue
         reasons = diagnostics.corners[name].frame_reason
@@ -183,13 +185,13 @@ def _plainly(reason: str) -> str:
     }.get(reason, reason)
 
 
-def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
+def _board_size(evidence: CameraImuFitSummary) -> list[Finding]:
     """Say that the board's size contradicts gravity, which the accelerometer measures with it."""
     held = evidence.uncertainty.held.get("target.scale")
     if held is None:
         return []
     offset, sigma = float(held.wanted[0]), float(held.wanted_sigma[0])
-    severity = grade("board size", abs(offset))
+    severity = grade_by_limits("board size", abs(offset))
     if severity == "good" or abs(offset) < _SIGNIFICANT * sigma:
         return []
     scale = evidence.solution.state.parameters.target_scale + offset
@@ -205,7 +207,7 @@ def _board_size(evidence: CameraImuEvidence) -> list[Finding]:
     ]
 
 
-def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
+def _intrinsics(evidence: CameraImuFitSummary) -> list[Finding]:
     """Say that the stated intrinsics contradict the corners."""
     findings: list[Finding] = []
     for look in evidence.looks:
@@ -217,8 +219,8 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
         shift = np.abs(held.wanted[-2:])
         significant = np.abs(held.wanted[-4:]) > _SIGNIFICANT * held.wanted_sigma[-4:]
         relative, shift = relative * significant[:2], shift * significant[2:]
-        of_focal = grade("focal length", float(relative.max()))
-        severity = most_severe(of_focal, grade("stated centre", float(shift.max())))
+        of_focal = grade_by_limits("focal length", float(relative.max()))
+        severity = most_severe(of_focal, grade_by_limits("stated centre", float(shift.max())))
         if severity == "good":
             continue
         findings.append(
@@ -233,7 +235,7 @@ def _intrinsics(evidence: CameraImuEvidence) -> list[Finding]:
     return findings
 
 
-def _model(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> list[Finding]:
+def _model(evidence: CameraImuFitSummary, diagnostics: CameraImuDiagnostics) -> list[Finding]:
     """Say that the IMU has errors beyond its model: a held block would take a step, or foretells time left out."""
     wanting: list[str] = []
     for name, held in evidence.uncertainty.held.items():
@@ -248,7 +250,7 @@ def _model(evidence: CameraImuEvidence, diagnostics: CameraImuDiagnostics) -> li
     return [make_finding("model-too-simple/suggested", wanting=_listed(wanting), model=_model_name(evidence))]
 
 
-def _stated_guess(evidence: CameraImuEvidence) -> list[Finding]:
+def _stated_guess(evidence: CameraImuFitSummary) -> list[Finding]:
     findings: list[Finding] = []
     for look in evidence.looks:
         stated = look.frames.T_cam_imu
@@ -312,7 +314,7 @@ def _use(level: NoiseLevel) -> str:
     return f"Used was {level.used:.3g} {level.unit}."
 
 
-def _clocks(evidence: CameraImuEvidence) -> list[Finding]:
+def _clocks(evidence: CameraImuFitSummary) -> list[Finding]:
     """Say where the time shift changes over the recording."""
     stream = imu_stream(evidence.solution.measurements.inertial)
     imu = next(iter(evidence.recording.imus))
@@ -345,7 +347,7 @@ def precision_findings(
         turn, way = ([f"{link}.{part}[{k}]" for k in range(3)] for part in ("rotation", "translation"))
         for word, scalars in (("rotation", turn), ("translation", way), ("time shift", [shift])):
             largest = max(sigma[f"{name}.{scalar}"] for scalar in scalars)
-            severity = grade(word, largest)
+            severity = grade_by_limits(word, largest)
             if severity != "good":
                 factor, unit = _SHOWN_IN[word]
                 known = f"{factor * largest:.2g} {unit}"

@@ -70,7 +70,7 @@ _ON_A_LINE = 1e-6  # smaller over larger variance of the points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Views:
+class BoardSightings:
     """The frames in which something of the board was detected.
 
     Attributes
@@ -87,10 +87,10 @@ class Views:
     usable: Booleans
 
 
-def views(frames: CameraFrames, target: Target) -> Views:
+def board_sightings(frames: CameraFrames, target: Target) -> BoardSightings:
     """Return what each frame shows; linear time. All points must be on the target."""
     if not len(frames.frame):
-        return Views(
+        return BoardSightings(
             frame=np.empty(0, np.int64), corners=np.empty(0, np.int64), extent_px=np.empty(0), usable=np.empty(0, bool)
         )
     first = np.flatnonzero(np.concatenate([[True], np.diff(frames.frame) > 0]))
@@ -101,7 +101,7 @@ def views(frames: CameraFrames, target: Target) -> Views:
     sums = np.add.reduceat(np.stack([x, y, x * x, x * y, y * y], axis=1), first) / corners[:, None]
     xx, xy, yy = sums[:, 2] - sums[:, 0] ** 2, sums[:, 3] - sums[:, 0] * sums[:, 1], sums[:, 4] - sums[:, 1] ** 2
     half, root = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
-    return Views(
+    return BoardSightings(
         frame=frames.frame[first],
         corners=corners,
         extent_px=np.hypot(extent[:, 0], extent[:, 1]),

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...estimate.cameras.board_shape import places
-from ...estimate.cameras.rig import Rig, RigSolution, SeenCorners, Views
+from ...estimate.cameras.board_shape import board_points
+from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorners
 from ...models.target import Target
 from ...options import CameraOptions
 from ...recording import CameraFrames, Floats, Integers, Recording
@@ -19,7 +19,7 @@ from ...results.camera_diagnostics import (
     NoiseLevel,
     ViewPose,
 )
-from ...results.parameters import element_names, parameters
+from ...results.parameters import calibration_parameters, element_names
 from ...results.trust import Trust
 
 CELLS = (8, 10)
@@ -54,7 +54,7 @@ class LensOpinion:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CamerasEvidence:
+class CamerasFitSummary:
     """What a calibration of cameras was made of.
 
     Attributes
@@ -77,8 +77,8 @@ class CamerasEvidence:
     recording: Recording
     target: Target
     options: CameraOptions
-    every: Views
-    start: Rig
+    every: RigViews
+    start: CameraRig
     solution: RigSolution
     nats: Floats
     others: Mapping[str, SeenCorners]
@@ -102,7 +102,7 @@ class CamerasEvidence:
         return float(np.sqrt(max(self.covariance[at, at], 0.0)))
 
 
-def describe(evidence: CamerasEvidence) -> CamerasDiagnostics:
+def describe_cameras(evidence: CamerasFitSummary) -> CamerasDiagnostics:
     """Return the tables."""
     solution = evidence.solution
     corners = {name: _corners(evidence, name) for name in solution.rig.cameras}
@@ -113,19 +113,19 @@ def describe(evidence: CamerasEvidence) -> CamerasDiagnostics:
     return CamerasDiagnostics(
         corners=corners,
         views=_views(evidence),
-        coverage={name: coverage(fit) for name, fit in corners.items()},
+        coverage={name: corner_counts(fit) for name, fit in corners.items()},
         trials=evidence.trials,
         parameters=rows,
         correlation=evidence.covariance[np.ix_(at, at)] / np.outer(sigma, sigma),
         noise=tuple(_noise(name, fit) for name, fit in corners.items()),
         steps=solution.steps,
         board_points=points,
-        board_shifts=evidence.scale * (places(evidence.target, shape) - points),
+        board_shifts=evidence.scale * (board_points(evidence.target, shape) - points),
         trust=evidence.trust,
     )
 
 
-def coverage(fit: CornerFit) -> np.ndarray:
+def corner_counts(fit: CornerFit) -> np.ndarray:
     """Return how many corners that were used lie in each cell of the image, (rows, cols)."""
     used = fit.frame_used[fit.frame] & (fit.weight > 0)
     width, height = fit.resolution
@@ -134,7 +134,7 @@ def coverage(fit: CornerFit) -> np.ndarray:
     return np.histogram2d(v, u, bins=CELLS, range=ranges)[0].astype(np.int64)
 
 
-def _corners(evidence: CamerasEvidence, name: str) -> CornerFit:
+def _corners(evidence: CamerasFitSummary, name: str) -> CornerFit:
     """Return the fit of every corner that was detected, also in frames that were not used."""
     number = tuple(evidence.every.cameras).index(name)
     frames, seen, apart = evidence.every.cameras[name], evidence.solution.corners[name], evidence.others[name]
@@ -179,7 +179,7 @@ def _places(frames: CameraFrames, seen: SeenCorners) -> Integers:
     return order[np.searchsorted(key[order], wanted)]
 
 
-def _reasons(evidence: CamerasEvidence, number: int, corners: np.ndarray, used: np.ndarray) -> tuple[str, ...]:
+def _reasons(evidence: CamerasFitSummary, number: int, corners: np.ndarray, used: np.ndarray) -> tuple[str, ...]:
     """Return why each frame of a camera was not used."""
     reasons = np.full(len(corners), FEW, dtype=object)
     gathered = evidence.every.frame[:, number]
@@ -190,7 +190,7 @@ def _reasons(evidence: CamerasEvidence, number: int, corners: np.ndarray, used: 
     return tuple(reasons.tolist())
 
 
-def _views(evidence: CamerasEvidence) -> tuple[ViewPose, ...]:
+def _views(evidence: CamerasFitSummary) -> tuple[ViewPose, ...]:
     rig, views = evidence.solution.rig, evidence.solution.views
     seen = np.zeros((len(views), len(rig.cameras)), dtype=bool)
     for number, corners in enumerate(evidence.solution.corners.values()):
@@ -207,16 +207,16 @@ def _views(evidence: CamerasEvidence) -> tuple[ViewPose, ...]:
     )
 
 
-def parameter_rows(evidence: CamerasEvidence) -> tuple[EstimatedParameter, ...]:
+def parameter_rows(evidence: CamerasFitSummary) -> tuple[EstimatedParameter, ...]:
     """Return every scalar that could be estimated."""
     rig, first = evidence.solution.rig, evidence.start
     started = {
         name: replace(camera, camera=first.cameras[name], T_cam_body=first.T_cam_cam0[number])
         for number, (name, camera) in enumerate(evidence.cameras.items())
     }
-    starts = dict(parameters({}, started))
+    starts = dict(calibration_parameters({}, started))
     found: list[EstimatedParameter] = []
-    for path, values in parameters({}, evidence.cameras):
+    for path, values in calibration_parameters({}, evidence.cameras):
         for name, value, start in zip(
             element_names(path, values.shape), np.ravel(values), np.ravel(starts[path]), strict=True
         ):
@@ -228,7 +228,7 @@ def parameter_rows(evidence: CamerasEvidence) -> tuple[EstimatedParameter, ...]:
     return tuple(found)
 
 
-def _row(evidence: CamerasEvidence, name: str, value: float, start: float, unit: str) -> EstimatedParameter:
+def _row(evidence: CamerasFitSummary, name: str, value: float, start: float, unit: str) -> EstimatedParameter:
     sigma = evidence.sigma(name)
     held = not sigma > 0
     return EstimatedParameter(
@@ -242,7 +242,7 @@ def _row(evidence: CamerasEvidence, name: str, value: float, start: float, unit:
     )
 
 
-def _unit(evidence: CamerasEvidence, name: str) -> str:
+def _unit(evidence: CamerasFitSummary, name: str) -> str:
     sensor, _, rest = name.partition(".")
     if ".T_cam_cam0." in name:
         return _UNITS[rest.partition(".")[2].partition("[")[0]]

@@ -11,9 +11,9 @@ from ...recording import Floats
 from ...results.calibration import Assessment, CamerasFit
 from ...results.camera_diagnostics import CamerasDiagnostics, CornerFit
 from ..checks.camera_checks import ENOUGH_VIEWS
-from ..verdict import grade, incomplete, merge_by_cause, most_severe, parts_disagree, verdict_of
+from ..verdict import grade_by_limits, merge_by_cause, most_severe, parts_disagree, underestimated_blocks, verdict_of
 from .camera_views import image_coverage
-from .cameras_tables import MISFIT, CamerasEvidence, LensOpinion
+from .cameras_tables import MISFIT, CamerasFitSummary, LensOpinion
 from .rig_residuals import outlying_corners
 
 _COVERED = 0.5  # of the image
@@ -26,7 +26,7 @@ _REGIONS = ("upper left", "upper right", "lower left", "lower right")
 _GRID = 12
 
 
-def coverage_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> list[Finding]:
+def coverage_findings(evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics) -> list[Finding]:
     """Return findings of codes image-coverage, image-corners-unseen, board-small and attitudes-alike."""
     findings: list[Finding] = []
     for name, fit in diagnostics.corners.items():
@@ -34,11 +34,11 @@ def coverage_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics
     return [*findings, *_attitudes(evidence)]
 
 
-def _coverage(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Finding]:
+def _coverage(name: str, fit: CornerFit, evidence: CamerasFitSummary) -> list[Finding]:
     pixels = fit.pixels[fit.frame_used[fit.frame] & (fit.weight > 0)]
     share = image_coverage(pixels, fit.resolution)
     empty = unseen_corners(pixels, fit.resolution)
-    where = listed([f"the {region} corner" for region in empty])
+    where = join_with_and([f"the {region} corner" for region in empty])
     findings: list[Finding] = []
     if share < _COVERED:
         findings.append(
@@ -73,7 +73,7 @@ def unseen_corners(pixels: Floats, resolution: tuple[int, int]) -> list[str]:
     return [region for region in _REGIONS if not inside[region].any()]
 
 
-def corner_sigma_px(evidence: CamerasEvidence, name: str) -> Floats:
+def corner_sigma_px(evidence: CamerasFitSummary, name: str) -> Floats:
     """Return how well the lens is known in the four corners of the image, (4,) [px]; nan where the lens sees nothing.
 
     What a turn of the camera can do is no error of the lens, and taken out.
@@ -117,14 +117,14 @@ def _size(name: str, fit: CornerFit) -> list[Finding]:
     return [make_finding("board-small/cameras", name=name, share=share)]
 
 
-def attitude_spread(evidence: CamerasEvidence) -> float:
+def attitude_spread(evidence: CamerasFitSummary) -> float:
     """Return how much the attitudes of the board differ: rms angle of its normal about their mean [rad]."""
     normals = evidence.solution.rig.R_cam0_target[:, :, 2]
     mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
     return float(np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2)))
 
 
-def _attitudes(evidence: CamerasEvidence) -> list[Finding]:
+def _attitudes(evidence: CamerasFitSummary) -> list[Finding]:
     spread, count = attitude_spread(evidence), len(evidence.solution.views)
     if spread >= _FEW_ATTITUDES or count < _FEW_VIEWS:
         return []
@@ -136,7 +136,7 @@ def _attitudes(evidence: CamerasEvidence) -> list[Finding]:
     ]
 
 
-def listed(words: Sequence[str]) -> str:
+def join_with_and(words: Sequence[str]) -> str:
     """Return "a", "a and b", or "a, b and c"."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
@@ -147,7 +147,7 @@ _SHOWN = 5
 _NEAR = 1e-4
 
 
-def lens_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> list[Finding]:
+def lens_findings(evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics) -> list[Finding]:
     """Return findings on lenses and their places.
 
     Codes: not-converged, lens-model, reprojection, holdout-reprojection, lens-uncertain, baseline-uncertain.
@@ -167,7 +167,7 @@ def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Findi
     """Say that another model than the stated one predicts hold-out views better."""
     px = {trial.model: trial.holdout_rms_px for trial in diagnostics.trials if trial.camera == opinion.camera}
     stated, better = px[opinion.stated], px[opinion.better]
-    severity = grade("lens model", stated / better)
+    severity = grade_by_limits("lens model", stated / better)
     return make_finding(
         "lens-model",
         severity="info" if severity == "good" else severity,
@@ -183,28 +183,28 @@ def _other_model(opinion: LensOpinion, diagnostics: CamerasDiagnostics) -> Findi
 
 
 def _residuals(name: str, fit: CornerFit) -> list[Finding]:
-    severity = grade("corner residual", fit.sigma_px)
+    severity = grade_by_limits("corner residual", fit.sigma_px)
     if severity == "good":
         return []
     return [make_finding("reprojection/cameras", severity=severity, name=name, rms_px=fit.sigma_px)]
 
 
-def _unseen(name: str, evidence: CamerasEvidence) -> list[Finding]:
+def _unseen(name: str, evidence: CamerasFitSummary) -> list[Finding]:
     used, unseen = evidence.rms_px[name], evidence.unseen_px[name]
     if not unseen > _UNSEEN_WORSE * used:
         return []
     return [make_finding("holdout-reprojection", name=name, unseen=unseen, used=used)]
 
 
-def _uncertain(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Finding]:
+def _uncertain(name: str, fit: CornerFit, evidence: CamerasFitSummary) -> list[Finding]:
     """Say where focal length or principal point are known badly, and what would tell them."""
     camera = evidence.cameras[name].camera
     covariance = _of_lens(name, camera, evidence)
-    focal, by_lens = magnification(camera)
+    focal, by_lens = axis_magnification(camera)
     relative = float(np.sqrt(max(by_lens @ covariance @ by_lens, 0.0))) / focal
     kinds = np.array(camera.parameter_kinds)
     centre = float(np.sqrt(np.diag(covariance)[kinds == "principal"].max()))
-    severity = most_severe(grade("focal length", relative), grade("centre", centre))
+    severity = most_severe(grade_by_limits("focal length", relative), grade_by_limits("centre", centre))
     if severity == "good":
         return []
     return [
@@ -219,22 +219,25 @@ def _uncertain(name: str, fit: CornerFit, evidence: CamerasEvidence) -> list[Fin
     ]
 
 
-def _what_would_tell(fit: CornerFit, evidence: CamerasEvidence) -> str:
+def _what_would_tell(fit: CornerFit, evidence: CamerasFitSummary) -> str:
     """Return which motion of the board would determine the lens."""
     if attitude_spread(evidence) < _WELL_TILTED:
         return "Tilt the board by 20 to 45 degrees to all four sides: perspective tells the focal length."
     empty = unseen_corners(fit.pixels[fit.frame_used[fit.frame]], fit.resolution)
     if empty:
-        return f"Hold the board into {listed([f'the {region} corner' for region in empty])} of the image, and nearer."
+        return (
+            f"Hold the board into {join_with_and([f'the {region} corner' for region in empty])} of the image, "
+            "and nearer."
+        )
     return "Take more views, near and far, tilted by 20 to 45 degrees, with the board over half of the image."
 
 
-def _of_lens(name: str, camera: Camera, evidence: CamerasEvidence) -> Floats:
+def _of_lens(name: str, camera: Camera, evidence: CamerasFitSummary) -> Floats:
     at = [evidence.names.index(f"{name}.{one}") for one in camera.parameter_names]
     return evidence.covariance[np.ix_(at, at)]
 
 
-def magnification(camera: Camera) -> tuple[float, Floats]:
+def axis_magnification(camera: Camera) -> tuple[float, Floats]:
     """Return by how many px a ray moves per radian on the optical axis, and the derivative (q,) by the lens.
 
     For a pinhole that is fu; models whose focal length goes together with their shape become comparable.
@@ -246,12 +249,12 @@ def magnification(camera: Camera) -> tuple[float, Floats]:
     return slope, (image.by_parameters[1, 0] - image.by_parameters[0, 0]) / (2 * _NEAR)
 
 
-def _place(name: str, evidence: CamerasEvidence) -> list[Finding]:
+def _place(name: str, evidence: CamerasFitSummary) -> list[Finding]:
     """Say where a camera's place against cam0 is known badly."""
     turn = max(evidence.sigma(f"{name}.T_cam_cam0.rotation[{k}]") for k in range(3))
     apart = max(evidence.sigma(f"{name}.T_cam_cam0.translation[{k}]") for k in range(3))
     length = float(np.linalg.norm(evidence.cameras[name].T_cam_body[:3, 3]))
-    severity = most_severe(grade("rotation", turn), grade("baseline", apart / max(length, 1e-12)))
+    severity = most_severe(grade_by_limits("rotation", turn), grade_by_limits("baseline", apart / max(length, 1e-12)))
     if severity == "good":
         return []
     return [
@@ -274,7 +277,7 @@ def view_findings(diagnostics: CamerasDiagnostics) -> list[Finding]:
         if not left:
             continue
         taken = len(left) + int(fit.frame_used.sum())
-        severity = grade("left out", len(left) / taken)
+        severity = grade_by_limits("left out", len(left) / taken)
         which = ", ".join(f"{k} (at {fit.frame_t_s[k]:.2f} s, off by {fit.frame_rms[k]:.2g} px)" for k in left[:_SHOWN])
         more = f" and {len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
         findings.append(
@@ -296,7 +299,7 @@ _SIZE, _SIGNIFICANT = 0.002, 5.0
 _CORNERS_WARN = 0.01  # of the distance of two points
 
 
-def board_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> list[Finding]:
+def board_findings(evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics) -> list[Finding]:
     """Return findings of codes board-aspect, board-bow, board-found, board-size and board-size-untold."""
     findings: list[Finding] = []
     if "aspect" in evidence.added:
@@ -308,7 +311,7 @@ def board_findings(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -
     return [*findings, *_cameras_size(evidence)]
 
 
-def _aspect(evidence: CamerasEvidence) -> Finding:
+def _aspect(evidence: CamerasFitSummary) -> Finding:
     aspect, sigma = evidence.solution.rig.board.aspect, evidence.sigma("target.aspect")
     way = "longer" if aspect > 0 else "shorter"
     return make_finding(
@@ -320,7 +323,7 @@ def _aspect(evidence: CamerasEvidence) -> Finding:
     )
 
 
-def _bow(evidence: CamerasEvidence) -> Finding:
+def _bow(evidence: CamerasFitSummary) -> Finding:
     bow = evidence.scale * evidence.solution.rig.board.bow_m
     along = int(np.argmax(np.abs(bow)))
     size = evidence.target.size_m[along]
@@ -336,7 +339,7 @@ def _bow(evidence: CamerasEvidence) -> Finding:
     )
 
 
-def _corners(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> Finding:
+def _corners(evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics) -> Finding:
     offsets = np.linalg.norm(evidence.solution.rig.board.offsets, axis=1)
     rms, most = 1e3 * float(np.sqrt(np.mean(offsets**2))), 1e3 * float(offsets.max())
     points = diagnostics.board_points
@@ -346,7 +349,7 @@ def _corners(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> Find
     )
 
 
-def _cameras_size(evidence: CamerasEvidence) -> list[Finding]:
+def _cameras_size(evidence: CamerasFitSummary) -> list[Finding]:
     if len(evidence.cameras) < 2:
         return []
     if "target.scale" not in evidence.names:
@@ -359,7 +362,9 @@ def _cameras_size(evidence: CamerasEvidence) -> list[Finding]:
     return [make_finding("board-size", off=abs(off), sigma=sigma, way=way)]
 
 
-def assess(noticed: tuple[Finding, ...], evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> Assessment:
+def assess_cameras(
+    noticed: tuple[Finding, ...], evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics
+) -> Assessment:
     """Judge a calibration.
 
     Parameters
@@ -388,7 +393,7 @@ def assess(noticed: tuple[Finding, ...], evidence: CamerasEvidence, diagnostics:
     )
 
 
-def _fit(evidence: CamerasEvidence, diagnostics: CamerasDiagnostics) -> CamerasFit:
+def _fit(evidence: CamerasFitSummary, diagnostics: CamerasDiagnostics) -> CamerasFit:
     corners, board = diagnostics.corners, evidence.solution.rig.board
     used = {name: fit.frame_used[fit.frame] & (fit.weight > 0) for name, fit in corners.items()}
     models = {name: tuple(one.model for one in diagnostics.trials if one.camera == name) for name in corners}
@@ -424,14 +429,14 @@ def _few_used(noticed: tuple[Finding, ...], diagnostics: CamerasDiagnostics) -> 
     ]
 
 
-def _incomplete(evidence: CamerasEvidence) -> list[Finding]:
+def _incomplete(evidence: CamerasFitSummary) -> list[Finding]:
     """Say where errors that the corners of a view share make parameters scatter."""
-    wide, clusters = incomplete(evidence.trust), evidence.trust.clusters
+    wide, clusters = underestimated_blocks(evidence.trust), evidence.trust.clusters
     if not wide or clusters is None:
         return []
     listed = ", ".join(f"{one.block} {one.ratio:.2g} times" for one in wide[:3])
     return [make_finding("model-incomplete/cameras", listed=listed, stretches=clusters.count)]
 
 
-def _sigma(evidence: CamerasEvidence, name: str) -> float:
+def _sigma(evidence: CamerasFitSummary, name: str) -> float:
     return evidence.sigma(name) if name in evidence.names else 0.0

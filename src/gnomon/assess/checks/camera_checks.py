@@ -12,7 +12,7 @@ from ...detect.boards.board import BoardView, tag_spacing
 from ...findings import Finding, make_finding
 from ...models.target import Target
 from ...recording import CameraFrames, ImuSamples, Integers, Recording
-from ..cameras.camera_views import FEWEST_CORNERS, Views, check_handedness, image_coverage, views
+from ..cameras.camera_views import FEWEST_CORNERS, BoardSightings, board_sightings, check_handedness, image_coverage
 from .clock_checks import check_epochs
 from .image_checks import check_images, check_quality
 from .motion_checks import check_moving_imu
@@ -51,13 +51,13 @@ def check_cameras(recording: Recording, target: Target) -> tuple[Finding, ...]:
         findings.append(make_finding("cameras-missing/rig"))
     for name, frames in recording.cameras.items():
         findings += _check_camera(name, frames, target)
-        for imu in beside(name, recording.cameras, recording.imus):
+        for imu in imus_to_align(name, recording.cameras, recording.imus):
             shift_s = frames.time_shift_cam_imu_s or 0.0
             findings += check_common_time(name, frames.t_ns, imu, recording.imus[imu], shift_s)
     return tuple(findings)
 
 
-def beside(camera: str, cameras: Iterable[str], imus: Iterable[str]) -> list[str]:
+def imus_to_align(camera: str, cameras: Iterable[str], imus: Iterable[str]) -> list[str]:
     """Return the IMUs beside which a camera is looked at: the first one, and all of them for the first camera."""
     return list(imus)[: None if camera == next(iter(cameras)) else 1]
 
@@ -74,10 +74,10 @@ def imu_stamps(imus: Mapping[str, ImuSamples]) -> dict[str, Integers]:
 
 
 def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Finding]:
-    wrong = impossible(name, frames, target)
+    wrong = unusable_frames_finding(name, frames, target)
     if wrong is not None:
         return [wrong]
-    seen = views(frames, target)
+    seen = board_sightings(frames, target)
     findings = [_count(name, frames, seen, target)]
     if findings[0].severity == "problem":
         return findings + check_images(name, frames, seen.frame[seen.usable])  # they may tell why
@@ -92,7 +92,7 @@ def _check_camera(name: str, frames: CameraFrames, target: Target) -> list[Findi
     return findings + _image(name, frames, seen)
 
 
-def impossible(name: str, frames: CameraFrames, target: Target) -> Finding | None:
+def unusable_frames_finding(name: str, frames: CameraFrames, target: Target) -> Finding | None:
     """Return why no calibration can use the frames of a camera, or None."""
     back = np.flatnonzero(np.diff(frames.t_ns) <= 0)
     if len(back):
@@ -127,7 +127,7 @@ def _outside(name: str, frames: CameraFrames) -> Finding | None:
     )
 
 
-def _count(name: str, frames: CameraFrames, seen: Views, target: Target) -> Finding:
+def _count(name: str, frames: CameraFrames, seen: BoardSightings, target: Target) -> Finding:
     usable = int(np.count_nonzero(seen.usable))
     span_s = (int(frames.t_ns[-1]) - int(frames.t_ns[0])) * 1e-9 if len(frames.t_ns) else 0.0
     message = f"{name}: {len(frames.t_ns)} frames in {span_s:.1f} s, the board in {usable} of them"
@@ -168,7 +168,7 @@ def _repeated(name: str, frames: CameraFrames) -> list[Finding]:
     ]
 
 
-def _useless(name: str, seen: Views) -> list[Finding]:
+def _useless(name: str, seen: BoardSightings) -> list[Finding]:
     useless = int(np.count_nonzero(~seen.usable))
     if not useless:
         return []
@@ -254,7 +254,7 @@ def _duration(name: str, usable: Integers) -> list[Finding]:
     ]
 
 
-def _image(name: str, frames: CameraFrames, seen: Views) -> list[Finding]:
+def _image(name: str, frames: CameraFrames, seen: BoardSightings) -> list[Finding]:
     """Return findings on where and how large the board is in the image."""
     findings: list[Finding] = []
     covered = image_coverage(frames.pixels, frames.camera.resolution)
@@ -334,10 +334,10 @@ def check_views(recording: Recording, target: Target) -> tuple[Finding, ...]:
 
 
 def _cameras_check_camera(name: str, frames: CameraFrames, target: Target) -> list[Finding]:
-    wrong = impossible(name, frames, target)
+    wrong = unusable_frames_finding(name, frames, target)
     if wrong is not None:
         return [wrong]
-    seen = views(frames, target)
+    seen = board_sightings(frames, target)
     findings = [_cameras_count(name, frames, seen)]
     if frames.quality is not None:
         findings += check_quality(name, frames.quality, len(frames.frame), frames.sigma_px)
@@ -347,7 +347,7 @@ def _cameras_check_camera(name: str, frames: CameraFrames, target: Target) -> li
     return findings
 
 
-def _cameras_count(name: str, frames: CameraFrames, seen: Views) -> Finding:
+def _cameras_count(name: str, frames: CameraFrames, seen: BoardSightings) -> Finding:
     usable = int(np.count_nonzero(seen.usable))
     message = (
         f"{name}: {len(frames.t_ns)} images, the board in {usable} of them ({FEWEST_CORNERS} corners or more, not on "

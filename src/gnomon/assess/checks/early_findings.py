@@ -10,7 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...estimate.camera_imu.result.residual_patterns import Pattern, board_evidence, corner_correlation, lens_evidence
+from ...estimate.camera_imu.result.residual_patterns import (
+    ResidualPattern,
+    board_evidence,
+    corner_correlation,
+    lens_evidence,
+)
 from ...estimate.camera_imu.solution import Solution
 from ...findings import Finding
 from ...recording import Floats
@@ -49,7 +54,7 @@ def unmodelled_effects(solution: Solution, signals: Mapping[str, SignalFit]) -> 
             f"corner's residual is correlated by {lasting:.2g} from frame to frame)"
         )
     for name, fit in signals.items():
-        correlation = neighbours(fit)
+        correlation = neighbour_correlation(fit)
         if correlation > _COLOURED:
             found.append(
                 f"vibration, or motion faster than the trajectory's knots, in {name} (neighbouring residuals are "
@@ -63,14 +68,14 @@ def _lasting(solution: Solution) -> float:
     return max((found.over_time[0] for found in corner_correlation(solution).values()), default=0.0)
 
 
-def neighbours(fit: SignalFit) -> float:
+def neighbour_correlation(fit: SignalFit) -> float:
     """Return the correlation of neighbouring residuals of a triad."""
     residual = (fit.measured - fit.predicted)[fit.used]
     power = float(np.sum(residual**2))
     return float(np.sum(residual[1:] * residual[:-1])) / power if power > 0 else 0.0
 
 
-def _there(pattern: Pattern) -> bool:
+def _there(pattern: ResidualPattern) -> bool:
     return pattern.chance < _CHANCE and pattern.share > _SHARE
 
 

@@ -39,7 +39,7 @@ _SIDES = ("left", "top", "right", "bottom")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Sight:
+class BoardDetections:
     """In which frames a board was seen, and how it went out of sight.
 
     Attributes
@@ -75,10 +75,10 @@ def check_images(name: str, frames: CameraFrames, usable: Integers) -> list[Find
         return []
     seen = np.zeros(len(frames.t_ns), dtype=bool)
     seen[usable] = True
-    sight = Sight(
+    sight = BoardDetections(
         t_ns=frames.t_ns,
         seen=seen,
-        box_px=boxes(frames.frame, frames.pixels, len(frames.t_ns)),
+        box_px=corner_boxes(frames.frame, frames.pixels, len(frames.t_ns)),
         blur_px=quality.blur_px,
         resolution=frames.camera.resolution,
     )
@@ -86,7 +86,7 @@ def check_images(name: str, frames: CameraFrames, usable: Integers) -> list[Find
     return findings + check_sight(name, sight)
 
 
-def boxes(frame: Integers, pixels: Floats, count: int) -> Floats:
+def corner_boxes(frame: Integers, pixels: Floats, count: int) -> Floats:
     """Return the rectangles around the corners of each of `count` frames, (count, 4); nan where there are none."""
     box = np.full((count, 4), np.nan)
     if len(frame):
@@ -224,7 +224,7 @@ def _uncertain(name: str, sigma_px: Floats | None) -> list[Finding]:
 # ---- where the board is ----
 
 
-def check_sight(name: str, sight: Sight) -> list[Finding]:
+def check_sight(name: str, sight: BoardDetections) -> list[Finding]:
     """Return what to say where the board is often out of sight: how often, and where it leaves the image."""
     share = float(np.mean(sight.seen)) if len(sight.seen) else 0.0
     if share >= _SOMETIMES or not sight.seen.any():  # a board that is never seen has a finding of its own
@@ -248,7 +248,7 @@ def check_sight(name: str, sight: Sight) -> list[Finding]:
     ]
 
 
-def _lost_where(sight: Sight, lost: Integers) -> tuple[dict[str, int], Integers]:
+def _lost_where(sight: BoardDetections, lost: Integers) -> tuple[dict[str, int], Integers]:
     """Return how often the board left at which edge, most often first, and the frames before it vanished elsewhere."""
     width, height = sight.resolution
     box = sight.box_px[lost]
@@ -261,7 +261,7 @@ def _lost_where(sight: Sight, lost: Integers) -> tuple[dict[str, int], Integers]
     return dict(ordered), lost[~at_edge]
 
 
-def _blur_before(sight: Sight, away: Integers) -> str:
+def _blur_before(sight: BoardDetections, away: Integers) -> str:
     """Return what the blur was before the board vanished in the middle of the image, where that explains it."""
     blur = sight.blur_px[away]
     blur = blur[np.isfinite(blur)]
@@ -295,7 +295,7 @@ _SAME = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ImageLook:
+class ImageStatistics:
     """What one image is like.
 
     Attributes
@@ -316,10 +316,10 @@ class ImageLook:
     digest: bytes
 
 
-def look_at(image: Grey) -> ImageLook:
+def measure_image(image: Grey) -> ImageStatistics:
     """Measure one image, (height, width)."""
     low, high = np.quantile(image[::2, ::2], [0.01, 0.99])
-    return ImageLook(
+    return ImageStatistics(
         size=(image.shape[1], image.shape[0]),
         blur_px=edge_blur(image),
         low=float(low),
@@ -370,7 +370,7 @@ def _of_strongest(blur: Floats, strength: Floats) -> float:
     return float(np.median(blur[strength >= np.quantile(strength, _STRONGEST)]))
 
 
-def check_sizes(name: str, looks: Sequence[ImageLook], camera: Camera | None) -> list[Finding]:
+def check_sizes(name: str, looks: Sequence[ImageStatistics], camera: Camera | None) -> list[Finding]:
     """Return findings on sizes of images that differ from each other or from the camera's, and on repeated images.
 
     Codes: image-size, images-same.
@@ -398,7 +398,7 @@ def check_sizes(name: str, looks: Sequence[ImageLook], camera: Camera | None) ->
     return [make_finding("images-same", name=name, same=same, images=len(looks))]
 
 
-def check_looks(name: str, looks: Sequence[ImageLook]) -> list[Finding]:
+def check_looks(name: str, looks: Sequence[ImageStatistics]) -> list[Finding]:
     """Return findings on the sharpness and the exposure of images in which no board is known.
 
     Codes: images, motion-blur, out-of-focus, images-bright, images-dark, images-flat.

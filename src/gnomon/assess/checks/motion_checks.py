@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...findings import Finding, make_finding
-from ...recording import ImuSamples, TriadSamples, measurable
+from ...recording import ImuSamples, TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
 from .protocol import looks_like, why_no_gravity
 from .signals import check_signal, check_stamps, check_vibration, is_silent
@@ -81,7 +81,7 @@ def _incomplete(label: str, samples: TriadSamples) -> Finding | None:
         return make_finding("samples-missing/rig", label=label, samples=len(samples))
     if samples.unit == "count":
         return make_finding("unit/counts", label=label)
-    lost = ~np.logical_and.reduce(measurable(samples.values), axis=1)
+    lost = ~np.logical_and.reduce(measurable_numbers(samples.values), axis=1)
     if lost.any():
         return make_finding(
             "samples-lost", label=label, lost=np.count_nonzero(lost), samples=len(lost), first=np.argmax(lost)

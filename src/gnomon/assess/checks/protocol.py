@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...detect.samples.repair import repaired
+from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.rests import Rests
-from ...detect.samples.saturation import saturated
+from ...detect.samples.saturation import saturated_samples
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
@@ -21,7 +21,7 @@ _FEWEST = 3  # rests behind each other
 _CHANCE = 0.05  # that rests left out independently of each other lie as close together
 
 
-def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], label: str = "") -> list[Finding]:
+def left_out_rests_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], label: str = "") -> list[Finding]:
     """Name the rests that are not used, with time, by reason; those behind each other as one run.
 
     Parameters
@@ -55,7 +55,7 @@ def left_out_findings(start_s: Floats, stop_s: Floats, reason: Sequence[str], la
     ]
 
 
-def cluster(out: Booleans) -> tuple[int, int] | None:
+def significant_cluster(out: Booleans) -> tuple[int, int] | None:
     """Return the first rest and the last one of those left out behind each other; None where chance explains them.
 
     Of the stretches that hold three or more, and more left out than used, the one that is least likely where as many
@@ -96,7 +96,10 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
     accelerometer, found = imu.accelerometer, Rests.none()
     if detection is not None:
         accelerometer, found = detection.motion.samples, detection.chosen.rests
-    imu, rests = replace(imu, accelerometer=accelerometer, gyroscope=repaired(imu.gyroscope)), found.intervals
+    imu, rests = (
+        replace(imu, accelerometer=accelerometer, gyroscope=drop_repeated_timestamps(imu.gyroscope)),
+        found.intervals,
+    )
     unrest = _unrest(imu, rests) if len(rests) else float("inf")
     if unrest > _MOVING:
         return [make_finding("never-static", label=label, duration_s=accelerometer.duration_s)]
@@ -111,7 +114,7 @@ def check_protocol(imu: ImuSamples, label: str, detection: RestDetection | None)
         return findings
     findings.append(_attitudes(attitudes, found, total, label))
     t_s = accelerometer.t_s
-    findings += left_out_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
+    findings += left_out_rests_findings(t_s[found.kept.start], t_s[found.kept.stop - 1], found.reason, f"{label}: ")
     findings.append(_static_start(accelerometer, found.found, label))
     if len(imu.gyroscope) > 1 and is_silent(imu.gyroscope):
         findings.append(make_finding("gyroscope-silent/rests", label=label, attitudes=attitudes))
@@ -136,14 +139,16 @@ def find_imu_rests(
     accelerometer_range : what the accelerometer can measure [unit], where it is known
     counted : whether the samples are on a uniform time base whatever their timestamps
     """
-    accelerometer, gyroscope = (repaired(triad, counted=counted) for triad in (imu.accelerometer, imu.gyroscope))
+    accelerometer, gyroscope = (
+        drop_repeated_timestamps(triad, counted=counted) for triad in (imu.accelerometer, imu.gyroscope)
+    )
     times = [
         np.asarray(1e-9 * (triad.t_ns - accelerometer.t_ns[0]), np.float64) for triad in (accelerometer, gyroscope)
     ]
     return detect_rests(
         accelerometer,
         gyroscope,
-        saturated(accelerometer, accelerometer_range),
+        saturated_samples(accelerometer, accelerometer_range),
         t_s=(times[0], times[1]),
         window_s=window_s,
         multiplier=multiplier,

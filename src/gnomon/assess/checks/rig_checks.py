@@ -5,9 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...detect.samples.saturation import saturated
+from ...detect.samples.saturation import saturated_samples
 from ...errors import InitialisationError
-from ...estimate.camera_imu.start.alignment import Alignment, GyroscopeIntegral, align, clock_steps, gyroscope_integral
+from ...estimate.camera_imu.start.alignment import (
+    Alignment,
+    GyroscopeIntegral,
+    align_camera,
+    clock_steps,
+    gyroscope_integral,
+)
 from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses
 from ...estimate.camera_imu.start.first_guess import ImuStream
 from ...findings import Finding, make_finding
@@ -47,7 +53,7 @@ def check_recording_rig(recording: Recording, target: Target) -> tuple[Finding, 
     guide = dict(list(recording.cameras.items())[:1])
     for name, samples in others:
         found = _beside(name, samples, guide, target, lens=False)
-        findings += [about(name, finding) for finding in found if finding.code in _OF_AN_IMU]
+        findings += [name_imu(name, finding) for finding in found if finding.code in _OF_AN_IMU]
     return merge_by_cause(findings)
 
 
@@ -59,7 +65,7 @@ _OF_AN_IMU = frozenset(
 _NAME_THE_IMU = frozenset({"triads-apart", "clock-jump", "clock", "clock-drift", "time-shift"})
 
 
-def about(imu: str, finding: Finding) -> Finding:
+def name_imu(imu: str, finding: Finding) -> Finding:
     """Return a finding that names the IMU which it is about."""
     named = finding if finding.code in _NAME_THE_IMU else replace(finding, message=f"{imu}: {finding.message}")
     return replace(named, subject=finding.subject or imu)
@@ -79,7 +85,7 @@ def _beside(
     for name, frames in cameras.items():
         poses = board_poses(frames, target, np.asarray((frames.t_ns - origin) * 1e-9, dtype=np.float64))
         try:
-            alignment = align(poses, integral, name)
+            alignment = align_camera(poses, integral, name)
         except InitialisationError as error:
             jumps = check_clock_steps(name, poses, integral, None, imu)
             findings += jumps or [make_finding("not-aligned", reason=str(error))]
@@ -109,7 +115,7 @@ def _stream(samples: ImuSamples) -> tuple[ImuStream | None, Booleans | None]:
     once = np.concatenate([[True], np.diff(t_s) > 0])
     force = [np.interp(t_s[once], t_force, push * samples.accelerometer.values[:, i]) for i in range(3)]
     stream = ImuStream(t_s=t_s[once], rate=samples.gyroscope.values[once] * turn, force=np.stack(force, axis=1))
-    return stream, saturated(samples.gyroscope)[once]
+    return stream, saturated_samples(samples.gyroscope)[once]
 
 
 def check_look(

@@ -16,9 +16,26 @@ from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import FrameQuality, ImuSamples, Integers, Recording
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
-from .camera_checks import all_stamps, beside, check_cameras, check_common_time, check_rhythm, check_views, imu_stamps
+from .camera_checks import (
+    all_stamps,
+    check_cameras,
+    check_common_time,
+    check_rhythm,
+    check_views,
+    imu_stamps,
+    imus_to_align,
+)
 from .clock_checks import check_clocks, check_epochs
-from .image_checks import ImageLook, Sight, boxes, check_looks, check_quality, check_sight, check_sizes, look_at
+from .image_checks import (
+    BoardDetections,
+    ImageStatistics,
+    check_looks,
+    check_quality,
+    check_sight,
+    check_sizes,
+    corner_boxes,
+    measure_image,
+)
 from .motion_checks import check_moving_imu
 from .rig_checks import check_recording_rig
 
@@ -35,7 +52,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StreamLook:
+class StreamSummary:
     """What was found in the images of one camera.
 
     Attributes
@@ -53,7 +70,7 @@ class StreamLook:
     topic: str
     t_ns: Integers
     looked_ns: Integers
-    looks: tuple[ImageLook, ...]
+    looks: tuple[ImageStatistics, ...]
     views: tuple[BoardView, ...]
     damaged: tuple[str, ...]
     notes: tuple[str, ...]
@@ -71,10 +88,10 @@ class StreamLook:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RigLook:
+class RigSummary:
     """A recording of images as the doctor saw it: stream by stream, and the findings."""
 
-    streams: Mapping[str, StreamLook]
+    streams: Mapping[str, StreamSummary]
     findings: tuple[Finding, ...]
 
 
@@ -85,7 +102,7 @@ def check_rig(
     *,
     sample: int = SAMPLE,
     progress: Progress | None = None,
-) -> RigLook:
+) -> RigSummary:
     """Look at a recording of images and IMUs and say what is good or bad about it.
 
     Codes: imu-missing, images-missing, images-incomplete, images-damaged, image-size, images-same, images,
@@ -102,7 +119,7 @@ def check_rig(
     progress : called with a sentence at each step
     """
     tell = progress or (lambda _: None)
-    streams: dict[str, StreamLook] = {}
+    streams: dict[str, StreamSummary] = {}
     for name, stream in recording.streams.items():
         tell(f"looking at the images of {name}")
         streams[name] = _looked_at(stream, target, sample)
@@ -115,7 +132,7 @@ def check_rig(
     findings += check_stamps_together(stamps, recording.imus, shifts)
     known = {name: stream.arrivals for name, stream in recording.streams.items() if stream.arrivals is not None}
     findings += check_clocks({**known, **recording.imu_arrivals})
-    return RigLook(streams=streams, findings=_each_once(findings))
+    return RigSummary(streams=streams, findings=_each_once(findings))
 
 
 def check_corners(recording: Recording, target: Target) -> tuple[Finding, ...]:
@@ -157,7 +174,7 @@ def check_stamps_together(
         findings += _order(name, t_ns)
         if imus and len(ordered) >= 3:  # alone, cameras may take their views when they like
             findings += check_rhythm(name, ordered)
-        for imu in beside(name, stamps, imus):
+        for imu in imus_to_align(name, stamps, imus):
             findings += check_common_time(name, ordered, imu, imus[imu], shifts.get(name, 0.0))
     return findings
 
@@ -185,7 +202,7 @@ class _Sample:
     def __init__(self, detector: Detector | None) -> None:
         self.detector = detector
         self.t_ns: list[int] = []
-        self.looks: list[ImageLook] = []
+        self.looks: list[ImageStatistics] = []
         self.views: list[BoardView] = []
         self.damaged: list[str] = []
         self.unseen: list[Grey] = []
@@ -198,7 +215,7 @@ class _Sample:
             self.damaged.append(str(error))
             return
         self.t_ns.append(frame.t_ns)
-        self.looks.append(look_at(image))
+        self.looks.append(measure_image(image))
         if self.detector is None:
             return
         self.views.append(self.detector(image))
@@ -208,7 +225,7 @@ class _Sample:
             self.unseen.clear()
 
 
-def _looked_at(stream: ImageStream, target: Target | None, sample: int) -> StreamLook:
+def _looked_at(stream: ImageStream, target: Target | None, sample: int) -> StreamSummary:
     notes: list[str] = []
     stamps: list[int] = []
     count = stream.count or sum(1 for _ in stream.frames([]))
@@ -219,7 +236,7 @@ def _looked_at(stream: ImageStream, target: Target | None, sample: int) -> Strea
         stamps.append(frame.t_ns)
         if number in wanted:
             gathered.look(frame, keep=number in kept)
-    return StreamLook(
+    return StreamSummary(
         topic=stream.topic,
         t_ns=np.array(stamps, dtype=np.int64),
         looked_ns=np.array(gathered.t_ns, dtype=np.int64),
@@ -246,12 +263,12 @@ def _detector(target: Target) -> Detector:
         from ...detect.boards.checkerboard import detect_checkerboard
 
         return lambda image: detect_checkerboard(image, target)
-    from ...detect.boards.worker import detector
+    from ...detect.boards.worker import make_detector
 
-    return detector(target)
+    return make_detector(target)
 
 
-def _check_stream(name: str, look: StreamLook, camera: Camera | None, target: Target | None) -> list[Finding]:
+def _check_stream(name: str, look: StreamSummary, camera: Camera | None, target: Target | None) -> list[Finding]:
     findings = [_incomplete(name, note) for note in look.notes]
     if len(look.t_ns) < _FEWEST_FRAMES:
         findings.append(_missing(name, len(look.t_ns)))
@@ -273,7 +290,7 @@ def _missing(name: str, count: int) -> Finding:
     return make_finding("images-missing", name=name, count=count)
 
 
-def _damaged(name: str, look: StreamLook) -> list[Finding]:
+def _damaged(name: str, look: StreamSummary) -> list[Finding]:
     if not look.damaged:
         return []
     tried = len(look.damaged) + len(look.looks)
@@ -291,7 +308,7 @@ def _damaged(name: str, look: StreamLook) -> list[Finding]:
     ]
 
 
-def _board_missing(name: str, look: StreamLook, target: Target | None) -> list[Finding]:
+def _board_missing(name: str, look: StreamSummary, target: Target | None) -> list[Finding]:
     if target is None or not look.views:
         return []
     return [
@@ -305,7 +322,7 @@ def _board_missing(name: str, look: StreamLook, target: Target | None) -> list[F
     ]
 
 
-def _board(name: str, look: StreamLook) -> list[Finding]:
+def _board(name: str, look: StreamSummary) -> list[Finding]:
     """Return findings on the images by what they show of the board."""
     views = look.views
     size = [len(view) for view in views]
@@ -321,10 +338,10 @@ def _board(name: str, look: StreamLook) -> list[Finding]:
     frame = np.repeat(np.arange(len(views)), size)
     sigma = np.concatenate([view.sigma_px for view in views])
     pixels = np.concatenate([view.pixels for view in views])
-    sight = Sight(
+    sight = BoardDetections(
         t_ns=look.looked_ns,
         seen=np.array(size) >= _FEWEST_CORNERS,
-        box_px=boxes(frame, pixels, len(views)),
+        box_px=corner_boxes(frame, pixels, len(views)),
         blur_px=quality.blur_px,
         resolution=look.looks[0].size,
         consecutive=False,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...estimate.camera_imu.start.board_poses import BoardPoses, thinned
+from ...estimate.camera_imu.start.board_poses import BoardPoses, thin_exposures
 from ...findings import Finding, make_finding
 from ...geometry.so3 import skew
 from ...models.camera import Camera
@@ -135,7 +135,7 @@ def lens_fit(poses: BoardPoses, camera: Camera, target: Target, certain: Boolean
     camera, target : as stated
     certain : (n,) poses to be used; all where not given
     """
-    exposures = thinned(replace(poses.exposures, spread=None))
+    exposures = thin_exposures(replace(poses.exposures, spread=None))
     count = len(poses)
     steps = np.diff(poses.t_s)
     middle = np.zeros(count, dtype=bool)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...detect.samples.repeats import repeated_stretches
-from ...detect.samples.saturation import saturated
+from ...detect.samples.saturation import saturated_samples
 from ...findings import Finding, make_finding
 from ...recording import Floats, Integers, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, STANDARD_GRAVITY_M_S2
@@ -233,7 +233,7 @@ _NOISE_SAMPLES = 10_000
 _MUCH_REPEATED = 0.02  # of all samples
 
 
-def extremes(values: Floats) -> tuple[Floats, Floats]:
+def axis_extremes(values: Floats) -> tuple[Floats, Floats]:
     """Return the smallest and the largest value of each axis, (3,) each; column by column, which is fast."""
     columns = [values[:, axis] for axis in range(3)]
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
@@ -241,7 +241,7 @@ def extremes(values: Floats) -> tuple[Floats, Floats]:
 
 def check_signal(samples: TriadSamples, label: str) -> list[Finding]:
     """Return findings on the values of one sensor; linear time."""
-    low, high = extremes(samples.values)
+    low, high = axis_extremes(samples.values)
     still = low == high
     if still.all():
         return [
@@ -308,7 +308,7 @@ def copied_stretches(copies: Floats, share: float, label: str) -> list[Finding]:
 
 
 def _saturation(samples: TriadSamples, label: str) -> list[Finding]:
-    marked = saturated(samples)
+    marked = saturated_samples(samples)
     count = int(np.count_nonzero(marked))
     if not count:
         return [make_finding("saturation/none", label=label)]
@@ -370,7 +370,7 @@ def is_silent(samples: TriadSamples) -> bool:
     """Tell whether a gyroscope shows nothing but noise."""
     noise = _noise(samples.values)
     middle = np.median(samples.values[:: max(1, len(samples) // _NOISE_SAMPLES)], axis=0)
-    low, high = extremes(samples.values)
+    low, high = axis_extremes(samples.values)
     peak = np.maximum(high - middle, middle - low)
     return bool((peak <= _SILENT * noise).all())
 

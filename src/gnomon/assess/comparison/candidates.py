@@ -18,7 +18,7 @@ from ...frozen import FrozenMapping, value_class
 from ...models.camera import Camera
 from ...recording import Floats, Source, frozen_array
 from ...results.calibration import Calibration, CameraCalibration, Covariance, Gravity, ImuCalibration
-from ...results.parameters import covariance_names, element_names, moved_into_frame, parameters
+from ...results.parameters import calibration_parameters, covariance_names, element_names, moved_into_frame
 from ...simulate.truth import TRUTH_METHOD
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 
@@ -33,7 +33,7 @@ _UNITS = {
 
 
 @value_class
-class Candidate:
+class ComparisonCandidate:
     """One of the calibrations that are compared.
 
     Attributes
@@ -175,7 +175,7 @@ def _stated_sigmas(found: ForeignCalibration) -> Covariance | None:
     return Covariance(names=names, matrix=np.diag([variance.get(name, np.nan) for name in names]))
 
 
-def in_common_frame(candidate: Candidate) -> Candidate:
+def in_common_frame(candidate: ComparisonCandidate) -> ComparisonCandidate:
     """Return the candidate in body frame "accel-x" and SI units; one without accelerometer stays in its own frame."""
     imus, matrix = candidate.imus, None if candidate.covariance is None else candidate.covariance.matrix
     if imus and all(imu.accelerometer is not None for imu in imus.values()):
@@ -208,5 +208,5 @@ def _in_si(imu: ImuCalibration) -> tuple[ImuCalibration, Floats]:
                 factor[f".{triad}.{name}"] = size or 1.0
                 sensor = replace(sensor, **{name: (size or 1.0) * getattr(sensor, name)})
         triads[triad] = replace(sensor, unit=si) if size else sensor
-    factors = [np.full(value.size, factor.get(path, 1.0)) for path, value in parameters({"": imu})]
+    factors = [np.full(value.size, factor.get(path, 1.0)) for path, value in calibration_parameters({"": imu})]
     return replace(imu, **triads), frozen_array(np.concatenate(factors))

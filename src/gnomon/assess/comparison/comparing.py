@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import FormatError, OptionError
 from ...geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
 from ...recording import Floats, Integers, frozen_array, recorded_hashes, shared_sources
-from .candidates import FRAME, Candidate, in_common_frame
+from .candidates import FRAME, ComparisonCandidate, in_common_frame
 from .comparison import (
     UNJUDGED,
     ComparedCalibration,
@@ -24,14 +24,14 @@ from .comparison import (
 )
 from .comparison_findings import with_words
 from .comparison_words import at_common_origins
-from .quantities import Quantity, Statement, statement_of, with_scatter_between_recordings
+from .quantities import ComparedQuantity, Statement, statement_of, with_scatter_between_recordings
 
 _MIXED_UNITS = 1.5
 _LEAST_VARIANCE = 1e-6  # that is left when what is shared was taken off, of all of it
 _MEAN_STEPS = 20
 
 
-def compared(candidates: Sequence[Candidate]) -> Comparison:
+def compare_candidates(candidates: Sequence[ComparisonCandidate]) -> Comparison:
     """Compare calibrations of one rig.
 
     Raises
@@ -81,14 +81,14 @@ def compared(candidates: Sequence[Candidate]) -> Comparison:
     return with_words(comparison, common, notes)
 
 
-def _frame(candidates: Sequence[Candidate]) -> str:
+def _frame(candidates: Sequence[ComparisonCandidate]) -> str:
     """Return the body frame in which they are compared: that of a camera where none holds an IMU."""
     bodies = frozenset[str]().union(*(candidate.bodies for candidate in candidates))
     imus = any(candidate.imus for candidate in candidates)
     return FRAME if imus or len(bodies) != 1 else next(iter(bodies)).replace("imu0", FRAME)
 
 
-def _check_number(candidates: Sequence[Candidate]) -> None:
+def _check_number(candidates: Sequence[ComparisonCandidate]) -> None:
     if len(candidates) < 2:
         raise OptionError(
             f"found {len(candidates)} calibration, expected at least two to compare. Name another one of the same rig, "
@@ -100,7 +100,7 @@ def _check_number(candidates: Sequence[Candidate]) -> None:
             raise OptionError(f'two calibrations are called "{name}". Name them: first=PATH second=PATH.')
 
 
-def _of_one_occasion(candidates: Sequence[Candidate]) -> frozenset[str]:
+def _of_one_occasion(candidates: Sequence[ComparisonCandidate]) -> frozenset[str]:
     """Return those that are of one recording each, and share it with none of the others."""
     inputs = {one.name: one.inputs for one in candidates if one.imus and not one.exact}
     known = {name: found for name, found in inputs.items() if recorded_hashes(found)}
@@ -113,7 +113,7 @@ def _of_one_occasion(candidates: Sequence[Candidate]) -> frozenset[str]:
     return frozenset(single) if len(known) > 1 else frozenset()
 
 
-def _described(candidate: Candidate, one_occasion: bool) -> ComparedCalibration:
+def _described(candidate: ComparisonCandidate, one_occasion: bool) -> ComparedCalibration:
     gravity = candidate.gravity
     spread = f" +- {gravity.sigma:.2g}" if gravity is not None and gravity.sigma > 0 else ""
     return ComparedCalibration(
@@ -131,7 +131,7 @@ def _described(candidate: Candidate, one_occasion: bool) -> ComparedCalibration:
     )
 
 
-def _same_gravity(candidates: Sequence[Candidate]) -> dict[str, tuple[float, float, str]]:
+def _same_gravity(candidates: Sequence[ComparisonCandidate]) -> dict[str, tuple[float, float, str]]:
     """Return name -> what was assumed of gravity, of those whose sigmas hold it; equal ones are the same error."""
     return {
         candidate.name: (candidate.gravity.value, candidate.gravity.sigma, candidate.gravity.source)
@@ -169,7 +169,7 @@ def _check_units(statements: Mapping[str, Statement], notes: list[str]) -> None:
                 )
 
 
-def _raw(quantity: Quantity) -> str:
+def _raw(quantity: ComparedQuantity) -> str:
     return "SI units" if quantity.unit == "1" else quantity.unit.split("/")[0]
 
 
@@ -201,7 +201,7 @@ def _take_unit(first: Statement, second: Statement, path: str, notes: list[str])
             counted.quantities[name] = replace(counted.quantities[name], unit=unit)
 
 
-def _nothing_in_common(candidates: Sequence[Candidate]) -> str:
+def _nothing_in_common(candidates: Sequence[ComparisonCandidate]) -> str:
     held = "; ".join(
         f"{one.name} has {', '.join((*one.imus, *one.cameras, *one.lenses)) or 'nothing'}" for one in candidates
     )
@@ -212,7 +212,7 @@ def _nothing_in_common(candidates: Sequence[Candidate]) -> str:
     )
 
 
-def _stated(path: str, statements: Mapping[str, Statement]) -> dict[str, Quantity]:
+def _stated(path: str, statements: Mapping[str, Statement]) -> dict[str, ComparedQuantity]:
     """Return those that estimated a block, as far as they can be compared with the first of them."""
     found = {name: one.quantities[path] for name, one in statements.items() if path in one.quantities}
     estimated = {name: one for name, one in found.items() if one.estimated}
@@ -222,11 +222,11 @@ def _stated(path: str, statements: Mapping[str, Statement]) -> dict[str, Quantit
     return {name: one for name, one in estimated.items() if _alike(one, first)}
 
 
-def _alike(one: Quantity, other: Quantity) -> bool:
+def _alike(one: ComparedQuantity, other: ComparedQuantity) -> bool:
     return one.unit == other.unit and one.elements == other.elements
 
 
-def _variances(statement: Statement, quantity: Quantity) -> Floats:
+def _variances(statement: Statement, quantity: ComparedQuantity) -> Floats:
     """Return the variances (k,) of a block; nan where they are not stated, or zero."""
     if statement.covariance is None:
         return np.full(len(quantity.elements), nan)
@@ -272,7 +272,7 @@ def _sum_of_known(variances: Sequence[Floats]) -> Floats:
     return np.where(np.isnan(table).all(axis=0), nan, np.nansum(table, axis=0))
 
 
-def _minus(one: Quantity, other: Quantity) -> Floats:
+def _minus(one: ComparedQuantity, other: ComparedQuantity) -> Floats:
     if one.rotation is None or other.rotation is None:
         return one.values - other.values
     return rotvec_from_rotation(other.rotation.T @ one.rotation)
@@ -289,7 +289,7 @@ def _mean_rotation(rotations: Sequence[Floats]) -> Floats:
     return mean
 
 
-def _values(quantities: Sequence[Quantity]) -> tuple[Floats, Floats | None]:
+def _values(quantities: Sequence[ComparedQuantity]) -> tuple[Floats, Floats | None]:
     """Return the values (m, k) of a block, and the mean rotation where it is one."""
     rotations = [one.rotation for one in quantities if one.rotation is not None]
     if not rotations:
@@ -378,7 +378,7 @@ def _gathered(places: Mapping[str, slice], columns: Mapping[str, int]) -> Intege
     return np.concatenate(parts) if parts else np.empty(0, dtype=int)
 
 
-def _lenses(candidates: Sequence[Candidate]) -> Iterator[LensDifference]:
+def _lenses(candidates: Sequence[ComparisonCandidate]) -> Iterator[LensDifference]:
     """Yield how the lenses of every pair differ."""
     for first, second in combinations(candidates, 2):
         theirs = second.all_lenses

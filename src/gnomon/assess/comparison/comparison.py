@@ -142,7 +142,7 @@ class ComparedCalibration:
 
     Attributes
     ----------
-    name, format, frame : as in `candidates.Candidate`
+    name, format, frame : as in `candidates.ComparisonCandidate`
     gravity : what it took for gravity, or ""
     sigmas : whether it states standard deviations
     exact : whether it is the truth of a simulation
@@ -210,7 +210,7 @@ class Repeatability:
 
     Attributes
     ----------
-    path, kind, elements, unit : as in `quantities.Quantity`
+    path, kind, elements, unit : as in `quantities.ComparedQuantity`
     names : (m,) of the calibrations that estimated it, at least one
     values : (m, k); of a rotation small rotations about the body's axes against `reference`
     sigmas : (m, k) as stated; nan where they are not

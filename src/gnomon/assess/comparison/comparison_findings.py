@@ -9,15 +9,15 @@ import numpy as np
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats, shared_sources
 from ...results.trust import Verdict
 from ..needs import number_words
 from ..verdict import merge_by_cause
-from .candidates import Candidate
+from .candidates import ComparisonCandidate
 from .comparison import Comparison, Difference, standing_out
-from .comparison_words import block_words, listed, origin_findings, sigma_text, size_text
+from .comparison_words import block_words, join_names, origin_findings, sigma_text, size_text
 
 _INVERSE = 0.1  # share of the distance that is left when one pose is inverted
 _ARM_M = 0.1  # what a turn of one radian moves, for adding turns and distances
@@ -35,7 +35,7 @@ class _Placed:
     shift: str
 
 
-def pose_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
+def pose_findings(candidates: Sequence[ComparisonCandidate]) -> Iterator[Finding]:
     """Recognise poses that are the inverse of each other, and time shifts of opposite sign."""
     for first, second in combinations(candidates, 2):
         ones, others = _placed(first), _placed(second)
@@ -44,7 +44,7 @@ def pose_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
             if one.body != other.body:
                 continue
             distance = _distance(one.T, other.T)
-            if _distance(inverse(one.T), other.T) < _INVERSE * distance:
+            if _distance(invert_3x3(one.T), other.T) < _INVERSE * distance:
                 yield _inverted(name, first.name, second.name, one.link)
             shifts = one.shift_s, other.shift_s
             if min(map(abs, shifts)) > _SHIFT_S and abs(sum(shifts)) < _INVERSE * abs(shifts[0] - shifts[1]):
@@ -60,7 +60,7 @@ def pose_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
                 )
 
 
-def _placed(candidate: Candidate) -> dict[str, _Placed]:
+def _placed(candidate: ComparisonCandidate) -> dict[str, _Placed]:
     """Return the sensors of a calibration that have a pose: cameras, and IMUs beside imu0."""
     placed = {
         name: _Placed(
@@ -125,7 +125,7 @@ _LENS_PX = 0.5
 _GRAVITY = 1e-4  # of it
 
 
-def with_words(comparison: Comparison, candidates: Sequence[Candidate], notes: Sequence[str]) -> Comparison:
+def with_words(comparison: Comparison, candidates: Sequence[ComparisonCandidate], notes: Sequence[str]) -> Comparison:
     """Return the comparison with who stands out, its findings, its verdict and its headline.
 
     Parameters
@@ -252,7 +252,7 @@ def _headline(comparison: Comparison, beyond: Sequence[Difference], known: bool)
     names = [one.name for one in comparison.calibrations]
     inside = [name for name in names if name not in comparison.outside]
     if comparison.outside:
-        together = f"{listed(inside)} agree; " if len(inside) > 1 else ""
+        together = f"{join_names(inside)} agree; " if len(inside) > 1 else ""
         return f"{together}{'; '.join(_outside_text(comparison, name, 1) for name in comparison.outside)}."
     if beyond:
         first, second = beyond[0].first, beyond[0].second
@@ -262,17 +262,20 @@ def _headline(comparison: Comparison, beyond: Sequence[Difference], known: bool)
     if not comparison.blocks:
         worst = max(comparison.lenses, key=lambda lens: lens.largest_px, default=None)
         if worst is None or worst.same:
-            return f"{listed(names)} hold all that they have in common at the same values."
+            return f"{join_names(names)} hold all that they have in common at the same values."
         return (
-            f"{listed(names)} have only lenses in common; the images of {worst.camera} differ by up to "
+            f"{join_names(names)} have only lenses in common; the images of {worst.camera} differ by up to "
             f"{worst.largest_px:.2g} px ({worst.turned_rms_px:.2g} px rms after a turn of the camera)."
         )
     if not known:
-        return f"{listed(names)} were compared; none states standard deviations, so nothing says what differences mean."
+        return (
+            f"{join_names(names)} were compared; none states standard deviations, so nothing says what "
+            "differences mean."
+        )
     largest = max(item.largest for item in _judged(comparison) if np.isfinite(item.largest))
     return (
-        f"{listed(names)} agree: of {comparison.compared} differences the largest is {largest:.1f} sigma, where up to "
-        f"{comparison.z_limit:.1f} is chance."
+        f"{join_names(names)} agree: of {comparison.compared} differences the largest is {largest:.1f} sigma, "
+        f"where up to {comparison.z_limit:.1f} is chance."
     )
 
 
@@ -302,10 +305,10 @@ def _disagreement(comparison: Comparison, beyond: Sequence[Difference]) -> Itera
 def _what_it_means(comparison: Comparison, items: Sequence[Difference]) -> str:
     pair = items[0].first, items[0].second
     if truths := _truths(comparison) & {*pair}:
-        return f"{listed(sorted(truths))} is the truth of a simulation: the errors are those of the other one."
+        return f"{join_names(sorted(truths))} is the truth of a simulation: the errors are those of the other one."
     if any(item.mutual for item in items):
         return ""
-    return f"Sigmas are those of {listed(items[0].basis)} alone; what the errors of the other are, nobody knows."
+    return f"Sigmas are those of {join_names(items[0].basis)} alone; what the errors of the other are, nobody knows."
 
 
 def _how_to_tell(comparison: Comparison, pair: tuple[str, str]) -> str:
@@ -357,7 +360,7 @@ def _assumed(comparison: Comparison) -> Iterator[Finding]:
 def _first_of(texts: Sequence[str], most: int = _MOST) -> str:
     """Return the first texts as a list, and how many more there are."""
     rest = len(texts) - most
-    return listed([*texts[:most], *([f"{rest} more" if rest > 1 else "one more"] if rest > 0 else [])])
+    return join_names([*texts[:most], *([f"{rest} more" if rest > 1 else "one more"] if rest > 0 else [])])
 
 
 def _lenses(comparison: Comparison) -> Iterator[Finding]:
@@ -402,11 +405,11 @@ def _sensors_in_some(comparison: Comparison) -> Iterator[Finding]:
         if len(there) < len(comparison.calibrations):
             rest = [one.name for one in comparison.calibrations if one.name not in there]
             yield make_finding(
-                "only-in-some", sensor=sensor, there=listed(there), rest=listed(rest, "or"), missing_in=rest[0]
+                "only-in-some", sensor=sensor, there=join_names(there), rest=join_names(rest, "or"), missing_in=rest[0]
             )
 
 
-def _gravities(candidates: Sequence[Candidate]) -> Iterator[Finding]:
+def _gravities(candidates: Sequence[ComparisonCandidate]) -> Iterator[Finding]:
     """Say that different magnitudes of gravity were assumed."""
     taken = {one.name: one.gravity.value for one in candidates if one.gravity is not None}
     low, high = (choose(taken, key=taken.__getitem__, default="") for choose in (min, max))
@@ -427,8 +430,8 @@ def _knowledge(comparison: Comparison) -> Iterator[Finding]:
     stating = [one.name for one in comparison.calibrations if one.sigmas]
     if silent:
         verb, part = ("states", "it takes") if len(silent) == 1 else ("state", "they take")
-        rest = f"z is by the sigmas of {listed(stating)} alone" if stating else "there is no z at all"
-        yield make_finding("sigmas-not-stated", silent=listed(silent), verb=verb, part=part, rest=rest)
+        rest = f"z is by the sigmas of {join_names(stating)} alone" if stating else "there is no z at all"
+        yield make_finding("sigmas-not-stated", silent=join_names(silent), verb=verb, part=part, rest=rest)
     groups = {
         tuple(other.name for other in comparison.calibrations if shared_sources((source,), other.inputs)): None
         for one in comparison.calibrations
@@ -436,14 +439,14 @@ def _knowledge(comparison: Comparison) -> Iterator[Finding]:
     }
     for names in groups:
         if len(names) > 1:
-            yield make_finding("same-recording", names=listed(names))
+            yield make_finding("same-recording", names=join_names(names))
 
 
 def _own_axes(comparison: Comparison) -> Iterator[Finding]:
     named = [one.name for one in comparison.calibrations if one.frame == "user" and one.verdict]
     if named:
         yield make_finding(
-            "user-axes", named=listed(named), verb="states" if len(named) == 1 else "state", frame=comparison.frame
+            "user-axes", named=join_names(named), verb="states" if len(named) == 1 else "state", frame=comparison.frame
         )
 
 
@@ -452,7 +455,7 @@ def _occasions(comparison: Comparison) -> Iterator[Finding]:
     names = [one.name for one in comparison.calibrations if one.one_occasion]
     if names:
         yield make_finding(
-            "different-recordings", names=listed(names), verb="is" if len(names) == 1 else "are", usual=_usual()
+            "different-recordings", names=join_names(names), verb="is" if len(names) == 1 else "are", usual=_usual()
         )
 
 

@@ -12,7 +12,7 @@ from ...models.origin import Origin
 from ...recording import Floats
 from ...results.calibration import Covariance
 from ...results.parameters import element_names, moved_to_origin
-from .candidates import Candidate
+from .candidates import ComparisonCandidate
 from .comparison import Difference, Repeatability
 
 _DEG = degrees(1.0)
@@ -113,16 +113,16 @@ def sigma_text(difference: Difference) -> str:
     """Return how many sigmas a difference is at most, and whose; "" where none are known."""
     if not np.isfinite(difference.largest):
         return ""
-    whose = "" if difference.mutual else f" of {listed(difference.basis)} alone"
+    whose = "" if difference.mutual else f" of {join_names(difference.basis)} alone"
     return f"{difference.largest:.1f} sigma{whose}"
 
 
-def listed(names: Sequence[str], last: str = "and") -> str:
+def join_names(names: Sequence[str], last: str = "and") -> str:
     """Return names as a list in a sentence.
 
     Examples
     --------
-    >>> listed(["A", "B", "C"])
+    >>> join_names(["A", "B", "C"])
     'A, B and C'
     """
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
@@ -137,7 +137,7 @@ _OFF_OWN = 0.01
 """and off that which its own estimate tells."""
 
 
-def at_common_origins(candidates: Sequence[Candidate]) -> list[Candidate]:
+def at_common_origins(candidates: Sequence[ComparisonCandidate]) -> list[ComparisonCandidate]:
     """Return the candidates, all in one body frame, with the origin of each IMU at one point as far as that is known.
 
     It is the p* of one with one place for all accelerometers, which cannot be moved; else of the first that states
@@ -147,10 +147,10 @@ def at_common_origins(candidates: Sequence[Candidate]) -> list[Candidate]:
     return [_at(one, origins) for one in candidates]
 
 
-def _common(candidates: Sequence[Candidate], imu: str) -> Origin:
+def _common(candidates: Sequence[ComparisonCandidate], imu: str) -> Origin:
     held = [one for one in candidates if imu in one.imus]
     weighed = sorted(
-        (arms_of(one, imu) is not None, number)
+        (accelerometer_positions(one, imu) is not None, number)
         for number, one in enumerate(held)
         if (origin := one.imus[imu].origin) is not None and origin.weights is not None
     )
@@ -161,14 +161,14 @@ def _common(candidates: Sequence[Candidate], imu: str) -> Origin:
     return Origin(point="optimal", weights=known.weights)
 
 
-def arms_of(one: Candidate, imu: str) -> Floats | None:
+def accelerometer_positions(one: ComparisonCandidate, imu: str) -> Floats | None:
     """Return where the accelerometers of an IMU sit, (3, 3) [m]; None where they are at one point."""
     sensor = one.imus[imu].accelerometer if imu in one.imus else None
     return None if sensor is None else sensor.lever_arms_m
 
 
-def _at(one: Candidate, origins: Mapping[str, Origin]) -> Candidate:
-    if all(arms_of(one, imu) is None for imu in one.imus):
+def _at(one: ComparisonCandidate, origins: Mapping[str, Origin]) -> ComparisonCandidate:
+    if all(accelerometer_positions(one, imu) is None for imu in one.imus):
         return one
     moved = moved_to_origin(one.imus, one.cameras, origins)
     covariance = one.covariance
@@ -178,20 +178,20 @@ def _at(one: Candidate, origins: Mapping[str, Origin]) -> Candidate:
     return replace(one, imus=moved.imus, cameras=moved.cameras, covariance=covariance)
 
 
-def origin_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
+def origin_findings(candidates: Sequence[ComparisonCandidate]) -> Iterator[Finding]:
     """Say whose translations are of points that are not quite the same, and by how much."""
     for imu in dict.fromkeys(name for one in candidates for name in one.imus):
         held = [one for one in candidates if imu in one.imus and (one.cameras or len(one.imus) > 1)]
-        rest = [one for one in held if arms_of(one, imu) is None and not one.exact]
+        rest = [one for one in held if accelerometer_positions(one, imu) is None and not one.exact]
         having = {one.name: longest for one in held if (longest := _longest(one, imu)) > 0}
         if having and rest:
             most = max(having.values())
             share = _OFF_P_STAR if any(_weights(one, imu) is None for one in rest) else _OFF_OWN
             yield make_finding(
                 "lever-arms-in-some",
-                having=listed(list(having)),
+                having=join_names(list(having)),
                 imu=imu,
-                rest=listed([one.name for one in rest]),
+                rest=join_names([one.name for one in rest]),
                 off_mm=1e3 * share * most,
             )
         for first, second in combinations(rest, 2):
@@ -200,9 +200,9 @@ def origin_findings(candidates: Sequence[Candidate]) -> Iterator[Finding]:
                 yield make_finding("origins-differ", first=first.name, second=second.name, imu=imu, apart=apart)
 
 
-def _longest(one: Candidate, imu: str) -> float:
+def _longest(one: ComparisonCandidate, imu: str) -> float:
     """Return the longest lever arm that is there beyond its uncertainty [m]; zero where none is."""
-    arms = arms_of(one, imu)
+    arms = accelerometer_positions(one, imu)
     if arms is None:
         return 0.0
     sigma = np.zeros(9)
@@ -213,7 +213,7 @@ def _longest(one: Candidate, imu: str) -> float:
     return float(np.linalg.norm(arms * proved, axis=1).max())
 
 
-def _points_apart(first: Candidate, second: Candidate, imu: str) -> float:
+def _points_apart(first: ComparisonCandidate, second: ComparisonCandidate, imu: str) -> float:
     """Return how far the points of two motions are apart, of accelerometers at random 10 mm from each other [m]."""
     weights = [_weights(one, imu) for one in (first, second)]
     if weights[0] is None or weights[1] is None:
@@ -221,7 +221,7 @@ def _points_apart(first: Candidate, second: Candidate, imu: str) -> float:
     return float(_CHIP_M * np.linalg.norm(weights[0] - weights[1]) / np.sqrt(3))
 
 
-def _weights(one: Candidate, imu: str) -> Floats | None:
+def _weights(one: ComparisonCandidate, imu: str) -> Floats | None:
     """Return what p* of an IMU is made of, where that is known."""
     origin = one.imus[imu].origin
     return None if origin is None else origin.weights

@@ -7,14 +7,14 @@ from typing import Literal
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import inverse, skew
+from ...geometry.so3 import invert_3x3, skew
 from ...models.forms import in_own_axes
 from ...models.frames import frame_turn, rotation_jacobian
 from ...options.requirements import BETWEEN_RECORDINGS
 from ...recording import Floats, frozen_array
 from ...results.calibration import CameraCalibration, ImuCalibration
-from ...results.parameters import covariance_names, parameters
-from .candidates import FRAME, Candidate
+from ...results.parameters import calibration_parameters, covariance_names
+from .candidates import FRAME, ComparisonCandidate
 
 Kind = Literal[
     "scale",
@@ -35,7 +35,7 @@ _NINE = tuple(f"{row}{column}" for row in _AXES for column in _AXES)
 
 
 @value_class
-class Quantity:
+class ComparedQuantity:
     """A block of numbers of one calibration.
 
     Attributes
@@ -67,14 +67,14 @@ class Statement:
     Attributes
     ----------
     name : of the calibration
-    quantities : path -> Quantity
+    quantities : path -> ComparedQuantity
     covariance : (n, n) of all their scalars; None where it is not stated; nan where a part is not
     by_gravity : (n,) derivative of the scalars by the magnitude of gravity times its sigma, where it is part of the
         covariance, else zero
     """
 
     name: str
-    quantities: dict[str, Quantity]
+    quantities: dict[str, ComparedQuantity]
     covariance: Floats | None
     by_gravity: Floats
 
@@ -83,11 +83,11 @@ class Statement:
 class _Part:
     """A quantity and the derivative (k, n) of its scalars by those of its sensor."""
 
-    quantity: Quantity
+    quantity: ComparedQuantity
     jacobian: Floats
 
 
-def statement_of(candidate: Candidate, references: frozenset[str] = frozenset()) -> Statement:
+def statement_of(candidate: ComparisonCandidate, references: frozenset[str] = frozenset()) -> Statement:
     """Return what a candidate in the common frame states.
 
     Parameters
@@ -96,7 +96,7 @@ def statement_of(candidate: Candidate, references: frozenset[str] = frozenset())
         with cameras that were calibrated without one
     """
     names = covariance_names(candidate.imus, candidate.cameras)
-    parts: list[tuple[Quantity, Floats]] = []
+    parts: list[tuple[ComparedQuantity, Floats]] = []
     starts: dict[str, int] = {}
     start = 0
     for name, sensor in (*candidate.imus.items(), *candidate.cameras.items()):
@@ -115,7 +115,7 @@ def statement_of(candidate: Candidate, references: frozenset[str] = frozenset())
     covariance = None if candidate.covariance is None else _carried(jacobian, candidate.covariance.matrix)
     own = candidate.verdict != ""
     alone = bool(candidate.bodies) and "imu0" not in candidate.bodies
-    quantities: dict[str, Quantity] = {}
+    quantities: dict[str, ComparedQuantity] = {}
     row = 0
     for quantity, _ in parts:
         rows = slice(row, row + len(quantity.elements))
@@ -177,7 +177,7 @@ def _carried(jacobian: Floats, matrix: Floats) -> Floats:
     return np.asarray(carried, dtype=np.float64)
 
 
-def _was_estimated(quantity: Quantity, variance: Floats | None, own: bool, alone: bool) -> bool | None:
+def _was_estimated(quantity: ComparedQuantity, variance: Floats | None, own: bool, alone: bool) -> bool | None:
     """Return whether a quantity was estimated or held; None where nothing is said of it.
 
     Parameters
@@ -197,7 +197,7 @@ def _was_estimated(quantity: Quantity, variance: Floats | None, own: bool, alone
     return not ideal
 
 
-def _deviation(quantity: Quantity) -> Floats:
+def _deviation(quantity: ComparedQuantity) -> Floats:
     """Return by how much a quantity differs from that of an ideal sensor."""
     if quantity.rotation is not None:
         ideal = np.eye(3) if quantity.path.split(".")[-2] in {"gyroscope", "magnetometer"} else np.zeros((3, 3))
@@ -205,12 +205,12 @@ def _deviation(quantity: Quantity) -> Floats:
     return quantity.values - (1.0 if quantity.kind == "scale" and quantity.unit == "1" else 0.0)
 
 
-def _by_gravity(candidate: Candidate) -> Floats:
+def _by_gravity(candidate: ComparisonCandidate) -> Floats:
     """Return the derivative of all scalars by gravity times its sigma, of an IMU calibrated by gravity alone."""
     found: list[Floats] = [np.zeros(0)]
     gravity, covariance = candidate.gravity, candidate.covariance
     alone = gravity is not None and gravity.sigma > 0 and covariance is not None and not candidate.cameras
-    for path, value in parameters(candidate.imus, candidate.cameras):
+    for path, value in calibration_parameters(candidate.imus, candidate.cameras):
         acts = alone and path.endswith(("accelerometer.sensitivity", "g_sensitivity"))
         found.append(-value.ravel() * gravity.sigma / gravity.value if acts and gravity else np.zeros(value.size))
     return np.concatenate(found)
@@ -220,11 +220,11 @@ def _imu_parts(name: str, imu: ImuCalibration) -> Iterator[_Part]:
     """Yield the blocks of an IMU, with their derivatives by its scalars."""
     starts: dict[str, int] = {}
     count = 0
-    for path, value in parameters({"": imu}):
+    for path, value in calibration_parameters({"": imu}):
         starts[path.removeprefix(".")] = count
         count += value.size
 
-    def placed(quantity: Quantity, parameter: str, block: Floats) -> _Part:
+    def placed(quantity: ComparedQuantity, parameter: str, block: Floats) -> _Part:
         whole = np.zeros((len(quantity.elements), count))
         whole[:, starts[parameter] : starts[parameter] + block.shape[1]] = block
         return _Part(quantity=quantity, jacobian=whole)
@@ -239,7 +239,7 @@ def _imu_parts(name: str, imu: ImuCalibration) -> Iterator[_Part]:
             yield placed(quantity, parameter, np.eye(len(quantity.elements)))
 
 
-def _triad_blocks(name: str, imu: ImuCalibration, triad: str) -> Iterator[tuple[Quantity, str, Floats]]:
+def _triad_blocks(name: str, imu: ImuCalibration, triad: str) -> Iterator[tuple[ComparedQuantity, str, Floats]]:
     """Yield the blocks of one triad, each with the parameter that it is made of and its derivative by that."""
     sensor = getattr(imu, triad)
     if sensor is None:
@@ -252,46 +252,50 @@ def _triad_blocks(name: str, imu: ImuCalibration, triad: str) -> Iterator[tuple[
     M = own / S[:, None]
     si = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}.get(triad) or sensor.field_unit
     unit = "1" if sensor.unit == si else f"{sensor.unit}/({si})"
-    scale = Quantity(path=f"{path}.scale", kind="scale", elements=_AXES, unit=unit, values=S)
+    scale = ComparedQuantity(path=f"{path}.scale", kind="scale", elements=_AXES, unit=unit, values=S)
     yield scale, "sensitivity", np.eye(9)[[0, 4, 8]] @ to_own
     by_tilt = np.array([(np.eye(9)[3 * i + j] - M[i, j] * np.eye(9)[4 * i]) / S[i] for i, j in _TILTS])
     tilts = np.array([M[i, j] for i, j in _TILTS])
-    skewed = Quantity(path=f"{path}.misalignment", kind="misalignment", elements=_TILT_NAMES, unit="rad", values=tilts)
+    skewed = ComparedQuantity(
+        path=f"{path}.misalignment", kind="misalignment", elements=_TILT_NAMES, unit="rad", values=tilts
+    )
     yield skewed, "sensitivity", by_tilt @ to_own
     if triad != "accelerometer" and aligned:
         turn = -C.T @ frame_turn(sensor.sensitivity, C, FRAME)  # C Exp(turn), about the body's axes
-        turned = Quantity(path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
+        turned = ComparedQuantity(
+            path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3)
+        )
         yield replace(turned, rotation=C), "sensitivity", turn
     if triad == "gyroscope" and aligned:
         unit, values = f"({sensor.unit})/(m/s^2)", sensor.g_sensitivity.ravel()
-        by_force = Quantity(
+        by_force = ComparedQuantity(
             path=f"{path}.g_sensitivity", kind="g-sensitivity", elements=_NINE, unit=unit, values=values
         )
         yield by_force, "g_sensitivity", np.eye(9)
     if triad == "accelerometer" and sensor.lever_arms_m is not None:
         values = sensor.lever_arms_m.ravel()
-        arms = Quantity(path=f"{path}.lever_arms", kind="lever arms", elements=_NINE, unit="m", values=values)
+        arms = ComparedQuantity(path=f"{path}.lever_arms", kind="lever arms", elements=_NINE, unit="m", values=values)
         yield arms, "lever_arms_m", np.eye(9)
     if triad == "accelerometer" and sensor.time_shift_s is not None:
         yield _time_shift(path, sensor.time_shift_s), "time_shift", np.eye(1)
-    bias = Quantity(path=f"{path}.bias", kind="bias", elements=_AXES, unit=sensor.unit, values=sensor.bias)
+    bias = ComparedQuantity(path=f"{path}.bias", kind="bias", elements=_AXES, unit=sensor.unit, values=sensor.bias)
     yield bias, "bias", np.eye(3)
 
 
 def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
     """Yield the blocks of a camera, which are those of its scalars."""
     lens = camera.camera
-    blocks: list[Quantity] = []
+    blocks: list[ComparedQuantity] = []
     if name != camera.body:
         blocks += _pose(name if camera.body == "imu0" else f"{name}.{camera.body}", camera.T_cam_body)
     if camera.body == "imu0":
         delay = np.array([lens.line_delay_s])
         blocks += [
             _time_shift(name, camera.time_shift_cam_imu),
-            Quantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
+            ComparedQuantity(path=f"{name}.line_delay", kind="line delay", elements=("",), unit="s", values=delay),
         ]
     symbols, values = lens.parameter_symbols, lens.parameters
-    blocks.append(Quantity(path=f"{name}.lens", kind="lens", elements=symbols, unit="", values=values))
+    blocks.append(ComparedQuantity(path=f"{name}.lens", kind="lens", elements=symbols, unit="", values=values))
     count = sum(len(block.elements) for block in blocks)
     start = 0
     for block in blocks:
@@ -300,21 +304,21 @@ def _camera_parts(name: str, camera: CameraCalibration) -> Iterator[_Part]:
         yield _Part(quantity=block, jacobian=rows)
 
 
-def _time_shift(path: str, shift_s: float) -> Quantity:
+def _time_shift(path: str, shift_s: float) -> ComparedQuantity:
     values = np.array([shift_s])
-    return Quantity(path=f"{path}.time_shift", kind="time shift", elements=("",), unit="s", values=values)
+    return ComparedQuantity(path=f"{path}.time_shift", kind="time shift", elements=("",), unit="s", values=values)
 
 
-def _pose(path: str, T: Floats) -> tuple[Quantity, Quantity]:
+def _pose(path: str, T: Floats) -> tuple[ComparedQuantity, ComparedQuantity]:
     """Return rotation and translation of T (4, 4) under a path."""
-    turn = Quantity(path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
-    shift = Quantity(path=f"{path}.translation", kind="translation", elements=_AXES, unit="m", values=T[:3, 3])
+    turn = ComparedQuantity(path=f"{path}.rotation", kind="rotation", elements=_AXES, unit="rad", values=np.zeros(3))
+    shift = ComparedQuantity(path=f"{path}.translation", kind="translation", elements=_AXES, unit="m", values=T[:3, 3])
     return replace(turn, rotation=T[:3, :3]), shift
 
 
 def _between(
-    candidate: Candidate, references: frozenset[str], starts: Mapping[str, int], count: int
-) -> Iterator[tuple[Quantity, Floats]]:
+    candidate: ComparisonCandidate, references: frozenset[str], starts: Mapping[str, int], count: int
+) -> Iterator[tuple[ComparedQuantity, Floats]]:
     """Yield the poses of cameras to other cameras where all are placed to an IMU, with derivatives by all scalars.
 
     With T_10 = T_1 T_0^-1, small rotations on the right give d = R_0 (d_1 - d_0), and the translation moves by
@@ -325,7 +329,7 @@ def _between(
         for name, camera in candidate.cameras.items():
             if name == reference or {camera.body, zero.body} != {"imu0"}:
                 continue
-            T = camera.T_cam_body @ inverse(zero.T_cam_body)
+            T = camera.T_cam_body @ invert_3x3(zero.T_cam_body)
             R, R_0, t_0 = T[:3, :3], zero.T_cam_body[:3, :3], zero.T_cam_body[:3, 3]
             one, other = starts[name], starts[reference]
             turn, shift = np.zeros((3, count)), np.zeros((3, count))

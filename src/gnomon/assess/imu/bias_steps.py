@@ -6,8 +6,8 @@ from ...estimate.multiposition.model import PARAMETERS
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ...results.imu_diagnostics import BiasSegments, ImuDiagnostics
-from ..checks.protocol import cluster
-from .imu_tables import ImuEvidence, interval_numbers
+from ..checks.protocol import significant_cluster
+from .imu_tables import ImuFitSummary, interval_numbers
 
 _SHOWN = 4  # parts of a recording
 _MOST_USED = 0.5  # of the static intervals of a part: where fewer show the same gravity, it is of another sensor
@@ -15,7 +15,7 @@ _MOSTLY = 0.5  # of a variance
 _SHORT = 5  # static intervals: fewer tell the published bias from little
 
 
-def changes_in_model(evidence: ImuEvidence) -> tuple[str, ...]:
+def changes_in_model(evidence: ImuFitSummary) -> tuple[str, ...]:
     """Return what the biases follow in time, such as ("drift", "accelerometer bias steps")."""
     found: list[str] = []
     for triad, functions in (
@@ -29,7 +29,7 @@ def changes_in_model(evidence: ImuEvidence) -> tuple[str, ...]:
     return tuple(found)
 
 
-def drift_findings(evidence: ImuEvidence) -> list[Finding]:
+def drift_findings(evidence: ImuFitSummary) -> list[Finding]:
     """Say how far the biases wandered or warmed up, where they did."""
     fit, findings = evidence.fit, list[Finding]()
     for k, triad in enumerate(("gyroscope", "accelerometer")):
@@ -59,7 +59,7 @@ def drift_findings(evidence: ImuEvidence) -> list[Finding]:
     return findings
 
 
-def step_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+def step_findings(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:
     """Say when biases stepped, what they were in each part, and which is given; and which rates were left out."""
     findings = [*_sensor_finding(evidence, diagnostics)]
     findings += [_step_finding(evidence, one) for one in diagnostics.bias_segments]
@@ -77,7 +77,7 @@ def step_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Fi
     return findings
 
 
-def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+def _sensor_finding(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:
     """Say that from some rest on the accelerometer has other scales and axes: another sensor, or another range.
 
     Where too few rests are left behind a step of the gyroscope's bias to tell, it counts that gravity differs in most.
@@ -104,11 +104,11 @@ def _sensor_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[
     ]
 
 
-def _cluster_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+def _cluster_finding(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:
     """Say that static intervals behind each other do not agree with the others: too few to tell what changed."""
     rests = diagnostics.intervals
     usable = np.flatnonzero(evidence.chosen.rests.used)
-    ends = cluster(~rests.used[usable])
+    ends = significant_cluster(~rests.used[usable])
     if ends is None:
         return []
     first, last = usable[list(ends)]
@@ -124,7 +124,7 @@ def _cluster_finding(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list
     ]
 
 
-def _step_finding(evidence: ImuEvidence, one: BiasSegments) -> Finding:
+def _step_finding(evidence: ImuFitSummary, one: BiasSegments) -> Finding:
     per_si = _per_si(evidence, one.triad)
     steps = np.diff(one.bias, axis=0) / per_si
     when = [
@@ -153,7 +153,7 @@ def _step_finding(evidence: ImuEvidence, one: BiasSegments) -> Finding:
     )
 
 
-def _coefficients(evidence: ImuEvidence, k: int) -> Floats:
+def _coefficients(evidence: ImuFitSummary, k: int) -> Floats:
     """Return the coefficients (j, 3) [unit] of the functions of time of the gyroscope (k = 0) or accelerometer (1)."""
     fit, problem = evidence.fit, evidence.problem
     count = len(fit.data.of_gyroscope.kind)
@@ -161,7 +161,7 @@ def _coefficients(evidence: ImuEvidence, k: int) -> Floats:
     return (knots[:count] * problem.gyroscope.spread, knots[count:] * problem.accelerometer.spread)[k]
 
 
-def _per_si(evidence: ImuEvidence, triad: str) -> Floats:
+def _per_si(evidence: ImuFitSummary, triad: str) -> Floats:
     """Return what one rad/s or m/s^2 reads on each axis, (3,) [unit]."""
     return np.linalg.norm(getattr(evidence.estimate, f"{triad}_sensitivity"), axis=1)
 

@@ -5,11 +5,11 @@ import numpy as np
 from ...detect.samples.noise import allan_deviation, averaging_time
 from ...estimate.multiposition.bias_changes import BiasChanges
 from ...estimate.multiposition.fit import MultiPositionFit
-from ...estimate.multiposition.leave_one_out import HeldOut
+from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors
 from ...estimate.multiposition.model import B_, BG_, PARAMETERS
 from ...estimate.multiposition.noise_levels import whitened_rest
 from ...estimate.multiposition.problem import MultiPositionProblem, TriadStream
-from ...estimate.multiposition.rotations import MotionSegments, integrate, propagate
+from ...estimate.multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.trust.cluster_trust import Instability
 from ...frozen import value_class
@@ -34,7 +34,7 @@ _ALLAN_FROM_S, _ALLAN_TO_S = 1.0, 225.0
 
 
 @value_class
-class ImuEvidence:
+class ImuFitSummary:
     """Everything that a multi-position calibration was made of.
 
     Attributes
@@ -64,8 +64,8 @@ class ImuEvidence:
     course: BiasChanges
     problem: MultiPositionProblem
     fit: MultiPositionFit
-    heldout: HeldOut
-    rivals: dict[str, HeldOut]
+    heldout: LeaveOneOutErrors
+    rivals: dict[str, LeaveOneOutErrors]
     estimate: ImuEstimate
     trust: Trust
     instabilities: tuple[Instability, ...]
@@ -84,13 +84,13 @@ class ImuEvidence:
         return found
 
 
-def describe(evidence: ImuEvidence) -> ImuDiagnostics:
+def describe_imu(evidence: ImuFitSummary) -> ImuDiagnostics:
     """Return the tables and curves of a calibration."""
     a, g, fit = evidence.accelerometer, evidence.gyroscope, evidence.fit
     edges = bin_edges(len(a.t_s))
     return ImuDiagnostics(
-        accelerometer=envelope(a.t_s, a.values, evidence.accelerometer_unit),
-        gyroscope=envelope(g.t_s, g.values, evidence.gyroscope_unit),
+        accelerometer=signal_envelope(a.t_s, a.values, evidence.accelerometer_unit),
+        gyroscope=signal_envelope(g.t_s, g.values, evidence.gyroscope_unit),
         detector=DetectorTrace(
             t_s=_centres(a.t_s, edges),
             statistic=np.maximum.reduceat(evidence.statistic, edges),
@@ -106,8 +106,8 @@ def describe(evidence: ImuEvidence) -> ImuDiagnostics:
             ModelTrial(
                 model=name,
                 chosen=trial is evidence.heldout,
-                accelerometer_rms=rms(trial.magnitude[fit.interval_used]) * evidence.gravity_m_s2,
-                rotation_rms=rms(np.linalg.norm(trial.rotation[fit.rotation_used], axis=1)),
+                accelerometer_rms=root_mean_square(trial.magnitude[fit.interval_used]) * evidence.gravity_m_s2,
+                rotation_rms=root_mean_square(np.linalg.norm(trial.rotation[fit.rotation_used], axis=1)),
                 parameters=30 if name == "g-sensitivity" else 21,
             )
             for name, trial in evidence.rivals.items()
@@ -118,7 +118,7 @@ def describe(evidence: ImuEvidence) -> ImuDiagnostics:
     )
 
 
-def rms(values: Floats) -> float:
+def root_mean_square(values: Floats) -> float:
     """Return the root mean square; nan of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else float("nan")
 
@@ -134,7 +134,7 @@ def _centres(t_s: Floats, edges: Integers) -> Floats:
     return 0.5 * (t_s[edges] + t_s[last])
 
 
-def envelope(t_s: Floats, values: Floats, unit: str) -> SignalEnvelope:
+def signal_envelope(t_s: Floats, values: Floats, unit: str) -> SignalEnvelope:
     """Return the extremes of a signal (n, 3) in at most 1500 bins."""
     edges = bin_edges(len(t_s))
     return SignalEnvelope(
@@ -187,11 +187,11 @@ def uncalibrated_rotation_error(
     """
     nominal = GYROSCOPE_UNITS_RAD_S.get(unit)
     scale = nominal if nominal is not None else float(np.abs(np.linalg.det(sensitivity))) ** (-1 / 3)
-    turns = integrate(segments, (segments.gyroscope - still) * scale)
-    return np.linalg.norm(u[1:] - propagate(turns.rotation, u[:-1]), axis=1)
+    turns = integrate_rates(segments, (segments.gyroscope - still) * scale)
+    return np.linalg.norm(u[1:] - propagate_directions(turns.rotation, u[:-1]), axis=1)
 
 
-def _interval_table(evidence: ImuEvidence) -> IntervalTable:
+def _interval_table(evidence: ImuFitSummary) -> IntervalTable:
     rests, fit, held = evidence.chosen.rests, evidence.fit, evidence.heldout
     stream, estimate, g = evidence.accelerometer, evidence.estimate, evidence.gravity_m_s2
     still, rows = rests.kept, evidence.rows
@@ -233,7 +233,7 @@ def _interval_table(evidence: ImuEvidence) -> IntervalTable:
     )
 
 
-def _why_gated(evidence: ImuEvidence, k: int) -> str:
+def _why_gated(evidence: ImuFitSummary, k: int) -> str:
     """Return why the fit does not use interval k of the problem: by the triad that does not go with the others."""
     fit = evidence.fit
     force, rate = (
@@ -245,7 +245,7 @@ def _why_gated(evidence: ImuEvidence, k: int) -> str:
     return "gravity differs there from the others" if force >= rate else "the gyroscope's rate differs there"
 
 
-def _rotation_table(evidence: ImuEvidence) -> RotationTable:
+def _rotation_table(evidence: ImuFitSummary) -> RotationTable:
     problem, fit, held = evidence.problem, evidence.fit, evidence.heldout
     u = held.measured
     raw = problem.gyroscope
@@ -283,7 +283,7 @@ def _rotation_table(evidence: ImuEvidence) -> RotationTable:
     )
 
 
-def _bias_segments(evidence: ImuEvidence) -> tuple[BiasSegments, ...]:
+def _bias_segments(evidence: ImuFitSummary) -> tuple[BiasSegments, ...]:
     """Return the bias of each part of the recording, of each triad whose bias stepped."""
     fit, problem = evidence.fit, evidence.problem
     covariance = np.zeros((len(fit.free),) * 2)
@@ -328,14 +328,14 @@ def _why_not_used(neighbours_used: bool) -> str:
     return "a static interval beside it is left out"
 
 
-def _noise(evidence: ImuEvidence) -> dict[str, float]:
+def _noise(evidence: ImuFitSummary) -> dict[str, float]:
     estimate, fit, g = evidence.estimate, evidence.fit, evidence.gravity_m_s2
     accelerometer = np.sqrt(evidence.accelerometer.density) / np.linalg.norm(estimate.accelerometer_sensitivity, axis=1)
     gyroscope = np.sqrt(evidence.gyroscope.density) / np.linalg.norm(estimate.gyroscope_sensitivity, axis=1)
     return {
-        "accelerometer.density": rms(accelerometer),
+        "accelerometer.density": root_mean_square(accelerometer),
         "accelerometer.between_intervals": float(np.sqrt(fit.extra.accelerometer)) * g,
-        "gyroscope.density": rms(gyroscope),
+        "gyroscope.density": root_mean_square(gyroscope),
         "gyroscope.between_intervals": float(np.sqrt(fit.extra.gyroscope)),
         "rotation.beyond_noise": float(np.sqrt(fit.extra.rotation)),
     }

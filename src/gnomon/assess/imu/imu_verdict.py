@@ -12,28 +12,28 @@ from ...recording import Floats
 from ...results.calibration import Assessment, Gravity, Holdout
 from ...results.imu_diagnostics import ImuDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
-from ..checks.protocol import left_out_findings as rests_left_out
+from ..checks.protocol import left_out_rests_findings as rests_left_out
 from ..verdict import (
     bias_findings,
-    grade,
+    grade_by_limits,
     gravity_findings,
     merge_by_cause,
     model_incomplete,
     most_severe,
     parts_disagree,
-    trust_note,
+    uncertainty_summary,
     verdict_of,
 )
 from ..weak_findings import weak_findings
 from .bias_steps import changes_in_model, drift_findings, step_findings
-from .imu_tables import ImuEvidence, interval_numbers
+from .imu_tables import ImuFitSummary, interval_numbers
 
 _TOUCHED, _WHOLE = 0.6, 0.85  # share of a rest that is still: where it was touched, and as a rule
 _REST_S = 2.0
 _MOST_TOUCHED = 0.3  # of the intervals: more are unsteady throughout
 
 
-def touched_findings(evidence: ImuEvidence) -> list[Finding]:
+def touched_findings(evidence: ImuFitSummary) -> list[Finding]:
     """Name intervals that are a small part of their rest, as the most generous threshold sees it (interval-touched)."""
     chosen = evidence.chosen.intervals
     generous = max(evidence.trials, key=lambda trial: trial.multiplier).intervals
@@ -71,7 +71,7 @@ _BEYOND_NOISE = 3.0  # times the noise; healthy recordings of cheap sensors reac
 _ROTATION_WARN_RAD = 3e-3  # what general use needs of a gyroscope's axes
 
 
-def rotation_scatter(evidence: ImuEvidence) -> list[Finding]:
+def rotation_scatter(evidence: ImuFitSummary) -> list[Finding]:
     """Say that rotations end further from the measured gravity than the gyroscope's noise at rest explains."""
     fit = evidence.fit
     if not fit.rotation_used.any():
@@ -96,9 +96,9 @@ _TOLD_AGAIN = "intervals-left-out"  # by the doctor, who does not know the fit
 _UNIT_FACTOR = 1.5
 
 
-def assess(
+def assess_imu(
     noticed: tuple[Finding, ...],
-    evidence: ImuEvidence,
+    evidence: ImuFitSummary,
     diagnostics: ImuDiagnostics,
     gravity: Gravity,
 ) -> Assessment:
@@ -120,7 +120,7 @@ def assess(
         *_observability_findings(evidence),
         *axis_findings(evidence.estimate.gyroscope_sensitivity),
         *unit_findings(evidence.estimate, evidence.accelerometer_unit, evidence.gyroscope_unit),
-        *left_out_findings(diagnostics),
+        *left_out_intervals_findings(diagnostics),
         *touched_findings(evidence),
         *gravity_findings(gravity),
         *_model_findings(evidence, diagnostics),
@@ -145,7 +145,7 @@ def assess(
         model=chosen.model,
         held_by_prior=_held_names(evidence.fit.held_by_prior),
         trust=replace(
-            trust_note(evidence.trust),
+            uncertainty_summary(evidence.trust),
             added=changes_in_model(evidence),
             tries=len(evidence.trust.models),
         ),
@@ -177,15 +177,15 @@ def convergence_findings(converged: bool, iterations: int | None = None) -> list
 
 def holdout_findings(holdout: Holdout, gravity_m_s2: float) -> list[Finding]:
     """Judge the errors on data that the fit had not seen."""
-    still = grade("held-out gravity", holdout.accelerometer_rms, gravity_m_s2)
-    turned = grade("held-out rotation", holdout.rotation_rms)
+    still = grade_by_limits("held-out gravity", holdout.accelerometer_rms, gravity_m_s2)
+    turned = grade_by_limits("held-out rotation", holdout.rotation_rms)
     return [
         make_finding("holdout-accelerometer/imu", severity=still, accelerometer_rms=holdout.accelerometer_rms),
         make_finding("holdout-rotation", severity=turned, rotation_rms=holdout.rotation_rms),
     ]
 
 
-def _relative_sigmas(evidence: ImuEvidence, gravity: Gravity) -> tuple[float, float, float, float]:
+def _relative_sigmas(evidence: ImuFitSummary, gravity: Gravity) -> tuple[float, float, float, float]:
     """Return the largest sigmas of the accelerometer's scales (gravity apart) and angles, then the gyroscope's."""
     estimate = evidence.estimate
     sigmas = np.sqrt(np.diag(estimate.covariance))
@@ -197,22 +197,22 @@ def _relative_sigmas(evidence: ImuEvidence, gravity: Gravity) -> tuple[float, fl
     return float(scale_a.max()), float(by_a[off].max()), float(np.diag(by_g).max()), float(by_g[off].max())
 
 
-def _uncertainty_findings(evidence: ImuEvidence, gravity: Gravity) -> list[Finding]:
+def _uncertainty_findings(evidence: ImuFitSummary, gravity: Gravity) -> list[Finding]:
     scale_a, angle_a, scale_g, angle_g = _relative_sigmas(evidence, gravity)
     rows = (
-        ("accelerometer", scale_a, angle_a, missing_attitude(evidence)),
+        ("accelerometer", scale_a, angle_a, most_useful_attitude(evidence)),
         ("gyroscope", scale_g, angle_g, _missing_rotation(evidence)),
     )
     findings: list[Finding] = []
     for triad, scale, angle, cure in rows:
-        severity = most_severe(grade("scale", scale), grade("axes", angle))
+        severity = most_severe(grade_by_limits("scale", scale), grade_by_limits("axes", angle))
         findings.append(
             make_finding(f"uncertainty-{triad}/imu", severity=severity, scale=scale, angle=angle, cure=cure)
         )
     return findings
 
 
-def missing_attitude(evidence: ImuEvidence) -> str:
+def most_useful_attitude(evidence: ImuFitSummary) -> str:
     """Name the attitude that would lower the accelerometer's uncertainty most."""
     free = slice(0, 9)
     covariance = evidence.fit.covariance[free, free]
@@ -233,7 +233,7 @@ def missing_attitude(evidence: ImuEvidence) -> str:
     return f"Add static intervals with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
 
 
-def _missing_rotation(evidence: ImuEvidence) -> str:
+def _missing_rotation(evidence: ImuFitSummary) -> str:
     """Name the axis about which the sensor was turned too little."""
     sigmas = np.sqrt(np.diag(evidence.fit.covariance)[CG_]).reshape(3, 3)
     worst = int(np.argmax(np.linalg.norm(sigmas, axis=0)))
@@ -250,17 +250,17 @@ def _held_names(held: np.ndarray) -> tuple[str, ...]:
     return tuple(name for name, flag in zip(names, held, strict=True) if flag)
 
 
-def _observability_findings(evidence: ImuEvidence) -> list[Finding]:
+def _observability_findings(evidence: ImuFitSummary) -> list[Finding]:
     """Say what the recording does not determine: in words of motions, and what is left over by its name."""
     weak = evidence.trust.weak
     held = evidence.fit.held_by_prior
     said = " ".join(one.words for one in weak if one.held)
     groups = (
-        ("the accelerometer's scales and axes", "accelerometer", S_, missing_attitude(evidence)),
-        ("the accelerometer's bias", "accelerometer", B_, missing_attitude(evidence)),
+        ("the accelerometer's scales and axes", "accelerometer", S_, most_useful_attitude(evidence)),
+        ("the accelerometer's bias", "accelerometer", B_, most_useful_attitude(evidence)),
         ("the gyroscope's scales and axes", "axes of the gyroscope", CG_, _missing_rotation(evidence)),
         ("the gyroscope's bias", "-", BG_, "Hold the sensor still for longer."),
-        ("the gyroscope's g-sensitivity", "g-sensitivity", G_, missing_attitude(evidence)),
+        ("the gyroscope's g-sensitivity", "g-sensitivity", G_, most_useful_attitude(evidence)),
     )
     return weak_findings(weak, with_camera=False) + [
         make_finding("not-observable/imu", count=int(held[part].sum()), what=what, cure=cure)
@@ -323,7 +323,7 @@ def unit_findings(estimate: ImuEstimate, accelerometer_unit: str, gyroscope_unit
     return findings
 
 
-def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
+def left_out_intervals_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     """Name intervals and rotations that were not used."""
     findings: list[Finding] = []
     intervals, rotations = diagnostics.intervals, diagnostics.rotations
@@ -343,7 +343,7 @@ def left_out_findings(diagnostics: ImuDiagnostics) -> list[Finding]:
     return findings
 
 
-def _model_findings(evidence: ImuEvidence, diagnostics: ImuDiagnostics) -> list[Finding]:
+def _model_findings(evidence: ImuFitSummary, diagnostics: ImuDiagnostics) -> list[Finding]:
     step = next((step for step in evidence.trust.models if step.name == "g-sensitivity"), None)
     if step is None:
         return []

@@ -8,15 +8,15 @@ from math import isfinite, nan
 import numpy as np
 
 from ...errors import RecordingError
-from ...estimate.trust.between_recordings import Block, join_estimates
+from ...estimate.trust.between_recordings import RecordingBlock, join_estimates
 from ...findings import Finding, Severity, make_finding
 from ...frozen import value_class
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats
 from ...results.calibration import Assessment, Calibration, Holdout
-from ...results.parameters import parameters
+from ...results.parameters import calibration_parameters
 from ...results.result import Result
-from ...results.trust import TrustNote
+from ...results.trust import UncertaintySummary
 from ..comparison.comparison import standing_out
 from ..needs import general_precision, number_words
 from ..verdict import merge_by_cause, verdict_of
@@ -62,11 +62,11 @@ class Scalars:
     covariances: Floats
     gravity: Floats
 
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[RecordingBlock]:
         """Return the quantities of which anything was estimated, as places among the estimated scalars."""
         kept = [quantity for quantity, flag in zip(self.quantity, self.estimated, strict=True) if flag]
         return [
-            Block(
+            RecordingBlock(
                 index=np.flatnonzero([other == quantity for other in kept]).astype(np.int64),
                 usual=BETWEEN_RECORDINGS[quantity],
             )
@@ -90,7 +90,7 @@ class Scalars:
 def quantities_of(calibration: Calibration) -> tuple[str, ...]:
     """Return to which quantity each scalar of an IMU belongs; an entry is a scale where it is most of its row."""
     found: list[str] = []
-    for path, value in parameters(calibration.imus):
+    for path, value in calibration_parameters(calibration.imus):
         triad, kind = path.split(".")[1:]
         if kind != "sensitivity":
             found += [f"{triad}_{kind}"] * value.size
@@ -178,7 +178,7 @@ def joined_assessment(
         rotations_found=sum(one.rotations_found for one in each),
         rotations_used=sum(one.rotations_used for one in each),
         held_by_prior=tuple(held),
-        trust=TrustNote(
+        trust=UncertaintySummary(
             covariance="between-recordings",
             recordings=len(each),
             between=scatter,

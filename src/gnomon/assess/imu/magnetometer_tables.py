@@ -6,7 +6,7 @@ from ...estimate.triads.dip import DipFit
 from ...estimate.triads.field_poses import FieldPoses, field_of
 from ...estimate.triads.gravity_along import GravityFit
 from ...estimate.triads.magnetometer import MagnetometerFit
-from ...estimate.trust.cluster_trust import Trusted
+from ...estimate.trust.cluster_trust import RobustCovariance
 from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.calibration import Gravity
@@ -22,7 +22,7 @@ _MAD = 1.4826
 
 
 @value_class
-class FieldEvidence:
+class FieldFitSummary:
     """Everything that a magnetometer's calibration was made of.
 
     Attributes
@@ -58,7 +58,7 @@ class FieldEvidence:
     imu: ImuCalibration
     covariance: Floats
     gravity: Gravity
-    trust: Trusted
+    trust: RobustCovariance
 
     @property
     def strength(self) -> float:
@@ -73,14 +73,14 @@ class FieldEvidence:
 
 
 @value_class
-class Strays:
+class FieldOutliers:
     """Samples far off the ellipsoid: stretches of time [s], (m, 2), and how many stand alone."""
 
     stretches: Floats
     single: int
 
 
-def strays(evidence: FieldEvidence) -> Strays:
+def field_outliers(evidence: FieldFitSummary) -> FieldOutliers:
     """Return where the strength of the field was not that of the place."""
     fit, t_s = evidence.fit, evidence.t_s
     error = sample_errors(evidence)
@@ -91,23 +91,23 @@ def strays(evidence: FieldEvidence) -> Strays:
         far[start:stop] = True
     far = np.flatnonzero(far & evidence.usable)
     if not len(far):
-        return Strays(stretches=np.empty((0, 2)), single=0)
+        return FieldOutliers(stretches=np.empty((0, 2)), single=0)
     breaks = np.flatnonzero(np.diff(t_s[far]) > _GAP_S)
     first, last = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(far) - 1]])
     count = last - first + 1
     long = (t_s[far[last]] - t_s[far[first]] >= _STRETCH_S) & (count >= _FEWEST_IN_STRETCH)
-    return Strays(
+    return FieldOutliers(
         stretches=np.column_stack([t_s[far[first[long]]], t_s[far[last[long]]]]), single=int(count[~long].sum())
     )
 
 
-def sample_errors(evidence: FieldEvidence) -> Floats:
+def sample_errors(evidence: FieldFitSummary) -> Floats:
     """Return |x| less the strength of the field of every sample, (n,)."""
     iron = evidence.fit.iron
     return np.linalg.norm(field_of(evidence.values, iron.sensitivity, iron.bias), axis=1) - evidence.strength
 
 
-def describe_field(evidence: FieldEvidence) -> TriadDiagnostics:
+def describe_field(evidence: FieldFitSummary) -> TriadDiagnostics:
     """Return the tables."""
     fit, poses = evidence.fit, evidence.poses
     field = evidence.strength
@@ -147,7 +147,7 @@ def describe_field(evidence: FieldEvidence) -> TriadDiagnostics:
     )
 
 
-def _table(evidence: FieldEvidence, used: Booleans, measured: Floats, direction: Floats, field: float) -> PoseTable:
+def _table(evidence: FieldFitSummary, used: Booleans, measured: Floats, direction: Floats, field: float) -> PoseTable:
     fit, poses = evidence.fit, evidence.poses
     some = np.arange(0, len(poses), max(1, -(-len(poses) // _ROWS)))
     length = np.linalg.norm(measured, axis=1)
@@ -168,7 +168,7 @@ def _table(evidence: FieldEvidence, used: Booleans, measured: Floats, direction:
     )
 
 
-def _dips(evidence: FieldEvidence) -> DipTable | None:
+def _dips(evidence: FieldFitSummary) -> DipTable | None:
     dip, up = evidence.dip, evidence.up
     if dip is None or up is None:
         return None

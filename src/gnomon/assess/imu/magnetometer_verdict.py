@@ -8,10 +8,10 @@ from ...recording import Floats
 from ...results.calibration import Assessment, Holdout
 from ...units import MAGNETOMETER_UNITS_UT
 from ..prior_findings import prior_findings
-from ..priors import NAMES, TRIADS, Evidence
-from ..verdict import bias_findings, grade, merge_by_cause, parts_disagree, trust_note, verdict_of
+from ..priors import NAMES, TRIADS, Prior
+from ..verdict import bias_findings, grade_by_limits, merge_by_cause, parts_disagree, uncertainty_summary, verdict_of
 from .imu_verdict import convergence_findings
-from .magnetometer_tables import FieldEvidence, Strays, strays
+from .magnetometer_tables import FieldFitSummary, FieldOutliers, field_outliers
 
 _MAGNETOMETER_HANDEDNESS_SIGNIFICANT = 4.0  # sigmas
 _LEAST_DIP_DEG = 3.0
@@ -21,7 +21,7 @@ _OFF_DEG = 5.0
 _TURNED_RAD = np.radians(60.0)  # as chips are mounted on purpose, or as an axis of the wrong sign looks
 
 
-def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
+def handedness_findings(evidence: FieldFitSummary) -> list[Finding]:
     """Compare the dip with the stated one, or with that of the stated latitude; say where neither is known."""
     if evidence.dip is None or evidence.imu.accelerometer is None:
         return []
@@ -49,7 +49,7 @@ def handedness_findings(evidence: FieldEvidence) -> list[Finding]:
     ]
 
 
-def _turned_rad(evidence: FieldEvidence) -> float:
+def _turned_rad(evidence: FieldFitSummary) -> float:
     """Return by what angle the magnetometer's axes are turned to the accelerometer's [rad]."""
     assert evidence.imu.magnetometer is not None
     left, _, right = np.linalg.svd(evidence.imu.magnetometer.sensitivity)
@@ -85,7 +85,7 @@ _SIGNIFICANT = 4.0  # sigmas of a sum of squares
 
 
 def assess_field(
-    noticed: tuple[Finding, ...], evidence: FieldEvidence, known: Evidence, beside_accelerometer: bool
+    noticed: tuple[Finding, ...], evidence: FieldFitSummary, known: Prior, beside_accelerometer: bool
 ) -> Assessment:
     """Judge a calibration.
 
@@ -97,7 +97,7 @@ def assess_field(
     beside_accelerometer : whether there was an accelerometer that could be used
     """
     fit = evidence.fit
-    found = strays(evidence)
+    found = field_outliers(evidence)
     findings = [
         *noticed,
         *_holdout_findings(evidence),
@@ -124,24 +124,24 @@ def assess_field(
         intervals_found=len(fit.used),
         intervals_used=int(fit.used.sum()),
         held_by_prior=_held(evidence),
-        trust=trust_note(evidence.trust.trust),
+        trust=uncertainty_summary(evidence.trust.trust),
     )
 
 
-def _unit_per_field(evidence: FieldEvidence) -> float:
+def _unit_per_field(evidence: FieldFitSummary) -> float:
     return float(np.abs(np.linalg.det(evidence.fit.iron.sensitivity))) ** (1 / 3) * evidence.strength
 
 
-def _holdout_findings(evidence: FieldEvidence) -> list[Finding]:
+def _holdout_findings(evidence: FieldFitSummary) -> list[Finding]:
     fit, field = evidence.fit, evidence.strength
     noise = float(np.sqrt(np.mean((fit.sigma**2 - fit.iron.extra**2)[fit.used]))) / field
     total = fit.holdout_rms / field
     unexplained = float(np.sqrt(max(total**2 - noise**2, 0.0)))
-    severity = grade("held-out field", unexplained)
+    severity = grade_by_limits("held-out field", unexplained)
     return [make_finding("holdout-magnetometer", severity=severity, total=total, noise=noise)]
 
 
-def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
+def _uncertainty_findings(evidence: FieldFitSummary) -> list[Finding]:
     magnetometer = evidence.imu.magnetometer
     assert magnetometer is not None
     rows = np.linalg.norm(magnetometer.sensitivity, axis=1)
@@ -152,7 +152,7 @@ def _uncertainty_findings(evidence: FieldEvidence) -> list[Finding]:
     by_axis = own.reshape(3, 3) / rows[:, None]
     scale, angle = float(np.diag(by_axis).max()), float((by_axis - np.diag(np.diag(by_axis))).max())
     offset = float((sigma[9:] / rows).max()) / evidence.strength
-    severity = grade("magnetometer", max(scale, angle, offset))
+    severity = grade_by_limits("magnetometer", max(scale, angle, offset))
     return [
         make_finding(
             "uncertainty-magnetometer",
@@ -173,16 +173,16 @@ def sphere_points(count: int) -> Floats:
     return np.column_stack([across * np.cos(longitude), across * np.sin(longitude), z])
 
 
-def coverage(direction: Floats) -> tuple[float, Floats]:
+def sphere_coverage(direction: Floats) -> tuple[float, Floats]:
     """Return which share of the sphere lies within 20 deg of some direction (n, 3), and the emptiest point (3,)."""
     points = sphere_points(_COVER_POINTS)
     nearest = np.max(points @ direction.T, axis=1)
     return float(np.mean(nearest > np.cos(_COVER_RAD))), points[np.argmin(nearest)]
 
 
-def _missing(evidence: FieldEvidence) -> tuple[str, float]:
+def _missing(evidence: FieldFitSummary) -> tuple[str, float]:
     """Return what to do about the largest hole, if there is one, and the share of the sphere that is covered."""
-    share, hole = coverage(evidence.direction[evidence.fit.used])
+    share, hole = sphere_coverage(evidence.direction[evidence.fit.used])
     if share > 0.95:
         return "", share
     axes = [f"{'-' if value < 0 else ''}{axis}" for axis, value in zip("xyz", hole, strict=True) if abs(value) > 0.5]
@@ -191,13 +191,13 @@ def _missing(evidence: FieldEvidence) -> tuple[str, float]:
     return f"Turn the sensor until {' and '.join(axes)} point{'s' * (len(axes) == 1)} along the field{where}.", share
 
 
-def _coverage_findings(evidence: FieldEvidence) -> list[Finding]:
+def _coverage_findings(evidence: FieldFitSummary) -> list[Finding]:
     cure, share = _missing(evidence)
     severity: Severity = "warning" if share < _COVER_WARN else "good"
     return [make_finding("magnetometer-coverage", severity=severity, share=share, cure=cure)]
 
 
-def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
+def _stray_findings(evidence: FieldFitSummary, found: FieldOutliers) -> list[Finding]:
     findings: list[Finding] = []
     if len(found.stretches):
         named = ", ".join(f"{low:.1f}-{high:.1f} s" for low, high in found.stretches[:_MOST_NAMED])
@@ -226,7 +226,7 @@ def _stray_findings(evidence: FieldEvidence, found: Strays) -> list[Finding]:
     return findings
 
 
-def _correlation_findings(evidence: FieldEvidence) -> list[Finding]:
+def _correlation_findings(evidence: FieldFitSummary) -> list[Finding]:
     fit = evidence.fit
     findings = [
         make_finding(
@@ -241,7 +241,7 @@ def _correlation_findings(evidence: FieldEvidence) -> list[Finding]:
     return findings
 
 
-def _strength_findings(evidence: FieldEvidence) -> list[Finding]:
+def _strength_findings(evidence: FieldFitSummary) -> list[Finding]:
     """Say how strong the field is by the unit of the recording, and whether that can be."""
     magnetometer = evidence.imu.magnetometer
     assert magnetometer is not None
@@ -265,7 +265,7 @@ def _strength_findings(evidence: FieldEvidence) -> list[Finding]:
     ]
 
 
-def _alignment_findings(evidence: FieldEvidence, beside_accelerometer: bool) -> list[Finding]:
+def _alignment_findings(evidence: FieldFitSummary, beside_accelerometer: bool) -> list[Finding]:
     dip = evidence.dip
     if not beside_accelerometer:
         return [make_finding("magnetometer-alone")]
@@ -280,7 +280,7 @@ def _alignment_findings(evidence: FieldEvidence, beside_accelerometer: bool) -> 
     return [make_finding("magnetometer-alignment/known", severity=severity, words=words)]
 
 
-def _alignment_sigma(evidence: FieldEvidence) -> float:
+def _alignment_sigma(evidence: FieldFitSummary) -> float:
     """Return the largest sigma of a direction of the sensitivity, rotation included [rad]."""
     magnetometer = evidence.imu.magnetometer
     assert magnetometer is not None
@@ -289,7 +289,7 @@ def _alignment_sigma(evidence: FieldEvidence) -> float:
     return float((by_axis * ~np.eye(3, dtype=bool)).max())
 
 
-def _left_out_findings(evidence: FieldEvidence) -> list[Finding]:
+def _left_out_findings(evidence: FieldFitSummary) -> list[Finding]:
     """Say how much soft iron the hard-iron model leaves out, where that is no chance."""
     fit, full = evidence.fit, evidence.rivals.get("full")
     if fit.model == "full" or full is None:
@@ -306,13 +306,13 @@ def _left_out_findings(evidence: FieldEvidence) -> list[Finding]:
     return [make_finding("soft-iron-left-out", shape=np.abs(shape).max())]
 
 
-def _held(evidence: FieldEvidence) -> tuple[str, ...]:
+def _held(evidence: FieldFitSummary) -> tuple[str, ...]:
     at = TRIADS["magnetometer"]
     held = evidence.fit.iron.held_by_prior
     return tuple(name for name, flag in zip(NAMES[at.start : at.stop], held, strict=True) if flag)
 
 
-def _held_findings(evidence: FieldEvidence) -> list[Finding]:
+def _held_findings(evidence: FieldFitSummary) -> list[Finding]:
     held = _held(evidence)
     if not held:
         return []
@@ -325,7 +325,7 @@ def _held_findings(evidence: FieldEvidence) -> list[Finding]:
     ]
 
 
-def _prior_findings(evidence: FieldEvidence, known: Evidence) -> list[Finding]:
+def _prior_findings(evidence: FieldFitSummary, known: Prior) -> list[Finding]:
     """Compare with the prior where both are in the frame of the result."""
     values, covariance = np.zeros(len(NAMES)), np.eye(len(NAMES)) * 1e300
     at, rest = TRIADS["magnetometer"], len(evidence.covariance)

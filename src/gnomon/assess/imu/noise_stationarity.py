@@ -8,7 +8,7 @@ import numpy as np
 
 from ...detect.samples.rest import RestTable
 from ...estimate.allan.high_pass import HighPass, find_high_pass
-from ...estimate.allan.patterns import Pattern, find_pattern
+from ...estimate.allan.patterns import MeansPattern, find_pattern
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats
@@ -43,7 +43,7 @@ class Stationarity:
     clipped: Floats
     spread: Floats
     level: Floats
-    patterns: tuple[Pattern | None, ...]
+    patterns: tuple[MeansPattern | None, ...]
     high_pass: HighPass | None
 
 

@@ -14,7 +14,7 @@ from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ...results.sensor_noise import TriadNoise
-from ..verdict import grade
+from ..verdict import grade_by_limits
 
 SHORTEST_S = 60.0
 _NEARLY = 0.999  # a rate is not known more exactly
@@ -238,12 +238,12 @@ def assess_noise(
     return findings
 
 
-def span(seconds: float) -> str:
+def time_span_text(seconds: float) -> str:
     """Return a time as a person says it.
 
     Examples
     --------
-    >>> span(42), span(600), span(9000), span(259200)
+    >>> time_span_text(42), time_span_text(600), time_span_text(9000), time_span_text(259200)
     ('42 s', '10 min', '2.5 h', '72 h')
     """
     if seconds < 120:
@@ -260,8 +260,8 @@ def _length(name: str, triad: TriadNoise) -> list[Finding]:
     known = [axis.white_noise.sigma / axis.white_noise.value for axis in triad.axes if axis.white_noise.found]
     worst = max(known, default=float("inf"))
     message = (
-        f"{name}: {span(triad.duration_s)} at {triad.rate_hz:.6g} Hz show averaging times up to "
-        f"{span(triad.tau_s[1])}; the white noise is known to {100 * worst:.2g} % (worst axis)."
+        f"{name}: {time_span_text(triad.duration_s)} at {triad.rate_hz:.6g} Hz show averaging times up to "
+        f"{time_span_text(triad.tau_s[1])}; the white noise is known to {100 * worst:.2g} % (worst axis)."
     )
     hidden = [i for i, axis in enumerate(triad.axes) if not axis.bias_instability.found]
     # The floor is reached where white noise has fallen to it; its bound says what it is at most.
@@ -275,7 +275,7 @@ def _length(name: str, triad: TriadNoise) -> list[Finding]:
             case="short" if short else "",
             message=message,
             hidden=_named(hidden),
-            longer=span(max(4 * triad.duration_s, 3600)),
+            longer=time_span_text(max(4 * triad.duration_s, 3600)),
         )
     ]
 
@@ -292,8 +292,8 @@ def _walk(name: str, triad: TriadNoise) -> list[Finding]:
             case="none" if none else "",
             name=name,
             hidden=_named(hidden),
-            duration=span(triad.duration_s),
-            longer=span(max(4 * triad.duration_s, 4 * 3600)),
+            duration=time_span_text(triad.duration_s),
+            longer=time_span_text(max(4 * triad.duration_s, 4 * 3600)),
         )
     ]
 
@@ -303,7 +303,7 @@ def _misfit(name: str, triad: TriadNoise) -> list[Finding]:
     misfit = triad.axes[worst].misfit
     if misfit == 0:
         return []
-    severity = grade("noise misfit", misfit)
+    severity = grade_by_limits("noise misfit", misfit)
     return [
         make_finding(
             "noise-misfit",
@@ -329,7 +329,7 @@ def _falling(name: str, triad: TriadNoise, fits: tuple[AxisFit, ...]) -> list[Fi
     if not axes:
         return []
     longest = triad.tau_s[0] * 2.0 ** (min(fits[i].stop for i in axes) - 1)
-    return [make_finding("noise-falls", name=name, axes=_named(axes), longest=span(longest))]
+    return [make_finding("noise-falls", name=name, axes=_named(axes), longest=time_span_text(longest))]
 
 
 def _other_slope(name: str, fits: tuple[AxisFit, ...]) -> list[Finding]:

@@ -8,14 +8,14 @@ from ...estimate.triads.pose_drift import PoseDrift
 from ...estimate.triads.rotation_sensitivity import RotationSensitivity
 from ...estimate.triads.static_g_sensitivity import StaticGSensitivity
 from ...estimate.triads.triad import TriadFit
-from ...estimate.trust.cluster_trust import Trusted
+from ...estimate.trust.cluster_trust import RobustCovariance
 from ...findings import Finding, make_finding
 from ...frozen import value_class
 from ...recording import Floats, Integers, Poses
 from ...results.calibration import AccelerometerCalibration, Gravity
 from ...results.intervals import Booleans
 from ...results.triad_diagnostics import GyroscopeAtRest, IterationHistory, PoseTable, TriadDiagnostics, TriadRecord
-from ..priors import Evidence
+from ..priors import Prior
 from .imu_tables import uncalibrated_error
 
 _PREDICTABLE = 0.9  # leverage; beyond it the other poses say nothing of this one
@@ -34,7 +34,7 @@ class RestingGyroscope:
     turned : what the rotations between the rests say of it; None where they were not used
     rotation_reasons : why each rotation between rests cannot be used, or ""; none where none was recorded
     bias, g_sensitivity : (3,) [unit], (3, 3) [unit per m/s^2], with what was known beforehand
-    covariance : (33, 33) of accelerometer and gyroscope, in the order of `parameters.parameters`
+    covariance : (33, 33) of accelerometer and gyroscope, in the order of `parameters.calibration_parameters`
     measured, predicted, variance : (m, 3) means, what the fit says of them [unit], and variance by noise [unit^2]
     force : (m, 3) specific force [m/s^2]
     t_s : (m,) when [s]; the number of the pose where that is not known
@@ -70,7 +70,7 @@ class RestingGyroscope:
 
 
 @value_class
-class PoseEvidence:
+class PoseFitSummary:
     """Everything that a calibration from rests was made of.
 
     Attributes
@@ -103,12 +103,12 @@ class PoseEvidence:
     drift: PoseDrift | None
     gyroscope: RestingGyroscope | None
     no_gyroscope: str
-    known: Evidence
+    known: Prior
     gravity: Gravity
-    trust: Trusted
+    trust: RobustCovariance
 
 
-def describe_poses(evidence: PoseEvidence) -> TriadDiagnostics:
+def describe_poses(evidence: PoseFitSummary) -> TriadDiagnostics:
     """Return the tables of a calibration from rests."""
     fit, poses = evidence.fit, evidence.poses
     scale = np.linalg.norm(fit.sensitivity, axis=1)

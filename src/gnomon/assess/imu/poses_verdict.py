@@ -11,9 +11,9 @@ from ...results.calibration import AccelerometerCalibration, Assessment, Gravity
 from ...results.parameters import element_names
 from ...results.triad_diagnostics import PoseTable, TriadDiagnostics
 from ...units import ACCELEROMETER_UNITS_M_S2
-from ..verdict import grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
-from .imu_tables import rms
-from .pose_tables import PoseEvidence, RestingGyroscope, gyroscope_findings
+from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, uncertainty_summary, verdict_of
+from .imu_tables import root_mean_square
+from .pose_tables import PoseFitSummary, RestingGyroscope, gyroscope_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, scatter_findings, triad_trust_findings
 
 _AXES = "xyz"
@@ -25,7 +25,7 @@ _OPEN, _OPEN_WARN = 0.5, 0.8  # of a usual drift, that the poses do not tell
 _OF_ROTATIONS = {"saturation", "gaps", "static-start", "time-rounded", "jitter", "gyroscope-missing"}
 
 
-def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Assessment:
+def assess_poses(evidence: PoseFitSummary, diagnostics: TriadDiagnostics) -> Assessment:
     """Judge a calibration of an accelerometer, and of a gyroscope at rest.
 
     Parameters
@@ -46,7 +46,7 @@ def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Asses
         *_stated_findings(evidence),
         *_drift_findings(evidence.drift),
         *_unit_findings(evidence.fit.sensitivity, evidence.poses.accelerometer_unit),
-        *left_out_findings(table, evidence.left_out),
+        *left_out_poses_findings(table, evidence.left_out),
         *gravity_findings(evidence.gravity),
         *gyroscope_findings(gyroscope, evidence.no_gyroscope),
         *triad_trust_findings([(evidence.trust, evidence.fit)]),
@@ -61,7 +61,7 @@ def assess_poses(evidence: PoseEvidence, diagnostics: TriadDiagnostics) -> Asses
         intervals_found=len(table.used) + len(evidence.left_out),
         intervals_used=int(table.used.sum()),
         held_by_prior=_held(evidence),
-        trust=trust_note(evidence.trust.trust),
+        trust=uncertainty_summary(evidence.trust.trust),
     )
 
 
@@ -82,7 +82,7 @@ def assess_published(
         _iteration_finding(fit),
         *(_holdout_findings(holdout.accelerometer_rms, gravity.value) if fit.converged else ()),
         *_unit_findings(sensor.sensitivity, sensor.unit),
-        *left_out_findings(table, left_out),
+        *left_out_poses_findings(table, left_out),
         *gravity_findings(gravity),
     ]
     ordered = merge_by_cause(findings)
@@ -124,21 +124,21 @@ def _model(gyroscope: RestingGyroscope | None) -> str:
 
 def _holdout(table: PoseTable) -> float:
     known = table.used & np.isfinite(table.error_holdout)
-    return rms(table.error_holdout[known])
+    return root_mean_square(table.error_holdout[known])
 
 
 def _rate_holdout(gyroscope: RestingGyroscope | None) -> float:
     if gyroscope is None or gyroscope.sensitivity is None:
         return float("nan")
-    return rms(gyroscope.fit.holdout * gyroscope.unit_rad_s)
+    return root_mean_square(gyroscope.fit.holdout * gyroscope.unit_rad_s)
 
 
-def _noticed(evidence: PoseEvidence) -> list[Finding]:
+def _noticed(evidence: PoseFitSummary) -> list[Finding]:
     """Return what the data doctor found, but for what concerns rotations."""
     return [f for f in evidence.noticed if f.severity in ("warning", "info") and f.code not in _OF_ROTATIONS]
 
 
-def _attitude_findings(evidence: PoseEvidence) -> list[Finding]:
+def _attitude_findings(evidence: PoseFitSummary) -> list[Finding]:
     count, n = evidence.attitudes, len(evidence.poses)
     message = f"{n} poses in {count} attitudes more than 10 deg apart."
     if evidence.known.knows("imu0.accelerometer.sensitivity"):
@@ -151,19 +151,19 @@ def _attitude_findings(evidence: PoseEvidence) -> list[Finding]:
 def _holdout_findings(holdout_m_s2: float, gravity_m_s2: float) -> list[Finding]:
     if not np.isfinite(holdout_m_s2):
         return []
-    severity = grade("held-out gravity", holdout_m_s2, gravity_m_s2)
+    severity = grade_by_limits("held-out gravity", holdout_m_s2, gravity_m_s2)
     return [make_finding("holdout-accelerometer/poses", severity=severity, holdout_m_s2=holdout_m_s2)]
 
 
-def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
+def _uncertainty_findings(evidence: PoseFitSummary) -> list[Finding]:
     fit, gravity = evidence.fit, evidence.gravity
     sigma = relative_sigmas(fit)
     scale = float(np.sqrt(np.maximum(np.diag(sigma) ** 2 - (gravity.sigma / gravity.value) ** 2, 0)).max())
     angle = float(sigma[~np.eye(3, dtype=bool)].max())
     own_frame = evidence.stated is None
-    severity = grade("scale", scale)
+    severity = grade_by_limits("scale", scale)
     if own_frame and evidence.attitudes >= _DETERMINED:  # few-attitudes says it of fewer, jig-alignment of known ones
-        severity = most_severe(severity, grade("axes", angle))
+        severity = most_severe(severity, grade_by_limits("axes", angle))
     axes = "its axes" if own_frame else "its axes in the jig"
     return [
         make_finding(
@@ -172,12 +172,12 @@ def _uncertainty_findings(evidence: PoseEvidence) -> list[Finding]:
             scale=scale,
             axes=axes,
             angle=angle,
-            advice=missing_attitude(fit.direction[fit.used]),
+            advice=farthest_attitude(fit.direction[fit.used]),
         )
     ]
 
 
-def missing_attitude(direction: Floats) -> str:
+def farthest_attitude(direction: Floats) -> str:
     """Name the attitude that is farthest from all that were recorded, as unit vectors (n, 3)."""
     candidates = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], float)
     u = candidates / np.linalg.norm(candidates, axis=1, keepdims=True)
@@ -187,7 +187,7 @@ def missing_attitude(direction: Floats) -> str:
     return f"Add poses with {' and '.join(ups)}" + (" (tilted halfway)." if len(ups) > 1 else ".")
 
 
-def _observability_findings(evidence: PoseEvidence) -> list[Finding]:
+def _observability_findings(evidence: PoseFitSummary) -> list[Finding]:
     held = evidence.fit.held_by_prior
     groups = (("scales and axes", S_), ("bias", B_))
     return [
@@ -195,14 +195,14 @@ def _observability_findings(evidence: PoseEvidence) -> list[Finding]:
             "not-observable/poses",
             count=int(held[part].sum()),
             what=what,
-            advice=missing_attitude(evidence.fit.direction[evidence.fit.used]),
+            advice=farthest_attitude(evidence.fit.direction[evidence.fit.used]),
         )
         for what, part in groups
         if held[part].any()
     ]
 
 
-def _stated_findings(evidence: PoseEvidence) -> list[Finding]:
+def _stated_findings(evidence: PoseFitSummary) -> list[Finding]:
     """Judge the attitudes that were stated, and say how the sensor lies in the jig."""
     stated = evidence.stated
     if stated is None:
@@ -223,7 +223,7 @@ def _stated_findings(evidence: PoseEvidence) -> list[Finding]:
     return [*findings, _jig_finding(evidence)]
 
 
-def _jig_finding(evidence: PoseEvidence) -> Finding:
+def _jig_finding(evidence: PoseFitSummary) -> Finding:
     assert evidence.stated is not None
     rows = evidence.fit.sensitivity / np.linalg.norm(evidence.fit.sensitivity, axis=1, keepdims=True)
     along = np.argmax(np.abs(rows), axis=1)
@@ -242,7 +242,7 @@ def _unit_findings(sensitivity: Floats, unit: str) -> list[Finding]:
     return [make_finding("unit/poses", ratio=ratio, unit=unit)]
 
 
-def left_out_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -> list[Finding]:
+def left_out_poses_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -> list[Finding]:
     """Name the poses that were not used, and why."""
     named = [*left_out, *((table.name[k], table.reason[k]) for k in np.flatnonzero(~table.used))]
     if not named:
@@ -262,7 +262,7 @@ def left_out_findings(table: PoseTable, left_out: tuple[tuple[str, str], ...]) -
     ]
 
 
-def _held(evidence: PoseEvidence) -> tuple[str, ...]:
+def _held(evidence: PoseFitSummary) -> tuple[str, ...]:
     """Return the YAML paths of scalars that an assumption holds, not the poses."""
     names = [*element_names("imu0.accelerometer.sensitivity", (3, 3)), *element_names("imu0.accelerometer.bias", (3,))]
     held = evidence.fit.held_by_prior[:12].copy()
@@ -275,7 +275,7 @@ def _held(evidence: PoseEvidence) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _convergence(evidence: PoseEvidence) -> list[Finding]:
+def _convergence(evidence: PoseFitSummary) -> list[Finding]:
     if evidence.fit.converged:
         return []
     return [make_finding("not-converged/poses", iterations=evidence.fit.iterations)]

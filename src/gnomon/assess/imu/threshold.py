@@ -8,7 +8,7 @@ out reveals: more data lower it, intervals that hold motion raise it.
 import numpy as np
 
 from ...detect.samples.noise import resting_noise
-from ...detect.samples.rests import Motion, Rests, find_rests
+from ...detect.samples.rests import Rests, RestStatistics, find_rests
 from ...detect.samples.static import static_statistic, window_samples
 from ...errors import InitialisationError
 from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
@@ -55,7 +55,7 @@ class RestDetection:
     chosen, trials : the threshold taken, and all that were tried; without a fit the one next to 10 is taken
     """
 
-    motion: Motion
+    motion: RestStatistics
     chosen: ThresholdTrial
     trials: tuple[ThresholdTrial, ...]
 
@@ -84,14 +84,14 @@ def detect_rests(
     if len(accelerometer) < 2 * window:
         return None
     statistic = static_statistic(accelerometer.values, window)
-    motion = Motion.of(accelerometer, statistic, saturated, gyroscope, t_s)
+    motion = RestStatistics.of(accelerometer, statistic, saturated, gyroscope, t_s)
     chosen, trials = choose_threshold(motion, gravity_m_s2, MULTIPLIERS if multiplier is None else (multiplier,))
     if chosen.fit is None:
         chosen = min(trials, key=lambda trial: abs(np.log(trial.multiplier / _USUAL)))
     return RestDetection(motion=motion, chosen=chosen, trials=trials)
 
 
-def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
+def try_threshold(motion: RestStatistics, multiplier: float, gravity_m_s2: float) -> ThresholdTrial:
     """Find the static intervals at one threshold and judge them.
 
     Parameters
@@ -131,7 +131,7 @@ def try_threshold(motion: Motion, multiplier: float, gravity_m_s2: float) -> Thr
 
 
 def choose_threshold(
-    motion: Motion, gravity_m_s2: float, multipliers: tuple[float, ...] = MULTIPLIERS
+    motion: RestStatistics, gravity_m_s2: float, multipliers: tuple[float, ...] = MULTIPLIERS
 ) -> tuple[ThresholdTrial, tuple[ThresholdTrial, ...]]:
     """Return the best threshold and all that were tried; the best has no fit where none could be calibrated."""
     trials = tuple(try_threshold(motion, m, gravity_m_s2) for m in multipliers)
@@ -146,7 +146,7 @@ def accelerometer_course(accelerometer: TriadStream) -> tuple[BiasChanges, Float
     return changes, functions_of_time(changes, 0.5 * (start + stop), 0.5 * (stop - start))
 
 
-def disturbed(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:
+def disturbed_intervals(trial: ThresholdTrial, samples: TriadSamples, course: Floats | None = None) -> Booleans:
     """Return which intervals do not show gravity like the others, (n,): touched, or not at rest.
 
     Where a residual stands out, the sum of absolute residuals is minimised first, by reweighting, so that several

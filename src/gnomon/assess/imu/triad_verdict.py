@@ -6,8 +6,8 @@ import numpy as np
 
 from ...estimate.triads.triad import TriadFit
 from ...estimate.triads.triad_poses import S_
-from ...estimate.triads.triad_trust import together
-from ...estimate.trust.cluster_trust import Trusted
+from ...estimate.triads.triad_trust import merge_trusts
+from ...estimate.trust.cluster_trust import RobustCovariance
 from ...findings import Finding, make_finding
 from ...recording import Floats
 from ..verdict import bias_findings, model_incomplete, parts_disagree
@@ -37,9 +37,9 @@ def relative_sigmas(fit: TriadFit, covariance: Floats | None = None) -> Floats:
     return np.asarray(sigma / np.linalg.norm(fit.sensitivity, axis=1)[:, None], dtype=np.float64)
 
 
-def triad_trust_findings(trusts: Sequence[tuple[Trusted, TriadFit]]) -> list[Finding]:
+def triad_trust_findings(trusts: Sequence[tuple[RobustCovariance, TriadFit]]) -> list[Finding]:
     """Say where errors are larger than independent ones, whether parts agree, and which biases changed."""
-    trust = together([one.trust for one, _ in trusts])
+    trust = merge_trusts([one.trust for one, _ in trusts])
     findings = [*model_incomplete(trust), *parts_disagree(trust.splits)]
     for one, fit in trusts:
         scale = float(np.abs(np.linalg.det(fit.sensitivity))) ** (1 / 3)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from ...estimate.triads.triad import TriadFit, TriadPoses
-from ...estimate.triads.triad_trust import together
-from ...estimate.trust.cluster_trust import Trusted
+from ...estimate.triads.triad_trust import merge_trusts
+from ...estimate.trust.cluster_trust import RobustCovariance
 from ...estimate.turntable.fit import TurntableFit
 from ...estimate.turntable.parts import TurntableParts
 from ...frozen import value_class
@@ -22,7 +22,7 @@ from ...results.triad_diagnostics import (
 
 
 @value_class
-class TurntableEvidence:
+class TurntableFitSummary:
     """Everything that a calibration on a turntable was made of.
 
     Attributes
@@ -48,7 +48,7 @@ def holdout_rms(fit: TriadFit) -> float:
     return float(np.sqrt(np.mean(fit.magnitude_holdout[fit.used] ** 2)))
 
 
-def describe_turntable(evidence: TurntableEvidence) -> TriadDiagnostics:
+def describe_turntable(evidence: TurntableFitSummary) -> TriadDiagnostics:
     """Return the diagnostics of a calibration on a turntable."""
     parts, found = evidence.parts, evidence.fit
     triads = {"gyroscope": _gyroscope(parts, found)}
@@ -75,11 +75,11 @@ def describe_turntable(evidence: TurntableEvidence) -> TriadDiagnostics:
             for model, rival in evidence.rivals.items()
         ),
         noise=noise,
-        trust=together([one.trust for one, _ in turntable_trusts(found)]),
+        trust=merge_trusts([one.trust for one, _ in turntable_trusts(found)]),
     )
 
 
-def turntable_trusts(found: TurntableFit) -> list[tuple[Trusted, TriadFit]]:
+def turntable_trusts(found: TurntableFit) -> list[tuple[RobustCovariance, TriadFit]]:
     """Return what attitudes say of each triad, and its fit."""
     trusts = [(found.trust, found.fit)]
     return trusts if found.accelerometer is None else [(found.accelerometer.trust, found.accelerometer.fit), *trusts]

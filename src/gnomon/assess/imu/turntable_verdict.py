@@ -10,12 +10,20 @@ from ...options import TurntableOptions
 from ...recording import Floats
 from ...results.calibration import Assessment, Holdout
 from ...results.triad_diagnostics import TriadDiagnostics
-from ...results.trust import TrustNote
+from ...results.trust import UncertaintySummary
 from ...units import GYROSCOPE_UNITS_RAD_S
-from ..verdict import LIMITS, grade, gravity_findings, merge_by_cause, most_severe, trust_note, verdict_of
+from ..verdict import (
+    LIMITS,
+    grade_by_limits,
+    gravity_findings,
+    merge_by_cause,
+    most_severe,
+    uncertainty_summary,
+    verdict_of,
+)
 from .imu_verdict import axis_findings, convergence_findings
 from .triad_verdict import redundancy_findings, relative_sigmas, triad_trust_findings
-from .turntable_tables import TurntableEvidence, holdout_rms, turntable_trusts
+from .turntable_tables import TurntableFitSummary, holdout_rms, turntable_trusts
 
 _RATE_WORTH = 2e-4  # what a video gives
 _SCALE_FAIL = LIMITS["scale"][1]
@@ -29,7 +37,7 @@ _MOST_NAMED = 6
 
 
 def assess_turntable(
-    evidence: TurntableEvidence,
+    evidence: TurntableFitSummary,
     diagnostics: TriadDiagnostics,
     options: TurntableOptions,
     *,
@@ -75,23 +83,26 @@ def assess_turntable(
         intervals_found=len(parts.names) + len(parts.left_out),
         intervals_used=int(fit.used.sum()),
         model="g-sensitivity" if fit.free[12:].any() else "basic",
-        held_by_prior=held_names(evidence),
-        trust=trust_note(diagnostics.trust) if diagnostics.trust is not None else TrustNote(),
+        held_by_prior=assumption_held_names(evidence),
+        trust=uncertainty_summary(diagnostics.trust) if diagnostics.trust is not None else UncertaintySummary(),
     )
 
 
-def _relative_sigmas(evidence: TurntableEvidence) -> Floats:
+def _relative_sigmas(evidence: TurntableFitSummary) -> Floats:
     """Return the relative sigmas of the sensitivity (3, 3), with those of the accelerometer's directions."""
     return relative_sigmas(evidence.fit.fit, evidence.fit.covariance[-21:-12, -21:-12])
 
 
-def _uncertainty(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _uncertainty(evidence: TurntableFitSummary) -> Iterator[Finding]:
     fit, sigma = evidence.fit.fit, _relative_sigmas(evidence)
     scale, angle = float(np.diag(sigma).max()), float(sigma[~np.eye(3, dtype=bool)].max())
     by_rate = float(np.min(fit.group_sigma[evidence.parts.data.rates > 0]))
     own = float(np.sqrt(max(scale**2 - by_rate**2, 0.0))) if fit.scale_known else scale
-    of_axes, of_rate = grade("axes", angle), grade("table speed", by_rate if fit.scale_known else 0.0)
-    severity = most_severe(grade("scale", own), of_axes, of_rate)
+    of_axes, of_rate = (
+        grade_by_limits("axes", angle),
+        grade_by_limits("table speed", by_rate if fit.scale_known else 0.0),
+    )
+    severity = most_severe(grade_by_limits("scale", own), of_axes, of_rate)
     by_speed = fit.scale_known and by_rate > 0.7 * scale
     what = "scales are known" if fit.scale_known else "scales are known against each other"
     cure = "Add orientations, and let the platter turn longer in each."
@@ -110,7 +121,7 @@ def _uncertainty(evidence: TurntableEvidence) -> Iterator[Finding]:
         yield make_finding("rate-unknown")
 
 
-def _rates(evidence: TurntableEvidence, diagnostics: TriadDiagnostics) -> Iterator[Finding]:
+def _rates(evidence: TurntableFitSummary, diagnostics: TriadDiagnostics) -> Iterator[Finding]:
     """Say where the stated speeds do not fit each other, whichever parts were used."""
     found, parts = evidence.fit, evidence.parts
     turning = [rate for rate in diagnostics.rates if rate.stated > 0]
@@ -137,7 +148,7 @@ def _rates(evidence: TurntableEvidence, diagnostics: TriadDiagnostics) -> Iterat
         )
 
 
-def _in_one_attitude(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _in_one_attitude(evidence: TurntableFitSummary) -> Iterator[Finding]:
     """Compare speeds by what the gyroscope shows of them in one attitude, where its scale does not matter."""
     data, fit = evidence.parts.data, evidence.fit.fit
     size = np.linalg.norm(data.measured - fit.bias, axis=1)
@@ -154,14 +165,14 @@ def _in_one_attitude(evidence: TurntableEvidence) -> Iterator[Finding]:
         yield make_finding("rates-contradict/one-orientation", shown=shown, stated=stated)
 
 
-def _holdout(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _holdout(evidence: TurntableFitSummary) -> Iterator[Finding]:
     fit = evidence.fit.fit
     rms, fastest = holdout_rms(fit), float(evidence.parts.data.rate.max())
-    severity = grade("held-out rate", rms, fastest)
+    severity = grade_by_limits("held-out rate", rms, fastest)
     yield make_finding("holdout-rate", severity=severity, rms=rms)
 
 
-def _orientations(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _orientations(evidence: TurntableFitSummary) -> Iterator[Finding]:
     """Count the axes about which the sensor was turned; one and its opposite are two."""
     direction = evidence.fit.fit.direction[evidence.fit.fit.used]
     direction = direction[np.isfinite(direction).all(axis=1)]
@@ -174,7 +185,7 @@ def _orientations(evidence: TurntableEvidence) -> Iterator[Finding]:
     yield make_finding("orientations", severity="warning" if few else "good", case="few" if few else "", count=count)
 
 
-def held_names(evidence: TurntableEvidence) -> tuple[str, ...]:
+def assumption_held_names(evidence: TurntableFitSummary) -> tuple[str, ...]:
     """Return the paths of scalars that only a weak assumption holds."""
     names = [f"imu0.gyroscope.sensitivity[{i},{j}]" for i in range(3) for j in range(3)]
     names += [f"imu0.gyroscope.bias[{i}]" for i in range(3)]
@@ -182,8 +193,8 @@ def held_names(evidence: TurntableEvidence) -> tuple[str, ...]:
     return tuple(name for name, held in zip(names, evidence.fit.fit.held_by_prior, strict=True) if held)
 
 
-def _not_observable(evidence: TurntableEvidence) -> Iterator[Finding]:
-    held = held_names(evidence)
+def _not_observable(evidence: TurntableFitSummary) -> Iterator[Finding]:
+    held = assumption_held_names(evidence)
     if not evidence.fit.fit.scale_known and np.diag(_relative_sigmas(evidence)).max() < _SCALE_FAIL:
         held = tuple(name for name in held if ".sensitivity" not in name)  # the common scale, which is told
     if held:
@@ -192,7 +203,7 @@ def _not_observable(evidence: TurntableEvidence) -> Iterator[Finding]:
         )
 
 
-def _left_out(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _left_out(evidence: TurntableFitSummary) -> Iterator[Finding]:
     parts, fit = evidence.parts, evidence.fit.fit
     out = [f"{name} ({why})" for name, why in parts.left_out]
     out += [
@@ -213,7 +224,7 @@ def _left_out(evidence: TurntableEvidence) -> Iterator[Finding]:
         )
 
 
-def _platter(evidence: TurntableEvidence, options: TurntableOptions) -> Iterator[Finding]:
+def _platter(evidence: TurntableFitSummary, options: TurntableOptions) -> Iterator[Finding]:
     """Tell of speed that wanders, of tilt, of centripetal acceleration and of the earth's rate where they count."""
     data, fit, found = evidence.parts.data, evidence.fit.fit, evidence.fit.accelerometer
     turning = data.rate > 0
@@ -239,7 +250,7 @@ def _platter(evidence: TurntableEvidence, options: TurntableOptions) -> Iterator
         )
 
 
-def _frames(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _frames(evidence: TurntableFitSummary) -> Iterator[Finding]:
     """Say what the axes of the result mean."""
     found = evidence.fit
     if found.accelerometer is not None:
@@ -250,7 +261,7 @@ def _frames(evidence: TurntableEvidence) -> Iterator[Finding]:
     yield make_finding("frames-unrelated", severity="warning" if recorded else "info", why=why)
 
 
-def _scale_far(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _scale_far(evidence: TurntableFitSummary) -> Iterator[Finding]:
     unit = evidence.parts.gyroscope_unit
     nominal = GYROSCOPE_UNITS_RAD_S[unit]
     if nominal is None:
@@ -260,7 +271,7 @@ def _scale_far(evidence: TurntableEvidence) -> Iterator[Finding]:
         yield make_finding("scale-far", ratio=ratio, unit=unit)
 
 
-def _drift(evidence: TurntableEvidence) -> Iterator[Finding]:
+def _drift(evidence: TurntableFitSummary) -> Iterator[Finding]:
     if not evidence.fit.drifts:
         return
     fit = evidence.fit.fit

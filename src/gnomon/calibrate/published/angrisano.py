@@ -12,7 +12,13 @@ from ..._version import __version__
 from ...assess.imu.pose_tables import describe_published
 from ...assess.imu.poses_verdict import assess_published
 from ...errors import InitialisationError, OptionError, SolveError
-from ...estimate.triads.angrisano import AngrisanoFit, canonical, datasheet_start, fit_components, fit_magnitudes
+from ...estimate.triads.angrisano import (
+    AngrisanoFit,
+    canonical_parameters,
+    datasheet_start,
+    fit_components,
+    fit_magnitudes,
+)
 from ...findings import make_finding
 from ...options import ImuOptions
 from ...recording import Floats, Poses, Recording
@@ -112,7 +118,7 @@ def _sensor(fit: AngrisanoFit, poses: Poses) -> tuple[AccelerometerCalibration, 
         If the parameters are not numbers that make a sensor.
     """
     if fit.status == "mirrored":
-        fit = replace(fit, parameters=canonical(fit.parameters, fit.geometry))
+        fit = replace(fit, parameters=canonical_parameters(fit.parameters, fit.geometry))
     try:
         sensitivity, covariance = fit.sensitivity, fit.sensor_covariance
     except (np.linalg.LinAlgError, OptionError):

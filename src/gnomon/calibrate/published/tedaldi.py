@@ -14,8 +14,8 @@ from ..._version import __version__
 from ...assess.imu.imu_tables import (
     allan_curve,
     bin_edges,
-    envelope,
-    rms,
+    root_mean_square,
+    signal_envelope,
     uncalibrated_error,
     uncalibrated_rotation_error,
 )
@@ -27,18 +27,25 @@ from ...estimate.multiposition.rotations import MotionSegments
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.multiposition.tedaldi import RULES, leave_group_out
 from ...findings import make_finding
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...options import ImuOptions
 from ...recording import Recording
 from ...results.calibration import Assessment, Calibration, Covariance, Gravity, Holdout, Provenance, covariance_names
 from ...results.imu_diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, RotationTable
 from ...results.intervals import interval_means
 from ...results.result import Result
-from ..steps.preparation import PreparedImu, imu_calibration, in_stated_frame, local_gravity, stated_options, stream
+from ..steps.preparation import (
+    PreparedImu,
+    imu_calibration,
+    in_stated_frame,
+    local_gravity,
+    stated_options,
+    weighted_stream,
+)
 from .tedaldi_search import Search, Turned, fit_rotations, held_out_forces, search_threshold
 
 
-def describe(prepared: PreparedImu, search: Search, turned: Turned, gravity_m_s2: float) -> ImuDiagnostics:
+def describe_tedaldi(prepared: PreparedImu, search: Search, turned: Turned, gravity_m_s2: float) -> ImuDiagnostics:
     """Return signals, static intervals and rotations with their errors, and the thresholds that were tried."""
     accelerometer = prepared.accelerometer
     t_s = prepared.accelerometer_time.t_s
@@ -47,12 +54,14 @@ def describe(prepared: PreparedImu, search: Search, turned: Turned, gravity_m_s2
     intervals = _interval_table(prepared, search, turned, gravity_m_s2)
     rotations = _rotation_table(prepared, search, turned)
     density, _ = resting_noise(accelerometer.values, still, accelerometer.rate_hz)
-    gyroscope = stream(prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest)
-    sensitivity = inverse(turned.fit.correction)
+    gyroscope = weighted_stream(
+        prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest
+    )
+    sensitivity = invert_3x3(turned.fit.correction)
     row = search.candidates[search.candidates[:, 0] == search.multiplier][0]
     return ImuDiagnostics(
-        accelerometer=envelope(t_s, accelerometer.values, accelerometer.unit),
-        gyroscope=envelope(prepared.gyroscope_time.t_s, prepared.gyroscope.values, prepared.gyroscope.unit),
+        accelerometer=signal_envelope(t_s, accelerometer.values, accelerometer.unit),
+        gyroscope=signal_envelope(prepared.gyroscope_time.t_s, prepared.gyroscope.values, prepared.gyroscope.unit),
         detector=DetectorTrace(
             t_s=t_s[edges],
             statistic=np.maximum.reduceat(np.where(np.isfinite(search.statistic), search.statistic, 0.0), edges),
@@ -67,13 +76,13 @@ def describe(prepared: PreparedImu, search: Search, turned: Turned, gravity_m_s2
                 model="basic",
                 chosen=True,
                 accelerometer_rms=float(row[2]),
-                rotation_rms=rms(rotations.error_holdout),
+                rotation_rms=root_mean_square(rotations.error_holdout),
                 parameters=21,
             ),
         ),
         noise={
-            "accelerometer.density": rms(np.sqrt(density) * np.linalg.norm(search.fit.correction, axis=0)),
-            "gyroscope.density": rms(np.sqrt(gyroscope.density) / np.linalg.norm(sensitivity, axis=1)),
+            "accelerometer.density": root_mean_square(np.sqrt(density) * np.linalg.norm(search.fit.correction, axis=0)),
+            "gyroscope.density": root_mean_square(np.sqrt(gyroscope.density) / np.linalg.norm(sensitivity, axis=1)),
         },
     )
 
@@ -111,7 +120,7 @@ def _rotation_table(prepared: PreparedImu, search: Search, turned: Turned) -> Ro
         lengths=turned.segments.lengths,
     )
     held = leave_group_out(turned.fit.jacobian, turned.fit.residual, turned.fit.covariance)
-    sensitivity = inverse(turned.fit.correction)
+    sensitivity = invert_3x3(turned.fit.correction)
     return RotationTable(
         start_s=turned.start_s,
         stop_s=turned.stop_s,
@@ -150,7 +159,7 @@ def calibrate_as_published(
     search = search_threshold(prepared, rules, gravity.value, t_init_s, options.window_s)
     tell(f"fitting the gyroscope to {len(search.intervals) - 1} rotations")
     turned = fit_rotations(prepared, rules, search, t_init_s)
-    diagnostics = describe(prepared, search, turned, gravity.value)
+    diagnostics = describe_tedaldi(prepared, search, turned, gravity.value)
     estimate = _estimate(search, turned)
     imus = {"imu0": imu_calibration(estimate, prepared)}
     calibration = Calibration(
@@ -179,7 +188,7 @@ def calibrate_as_published(
 def _estimate(search: Search, turned: Turned) -> ImuEstimate:
     """Return the parameters in frame accel-z; sigmas by ordinary least squares."""
     fit, gyro = search.fit, turned.fit
-    sensitivity, sensitivity_g = inverse(fit.correction), inverse(gyro.correction)
+    sensitivity, sensitivity_g = invert_3x3(fit.correction), invert_3x3(gyro.correction)
     covariance = np.zeros((33, 33))
     unit = np.zeros((12, 9))  # sensitivity (9) and bias (3) by the correction's upper triangle and the bias
     entries = [3 * i + j for i, j in zip(*UPPER, strict=True)]

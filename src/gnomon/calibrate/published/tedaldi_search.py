@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...assess.imu.imu_tables import rms
+from ...assess.imu.imu_tables import root_mean_square
 from ...detect.samples.static import runs_below, variance_magnitude_squared, window_samples, window_variances
 from ...errors import DetectionError, InitialisationError
 from ...estimate.multiposition.magnitude import UPPER, MagnitudeFit
@@ -14,8 +14,8 @@ from ...estimate.multiposition.tedaldi import (
     SAMPLES_PER_INTERVAL,
     GyroscopeFit,
     TedaldiRules,
-    fit_accelerometer,
     fit_gyroscope,
+    fit_published_accelerometer,
     leave_group_out,
     select_samples,
     static_directions,
@@ -98,13 +98,13 @@ def search_threshold(
             continue
         chosen = select_samples(values, intervals, rules, samples.rate_hz)
         try:
-            fit = fit_accelerometer(chosen, rules, gravity_m_s2)
+            fit = fit_published_accelerometer(chosen, rules, gravity_m_s2)
         except InitialisationError:
             continue
         rows[-1] = (
             multiplier,
             len(intervals),
-            rms(held_out_forces(fit, chosen, len(intervals), gravity_m_s2)),
+            root_mean_square(held_out_forces(fit, chosen, len(intervals), gravity_m_s2)),
             fit.cost,
         )
         if best is None or fit.cost < best[3].cost:

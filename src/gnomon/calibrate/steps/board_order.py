@@ -17,11 +17,11 @@ from ...detect.boards.checkerboard_order import (
     ambiguous_turns,
     angle_between,
     consistent_order,
-    renumbered,
+    renumber_view,
 )
 from ...errors import InitialisationError
 from ...estimate.camera_imu.start.alignment import Alignment
-from ...estimate.camera_imu.start.first_guess import ImuStream, Look, looks
+from ...estimate.camera_imu.start.first_guess import CameraAlignment, ImuStream, align_cameras
 from ...findings import Finding, make_finding
 from ...geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
 from ...models.target import Target
@@ -30,7 +30,7 @@ from ...recording import CameraFrames, Floats, Integers
 _PAIRS = 100  # frames of two cameras that are compared
 
 
-def numbered_alike(
+def number_cameras_alike(
     cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, stream: ImuStream
 ) -> tuple[dict[str, CameraFrames], tuple[Finding, ...]]:
     """Return the cameras with corners that are numbered alike, and what there is to say about it.
@@ -49,7 +49,7 @@ def numbered_alike(
     found: dict[str, CameraFrames] = {}
     findings: list[Finding] = []
     for name, frames in cameras.items():
-        views = views_of(frames)
+        views = board_views(frames)
         ordered = consistent_order(views, frames.t_ns, target, camera=frames.camera)
         if not ordered.certain:
             ordered = _with_gyroscope(name, with_views(frames, ordered.views), target, origin_ns, stream) or ordered
@@ -60,7 +60,7 @@ def numbered_alike(
     return _from_one_end(found, target, origin_ns, stream), tuple(findings)
 
 
-def views_of(frames: CameraFrames) -> list[BoardView]:
+def board_views(frames: CameraFrames) -> list[BoardView]:
     """Return the corners frame by frame."""
     edges = np.searchsorted(frames.frame, np.arange(len(frames.t_ns) + 1))
     sigma = np.ones(len(frames.frame)) if frames.sigma_px is None else frames.sigma_px
@@ -86,11 +86,11 @@ def _with_gyroscope(
 ) -> OrderedViews | None:
     """Return the views in the order that the gyroscope foresees; None where it cannot be aligned with the camera."""
     try:
-        (look,) = looks({name: frames}, target, origin_ns, stream)
+        (look,) = align_cameras({name: frames}, target, origin_ns, stream)
     except InitialisationError:
         return None
     turned = _foreseen(look.alignment, origin_ns, stream)
-    return consistent_order(views_of(frames), frames.t_ns, target, camera=frames.camera, turned=turned)
+    return consistent_order(board_views(frames), frames.t_ns, target, camera=frames.camera, turned=turned)
 
 
 def _from_one_end(
@@ -104,7 +104,7 @@ def _from_one_end(
     if len(cameras) == 1:
         return cameras
     try:
-        first, *others = looks(cameras, target, origin_ns, stream)
+        first, *others = align_cameras(cameras, target, origin_ns, stream)
     except InitialisationError:
         return cameras  # the calibration says what is wrong
     R_start_imu = _integrated(first.alignment, stream)
@@ -114,12 +114,12 @@ def _from_one_end(
         ways = ambiguous_turns(target)
         angles = [np.median([angle_between(about_normal(way), R) for R in apart]) for way in ways]
         turns = ways[int(np.argmin(angles))]
-        views = tuple(renumbered(view, target, turns) for view in views_of(look.frames))
+        views = tuple(renumber_view(view, target, turns) for view in board_views(look.frames))
         found[look.name] = with_views(look.frames, views)
     return found
 
 
-def _apart(first: Look, second: Look, R_start_imu: Floats, stream: ImuStream) -> Floats:
+def _apart(first: CameraAlignment, second: CameraAlignment, R_start_imu: Floats, stream: ImuStream) -> Floats:
     """Return R_target_imu by the second camera relative to that by the first, (n, 3, 3), where frames are close."""
     t_first, t_second = (look.poses.t_s + look.alignment.time_shift_s for look in (first, second))
     near = np.clip(np.searchsorted(t_first, t_second), 1, len(t_first) - 1)

@@ -151,7 +151,7 @@ def _with_topic(known: CameraInput, topic: str) -> CameraInput:
     return replace(known, camera=replace(known.camera, topic=topic)) if topic else known
 
 
-def corners_of_camera(
+def read_camera_corners(
     images: ImageRecording,
     name: str,
     known: CameraInput,

@@ -13,8 +13,8 @@ import numpy as np
 from ...errors import GnomonError
 from ...estimate.camera_imu.result.residual_patterns import along_board, common_pattern
 from ...estimate.cameras.rig import RigSolution
-from ...estimate.cameras.solution import solved
-from ...estimate.trust.model_choice import Candidate, Step, model_steps
+from ...estimate.cameras.solution import solve_rig
+from ...estimate.trust.model_choice import CandidateBlock, CandidateStep, model_steps
 from ...options import CameraOptions
 from ...recording import Floats, Integers
 from ...results.trust import ModelStep
@@ -58,7 +58,7 @@ def with_board(solution: RigSolution, options: CameraOptions) -> BoardChoice:
     """
 
     def along(start: RigSolution, board: tuple[str, ...]) -> RigSolution:
-        return solved(
+        return solve_rig(
             start.views, start.rig, board=board, robust=options.robust, most_iterations=options.max_iterations
         )
 
@@ -94,7 +94,7 @@ def _shape_steps(wider: RigSolution) -> tuple[ModelStep, ...]:
     values = {"aspect": np.array([wider.rig.board.aspect]), "bow": wider.rig.board.bow_m}
     of_block = {name: _columns(wider.names, f"target.{name}") for name in values}
     always = np.setdiff1d(np.arange(len(wider.names)), np.concatenate(list(of_block.values())))
-    candidates = [Candidate(name=name, columns=columns, away=-values[name]) for name, columns in of_block.items()]
+    candidates = [CandidateBlock(name=name, columns=columns, away=-values[name]) for name, columns in of_block.items()]
     return tuple(_told(step) for step in model_steps(sums, always, candidates))
 
 
@@ -102,7 +102,7 @@ def _columns(names: Sequence[str], block: str) -> Integers:
     return np.array([k for k, name in enumerate(names) if name.partition("[")[0] == block], dtype=np.int64)
 
 
-def _told(step: Step) -> ModelStep:
+def _told(step: CandidateStep) -> ModelStep:
     return ModelStep(
         name=step.candidate.name,
         parameters=len(step.candidate.columns),

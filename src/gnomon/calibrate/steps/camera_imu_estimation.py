@@ -7,24 +7,30 @@ import numpy as np
 
 from ...assess.added_findings import comparison_left_out
 from ...errors import OptionError, SolveError
-from ...estimate.camera_imu.batch import Measurements, State
-from ...estimate.camera_imu.choices import choices, lens_prior
+from ...estimate.camera_imu.batch import Measurements, RigState
+from ...estimate.camera_imu.choices import estimation_choices, lens_tolerances
 from ...estimate.camera_imu.knots import knots_per_s
-from ...estimate.camera_imu.layout import Status, layout
-from ...estimate.camera_imu.parameters import ImuParameters, Parameters
-from ...estimate.camera_imu.solution import GATE, Solution, solved
+from ...estimate.camera_imu.layout import Status, border_layout
+from ...estimate.camera_imu.parameters import ImuParameters, RigParameters
+from ...estimate.camera_imu.solution import GATE, Solution, minimise_cost
 from ...estimate.camera_imu.start.accelerometer_delay import accelerometer_delay
-from ...estimate.camera_imu.start.first_guess import ImuStream, Look, first_parameters, first_state, per_corner
+from ...estimate.camera_imu.start.first_guess import (
+    CameraAlignment,
+    ImuStream,
+    first_parameters,
+    first_state,
+    per_corner,
+)
 from ...estimate.camera_imu.start.first_place import first_place
-from ...estimate.camera_imu.start.imu_alignment import Beside, first_imu, with_stated_pose
+from ...estimate.camera_imu.start.imu_alignment import ImuAlignment, first_imu, with_stated_pose
 from ...estimate.camera_imu.start.initial_trajectory import MARGIN_S
-from ...estimate.camera_imu.terms.inertial_data import on_trajectory, triads
+from ...estimate.camera_imu.terms.inertial_data import on_trajectory, triad_readings
 from ...estimate.camera_imu.terms.visual_terms import VisualData
 from ...findings import Finding
 from ...options import CameraImuOptions
 from ...recording import Recording
 from ...results.calibration import Gravity
-from .camera_imu_model import considered
+from .camera_imu_model import candidate_blocks
 from .camera_imu_preparation import PreparedCameraImu
 
 Progress = Callable[[str], None]
@@ -34,7 +40,7 @@ _RESTARTS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rig:
+class RigBeforehand:
     """Cameras and IMUs, as far as they are known before the estimation.
 
     Attributes
@@ -47,13 +53,17 @@ class Rig:
 
     recording: Recording
     prepared: PreparedCameraImu
-    looks: tuple[Look, ...]
-    beside: tuple[Beside, ...]
+    looks: tuple[CameraAlignment, ...]
+    beside: tuple[ImuAlignment, ...]
     streams: tuple[ImuStream, ...]
 
 
-def estimated(
-    rig: Rig, gravity: Gravity, options: CameraImuOptions, known: Sequence[ImuParameters | None], tell: Progress
+def estimate_rig(
+    rig: RigBeforehand,
+    gravity: Gravity,
+    options: CameraImuOptions,
+    known: Sequence[ImuParameters | None],
+    tell: Progress,
 ) -> Solution:
     """Return the solution with the options' model; begin anew where a time shift would leave the trajectory's span.
 
@@ -65,22 +75,24 @@ def estimated(
     parameters = _first_parameters(rig, gravity, options, known)
     pixel_sigma = tuple(options.pixel_sigma or look.poses.sigma_px for look in found)
     noise = prepared.first_noise(pixel_sigma, _HUBER if options.robust else np.inf)
-    knots = options.knots_per_s or knots_per_s(*triads(prepared.inertial), rate_hz=_supporting_hz(prepared))
+    knots = options.knots_per_s or knots_per_s(*triad_readings(prepared.inertial), rate_hz=_supporting_hz(prepared))
     biases = [one.gyroscope_bias for one in rig.beside]
     solution: Solution | None = None
     start = parameters
     for _ in range(_RESTARTS):
         state = first_state(found, parameters, rig.streams[0], knots, order=options.spline_order, others=biases)
         if solution is None:
-            _check_origin(options, choices(state.parameters, options).status)
+            _check_origin(options, estimation_choices(state.parameters, options).status)
             start = parameters = state.parameters
-        chosen = choices(state.parameters, options)
+        chosen = estimation_choices(state.parameters, options)
         origin = _with_gravity(start, state.parameters)
-        solution = solved(
+        solution = minimise_cost(
             _measurements(rig, state, options, chosen.status),
             state,
-            layout(origin, chosen.status, chosen.prior_sigma),
-            layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
+            border_layout(origin, chosen.status, chosen.prior_sigma),
+            border_layout(
+                origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, candidate_blocks(origin)
+            ),
             noise,
             estimate_noise=options.noise != "nominal",
             estimate_walks=options.noise == "coloured",
@@ -97,8 +109,8 @@ def estimated(
 
 
 def _first_parameters(
-    rig: Rig, gravity: Gravity, options: CameraImuOptions, known: Sequence[ImuParameters | None]
-) -> Parameters:
+    rig: RigBeforehand, gravity: Gravity, options: CameraImuOptions, known: Sequence[ImuParameters | None]
+) -> RigParameters:
     prepared = rig.prepared
     imus: list[ImuParameters] = []
     for i, errors in enumerate(known):
@@ -115,7 +127,7 @@ def _first_parameters(
         rig.looks, gravity.value, options, imus, places if len(places) == len(rig.looks) else ()
     )
     if len(imus) > 1:
-        status = choices(parameters, options).status
+        status = estimation_choices(parameters, options).status
         recorded = rig.recording.imus.values()
         placed = [
             with_stated_pose(imu, f"imu{i}", samples, status) if i else imu
@@ -125,7 +137,7 @@ def _first_parameters(
     return replace(parameters, rig=rig.recording.rig)
 
 
-def _delay(rig: Rig, number: int) -> float:
+def _delay(rig: RigBeforehand, number: int) -> float:
     """Return the first guess of the delay of an accelerometer with timestamps of its own [s]."""
     guide = max(rig.looks, key=lambda look: int(look.alignment.consistent.sum()))
     look, alignment = guide, guide.alignment
@@ -141,7 +153,7 @@ def _supporting_hz(prepared: PreparedCameraImu) -> float | None:
     return min(max(imu.rates_hz[kind] for imu in prepared.imus) for kind in (0, 1))
 
 
-def _largest_move(one: Parameters, other: Parameters) -> float:
+def _largest_move(one: RigParameters, other: RigParameters) -> float:
     """Return the largest difference of two sets of time shifts [s]."""
     moves = [abs(a.time_shift_s - b.time_shift_s) for a, b in zip(one.cameras, other.cameras, strict=True)]
     for a, b in zip(one.imus, other.imus, strict=True):
@@ -149,7 +161,7 @@ def _largest_move(one: Parameters, other: Parameters) -> float:
     return max(moves)
 
 
-def _with_gravity(start: Parameters, state: Parameters) -> Parameters:
+def _with_gravity(start: RigParameters, state: RigParameters) -> RigParameters:
     """Return start values with gravity's direction as the trajectory has it."""
     return replace(start, gravity_axes=state.gravity_axes)
 
@@ -165,7 +177,9 @@ def _check_origin(options: CameraImuOptions, status: dict[str, Status]) -> None:
     )
 
 
-def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dict[str, Status]) -> Measurements:
+def _measurements(
+    rig: RigBeforehand, state: RigState, options: CameraImuOptions, status: dict[str, Status]
+) -> Measurements:
     visual: list[VisualData] = []
     used: list[np.ndarray] = []
     parameters, grid = state.parameters, state.trajectory.grid
@@ -188,8 +202,8 @@ def _measurements(rig: Rig, state: State, options: CameraImuOptions, status: dic
 
 
 def basic_model(
-    start: Parameters, solution: Solution, options: CameraImuOptions, tell: Progress
-) -> tuple[State | None, list[Finding]]:
+    start: RigParameters, solution: Solution, options: CameraImuOptions, tell: Progress
+) -> tuple[RigState | None, list[Finding]]:
     """Return the basic model's estimate on the same measurements (Figs. 5.6 and 5.7 of Krebs).
 
     It is there for comparison alone: where it cannot be made, None and a finding that says so.
@@ -197,14 +211,14 @@ def basic_model(
     if not options.compare or options.model == "basic":
         return None, []
     tell("estimating the basic model for comparison")
-    chosen = choices(start, replace(options, fix=(), free=(), prior=()), model="basic")
+    chosen = estimation_choices(start, replace(options, fix=(), free=(), prior=()), model="basic")
     parameters = solution.state.parameters
     ideal = replace(parameters, imus=tuple(imu.without_errors() for imu in parameters.imus))
-    columns = layout(solution.layout.start, chosen.status, chosen.prior_sigma)
+    columns = border_layout(solution.layout.start, chosen.status, chosen.prior_sigma)
     try:
-        found = solved(
+        found = minimise_cost(
             solution.measurements,
-            State(trajectory=solution.state.trajectory, parameters=ideal),
+            RigState(trajectory=solution.state.trajectory, parameters=ideal),
             columns,
             columns,
             solution.noise,

@@ -14,19 +14,19 @@ from statistics import NormalDist
 import numpy as np
 
 from ...errors import SolveError
-from ...estimate.camera_imu.batch import State, linearised
-from ...estimate.camera_imu.choices import choices, imu_blocks, lens_prior
+from ...estimate.camera_imu.batch import RigState, linearize_batch
+from ...estimate.camera_imu.choices import estimation_choices, imu_blocks, lens_tolerances
 from ...estimate.camera_imu.gauss_newton import gauss_newton_step
-from ...estimate.camera_imu.layout import layout
-from ...estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, ladder, step_columns
-from ...estimate.camera_imu.parameters import Parameters
+from ...estimate.camera_imu.layout import border_layout
+from ...estimate.camera_imu.model_ladder import ARMS, DELAY, EXTRAS, LADDER, evaluate_nested_models, step_columns
+from ...estimate.camera_imu.parameters import RigParameters
 from ...estimate.camera_imu.result.cluster_sums import cluster_sums
 from ...estimate.camera_imu.result.residual_patterns import board_evidence
-from ...estimate.camera_imu.solution import Solution, solved
-from ...estimate.camera_imu.start.first_guess import Look
+from ...estimate.camera_imu.solution import Solution, minimise_cost
+from ...estimate.camera_imu.start.first_guess import CameraAlignment
 from ...estimate.camera_imu.terms.inertial_data import on_trajectory
 from ...estimate.trust.clusters import ClusterSums
-from ...estimate.trust.robust import clustered, memory
+from ...estimate.trust.robust import correlation_time, group_into_clusters
 from ...findings import Finding
 from ...options import CameraImuOptions
 from ...recording import Recording
@@ -51,7 +51,7 @@ def with_stated_shutters(recording: Recording, options: CameraImuOptions) -> Rec
 
 
 def with_line_delays(
-    options: CameraImuOptions, found: Sequence[Look], findings: Sequence[Finding]
+    options: CameraImuOptions, found: Sequence[CameraAlignment], findings: Sequence[Finding]
 ) -> tuple[CameraImuOptions, bool]:
     """Return options that estimate the line delays that the corners prove, and whether there is one that they added.
 
@@ -114,7 +114,7 @@ and makes clusters of time long and few, by which nothing can be proved."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Chosen:
+class SelectedModel:
     """A solution with the model that was chosen.
 
     Attributes
@@ -142,7 +142,7 @@ class Chosen:
         return any(step.name == ARMS and step.used and step.gain > step.needed for step in self.steps)
 
 
-def considered(start: Parameters) -> tuple[str, ...]:
+def candidate_blocks(start: RigParameters) -> tuple[str, ...]:
     """Return the blocks beyond the model of which the last linearisations tell what they would do."""
     arms = [f"imu{i}.lever_arms" for i in range(len(start.imus))]
     delays = [f"imu{i}.accelerometer_shift" for i, imu in enumerate(start.imus) if not imu.apart]
@@ -155,12 +155,14 @@ def considered(start: Parameters) -> tuple[str, ...]:
     return ("gravity.magnitude", "target.scale", *lenses, *imu_blocks(start), *arms, *delays)
 
 
-def chosen_model(solution: Solution, options: CameraImuOptions, tell: Progress, *, own_detector: bool = True) -> Chosen:
+def select_model(
+    solution: Solution, options: CameraImuOptions, tell: Progress, *, own_detector: bool = True
+) -> SelectedModel:
     """Return the solution with the blocks that the recording asks for.
 
     Parameters
     ----------
-    solution : with the model of the options, and the columns of `considered`
+    solution : with the model of the options, and the columns of `candidate_blocks`
     options : model "auto" adds blocks by evidence; the others are estimated as they are
     tell : called with a sentence at each step
     own_detector : whether no detector's bias may pass for a lens
@@ -242,17 +244,17 @@ def _stated(solution: Solution, options: CameraImuOptions) -> dict[str, bool]:
     return {name: inside for name, inside in found.items() if inside or name not in _BLOCKS or name in held}
 
 
-def _judged(solution: Solution, stated: Mapping[str, bool], share: float) -> Chosen:
+def _judged(solution: Solution, stated: Mapping[str, bool], share: float) -> SelectedModel:
     """Return the solution with what each block brings in clusters of time that were left out."""
     found, columns = cluster_sums(solution), solution.layout
     free = columns.free_index[columns.free_index < columns.dense]
     blocks = [name.partition("[")[0] for name in np.array(columns.names)[free]]
     number = np.unique(blocks, return_inverse=True)[1].astype(np.int64)
-    lasts = memory(found.of_parameters(free), np.eye(len(free)), number)
-    clusters, _ = clustered(found, max(lasts, 1))
+    lasts = correlation_time(found.of_parameters(free), np.eye(len(free)), number)
+    clusters, _ = group_into_clusters(found, max(lasts, 1))
     least = dict.fromkeys(_LENS, _gain(solution, share))
-    steps = ladder(clusters[0], solution.layout, solution.state.parameters, stated, least)
-    return Chosen(solution=solution, sums=found, steps=steps)
+    steps = evaluate_nested_models(clusters[0], solution.layout, solution.state.parameters, stated, least)
+    return SelectedModel(solution=solution, sums=found, steps=steps)
 
 
 def _board_step(solution: Solution) -> ModelStep:
@@ -291,17 +293,19 @@ def _gain(solution: Solution, share: float) -> float:
 def _seen_with_k3(solution: Solution, options: CameraImuOptions) -> Solution:
     """Return the same solution, linearised with a column for the third radial coefficient, which is held."""
     state, origin = _with_k3(solution)
-    chosen = choices(origin, options)
-    columns = layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin))
+    chosen = estimation_choices(origin, options)
+    columns = border_layout(
+        origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, candidate_blocks(origin)
+    )
     spare = solution.spare_workspace()
-    lin = linearised(solution.measurements, state, columns, solution.noise, probing=True, workspace=spare)
+    lin = linearize_batch(solution.measurements, state, columns, solution.noise, probing=True, workspace=spare)
     return replace(solution, state=state, layout=columns, lin=lin, step=gauss_newton_step(lin))
 
 
-def _with_k3(solution: Solution) -> tuple[State, Parameters]:
+def _with_k3(solution: Solution) -> tuple[RigState, RigParameters]:
     """Return state and start values whose lenses have a third radial coefficient."""
 
-    def wider(parameters: Parameters) -> Parameters:
+    def wider(parameters: RigParameters) -> RigParameters:
         return replace(parameters, cameras=tuple(entry.with_k3() for entry in parameters.cameras))
 
     state = solution.state
@@ -317,7 +321,7 @@ def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraIm
         If it finds no minimum, or does not come to rest where the one without them did.
     """
     state, origin = _with_k3(solution) if "k3" in asked else (solution.state, solution.layout.start)
-    chosen = choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
+    chosen = estimation_choices(origin, options, added=[block for name in asked for block in _BLOCKS[name]])
     measurements = solution.measurements
     if DELAY in asked:
         grid = state.trajectory.grid
@@ -325,11 +329,11 @@ def _estimated_along(solution: Solution, asked: Sequence[str], options: CameraIm
             one for data in measurements.inertial for one in on_trajectory(data, state.parameters, chosen.status, grid)
         )
         measurements = replace(measurements, inertial=tuple(inertial))
-    found = solved(
+    found = minimise_cost(
         measurements,
         state,
-        layout(origin, chosen.status, chosen.prior_sigma),
-        layout(origin, chosen.status, lens_prior(origin) | chosen.prior_sigma, considered(origin)),
+        border_layout(origin, chosen.status, chosen.prior_sigma),
+        border_layout(origin, chosen.status, lens_tolerances(origin) | chosen.prior_sigma, candidate_blocks(origin)),
         solution.noise,
         estimate_noise=options.noise != "nominal",
         estimate_walks=options.noise == "coloured",

@@ -7,22 +7,22 @@ import numpy as np
 
 from ...assess.checks.board_turn import BoardMove, BoardTurns, board_move, moved_finding
 from ...assess.checks.camera_checks import check_cameras
-from ...assess.checks.rig_checks import about, check_clock_steps, check_look
+from ...assess.checks.rig_checks import check_clock_steps, check_look, name_imu
 from ...assess.prior_findings import cameras_disagree
-from ...assess.priors import SCALARS, TRIADS, Evidence, Priors, known_beforehand
-from ...detect.samples.repair import repaired
-from ...detect.samples.saturation import saturated
+from ...assess.priors import SCALARS, TRIADS, Prior, Priors, gather_prior
+from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.time_base import time_base
 from ...errors import DetectionError, RecordingError
-from ...estimate.camera_imu.batch import Noise
+from ...estimate.camera_imu.batch import NoiseLevels
 from ...estimate.camera_imu.parameters import ImuParameters
 from ...estimate.camera_imu.result.uncertainty import Uncertainty
 from ...estimate.camera_imu.rig_prior import from_known
 from ...estimate.camera_imu.solution import Solution
 from ...estimate.camera_imu.start.alignment import Alignment, gyroscope_integral
 from ...estimate.camera_imu.start.board_poses import BoardPoses, board_poses
-from ...estimate.camera_imu.start.first_guess import ImuStream, Look
-from ...estimate.camera_imu.start.imu_alignment import Beside
+from ...estimate.camera_imu.start.first_guess import CameraAlignment, ImuStream
+from ...estimate.camera_imu.start.imu_alignment import ImuAlignment
 from ...estimate.camera_imu.terms.inertial_data import ImuBeforehand, InertialData, TriadData
 from ...findings import Finding, make_finding
 from ...geometry.rotation_vector import rotvec_from_rotation
@@ -43,7 +43,7 @@ _B_G = np.arange(_GYROSCOPE.stop - 9, _GYROSCOPE.stop)
 _Q_BG = slice(12, 15)  # among the 24 letters
 
 
-def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) -> Evidence:
+def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) -> Prior:
     """Return what other calibrations know of an IMU, in SI units; where it sits is not asked.
 
     Parameters
@@ -58,7 +58,7 @@ def evidence_of_imu(prior: Priors, gravity: Gravity, name: str, *, first: bool) 
     """
     given = () if prior is None else (prior,) if isinstance(prior, Calibration) else tuple(prior)
     own = [one if first else _alone(one, name) for one in given if first or name in one.imus]
-    return known_beforehand(own, CameraImuOptions(), _SI, gravity=gravity)
+    return gather_prior(own, CameraImuOptions(), _SI, gravity=gravity)
 
 
 def _alone(calibration: Calibration, name: str) -> Calibration:
@@ -75,7 +75,7 @@ def _alone(calibration: Calibration, name: str) -> Calibration:
     )
 
 
-def known_imu(found: Evidence) -> ImuParameters | None:
+def known_imu(found: Prior) -> ImuParameters | None:
     """Return the IMU as it is known beforehand, with the covariance of what is known; None without anything."""
     if not found:
         return None
@@ -107,7 +107,7 @@ def cameras_moved(solution: Solution, certain: Uncertainty) -> list[Finding]:
     )
 
 
-def _joint_covariance(found: Evidence) -> tuple[Floats, bool]:
+def _joint_covariance(found: Prior) -> tuple[Floats, bool]:
     """Return the covariance (45, 45) of what is known, and whether the gyroscope is known in its own frame alone."""
     precision = np.zeros((SCALARS, SCALARS))
     own = any(part.own_frame for part in found.known)
@@ -204,9 +204,9 @@ class PreparedCameraImu:
         """For each IMU, start of the body's seconds less the start of its own, as timestamps of their clocks [s]."""
         return tuple((self.origin_ns - imu.origin_ns) * 1e-9 for imu in self.imus)
 
-    def first_noise(self, pixel_sigma: tuple[float, ...], huber: float) -> Noise:
+    def first_noise(self, pixel_sigma: tuple[float, ...], huber: float) -> NoiseLevels:
         """Return the noise levels to start with."""
-        return Noise(
+        return NoiseLevels(
             imus=tuple(imu.noise for imu in self.imus),
             walks=tuple(imu.walks for imu in self.imus),
             pixel_sigma=pixel_sigma,
@@ -234,8 +234,10 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     inertial: list[InertialData] = []
     imus: list[ImuBeforehand] = []
     for number, (name, samples) in enumerate(recording.imus.items()):
-        accelerometer = _in_si(repaired(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2")
-        gyroscope = _in_si(repaired(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
+        accelerometer = _in_si(
+            drop_repeated_timestamps(samples.accelerometer), "accelerometer", ACCELEROMETER_UNITS_M_S2, "m/s^2"
+        )
+        gyroscope = _in_si(drop_repeated_timestamps(samples.gyroscope), "gyroscope", GYROSCOPE_UNITS_RAD_S, "rad/s")
         origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
         inertial += _inertial(number, accelerometer, gyroscope, origin, options)
         imus.append(
@@ -251,7 +253,7 @@ def prepare_camera_imu(recording: Recording, target: Target, options: CameraImuO
     return PreparedCameraImu(inertial=tuple(inertial), imus=tuple(imus), findings=tuple(findings))
 
 
-def suspected(findings: Sequence[Finding], move: BoardMove | None = None) -> str:
+def likely_cause(findings: Sequence[Finding], move: BoardMove | None = None) -> str:
     """Return, as a sentence, what was noticed that most likely keeps the same rotation from being seen; or nothing."""
     if move is not None:
         return f" Noticed: {moved_finding(move).message}"
@@ -282,10 +284,10 @@ def _refuse_clock_steps(name: str, poses: BoardPoses, alignment: Alignment | Non
 
 def with_looks(
     prepared: PreparedCameraImu,
-    found: Sequence[Look],
+    found: Sequence[CameraAlignment],
     target: Target,
     streams: Sequence[ImuStream],
-    beside: Sequence[Beside],
+    beside: Sequence[ImuAlignment],
 ) -> PreparedCameraImu:
     """Return the same with what cameras and IMUs say of each other among its findings.
 
@@ -304,7 +306,7 @@ def with_looks(
     for number, one in enumerate(beside, 1):
         look = replace(one.look, alignment=one.alignment)
         own, _ = _looked(prepared, look, target, streams[number], number)
-        findings += [about(one.name, found) for found in own if found.code not in known or found.code == _OF_ONE_IMU]
+        findings += [name_imu(one.name, found) for found in own if found.code not in known or found.code == _OF_ONE_IMU]
     for finding in findings:
         if finding.code in _CONTRADICTIONS:
             raise RecordingError(str(finding))
@@ -312,7 +314,7 @@ def with_looks(
 
 
 def _looked(
-    prepared: PreparedCameraImu, look: Look, target: Target, stream: ImuStream, number: int
+    prepared: PreparedCameraImu, look: CameraAlignment, target: Target, stream: ImuStream, number: int
 ) -> tuple[list[Finding], BoardTurns | None]:
     """Return what a camera and an IMU say of each other."""
     if look.alignment.score == 0:
@@ -346,7 +348,10 @@ def _in_si(samples: TriadSamples, triad: str, units: dict[str, float | None], si
 def _inertial(
     number: int, accelerometer: TriadSamples, gyroscope: TriadSamples, origin: int, options: CameraImuOptions
 ) -> tuple[InertialData, ...]:
-    clipped = [saturated(gyroscope, options.gyroscope_range), saturated(accelerometer, options.accelerometer_range)]
+    clipped = [
+        saturated_samples(gyroscope, options.gyroscope_range),
+        saturated_samples(accelerometer, options.accelerometer_range),
+    ]
     named = any("lever_arms" in name for name in (*options.free, *options.prior))
     if (options.model == "auto" or named) and clipped[0].any():
         # With lever arms an accelerometer feels the angular acceleration, of which nothing is known there.

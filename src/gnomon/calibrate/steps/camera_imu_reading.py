@@ -27,7 +27,7 @@ from ...readers.rig.imu_stream import with_stated
 from ...recording import CameraFrames, ImuSamples, KnownRig, Recording
 from ...recording.images import ImageRecording, ImageStream
 from ...units import Units
-from .board_reading import Progress, corners_of_camera, stated_cameras
+from .board_reading import Progress, read_camera_corners, stated_cameras
 
 _RATE_TOLERANCE = 0.05
 _WIDE = 1e4  # of the variances of what the same data told: a ten-thousandth of them is left
@@ -100,7 +100,7 @@ def read_camera_imu(
     tell = progress or (lambda _: None)
     cameras: dict[str, CameraFrames] = {}
     for name, entry in known.items():
-        found = corners_of_camera(images, name, entry, board, workers=workers, cache=cache, progress=tell)
+        found = read_camera_corners(images, name, entry, board, workers=workers, cache=cache, progress=tell)
         cameras[name] = found.frames
         notes.extend(found.notes)
     files = [Path(file) for file in (cam, *imu_paths(imu), target) if file is not None]

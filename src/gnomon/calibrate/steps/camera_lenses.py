@@ -13,14 +13,14 @@ import numpy as np
 
 from ...errors import GnomonError, OptionError, SolveError
 from ...estimate.cameras.alike import views_alike
-from ...estimate.cameras.first_lens import fitted, general_lens
+from ...estimate.cameras.first_lens import fit_lens_model, general_lens
 from ...estimate.cameras.first_rig import first_rig
-from ...estimate.cameras.holdout import posed
-from ...estimate.cameras.rig import RigSolution, SeenCorners, Views
-from ...estimate.cameras.solution import solved
-from ...estimate.cameras.views import corners_of_camera
+from ...estimate.cameras.holdout import held_out_residuals
+from ...estimate.cameras.rig import RigSolution, RigViews, SeenCorners
+from ...estimate.cameras.solution import solve_rig
+from ...estimate.cameras.views import view_corners
 from ...estimate.trust.clusters import held_out_costs
-from ...estimate.trust.robust import clustered, memory
+from ...estimate.trust.robust import correlation_time, group_into_clusters
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_programs import read_everywhere
@@ -119,7 +119,7 @@ def check_model(model: str) -> None:
 
 
 def chosen_lenses(
-    views: Mapping[str, Views],
+    views: Mapping[str, RigViews],
     stated: Mapping[str, str],
     *,
     among: Sequence[str] = (),
@@ -195,12 +195,12 @@ class _Tried:
 
 
 def _tried(
-    name: str, views: Views, stated: str | None, among: Sequence[str], *, robust: bool, most_iterations: int
+    name: str, views: RigViews, stated: str | None, among: Sequence[str], *, robust: bool, most_iterations: int
 ) -> _Tried:
     """Estimate every model from the views of one camera: roughly from a few, the likely ones from all."""
     models = tuple(dict.fromkeys((*(() if stated is None else (stated,)), *among, *CANDIDATES)))
     general = general_lens(views, 0)
-    pixels = corners_of_camera(views, 0).exposures.pixels
+    pixels = view_corners(views, 0).exposures.pixels
     few = np.unique(np.linspace(0, len(views) - 1, min(len(views), _FEW_VIEWS)).round().astype(np.int64))
     start = first_rig(views, {}, {name: general})
 
@@ -209,12 +209,12 @@ def _tried(
         try:
             begun = replace(
                 start,
-                cameras={name: lens or fitted(general, model, pixels)},
+                cameras={name: lens or fit_lens_model(general, model, pixels)},
                 R_cam0_target=start.R_cam0_target[kept],
                 p_cam0_target=start.p_cam0_target[kept],
             )
             with np.errstate(all="ignore"):  # what is not the model of this lens may run away
-                return solved(views.where(kept), begun, robust=robust, most_iterations=most)
+                return solve_rig(views.where(kept), begun, robust=robust, most_iterations=most)
         except GnomonError as failed:
             return failed
         except np.linalg.LinAlgError:
@@ -265,7 +265,7 @@ def _read_by_all(model: str, alike: Sequence[_Tried], costs: Mapping[str, Floats
     return min(near, key=lambda one: float(costs[one].sum()))
 
 
-def _held_out(found: Mapping[str, RigSolution], views: Views, name: str) -> dict[str, Floats]:
+def _held_out(found: Mapping[str, RigSolution], views: RigViews, name: str) -> dict[str, Floats]:
     """Return what each model loses on clusters of views that it has not seen, (c,), in one unit for all of them."""
     sigma_px = min(fit.sigma_px[name] for fit in found.values())
     steady = min(found.values(), key=lambda fit: fit.sigma_px[name])
@@ -275,7 +275,7 @@ def _held_out(found: Mapping[str, RigSolution], views: Views, name: str) -> dict
         own = _robust_costs(fit.corners[name], sigma_px, len(views))
         left = np.flatnonzero(np.bincount(fit.corners[name].view, minlength=len(views)) == 0)
         if len(left):
-            apart = posed(views.where(left), fit.rig)[name]
+            apart = held_out_residuals(views.where(left), fit.rig)[name]
             own[left] = _robust_costs(apart, sigma_px, len(left))
         by_cluster = np.bincount(cluster, own)
         unseen = _rises(fit, cluster) * (fit.sigma_px[name] / sigma_px) ** 2
@@ -296,7 +296,7 @@ def time_clusters(fit: RigSolution) -> Integers:
     alike = independent_views(fit)
     sums = fit.sums.gathered(alike)
     every = np.zeros(sums.pull.shape[1], dtype=np.int64)
-    _, length = clustered(sums, memory(sums, np.eye(len(every)), every))
+    _, length = group_into_clusters(sums, correlation_time(sums, np.eye(len(every)), every))
     return alike // length
 
 

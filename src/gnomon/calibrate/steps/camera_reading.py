@@ -24,11 +24,11 @@ from ...readers.images.image_file import read_grey
 from ...readers.images.image_recording import open_images
 from ...readers.recordings import ReadLog
 from ...readers.rig.camera_folder import corner_streams, holds_corners, recording_folder
-from ...readers.rig.camera_imu import corners_of
+from ...readers.rig.camera_imu import folder_corners
 from ...recording import CameraFrames, Recording
 from ...recording.images import ImageStream
 from ...units import Units
-from .board_reading import Progress, corners_of_camera, stated_cameras
+from .board_reading import Progress, read_camera_corners, stated_cameras
 
 Size = tuple[int, int]
 _NO_TOPICS: Mapping[str, str] = MappingProxyType({})
@@ -87,7 +87,7 @@ def read_camera_views(
     if Path(path).is_dir() and holds_corners(recording_folder(Path(path))):
         folder = recording_folder(Path(path))
         known = stated or _sized(folder, resolution, log)
-        cameras = corners_of(folder, known, Path(cam).name if cam else "the recording", board, log)
+        cameras = folder_corners(folder, known, Path(cam).name if cam else "the recording", board, log)
         return _recording(cameras, log), board
     suggested = {name: entry.camera.topic for name, entry in stated.items() if entry.camera.topic}
     images = open_images(path, topics=topics, suggested=suggested, units=log.units, cameras_alone=True)
@@ -99,7 +99,7 @@ def read_camera_views(
         known = stated_cameras(images, stated, Path(path), Path(cam).name, log.notes)
     tell = progress or (lambda _: None)
     found = {
-        name: corners_of_camera(
+        name: read_camera_corners(
             images, name, entry, board, lens_known=False, workers=workers, cache=cache, progress=tell
         )
         for name, entry in known.items()

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...detect.boards.board import BoardView
-from ...detect.boards.checkerboard_order import ambiguous_turns, renumbered
-from ...estimate.cameras.first_rig import first_rig, numbered_alike
-from ...estimate.cameras.holdout import at_poses, merged, posed
+from ...detect.boards.checkerboard_order import ambiguous_turns, renumber_view
+from ...estimate.cameras.first_rig import first_rig, number_views_alike
+from ...estimate.cameras.holdout import at_poses, held_out_residuals, merge_corners
 from ...estimate.cameras.information import chosen_views
-from ...estimate.cameras.layout import POSE, Layout
-from ...estimate.cameras.rig import Rig, RigSolution, SeenCorners, Views
+from ...estimate.cameras.layout import POSE, SharedLayout
+from ...estimate.cameras.rig import CameraRig, RigSolution, RigViews, SeenCorners
 from ...estimate.cameras.views import gathered_views
-from ...estimate.trust.clusters import left_out
+from ...estimate.trust.clusters import leave_clusters_out
 from ...findings import Finding, make_finding
 from ...models.camera import Camera
 from ...models.target import Target
@@ -43,24 +43,24 @@ class Start:
     nats : (u,) what each told of the lenses when it was chosen
     """
 
-    every: Views
-    rig: Rig
+    every: RigViews
+    rig: CameraRig
     used: Integers
     nats: Floats
 
     @property
-    def views(self) -> Views:
+    def views(self) -> RigViews:
         """The views that are used."""
         return self.every.where(self.used)
 
 
-def views_of(views: Views, name: str, most: int) -> Views:
+def select_views(views: RigViews, name: str, most: int) -> RigViews:
     """Return views of one camera alone, evenly spread over time and not more than `most`."""
     own = gathered_views({name: views.cameras[name]}, views.target)
     return own.where(np.unique(np.linspace(0, len(own) - 1, min(len(own), most)).round().astype(np.int64)))
 
 
-def started(views: Views, lenses: Mapping[str, Camera], most: int | None) -> Start:
+def first_rig_of_views(views: RigViews, lenses: Mapping[str, Camera], most: int | None) -> Start:
     """Return a first rig with lenses that are known about, and the most informative views for them.
 
     Parameters
@@ -74,7 +74,7 @@ def started(views: Views, lenses: Mapping[str, Camera], most: int | None) -> Sta
     InitialisationError
         If cameras share too few views.
     """
-    views = numbered_alike(views, lenses, _numberings(views.target))
+    views = number_views_alike(views, lenses, _numberings(views.target))
     rig = first_rig(views, {}, lenses)
     chosen = chosen_views(views, rig, most)
     return Start(every=views, rig=_of(rig, chosen.index), used=chosen.index, nats=chosen.nats)
@@ -86,15 +86,15 @@ def _numberings(target: Target) -> Integers:
     whole = BoardView(
         point=count, pixels=np.column_stack([count, count]).astype(np.float64), sigma_px=np.ones(len(count))
     )
-    return np.array([np.argsort(renumbered(whole, target, turns).pixels[:, 0]) for turns in ambiguous_turns(target)])
+    return np.array([np.argsort(renumber_view(whole, target, turns).pixels[:, 0]) for turns in ambiguous_turns(target)])
 
 
-def _of(rig: Rig, index: Integers) -> Rig:
+def _of(rig: CameraRig, index: Integers) -> CameraRig:
     """Return the rig of some of its views."""
     return replace(rig, R_cam0_target=rig.R_cam0_target[index], p_cam0_target=rig.p_cam0_target[index])
 
 
-def kept(solution: RigSolution) -> Views:
+def kept_views(solution: RigSolution) -> RigViews:
     """Return the views of a solution without the frames that it left out as misfits."""
     views = solution.views
     frame = np.full_like(views.frame, -1)
@@ -104,7 +104,7 @@ def kept(solution: RigSolution) -> Views:
     return replace(views, frame=frame)
 
 
-def unused(every: Views, solution: RigSolution) -> dict[str, SeenCorners]:
+def unused_residuals(every: RigViews, solution: RigSolution) -> dict[str, SeenCorners]:
     """Return the residuals of what a solution did not use, each view with the pose that suits it best.
 
     Parameters
@@ -116,16 +116,16 @@ def unused(every: Views, solution: RigSolution) -> dict[str, SeenCorners]:
     for number, seen in enumerate(solution.corners.values()):
         frame[np.isin(frame[:, number], seen.frame), number] = -1
     rest = np.flatnonzero((frame >= 0).any(axis=1))
-    return posed(replace(every, frame=frame).where(rest), solution.rig)
+    return held_out_residuals(replace(every, frame=frame).where(rest), solution.rig)
 
 
-def misfits(solution: RigSolution, others: Mapping[str, SeenCorners]) -> dict[str, Integers]:
+def misfit_frames(solution: RigSolution, others: Mapping[str, SeenCorners]) -> dict[str, Integers]:
     """Return the frames of each camera that fit badly as a whole, chosen or not.
 
     Parameters
     ----------
     solution : estimate
-    others : residuals of what it did not use, see `unused`
+    others : residuals of what it did not use, see `unused_residuals`
     """
     found: dict[str, Integers] = {}
     for name, seen in solution.corners.items():
@@ -134,7 +134,7 @@ def misfits(solution: RigSolution, others: Mapping[str, SeenCorners]) -> dict[st
     return found
 
 
-def other_size(every: Views, solution: RigSolution, bad: Mapping[str, Integers]) -> Finding | None:
+def other_size(every: RigViews, solution: RigSolution, bad: Mapping[str, Integers]) -> Finding | None:
     """Say that images of one camera have two sizes, where frames that fit badly would fit at another size.
 
     Parameters
@@ -155,7 +155,7 @@ def other_size(every: Views, solution: RigSolution, bad: Mapping[str, Integers])
         for factor in _SIZES:
             pixels = (frames.pixels + 0.5) / factor - 0.5
             scaled = replace(alone, cameras={**alone.cameras, name: replace(frames, pixels=pixels)})
-            _, middle = _middles(posed(scaled, solution.rig)[name])
+            _, middle = _middles(held_out_residuals(scaled, solution.rig)[name])
             count = int(np.sum(middle < _FITS * _usual(solution.corners[name])))
             if count >= fewest:
                 return make_finding(
@@ -200,7 +200,7 @@ class Unseen:
     rms_used_px: Mapping[str, float]
 
 
-def unseen(solution: RigSolution, cluster: Integers, board: tuple[str, ...]) -> Unseen:
+def cross_validate_views(solution: RigSolution, cluster: Integers, board: tuple[str, ...]) -> Unseen:
     """Leave out every fifth cluster of views in turn, and look at those left out as the others foresee them.
 
     What the others say alone follows from the sums of the views, without estimating anew.
@@ -211,19 +211,19 @@ def unseen(solution: RigSolution, cluster: Integers, board: tuple[str, ...]) -> 
     cluster : (v,) number of the cluster of each view
     board : what of its shape is estimated
     """
-    views, rig, parts = kept(solution), solution.rig, []
+    views, rig, parts = kept_views(solution), solution.rig, []
     fold = cluster % min(_FOLDS, int(cluster[-1]) + 1)
     every = {name: np.arange(len(camera.parameters)) for name, camera in rig.cameras.items()}
-    layout = Layout.of(rig.cameras, every, board, len(views.target))
+    layout = SharedLayout.of(rig.cameras, every, board, len(views.target))
     estimated = np.flatnonzero(np.isin(layout.names(rig.cameras), solution.names))
-    for number, move in enumerate(left_out(solution.sums.gathered(fold))):
+    for number, move in enumerate(leave_clusters_out(solution.sums.gathered(fold))):
         out = np.flatnonzero(fold == number)
         step = np.zeros(layout.size)
         step[estimated] = move
         without = layout.moved(_of(rig, out), np.zeros((len(out), POSE)), step)
         parts.append(at_poses(views.where(out), without))
     return Unseen(
-        rms_px={name: rms_of(merged([part[name] for part in parts])) for name in solution.corners},
+        rms_px={name: rms_of(merge_corners([part[name] for part in parts])) for name in solution.corners},
         rms_used_px={name: rms_of(seen) for name, seen in solution.corners.items()},
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...estimate.cameras.rig import RigSolution
-from ...estimate.trust.cluster_trust import trusted
+from ...estimate.trust.cluster_trust import robust_covariance
 from ...options import CameraOptions
 from ...recording import Floats
 from ...results.calibration import CameraCalibration
@@ -67,7 +67,7 @@ def check_baseline(options: CameraOptions, cameras: int) -> None:
         raise OptionError("baseline: it is the distance of cam1 from cam0, and this recording is of one camera.")
 
 
-def published(solution: RigSolution, options: CameraOptions) -> PublishedCameras:
+def publish_cameras(solution: RigSolution, options: CameraOptions) -> PublishedCameras:
     """Return what the estimate says, in frame "cam0"."""
     rig, known = solution.rig, options.baseline is not None
     length = float(np.linalg.norm(rig.T_cam_cam0[1, :3, 3])) if known else 1.0
@@ -90,7 +90,7 @@ def published(solution: RigSolution, options: CameraOptions) -> PublishedCameras
         by_baseline = options.baseline_sigma * metric / length
         ordinary += np.outer(by_baseline, by_baseline)
     sums = solution.sums.gathered(independent_views(solution))
-    found = trusted(
+    found = robust_covariance(
         sums,
         jacobian,
         names,

@@ -4,17 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...assess.priors import SCALARS, Evidence, Priors
+from ...assess.priors import SCALARS, Prior, Priors
 from ...errors import OptionError
 from ...estimate.multiposition.bias_changes import BiasChanges
 from ...estimate.multiposition.fit import Knowledge, MultiPositionFit, fit_multiposition
-from ...estimate.multiposition.leave_one_out import HeldOut, leave_one_out
-from ...estimate.multiposition.model import State
+from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors, leave_one_out
+from ...estimate.multiposition.model import MultiPositionState
 from ...estimate.multiposition.problem import MultiPositionProblem
 from ...estimate.multiposition.scaling import ImuEstimate, blocks_of_scalars, sensor_scalars
 from ...estimate.multiposition.steps import as_table, imu_models
-from ...estimate.multiposition.sums import free_jacobian, stretch_sums
-from ...estimate.trust.robust import clustered, memory
+from ...estimate.multiposition.sums import free_jacobian, segment_sums
+from ...estimate.trust.robust import correlation_time, group_into_clusters
 from ...options import ImuOptions
 from ...recording import Floats
 from ...results.trust import ModelStep
@@ -24,14 +24,14 @@ _OF_IMU = slice(0, 33)
 _FIXED_SIGMA = 1e-7  # of what the scaled parameters move a scalar by: as good as nothing
 
 
-def knowledge(
-    found: Evidence, problem: MultiPositionProblem, *, gravity_m_s2: float, latitude_deg: float | None
+def scaled_prior(
+    found: Prior, problem: MultiPositionProblem, *, gravity_m_s2: float, latitude_deg: float | None
 ) -> Knowledge | None:
     """Return the prior on the scaled parameters, or None where nothing is known."""
     if not found:
         return None
 
-    def at(state: State) -> tuple[Floats, Floats]:
+    def at(state: MultiPositionState) -> tuple[Floats, Floats]:
         """Return precision (30, 30) and information (30,) of theta at a state."""
         values, jacobian = sensor_scalars(
             state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=latitude_deg
@@ -51,7 +51,7 @@ def knowledge(
     return at
 
 
-def with_fixed(estimate: ImuEstimate, found: Evidence) -> ImuEstimate:
+def with_fixed(estimate: ImuEstimate, found: Prior) -> ImuEstimate:
     """Return the estimate with what was held fixed exactly where it was held, and certain."""
     held = np.flatnonzero(found.fixed[_OF_IMU])
     if not len(held):
@@ -101,15 +101,15 @@ class ChosenModel:
     """
 
     fit: MultiPositionFit
-    heldout: HeldOut
-    rivals: dict[str, HeldOut]
+    heldout: LeaveOneOutErrors
+    rivals: dict[str, LeaveOneOutErrors]
     steps: tuple[ModelStep, ...]
 
 
 def choose_model(
     problem: MultiPositionProblem,
     options: ImuOptions,
-    known: Evidence,
+    known: Prior,
     *,
     units: dict[str, str],
     gravity_m_s2: float,
@@ -120,7 +120,7 @@ def choose_model(
 
     `course` is how the accelerometer's bias changed, where that is known already.
     """
-    beforehand = knowledge(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
+    beforehand = scaled_prior(known, problem, gravity_m_s2=gravity_m_s2, latitude_deg=options.latitude)
 
     def fitted(*, g_sensitivity: bool, before: MultiPositionFit | None = None) -> MultiPositionFit:
         changes = (None, course) if before is None else before.changes
@@ -160,8 +160,10 @@ def _steps(
         fit.state, problem.accelerometer, problem.gyroscope, gravity_m_s2=gravity_m_s2, latitude_deg=None
     )
     jacobian = free_jacobian(fit, jacobian)
-    sums = stretch_sums(fit)
-    clusters = clustered(sums, memory(sums, jacobian, np.repeat(np.arange(5), [9, 3, 9, 3, 9])))[0][0]
+    sums = segment_sums(fit)
+    clusters = group_into_clusters(sums, correlation_time(sums, jacobian, np.repeat(np.arange(5), [9, 3, 9, 3, 9])))[0][
+        0
+    ]
     nominal, functions = _nominal(problem, units, gravity_m_s2), (fit.data.of_gyroscope, fit.data.of_accelerometer)
     steps = imu_models(clusters, fit.state, nominal, g_sensitivity=stated, functions=functions)
     return as_table(steps, jacobian, blocks_of_scalars(values), forced=stated is not None)

@@ -6,9 +6,9 @@ import numpy as np
 
 from ...assess.checks.signals import check_signal
 from ...detect.samples.noise import resting_noise
-from ...detect.samples.repair import repaired
+from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.rounding import rounding_variance
-from ...detect.samples.saturation import saturated
+from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.static import (
     resting_variances,
     runs_below,
@@ -25,7 +25,7 @@ from ...findings import Finding
 from ...options import ImuOptions
 from ...recording import Floats, ImuSamples, Integers, Piece, Poses, Recording, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
-from .preparation import PreparedImu, assumed, check_and_detect, refuse
+from .preparation import PreparedImu, assumption_finding, check_and_detect, raise_first_problem
 
 TOLERATED = frozenset({"attitudes", "gyroscope-silent"})
 """What the data doctor holds against a multi-position recording, and what does not matter here."""
@@ -79,7 +79,11 @@ def prepare_poses(recording: Recording, options: ImuOptions, checked: PreparedIm
         prepared = _from_pieces(next(iter(recording.imus.values())), recording.pieces, options)
     else:
         prepared = _from_rests(recording, options, checked)
-    said = () if not recording.pieces and recording.poses is None else tuple(map(assumed, recording.assumptions))
+    said = (
+        ()
+        if not recording.pieces and recording.poses is None
+        else tuple(map(assumption_finding, recording.assumptions))
+    )
     return replace(prepared, findings=(*prepared.findings, *said))
 
 
@@ -119,17 +123,19 @@ def _from_rests(recording: Recording, options: ImuOptions, checked: PreparedImu 
     name, samples = next(iter(recording.imus.items()))
     if checked is None:
         noticed, detection = check_and_detect(recording, name, options)
-        findings = (*noticed, *map(assumed, recording.assumptions))
+        findings = (*noticed, *map(assumption_finding, recording.assumptions))
     else:
         findings, detection = checked.findings, checked.rests
-    refuse(findings, tolerated=TOLERATED)
+    raise_first_problem(findings, tolerated=TOLERATED)
     if detection is None:
         raise DetectionError(
             f"the recording of {samples.accelerometer.duration_s:.1f} s is too short for windows of "
             f"{options.window_s:g} s. Let the sensor rest for 2 to 4 s in each attitude."
         )
     counted = options.time_base == "uniform"
-    accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
+    accelerometer, gyroscope = (
+        drop_repeated_timestamps(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
+    )
     origin = int(accelerometer.t_ns[0])
     t_s = time_base(accelerometer, origin, options.time_base).t_s
     t_gyro = time_base(gyroscope, origin, options.time_base).t_s if len(gyroscope) else np.empty(0)
@@ -153,7 +159,7 @@ def _from_rests(recording: Recording, options: ImuOptions, checked: PreparedImu 
         start_s=start_s,
         stop_s=stop_s,
         left_out=left_out,
-        rotations=_rotations(gyroscope, t_gyro, saturated(gyroscope, options.gyroscope_range), at_rest),
+        rotations=_rotations(gyroscope, t_gyro, saturated_samples(gyroscope, options.gyroscope_range), at_rest),
         findings=tuple(finding for finding in findings if finding.code not in {*TOLERATED, "intervals-left-out"}),
     )
 
@@ -235,9 +241,9 @@ def _from_pieces(samples: ImuSamples, pieces: tuple[Piece, ...], options: ImuOpt
         for triad, name in zip(triads, ("accelerometer", "gyroscope"), strict=False)
         for f in check_signal(triad, name)
     ]
-    refuse(findings, tolerated=TOLERATED)
+    raise_first_problem(findings, tolerated=TOLERATED)
     _refuse_reversed(accelerometer.t_ns, pieces)
-    clipped = saturated(accelerometer, options.accelerometer_range)
+    clipped = saturated_samples(accelerometer, options.accelerometer_range)
     intervals, names, left_out = _rest_of_each(triads, clipped, pieces, options)
     if not len(intervals):
         raise DetectionError(

@@ -11,10 +11,10 @@ from ...assess.checks.doctor import check_by_rests
 from ...assess.checks.protocol import find_imu_rests
 from ...assess.imu.threshold import RestDetection
 from ...detect.samples.noise import resting_noise
-from ...detect.samples.repair import repaired
+from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.repeats import repeated_stretches
 from ...detect.samples.rounding import rounding_variance, smallest_steps
-from ...detect.samples.saturation import saturated
+from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.time_base import TimeBase, time_base
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.multiposition.problem import TriadStream
@@ -33,8 +33,8 @@ from ...results.calibration import (
     Gravity,
     GyroscopeCalibration,
     ImuCalibration,
-    parameters,
-    rotated,
+    calibration_parameters,
+    rotate_imu,
 )
 from ...results.intervals import Booleans, StaticIntervals
 
@@ -64,7 +64,7 @@ def in_stated_frame(calibration: Calibration, frame: str, rests: Floats, sigmas:
     imu = calibration.imus["imu0"]
     means = rests[rows]
     sigma = sigmas[rows]
-    flat = np.concatenate([value.ravel() for _, value in parameters({"imu0": imu})])
+    flat = np.concatenate([value.ravel() for _, value in calibration_parameters({"imu0": imu})])
 
     def moved(x: Floats) -> Floats:
         """Parameters in the user's frame, from those in accel-x followed by the means of the poses."""
@@ -87,7 +87,7 @@ def in_stated_frame(calibration: Calibration, frame: str, rests: Floats, sigmas:
     )
     return replace(
         calibration,
-        imus={"imu0": rotated(imu, rotation)},
+        imus={"imu0": rotate_imu(imu, rotation)},
         frame="user",
         uncertainty=Covariance(names=calibration.uncertainty.names, matrix=jacobian @ noise @ jacobian.T),
     )
@@ -121,7 +121,7 @@ def _poses(text: str, intervals: int) -> tuple[Floats, list[int]]:
 def _unflattened(x: Floats, imu: ImuCalibration) -> list[Floats]:
     matrices: list[Floats] = []
     start = 0
-    for _, value in parameters({"imu0": imu}):
+    for _, value in calibration_parameters({"imu0": imu}):
         matrices.append(x[start : start + value.size].reshape(value.shape))
         start += value.size
     return matrices
@@ -218,7 +218,7 @@ def check_and_detect(
     return findings, next(iter(found), None)
 
 
-def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[str] = frozenset()) -> PreparedImu:
+def prepare_imu(recording: Recording, options: ImuOptions, *, tolerated: frozenset[str] = frozenset()) -> PreparedImu:
     """Check a recording and put its first IMU on its time base.
 
     Parameters
@@ -240,8 +240,8 @@ def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[s
     if len(recording.imus) > 1:
         assumptions += (f"the recording holds {len(recording.imus)} IMUs; {name} is the one that is calibrated.",)
     findings, rests = check_and_detect(recording, name, options)
-    findings += tuple(map(assumed, assumptions))
-    refuse(findings, tolerated=tolerated)
+    findings += tuple(map(assumption_finding, assumptions))
+    raise_first_problem(findings, tolerated=tolerated)
     if not len(samples.gyroscope):
         raise RecordingError(
             "the recording holds no gyroscope samples. "
@@ -250,13 +250,13 @@ def prepare(recording: Recording, options: ImuOptions, *, tolerated: frozenset[s
     return _on_time_base(samples, findings, rests, options)
 
 
-def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset()) -> None:
+def raise_first_problem(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset()) -> None:
     """Raise the first problem among what the data doctor found.
 
     Raises
     ------
     RecordingError, DetectionError
-        See `prepare`.
+        See `prepare_imu`.
     """
     for finding in findings:
         if finding.severity == "problem" and finding.code not in tolerated:
@@ -264,7 +264,7 @@ def refuse(findings: Iterable[Finding], *, tolerated: frozenset[str] = frozenset
             raise kind(str(finding))
 
 
-def assumed(sentence: str) -> Finding:
+def assumption_finding(sentence: str) -> Finding:
     """Return what a reader had to take for granted as a finding."""
     return make_finding("assumed", text=sentence)
 
@@ -316,7 +316,9 @@ def _on_time_base(
     samples: ImuSamples, findings: tuple[Finding, ...], rests: RestDetection | None, options: ImuOptions
 ) -> PreparedImu:
     counted = options.time_base == "uniform"
-    accelerometer, gyroscope = (repaired(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope))
+    accelerometer, gyroscope = (
+        drop_repeated_timestamps(one, counted=counted) for one in (samples.accelerometer, samples.gyroscope)
+    )
     origin = int(min(accelerometer.t_ns[0], gyroscope.t_ns[0]))
     accelerometer_time = time_base(accelerometer, origin, options.time_base)
     shared = np.array_equal(accelerometer.t_ns, gyroscope.t_ns)
@@ -327,8 +329,8 @@ def _on_time_base(
         gyroscope=gyroscope,
         accelerometer_time=accelerometer_time,
         gyroscope_time=gyroscope_time,
-        accelerometer_saturated=saturated(accelerometer, options.accelerometer_range),
-        gyroscope_saturated=saturated(gyroscope, options.gyroscope_range),
+        accelerometer_saturated=saturated_samples(accelerometer, options.accelerometer_range),
+        gyroscope_saturated=saturated_samples(gyroscope, options.gyroscope_range),
         findings=findings,
         rests=rests,
     )
@@ -377,7 +379,7 @@ def imu_calibration(estimate: ImuEstimate, prepared: PreparedImu) -> ImuCalibrat
     )
 
 
-def stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
+def weighted_stream(samples: TriadSamples, t_s: Floats, clipped: Booleans, still: StaticIntervals) -> TriadStream:
     """Return samples with their noise at rest, as estimation needs them."""
     of_means, of_increments = resting_noise(samples.values, still, samples.rate_hz)
     rounded = np.nan_to_num(smallest_steps(samples.values)) ** 2 / 12 / samples.rate_hz  # in motion it is white

@@ -9,7 +9,7 @@ import numpy as np
 from ...detect.samples.noise import resting_noise
 from ...detect.samples.steady import block_means, block_samples
 from ...errors import RecordingError
-from ...estimate.turntable.axis import AxisInSensor, Between, ForceBlocks, axis_in_sensor, linked
+from ...estimate.turntable.axis import AxisInSensor, Between, ForceBlocks, axis_in_sensor, link_parts
 from ...estimate.turntable.parts import TurntableData, TurntableParts
 from ...estimate.turntable.speeds import NO_SPEED, Speeds
 from ...findings import Finding
@@ -224,7 +224,7 @@ def _attitudes(cut: _Cut, means: Floats) -> tuple[Integers, tuple[AxisInSensor, 
         length = block_samples(stream.gyroscope)
         between = [_between(stream, int(cut.stop[i]), int(cut.start[j]), length) for i, j in pairwise(mine.tolist())]
         noise = cut.values(int(mine[0])).std(axis=0) / np.sqrt(length)
-        numbers = linked(means[mine] - cut.zero, cut.rate[mine], between, cut.zero, noise)
+        numbers = link_parts(means[mine] - cut.zero, cut.rate[mine], between, cut.zero, noise)
         pose[mine] = count + numbers
         count += int(numbers.max()) + 1
     if any(len(stream.accelerometer) < 2 for stream in cut.streams):

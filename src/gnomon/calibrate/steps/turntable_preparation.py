@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...assess.checks.signals import check_signal, check_stamps
-from ...detect.samples.repair import repaired
-from ...detect.samples.saturation import saturated
+from ...detect.samples.repair import drop_repeated_timestamps
+from ...detect.samples.saturation import saturated_samples
 from ...detect.samples.steady import block_samples, find_steady, largest_rate
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.turntable.parts import TurntableParts
@@ -119,16 +119,16 @@ def _streams(recordings: Sequence[Recording], options: TurntableOptions) -> tupl
                 raise RecordingError(str(finding))
         findings += [f for f in noticed if f.severity == "warning" and f.code not in _HARMLESS]
         findings += [f for f in recording.findings if f.severity != "good"]
-        gyroscope, accelerometer = repaired(imu.gyroscope), imu.accelerometer
+        gyroscope, accelerometer = drop_repeated_timestamps(imu.gyroscope), imu.accelerometer
         if len(accelerometer) > 1:
-            accelerometer = repaired(accelerometer)
+            accelerometer = drop_repeated_timestamps(accelerometer)
         origin = int(gyroscope.t_ns[0])
         streams.append(
             PlatterStream(
                 name=name,
                 gyroscope=gyroscope,
                 accelerometer=accelerometer,
-                saturated=saturated(gyroscope, options.gyroscope_range),
+                saturated=saturated_samples(gyroscope, options.gyroscope_range),
                 t_s=np.asarray((gyroscope.t_ns - origin) * 1e-9, dtype=np.float64),
                 force_t_s=np.asarray((accelerometer.t_ns - origin) * 1e-9, dtype=np.float64),
                 begin_s=begin_s,

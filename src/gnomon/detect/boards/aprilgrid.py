@@ -19,7 +19,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.corner_fit import CornerKind, fit_corners
-from ..corners.fitted_corners import CornerFits, joined
+from ..corners.fitted_corners import CornerFits, join_corner_fits
 from .board import NOT_WITH_NEIGHBOURS, BoardView, middle_of, nothing_seen
 from .marker_boards import (
     BORDER_PX,
@@ -30,23 +30,23 @@ from .marker_boards import (
     NEAR_BORDER,
     WINDOW,
     as_good_as,
-    inside,
-    once,
+    inside_image,
     quads_searched,
+    unrepeated_tags,
     view_of,
 )
 from .plane_map import LensGuess, PlaneMap
-from .quads import Search, search_scale
+from .quads import Search, quad_search_scale
 from .tag_places import (
     TAG,
-    added,
-    charted,
-    consistent,
+    consistent_additions,
+    consistent_corners,
     far_apart,
-    groups,
-    predictions,
+    group_tags,
+    locate_points,
+    map_points,
+    predict_points,
     shortest_side,
-    through,
 )
 from .tags import BITS, Tags, likeness_of, read_tags, square_to_quads
 
@@ -118,7 +118,7 @@ def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
     """Yield the tags that were read, as more and more ways to find them are tried."""
     for search, quads in quads_searched(image):
         tags = _read(image, quads, target)
-        if search == "coarse" and not _is_coarse_enough(tags, search_scale(image, search)):
+        if search == "coarse" and not _is_coarse_enough(tags, quad_search_scale(image, search)):
             continue
         yield search, tags
 
@@ -131,7 +131,7 @@ def _is_coarse_enough(tags: Tags, scale: float) -> bool:
 def _read(image: Grey, quads: Floats, target: Target) -> Tags:
     """Return the tags of the target in some quadrilaterals; a tag that was found twice once."""
     tags = read_tags(image, quads, border_bits=target.border_bits, first=target.first_tag, count=target.tags)
-    tags = tags.only(once(tags.number, tags.corners))
+    tags = tags.only(unrepeated_tags(tags.number, tags.corners))
     return replace(tags, number=tags.number - target.first_tag)
 
 
@@ -139,7 +139,7 @@ def _largest(image: Grey, target: Target, tags: Tags) -> "TagGrid | None":
     """Return the board that most tags make up; None where there are only single tags."""
     if not len(tags):
         return None
-    for members in groups(target, tags.number, tags.corners, _MOST_STARTS):
+    for members in group_tags(target, tags.number, tags.corners, _MOST_STARTS):
         board = TagGrid.grown(image, target, tags.number[members], tags.corners[members])
         if board.is_one:
             return board
@@ -157,7 +157,7 @@ def _kind(image: Grey, corners: Floats, target: Target) -> CornerKind:
     sides = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
     squares = TAG + np.sign(TAG - 0.5) * gap / 2
     points = np.concatenate([squares, 0.5 + sides * (0.5 + gap / 2), 0.5 + sides * (0.5 - border)])
-    places = through(square_to_quads(corners[:_ASKED]), points).astype(np.float32)
+    places = map_points(square_to_quads(corners[:_ASKED]), points).astype(np.float32)
     grey = cv2.remap(image, places[:, :, 0], places[:, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     square, light, dark = (middle_of(part.ravel()) for part in np.split(np.asarray(grey, np.float64), 3, axis=1))
     return "crossing" if square < (light + dark) / 2 else "tip"
@@ -171,7 +171,7 @@ class _Seen:
     fits: CornerFits
 
     def with_more(self, more: "_Seen") -> "_Seen":
-        return _Seen(number=np.concatenate([self.number, more.number]), fits=joined(self.fits, more.fits))
+        return _Seen(number=np.concatenate([self.number, more.number]), fits=join_corner_fits(self.fits, more.fits))
 
     @property
     def corners(self) -> Floats:
@@ -216,7 +216,7 @@ class TagGrid:
     def at(cls, image: Grey, target: Target, kind: CornerKind, places: Floats, contrast: float) -> "TagGrid":
         """Return the board whose tags are near places (n, 4, 2) [px], with this contrast in the image before."""
         grid = cls(image, target, kind)
-        within = inside(image, places, BORDER_PX)
+        within = inside_image(image, places, BORDER_PX)
         number = np.flatnonzero(within.any(axis=1))
         grid._expected = within.all(axis=1)
         grid.seen = grid._confirmed(number, places[number], np.full(len(number), contrast)) or grid.seen
@@ -236,7 +236,7 @@ class TagGrid:
         """Return where tags are by the corners around them, (k, 4, 2) [px]."""
         seen, points = self.seen, self._target.points[:, :2]
         found = points[self._points(seen.number)[seen.fits.good]]
-        return charted(found, seen.fits.pixels[seen.fits.good], points[self._points(number)]).reshape(-1, 4, 2)
+        return locate_points(found, seen.fits.pixels[seen.fits.good], points[self._points(number)]).reshape(-1, 4, 2)
 
     @property
     def is_one(self) -> bool:
@@ -286,13 +286,13 @@ class TagGrid:
         if len(seen.number) >= _FEWEST_FOR_CHART:
             expected = self._charted(missing[chosen])
         else:
-            places = predictions(self._target, seen.number, seen.corners, missing[chosen], TAG)
+            places = predict_points(self._target, seen.number, seen.corners, missing[chosen], TAG)
             expected = np.einsum("kn,knij->nij", near[:, chosen] / tellers[chosen], places)
-        visible = inside(self._image, expected, BORDER_PX).any(axis=1)
+        visible = inside_image(self._image, expected, BORDER_PX).any(axis=1)
         if not visible.any():
             return None
         number, expected, near = missing[chosen[visible]], expected[visible], near[:, chosen[visible]]
-        self._expected[number[inside(self._image, expected, BORDER_PX).all(axis=1)]] = True
+        self._expected[number[inside_image(self._image, expected, BORDER_PX).all(axis=1)]] = True
         contrasts = (seen.fits.white - seen.fits.black).reshape(-1, 4).mean(axis=1)
         contrast = (contrasts[:, None] * near).sum(axis=0) / near.sum(axis=0)
         return self._confirmed(number, expected, contrast)
@@ -342,8 +342,8 @@ class TagGrid:
         seen = self.seen
         near_border = (
             seen.fits.good
-            & ~inside(self._image, seen.fits.pixels, BORDER_PX)
-            & inside(self._image, seen.fits.pixels, 0)
+            & ~inside_image(self._image, seen.fits.pixels, BORDER_PX)
+            & inside_image(self._image, seen.fits.pixels, 0)
         )
         dropped[NEAR_BORDER] += int(np.count_nonzero(near_border))
         alike = self._alike(seen.fits, seen.fits)
@@ -353,18 +353,18 @@ class TagGrid:
         board = self._target.points[:, :2]
         through = self._plane_map(point, fits, lens or LensGuess())
         if through is None:
-            kept, most = consistent(board[point], fits.pixels, fits.sigma_px)
+            kept, most = consistent_corners(board[point], fits.pixels, fits.sigma_px)
             dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
             point, fits = point[kept], fits.only(kept)
         else:
             most = float(np.quantile(np.linalg.norm(through.residual_px, axis=1), _MOST))
         single, found = self._single(point, fits, dropped, through)
         if len(single):
-            point, fits = np.concatenate([point, single]), joined(fits, found)
-            kept = added(board[point], fits.pixels, fits.sigma_px, len(single), most)
+            point, fits = np.concatenate([point, single]), join_corner_fits(fits, found)
+            kept = consistent_additions(board[point], fits.pixels, fits.sigma_px, len(single), most)
             dropped[NOT_WITH_NEIGHBOURS] += int(np.count_nonzero(~kept))
             point, fits = point[kept], fits.only(kept)
-        kept = inside(self._image, fits.pixels, BORDER_PX)
+        kept = inside_image(self._image, fits.pixels, BORDER_PX)
         point, fits = point[kept], fits.only(kept)
         return view_of(self._image, point, board[point], fits, dropped, lens=lens, seen=through)
 
@@ -388,11 +388,11 @@ class TagGrid:
         if len(point) < _FEWEST_CORNERS:
             return found, more
         for number, corners in self._of_parts():
-            found, more = np.concatenate([found, self._points(np.array([number]))]), joined(more, corners)
+            found, more = np.concatenate([found, self._points(np.array([number]))]), join_corner_fits(more, corners)
         again = self._again(point, fits, through)
-        found, more = np.concatenate([found, again[0]]), joined(more, again[1])
+        found, more = np.concatenate([found, again[0]]), join_corner_fits(more, again[1])
         good = more.good & self._alike(more, fits)
-        dropped[COVERED] += int(np.count_nonzero(~good & inside(self._image, more.pixels, BORDER_PX)))
+        dropped[COVERED] += int(np.count_nonzero(~good & inside_image(self._image, more.pixels, BORDER_PX)))
         return found[good], more.only(good)
 
     def _of_parts(self) -> list[tuple[int, CornerFits]]:
@@ -417,12 +417,12 @@ class TagGrid:
             return point[:0], fits.only(np.empty(0, np.int64))
         corners = self._points(seen.number[tag])
         if through is None:
-            expected = charted(board[point], fits.pixels, board[corners])
+            expected = locate_points(board[point], fits.pixels, board[corners])
         else:
             expected = through.seen(board[corners], seen.corners[tag].reshape(-1, 2))
         expected = expected.reshape(-1, 4, 2)
         tried = np.square(expected - self._tried[seen.number[tag]]).sum(axis=2) < _SAME_PX**2
-        missing = left_out[tag] & ~tried & inside(self._image, expected, BORDER_PX)
+        missing = left_out[tag] & ~tried & inside_image(self._image, expected, BORDER_PX)
         if not missing.any():
             return point[:0], fits.only(np.empty(0, np.int64))
         found = self._fit(expected, missing)

@@ -19,10 +19,10 @@ from ...recording.images import Grey
 from ..corners.corner_fit import CornerKind
 from .aprilgrid import TagGrid, TagSearch, search_tags
 from .board import BoardView, middle_of
-from .checkerboard import reduced, search_scale
+from .checkerboard import checkerboard_search_scale, reduce_image
 from .optical_flow import carry_corners
 from .plane_map import LensGuess
-from .tag_places import charted
+from .tag_places import locate_points
 
 _SHIFT_SCALE = 4  # of the reduced image
 _FEWEST_TAGS = 6  # that are followed; fewer tell little of where the others are
@@ -73,7 +73,7 @@ class AprilGridTracker:
     def detect(self, image: Grey) -> BoardView:
         """Return the corners in the next image, (h, w) grey levels."""
         image = np.ascontiguousarray(image)
-        small = reduced(image, search_scale(image))
+        small = reduce_image(image, checkerboard_search_scale(image))
         followed = self._followed(image, small)
         if followed is not None and self._before is not None:
             grid, places = followed
@@ -119,7 +119,7 @@ class AprilGridTracker:
 
     def _carried(self, before: _Before, image: Grey, small: Grey) -> Floats | None:
         """Return where the tags are by the optical flow of some corners, (n, 4, 2) [px]; None where it is lost."""
-        scale, size = search_scale(image), (image.shape[1], image.shape[0])
+        scale, size = checkerboard_search_scale(image), (image.shape[1], image.shape[0])
         points, corners = self._points, before.places.reshape(-1, 2)
         seen = np.flatnonzero(np.repeat(before.seen, 4))
         few = seen[:: max(len(seen) // _FLOW_CORNERS, 1) | 1]
@@ -139,13 +139,13 @@ class AprilGridTracker:
         places = through.seen(points, guess)
         unknown = np.flatnonzero(~self._lens.knows(through, places))
         if len(unknown):
-            places[unknown] = charted(points[few[known]], now[known], points[unknown])
+            places[unknown] = locate_points(points[few[known]], now[known], points[unknown])
         return places.reshape(before.places.shape)
 
 
 def _shift(before: Grey, now: Grey) -> Floats:
     """Return how far most of the picture moved, (2,) [px of these images]; neighbouring tags look alike to the flow."""
-    first, second = (reduced(image, _SHIFT_SCALE).astype(np.float32) for image in (before, now))
+    first, second = (reduce_image(image, _SHIFT_SCALE).astype(np.float32) for image in (before, now))
     height, width = first.shape
     shift, _ = cv2.phaseCorrelate(first, second, cv2.createHanningWindow((width, height), cv2.CV_32F))
     return _SHIFT_SCALE * np.array(shift, dtype=np.float64)

@@ -13,8 +13,8 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 from .board import DIFFERS
-from .checkerboard import board_near, reduced, search_scale
-from .checkerboard_grid import completed
+from .checkerboard import board_near, checkerboard_search_scale, reduce_image
+from .checkerboard_grid import fill_grid
 from .discs import disc_lattices, find_discs
 from .lattice import Lattice, find_lattices, find_saddles
 from .quads import black_quads
@@ -240,16 +240,16 @@ def _checkerboard(images: Sequence[Grey]) -> tuple[tuple[int, int] | None, tuple
     whole: Counter[tuple[int, int]] = Counter()
     parts: list[tuple[int, int]] = []
     for image in images:
-        scale = search_scale(image)
+        scale = checkerboard_search_scale(image)
         for factor in {scale, max(scale // 2, 1)}:
-            small = reduced(image, factor)
+            small = reduce_image(image, factor)
             for lattice in find_lattices(small, find_saddles(small))[:1]:
                 grid = _trimmed(lattice)
                 size = (max(grid.shape[:2]), min(grid.shape[:2]))
                 if len(lattice) < _FEWEST_CORNERS or size[1] < 2:
                     continue
                 parts.append(size)
-                whole[size] += board_near(image, completed(grid * factor + (factor - 1) / 2)) is not None
+                whole[size] += board_near(image, fill_grid(grid * factor + (factor - 1) / 2)) is not None
     best = max(whole, key=lambda size: whole[size], default=None)
     return best if best is not None and whole[best] else None, max(
         parts, key=lambda size: size[0] * size[1], default=None
@@ -290,7 +290,7 @@ def circles_shown(images: Sequence[Grey]) -> str:
     """Return what grid of circles most images show, such as "a circle grid of 8 x 6"; "" where there is none."""
     found: Counter[str] = Counter()
     for image in images:
-        small = reduced(image, max(int(np.ceil(np.sqrt(image.size / _LARGE_PX))), 1))
+        small = reduce_image(image, max(int(np.ceil(np.sqrt(image.size / _LARGE_PX))), 1))
         for picture in (small, np.asarray(cv2.bitwise_not(small), np.uint8)):
             lattices = disc_lattices(find_discs(picture))
             words = _grid(lattices[0].place) if lattices and len(lattices[0]) >= _FEWEST_DISCS else ""

@@ -20,7 +20,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
-from ..corners.fitted_corners import CornerFits, joined
+from ..corners.fitted_corners import CornerFits, join_corner_fits
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
 from .charuco_lattice import corners_by_lattice
 from .marker_boards import (
@@ -32,14 +32,14 @@ from .marker_boards import (
     NEAR_BORDER,
     WINDOW,
     as_good_as,
-    inside,
-    once,
+    inside_image,
     quads_searched,
+    unrepeated_tags,
     view_of,
 )
 from .plane_map import plane_map
 from .quads import Search
-from .tag_places import charted, connected, consistent, once_each, shortest_side, through
+from .tag_places import connected_tags, consistent_corners, locate_points, map_points, once_each, shortest_side
 from .tags import Tags, read_markers, square_to_quads
 
 _FEW_CORNERS = 12  # with fewer of them, they are also sought as a lattice
@@ -96,7 +96,7 @@ def _searched(image: Grey, target: Target) -> Iterator[tuple[Search, Tags]]:
     count = len(_layout(target).marker_corners)
     for search, quads in quads_searched(image):
         found = read_markers(image, quads, target.dictionary, first=target.first_tag, count=count)
-        kept = once(found.number, found.corners)
+        kept = unrepeated_tags(found.number, found.corners)
         if kept.any():
             yield search, found.only(kept)
 
@@ -190,12 +190,12 @@ def _groups(layout: _Layout, number: Integers, corners: Floats, H: Floats) -> li
     A marker that is twice in a group is there once, as more of the others say.
     """
     middles = layout.marker_corners[number].mean(axis=1)
-    told = through(H, np.broadcast_to(middles, (len(H), *middles.shape)))
+    told = map_points(H, np.broadcast_to(middles, (len(H), *middles.shape)))
     apart = np.linalg.norm(told - corners.mean(axis=1), axis=2)
     distance = np.linalg.norm(middles[:, None] - middles, axis=2)
     agrees = (apart < _APART_PX + _APART * shortest_side(corners) * distance) & (distance > 0) & (distance < _REACH)
     agrees &= agrees.T
-    group = connected(agrees)
+    group = connected_tags(agrees)
     found = [once_each(np.flatnonzero(group == name), number, agrees) for name in np.unique(group).tolist()]
     return sorted(found, key=len, reverse=True)
 
@@ -211,7 +211,7 @@ def _next_to_markers(image: Grey, target: Target, number: Integers, H: Floats) -
     share = weight[:, asked] / weight[:, asked].sum(axis=0)
 
     def told(points: Floats) -> Floats:
-        return np.einsum("kn,knj->nj", share, through(H, np.broadcast_to(points, (len(H), *points.shape))))
+        return np.einsum("kn,knj->nj", share, map_points(H, np.broadcast_to(points, (len(H), *points.shape))))
 
     points = layout.points[asked]
     fits = _fit(image, target, asked, (told(points), told(points + _RIGHT), told(points + _UP)))
@@ -231,7 +231,7 @@ def _charted(
     image: Grey, target: Target, number: Integers, points: Floats, pixels: Floats
 ) -> tuple[Integers, CornerFits] | None:
     """Return the fits of corners that are known to a pixel or two; None where there are too few."""
-    right, up = np.split(charted(points, pixels, np.concatenate([points + _RIGHT, points + _UP])), 2)
+    right, up = np.split(locate_points(points, pixels, np.concatenate([points + _RIGHT, points + _UP])), 2)
     return _bright(number, _fit(image, target, number, (pixels, right, up)))
 
 
@@ -289,13 +289,13 @@ def _grown(image: Grey, target: Target, number: Integers, fits: CornerFits, *, s
         asked[chosen] = tellers[chosen]
         points = layout.points[chosen]
         three = np.concatenate([points, points + _RIGHT, points + _UP])
-        places = np.stack(np.split(charted(layout.points[number], fits.pixels, three), 3))
-        visible = inside(image, places[0], BORDER_PX)
+        places = np.stack(np.split(locate_points(layout.points[number], fits.pixels, three), 3))
+        visible = inside_image(image, places[0], BORDER_PX)
         expected_inside[chosen] = visible
         more = _fit(image, target, chosen[visible], (places[0, visible], places[1, visible], places[2, visible]))
         contrast = float(np.median(fits.white - fits.black))
         good = more.good & (more.white - more.black > CONTRAST * contrast)
-        number, fits = np.concatenate([number, chosen[visible][good]]), joined(fits, more.only(good))
+        number, fits = np.concatenate([number, chosen[visible][good]]), join_corner_fits(fits, more.only(good))
     expected_inside[number] = False
     return _Board(
         number=number,
@@ -323,16 +323,16 @@ def _again(
     if not len(asked) or len(number) < _FEWEST_CORNERS or not _spread(board[number]):
         return found
     points = board[asked]
-    three = charted(board[number], fits.pixels, np.concatenate([points, points + _RIGHT, points + _UP]))
+    three = locate_points(board[number], fits.pixels, np.concatenate([points, points + _RIGHT, points + _UP]))
     expected, right, up = np.split(three, 3)
     more = _fit(image, target, asked, (expected, right, up))
-    good = more.good & inside(image, more.pixels, BORDER_PX) & _alike(more, fits)
-    return np.concatenate([number, asked[good]]), joined(fits, more.only(good))
+    good = more.good & inside_image(image, more.pixels, BORDER_PX) & _alike(more, fits)
+    return np.concatenate([number, asked[good]]), join_corner_fits(fits, more.only(good))
 
 
 def _where_they_belong(points: Floats, fits: CornerFits, size: tuple[int, int]) -> Booleans:
     """Return which corners are where those around them say, or a smooth map through those that are (wide lenses)."""
-    kept, _ = consistent(points, fits.pixels, fits.sigma_px)
+    kept, _ = consistent_corners(points, fits.pixels, fits.sigma_px)
     if kept.all() or np.count_nonzero(kept) < _FEWEST_FOR_MAP:
         return kept
     seen = plane_map(points[kept], fits.pixels[kept], size)
@@ -345,7 +345,7 @@ def _view(image: Grey, target: Target, board: _Board) -> BoardView:
     number, fits = board.number, board.fits
     points = _layout(target).points
     dropped = Counter[str]({NOT_WITH_NEIGHBOURS: 2 * board.strange, COVERED: board.missed})
-    whole = inside(image, fits.pixels, BORDER_PX)
+    whole = inside_image(image, fits.pixels, BORDER_PX)
     dropped[NEAR_BORDER] += int(np.count_nonzero(~whole))
     number, fits = number[whole], fits.only(whole)
     alike = _alike(fits, fits)

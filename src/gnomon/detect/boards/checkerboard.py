@@ -21,7 +21,7 @@ from ...recording import Floats
 from ...recording.images import Grey
 from ..corners.corner_fit import fit_corners
 from .board import BoardView, middle_of, nothing_seen
-from .checkerboard_grid import Board, board_at, boards_in, completed, steps
+from .checkerboard_grid import CheckerboardGrid, board_at, boards_in, fill_grid, grid_steps
 from .lattice import Lattice, find_lattices, find_saddles
 from .marker_boards import BORDER_PX, COVERED, NEAR_BORDER, view_of
 from .optical_flow import carry_corners
@@ -53,14 +53,14 @@ def detect_checkerboard(image: Grey, target: Target) -> BoardView:
     target : the checkerboard
     """
     board = find_board(image, target)
-    return nothing_seen() if board is None else measured(image, board)
+    return nothing_seen() if board is None else measure_corners(image, board)
 
 
-def find_board(image: Grey, target: Target) -> Board | None:
+def find_board(image: Grey, target: Target) -> CheckerboardGrid | None:
     """Return the board with its corners to about a tenth of a pixel; None where it was not found."""
-    scale = search_scale(image)
+    scale = checkerboard_search_scale(image)
     while scale >= 1:
-        small = reduced(image, scale)
+        small = reduce_image(image, scale)
         lattices = find_lattices(small, find_saddles(small))
         for lattice in lattices[:2]:
             board = _board_of(image, lattice, scale, target)
@@ -77,7 +77,7 @@ def _asks_for_more(lattice: Lattice) -> bool:
     return len(lattice) >= _EVIDENCE and lattice.spacing_px < _FINER_PX
 
 
-def search_scale(image: Grey) -> int:
+def checkerboard_search_scale(image: Grey) -> int:
     """Return the factor by which an image is reduced for the search."""
     scale = 1
     while max(image.shape) > _SEARCH_WIDTH * scale and min(image.shape) > _SEARCH_WIDTH * scale // 2:
@@ -85,7 +85,7 @@ def search_scale(image: Grey) -> int:
     return scale
 
 
-def reduced(image: Grey, scale: int) -> Grey:
+def reduce_image(image: Grey, scale: int) -> Grey:
     """Return the image, its height and width over a whole number."""
     if scale == 1:
         return image
@@ -94,15 +94,15 @@ def reduced(image: Grey, scale: int) -> Grey:
     return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _board_of(image: Grey, lattice: Lattice, scale: int, target: Target) -> Board | None:
+def _board_of(image: Grey, lattice: Lattice, scale: int, target: Target) -> CheckerboardGrid | None:
     for found in boards_in(lattice, target.rows, target.cols):
-        board = board_near(image, completed(found * scale + (scale - 1) / 2))
+        board = board_near(image, fill_grid(found * scale + (scale - 1) / 2))
         if board is not None:
             return board.in_order()
     return None
 
 
-def board_near(image: Grey, grid: Floats | None) -> Board | None:
+def board_near(image: Grey, grid: Floats | None) -> CheckerboardGrid | None:
     """Return the board whose corners are near a grid."""
     grid = None if grid is None else _refined(image, grid)
     return None if grid is None else board_at(image, grid)
@@ -128,13 +128,13 @@ def _refined(image: Grey, grid: Floats) -> Floats | None:
 
 def _square_heights(grid: Floats) -> Floats:
     """Return the least distance of opposite sides of the squares at each corner, (rows, cols) [px]."""
-    along_rows, along_cols = steps(grid)
+    along_rows, along_cols = grid_steps(grid)
     area = np.abs(along_rows[..., 0] * along_cols[..., 1] - along_rows[..., 1] * along_cols[..., 0])
     longest = np.maximum(np.linalg.norm(along_rows, axis=2), np.linalg.norm(along_cols, axis=2))
     return area / np.maximum(longest, 1e-9)
 
 
-def measured(image: Grey, board: Board, lens: LensGuess | None = None) -> BoardView:
+def measure_corners(image: Grey, board: CheckerboardGrid, lens: LensGuess | None = None) -> BoardView:
     """Measure the corners to sub-pixel accuracy, and leave out those that cannot be trusted.
 
     Parameters
@@ -144,7 +144,7 @@ def measured(image: Grey, board: Board, lens: LensGuess | None = None) -> BoardV
     lens : from the image before
     """
     grid = board.grid
-    along_rows, along_cols = steps(grid)
+    along_rows, along_cols = grid_steps(grid)
     height = _square_heights(grid).ravel()
     guess = np.ascontiguousarray(grid.reshape(-1, 2))
     dropped: Counter[str] = Counter()
@@ -184,23 +184,23 @@ class CheckerboardTracker:
     def __init__(self, target: Target) -> None:
         self._target = target
         self._small: Grey | None = None
-        self._board: Board | None = None
+        self._board: CheckerboardGrid | None = None
         self._lens = LensGuess()
         self._move: Floats | float = 0.0
         self._since_search = 0
 
     def detect(self, image: Grey) -> BoardView:
         """Return the corners in the next image, (h, w) grey levels."""
-        small = reduced(image, search_scale(image))
+        small = reduce_image(image, checkerboard_search_scale(image))
         before, board = self._board, self._followed(image, small)
         self._since_search += 1
         if board is None or self._since_search > _SEARCH_EVERY:
             board = self._searched(image, board)
         self._move = 0.0 if board is None or before is None else board.grid - before.grid
         self._small, self._board = small, board
-        return nothing_seen() if board is None else measured(image, board, self._lens)
+        return nothing_seen() if board is None else measure_corners(image, board, self._lens)
 
-    def _searched(self, image: Grey, followed: Board | None) -> Board | None:
+    def _searched(self, image: Grey, followed: CheckerboardGrid | None) -> CheckerboardGrid | None:
         """Return the board as a search finds it, numbered as the one that was followed where both agree."""
         self._since_search = 0
         found = find_board(image, self._target)
@@ -208,19 +208,19 @@ class CheckerboardTracker:
             return found
         return followed
 
-    def _followed(self, image: Grey, small: Grey) -> Board | None:
+    def _followed(self, image: Grey, small: Grey) -> CheckerboardGrid | None:
         """Return the board of the image before where it is now; None where that is not certain."""
         before = self._board
         if before is None or self._small is None or self._small.shape != small.shape:
             return None
-        scale = search_scale(image)
+        scale = checkerboard_search_scale(image)
         corners = before.grid.reshape(-1, 2)
         guess = (before.grid + self._move).reshape(-1, 2)
         now, carried = carry_corners(self._small, small, corners, guess, scale)
         if carried.mean() < _FOLLOWED:
             return None
         places = np.where(carried[:, None], now, np.nan)
-        grid = completed(places.reshape(before.grid.shape))
+        grid = fill_grid(places.reshape(before.grid.shape))
         board = board_near(image, grid)
         if grid is None or board is None or board.dark != before.dark:
             return None

@@ -25,7 +25,7 @@ _WAYS = _INTO_SQUARE * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])[:, :, None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Board:
+class CheckerboardGrid:
     """A checkerboard in an image.
 
     Attributes
@@ -47,13 +47,13 @@ class Board:
         lines = (self.clear[0], self.clear[-1], self.clear[:, 0], self.clear[:, -1])
         return self.clear.mean() > _CLEAR_SHARE and all(line.mean() > _CLEAR_SHARE_OF_LINE for line in lines)
 
-    def in_order(self) -> "Board":
+    def in_order(self) -> "CheckerboardGrid":
         """Return the board turned such that its first square between corners is black, where a turn can make it so."""
         rows, cols = self.grid.shape[:2]
         if self.dark or not ((rows + cols) % 2 or (rows == cols and rows % 2)):
             return self
         turns = 2 if (rows + cols) % 2 else 1
-        return Board(
+        return CheckerboardGrid(
             grid=np.rot90(self.grid, turns),
             clear=np.rot90(self.clear, turns),
             known=np.rot90(self.known, turns),
@@ -79,7 +79,7 @@ def boards_in(lattice: Lattice, rows: int, cols: int) -> list[Floats]:
     return [grid for _, _, grid in sorted(trials, key=lambda trial: trial[:2])[:_TRIALS]]
 
 
-def completed(grid: Floats) -> Floats | None:
+def fill_grid(grid: Floats) -> Floats | None:
     """Return the grid with its gaps filled from the neighbours, (rows, cols, 2); None where that cannot be done.
 
     Corners that do not lie where their neighbours say are replaced, too.
@@ -127,7 +127,7 @@ def _medians(values: Floats) -> Floats:
     return np.take_along_axis(ordered, place, axis=0)[0]
 
 
-def steps(grid: Floats) -> tuple[Floats, Floats]:
+def grid_steps(grid: Floats) -> tuple[Floats, Floats]:
     """Return the steps to the next row and to the next column at each corner, (rows, cols, 2) each [px]."""
     return _steps(grid), _steps(grid.swapaxes(0, 1)).swapaxes(0, 1)
 
@@ -149,7 +149,7 @@ def _right_handed(grid: Floats) -> Floats:
     return grid if turn < 0 else grid[::-1]
 
 
-def board_at(image: Grey, grid: Floats) -> Board | None:
+def board_at(image: Grey, grid: Floats) -> CheckerboardGrid | None:
     """Return the board whose corners are a grid (rows, cols, 2), mirrored if need be; None where there is none.
 
     A board's squares alternate, its lines run without a break, and the crossings do not go on beside it.
@@ -174,7 +174,7 @@ def board_at(image: Grey, grid: Floats) -> Board | None:
         known[line].mean() > 0.5 and clear[line].sum() > _GOES_ON * known[line].sum()
         for line in (np.s_[0, 1:-1], np.s_[-1, 1:-1], np.s_[1:-1, 0], np.s_[1:-1, -1])
     )
-    board = Board(grid=grid, clear=clear[inside], known=known[inside], dark=difference > 0)
+    board = CheckerboardGrid(grid=grid, clear=clear[inside], known=known[inside], dark=difference > 0)
     return board if contrast > _LEAST_CONTRAST and board.complete and not goes_on else None
 
 
@@ -185,7 +185,7 @@ def _levels(image: Grey, grid: Floats) -> tuple[Booleans, Floats, Floats]:
     (2, rows, cols) each: of one colour throughout the board, the first pair black where the square before corner
     (0, 0) is.
     """
-    along_rows, along_cols = steps(grid)
+    along_rows, along_cols = grid_steps(grid)
     rows, cols = grid.shape[:2]
     whole = np.rint(grid + _WAYS[:, 0] * along_rows + _WAYS[:, 1] * along_cols).astype(np.int64)
     limits = np.array([image.shape[1] - 1, image.shape[0] - 1])

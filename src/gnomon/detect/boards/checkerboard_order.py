@@ -100,7 +100,7 @@ def consistent_order(
         turns[seen], piece[seen], probability = _followed(rotations, np.asarray(t_ns, np.int64)[seen], ways, turned)
     turns = _lengthwise(views, target, turns, piece)
     return OrderedViews(
-        views=tuple(renumbered(view, target, int(turn)) for view, turn in zip(views, turns, strict=True)),
+        views=tuple(renumber_view(view, target, int(turn)) for view, turn in zip(views, turns, strict=True)),
         turns=turns,
         piece=piece,
         probability=np.array(probability),
@@ -147,7 +147,7 @@ def ambiguous_turns(target: Target) -> tuple[int, ...]:
     return (0, 2) if target.rows % 2 else (0, 1, 2, 3)
 
 
-def renumbered(view: BoardView, target: Target, turns: int) -> BoardView:
+def renumber_view(view: BoardView, target: Target, turns: int) -> BoardView:
     """Return the view with its numbers counted from another end of the board, `turns` quarter turns on.
 
     Afterwards the board's axes are turned by so many quarters about its normal: R_cam_target becomes
@@ -238,7 +238,7 @@ def _lengthwise(views: Sequence[BoardView], target: Target, turns: Integers, pie
     turns = turns.copy()
     for number in range(int(piece.max(initial=-1)) + 1):
         those = np.flatnonzero(piece == number)
-        stretch = np.mean([_stretch(renumbered(views[int(i)], target, int(turns[i])), target) for i in those])
+        stretch = np.mean([_stretch(renumber_view(views[int(i)], target, int(turns[i])), target) for i in those])
         if stretch * stated < 0:
             turns[those] += 1
     return turns % 4

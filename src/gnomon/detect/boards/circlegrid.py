@@ -18,7 +18,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ...recording.images import Grey
 from .board import NOT_WITH_NEIGHBOURS, BoardView, nothing_seen
-from .checkerboard import reduced
+from .checkerboard import reduce_image
 from .disc_fit import DiscFits, fit_discs
 from .discs import Discs, disc_lattices, find_discs, grids_in
 from .marker_boards import COVERED, as_good_as
@@ -75,7 +75,7 @@ def _found(image: Grey, target: Target, light: bool) -> BoardView:
         image = np.asarray(cv2.bitwise_not(image), np.uint8)
     scale = max(int(np.ceil(np.sqrt(image.size / _LARGE_IMAGE_PX))), 1)
     while scale >= 1:
-        discs = find_discs(reduced(image, scale))
+        discs = find_discs(reduce_image(image, scale))
         for lattice in disc_lattices(discs)[:2]:
             for node in grids_in(lattice, target)[:1]:
                 there = np.flatnonzero(node >= 0)
@@ -126,7 +126,7 @@ def _fitted(image: Grey, discs: Discs) -> DiscFits:
     half = np.sqrt(np.linalg.eigvalsh(discs.shape)[:, 1])
     scale = max(int(np.ceil(np.median(half) / _LARGEST_PX)), 1)
     pixels, shape = (discs.pixels + 0.5) / scale - 0.5, discs.shape / scale**2
-    fits = fit_discs(reduced(image, scale), pixels, shape, _reach(discs))
+    fits = fit_discs(reduce_image(image, scale), pixels, shape, _reach(discs))
     return replace(
         fits,
         pixels=(fits.pixels + 0.5) * scale - 0.5,

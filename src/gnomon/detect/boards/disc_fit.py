@@ -16,8 +16,8 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ...recording.images import Grey
-from ..corners.corner_windows import Singles, normal_distribution, packed
-from ..corners.fitted_corners import PointFits, damp
+from ..corners.corner_windows import Singles, normal_distribution, pack_rows
+from ..corners.fitted_corners import PointFits, damp_diagonals
 
 _PARAMETERS = 10
 _ITERATIONS, _CONVERGED_PX, _MOST = 6, 0.01, 0.9  # the next step would be its square
@@ -96,7 +96,7 @@ def _gathered(image: Grey, middle: Integers, centre: Floats, B: Floats, reach: f
     d = (1 - q) / slope
     u, v = middle[:, :1] + x, middle[:, 1:] + y
     chosen = (np.abs(d) < _BAND_PX) & (q < reach) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    index, weight = packed(chosen)
+    index, weight = pack_rows(chosen)
     u, v = np.take_along_axis(u, index, 1).clip(0, width - 1), np.take_along_axis(v, index, 1).clip(0, height - 1)
     return _Windows(
         values=image[v, u].astype(np.float32),
@@ -171,7 +171,7 @@ def _step(normal: Floats) -> Floats:
 
 def _damped(normal: Floats) -> Floats:
     matrix = normal[:, :-1, :-1].copy()
-    damp(matrix)
+    damp_diagonals(matrix)
     return matrix
 
 

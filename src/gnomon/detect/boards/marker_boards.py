@@ -10,7 +10,7 @@ from ...recording import Floats, Integers
 from ...recording.images import Grey
 from ..corners.fitted_corners import CornerFits, PointFits
 from .board import BoardView, middle_of, nothing_seen
-from .plane_map import LensGuess, PlaneMap, corrected
+from .plane_map import LensGuess, PlaneMap, correct_corners
 from .quads import LARGE_IMAGE_PX, Search, black_quads
 
 BORDER_PX = 5.0
@@ -45,7 +45,7 @@ def quads_searched(image: Grey) -> Iterator[tuple[Search, Floats]]:
             yield search, quads
 
 
-def once(number: Integers, corners: Floats) -> Booleans:
+def unrepeated_tags(number: Integers, corners: Floats) -> Booleans:
     """Return which of tags (k,) with corners (k, 4, 2) [px] are no second finding of one before, in the same place."""
     middle = corners.mean(axis=1)
     apart = np.linalg.norm(middle[:, None] - middle, axis=2)
@@ -53,7 +53,7 @@ def once(number: Integers, corners: Floats) -> Booleans:
     return ~same.any(axis=1)
 
 
-def inside(image: Grey, pixels: Floats, margin_px: float) -> Booleans:
+def inside_image(image: Grey, pixels: Floats, margin_px: float) -> Booleans:
     """Return which places (..., 2) are in the image and not nearer to its border than a margin [px]."""
     height, width = image.shape
     x, y = pixels[..., 0], pixels[..., 1]
@@ -95,7 +95,7 @@ def view_of(
         seen = (lens or LensGuess()).plane_map(places[order], fits.pixels, size)
     return BoardView(
         point=point[order],
-        pixels=corrected(fits, size, seen),
+        pixels=correct_corners(fits, size, seen),
         sigma_px=fits.sigma_px,
         blur_px=middle_of(fits.blur_px),
         black=middle_of(fits.black),

@@ -24,7 +24,7 @@ import numpy as np
 from ...models.camera import Booleans
 from ...recording import Floats
 from ..corners.fitted_corners import CornerFits
-from .tag_places import homography, through
+from .tag_places import fit_homography, map_points
 
 _TERMS = ((36, 5), (20, 4), (0, 3))  # of g, for so many points; more of them go astray beyond the points
 _ITERATIONS = 12
@@ -143,8 +143,8 @@ def through_lens(points: Floats, pixels: Floats, size: tuple[int, int], lens: Pl
     g, slope = _polynomial(known[9:-2], s)
     g = np.maximum(g, _LEAST_G)
     straight = axis + away / g[:, None]
-    H = homography(plane, straight)
-    apart = straight - through(H[None], plane)[0]
+    H = fit_homography(plane, straight)
+    apart = straight - map_points(H[None], plane)[0]
     # to first order: by the inverse of the derivatives of away / g
     stretch = 2 * slope / np.maximum(g - 2 * s * slope, _LEAST_G)
     residual = g[:, None] * (apart + (stretch * (away * apart).sum(axis=1))[:, None] * away)
@@ -315,7 +315,7 @@ class LensGuess:
         return seen.from_axis(pixels) < _BEYOND * self._reach
 
 
-def corrected(fits: CornerFits, size: tuple[int, int], seen: PlaneMap | None) -> Floats:
+def correct_corners(fits: CornerFits, size: tuple[int, int], seen: PlaneMap | None) -> Floats:
     """Return where the corners are, (m, 2) [px], without what bent edges and uneven light did to their fits.
 
     Parameters

@@ -57,7 +57,7 @@ _SEARCHES: dict[Search, _Search] = {
 }
 
 
-def search_scale(image: Grey, search: Search) -> float:
+def quad_search_scale(image: Grey, search: Search) -> float:
     """Return at what part of its resolution an image is looked through."""
     scale = _SEARCHES[search].scale
     return scale / 2 if image.size > LARGE_IMAGE_PX else scale
@@ -72,7 +72,7 @@ def black_quads(image: Grey, search: Search = "usual") -> Floats:
     search : "coarse" looks at half of the resolution, which is fast and finds large ones; "motion" finds those in
         images that are blurred by motion, or faint; "small" looks at twice the resolution
     """
-    how, scale = _SEARCHES[search], search_scale(image, search)
+    how, scale = _SEARCHES[search], quad_search_scale(image, search)
     if min(image.shape) * scale < 2 * _SHORTEST_SIDE_PX:
         return np.empty((0, 4, 2))
     if scale != 1:

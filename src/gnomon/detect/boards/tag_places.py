@@ -21,7 +21,7 @@ _FAR_ADDED = 3.0  # the same of a corner that was added, in what is far for nine
 _FAR_CORNER_PX, _FAR_CORNER, _SIGMAS = 0.2, 6.0, 4.0  # how far from there it may be: px, typical distances, sigmas
 
 
-def through(homographies: Floats, points: Floats) -> Floats:
+def map_points(homographies: Floats, points: Floats) -> Floats:
     """Return points (n, 2), or (k, n, 2), mapped by homographies (k, 3, 3), (k, n, 2)."""
     x, y = points[..., 0], points[..., 1]
     H = homographies[:, None]
@@ -37,7 +37,7 @@ def shortest_side(corners: Floats) -> Floats:
     return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
 
 
-def predictions(target: Target, by: Integers, corners: Floats, of: Integers, points: Floats) -> Floats:
+def predict_points(target: Target, by: Integers, corners: Floats, of: Integers, points: Floats) -> Floats:
     """Return where points of tags should be by what each of some others says, (k, n, p, 2).
 
     Parameters
@@ -52,7 +52,7 @@ def predictions(target: Target, by: Integers, corners: Floats, of: Integers, poi
 def _as_told(target: Target, by: Integers, of: Integers, H: Floats, points: Floats) -> Floats:
     right, up = _steps(target, by, of)
     local = (1 + target.tag_spacing) * np.stack([right, up], axis=-1)[:, :, None, :] + points
-    return through(H, local.reshape(len(by), -1, 2)).reshape(len(by), len(of), -1, 2)
+    return map_points(H, local.reshape(len(by), -1, 2)).reshape(len(by), len(of), -1, 2)
 
 
 def far_apart(target: Target, by: Integers, of: Integers) -> Integers:
@@ -66,24 +66,24 @@ def _steps(target: Target, by: Integers, of: Integers) -> tuple[Integers, Intege
     return other_col - col[:, None], other_row - row[:, None]
 
 
-def groups(target: Target, number: Integers, corners: Floats, most: int) -> list[Integers]:
+def group_tags(target: Target, number: Integers, corners: Floats, most: int) -> list[Integers]:
     """Return which tags agree with each other on where they are: so many groups of indices at most, the largest first.
 
     A tag that is twice in a group is there once, as more of the others say.
     """
     distance = far_apart(target, number, number)
     H = square_to_quads(corners)
-    apart = _as_told(target, number, number, H, _MIDDLE)[:, :, 0] - through(H, _MIDDLE)[:, 0]
+    apart = _as_told(target, number, number, H, _MIDDLE)[:, :, 0] - map_points(H, _MIDDLE)[:, 0]
     apart = np.hypot(apart[..., 0], apart[..., 1])
     agrees = (apart < _APART_PX + _APART * shortest_side(corners) * distance) & (distance > 0) & (distance <= _REACH)
     agrees &= agrees.T
-    group = connected(agrees)
+    group = connected_tags(agrees)
     sizes = np.bincount(group)
     largest = np.argsort(-sizes, kind="stable")[: min(most, np.count_nonzero(sizes))]
     return [once_each(np.flatnonzero(group == name), number, agrees) for name in largest.tolist()]
 
 
-def connected(agrees: Booleans) -> Integers:
+def connected_tags(agrees: Booleans) -> Integers:
     """Return for each tag the smallest index of those that it agrees with, directly or through others, (k,).
 
     Parameters
@@ -106,7 +106,7 @@ def once_each(members: Integers, number: Integers, agrees: Booleans) -> Integers
     return by_votes[np.unique(number[by_votes], return_index=True)[1]]
 
 
-def charted(board: Floats, pixels: Floats, points: Floats) -> Floats:
+def locate_points(board: Floats, pixels: Floats, points: Floats) -> Floats:
     """Return where points (n, 2) of the board are in the image, (n, 2), by corners around them whose places are known.
 
     The map is a homography with a displacement on the board that is a polynomial around each point.
@@ -120,7 +120,7 @@ def charted(board: Floats, pixels: Floats, points: Floats) -> Floats:
     return _interpolated(board, pixels, points, near, share)
 
 
-def consistent(board: Floats, pixels: Floats, sigma_px: Floats) -> tuple[Booleans, float]:
+def consistent_corners(board: Floats, pixels: Floats, sigma_px: Floats) -> tuple[Booleans, float]:
     """Return which corners (m,) are where those around them say, and how far from there nine of ten are [px].
 
     Parameters
@@ -149,7 +149,7 @@ def consistent(board: Floats, pixels: Floats, sigma_px: Floats) -> tuple[Boolean
     return kept, most
 
 
-def added(board: Floats, pixels: Floats, sigma_px: Floats, new: int, most: float) -> Booleans:
+def consistent_additions(board: Floats, pixels: Floats, sigma_px: Floats, new: int, most: float) -> Booleans:
     """Return the same of corners of which only some, at the end, are in question; `most` is what the others told."""
     kept = np.ones(len(board), dtype=bool)
     asked = np.arange(len(board) - new, len(board))
@@ -202,12 +202,12 @@ def _shares(board: Floats, asked: Floats | Integers, around: tuple[tuple[int, in
 
 
 def _interpolated(board: Floats, pixels: Floats, points: Floats, near: Integers, share: Floats) -> Floats:
-    H = homography(board, pixels)
-    displaced = through(np.asarray(np.linalg.inv(H), np.float64)[None], pixels)[0] - board
-    return through(H[None], points + np.einsum("nk,nkd->nd", share, displaced[near]))[0]
+    H = fit_homography(board, pixels)
+    displaced = map_points(np.asarray(np.linalg.inv(H), np.float64)[None], pixels)[0] - board
+    return map_points(H[None], points + np.einsum("nk,nkd->nd", share, displaced[near]))[0]
 
 
-def homography(points: Floats, pixels: Floats) -> Floats:
+def fit_homography(points: Floats, pixels: Floats) -> Floats:
     """Return the homography (3, 3) that maps points (m, 2) to pixels (m, 2) best, by algebraic distance."""
     (from_, p), (to, q) = _normalised(points), _normalised(pixels)
     p = np.column_stack([p, np.ones(len(p))])

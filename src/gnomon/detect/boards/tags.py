@@ -59,7 +59,7 @@ class Tags:
 
 
 @cache
-def codes() -> Floats:
+def tag_pictures() -> Floats:
     """Return the codes as pictures, (587, 6, 6), 1 white and 0 black; row 0 is the upper one of the upright tag."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     packed = dictionary.bytesList
@@ -86,7 +86,7 @@ def _blurred(pictures: Floats, blur: float, border_bits: int) -> Floats:
 
 @cache
 def _blurred_codes(blur: float, border_bits: int) -> Floats:
-    return _blurred(np.pad(codes(), ((0, 0), (border_bits,) * 2, (border_bits,) * 2)), blur, border_bits)
+    return _blurred(np.pad(tag_pictures(), ((0, 0), (border_bits,) * 2, (border_bits,) * 2)), blur, border_bits)
 
 
 @cache

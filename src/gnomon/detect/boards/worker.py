@@ -84,16 +84,16 @@ class BoardFinder:
 
     def __init__(self, target: Target) -> None:
         self._target = target
-        self._find = detector(target)
+        self._find = make_detector(target)
 
     def views(self, images: Sequence[Grey], follows: bool) -> list[BoardView]:
         """Return what consecutive images show; `follows` says that they follow those of the call before."""
         if not follows:
-            self._find = detector(self._target)
+            self._find = make_detector(self._target)
         return [self._find(image) for image in images]
 
 
-def detector(target: Target) -> Detector:
+def make_detector(target: Target) -> Detector:
     """Return what finds a board in one image after the other; it may remember the one before.
 
     Parameters
@@ -121,7 +121,7 @@ def _stated(target: Target) -> dict[str, Any]:
     return {item.name: getattr(target, item.name) for item in fields(target) if item.init}
 
 
-def main() -> None:
+def answer_requests() -> None:
     """Answer until the other end closes."""
     import cv2
 
@@ -141,4 +141,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    answer_requests()

@@ -27,16 +27,16 @@ from ...recording.images import Grey
 from .corner_windows import (
     SATURATED,
     Booleans,
-    Grid,
+    PixelGrid,
     Singles,
     Windows,
-    arms_of,
-    disc,
-    gathered,
+    edge_windows,
+    gather_pixels,
     grid_around,
     normal_distribution,
+    round_windows,
 )
-from .fitted_corners import CornerFits, damp
+from .fitted_corners import CornerFits, damp_diagonals
 
 CornerKind = Literal["crossing", "tip"]
 
@@ -99,14 +99,14 @@ def fit_corners(
     middle = np.where(inside[:, None], np.rint(guess), 0).astype(np.int64)
     centre = _nearer(image, guess, inside, reach) - middle
     grid = grid_around(int(np.ceil(arms.max())))
-    values, seen = gathered(image, middle, grid)
+    values, seen = gather_pixels(image, middle, grid)
     state = _start(values, grid, centre, edges, reach)
     if kind == "crossing":
-        windows = disc(values, seen, grid, reach)
+        windows = round_windows(values, seen, grid, reach)
     else:
         free = np.broadcast_to(np.asarray(radius, float), count)
         inner = np.clip(free - _UNBLURRED * (state[:, _BLURS.start] - _SHARP_PX), 0.8, reach)
-        windows = arms_of(values, seen, grid, (centre, edges), (reach, inner, arms))
+        windows = edge_windows(values, seen, grid, (centre, edges), (reach, inner, arms))
     place, variance, bow, slope = _descend(windows, state, np.flatnonzero(inside), kind)
     place = _by_normals(state, _by_normals(state, place).transpose(0, 2, 1))
     crowded = (
@@ -189,7 +189,7 @@ def _nearer(image: Grey, guess: Floats, inside: Booleans, reach: Floats) -> Floa
 _U, _V, _ANGLES, _BLURS, _RHO, _MID, _AMPLITUDE = 0, 1, slice(2, 4), slice(4, 6), 6, 7, 8
 
 
-def _start(values: Singles, grid: Grid, centre: Floats, edges: Floats, reach: Floats) -> Floats:
+def _start(values: Singles, grid: PixelGrid, centre: Floats, edges: Floats, reach: Floats) -> Floats:
     near = values[:, : int(np.searchsorted(grid.distance, reach.max() + 0.1))]
     within = grid.distance[: near.shape[1]] <= reach[:, None] + 0.1
     low, high = np.where(within, near, 255).min(axis=1), np.where(within, near, 0).max(axis=1)
@@ -205,7 +205,7 @@ def _start(values: Singles, grid: Grid, centre: Floats, edges: Floats, reach: Fl
     return state
 
 
-def _blur(values: Singles, grid: Grid, contrast: Singles) -> Floats:
+def _blur(values: Singles, grid: PixelGrid, contrast: Singles) -> Floats:
     """Return the blur that the steepest slope between black and white tells, (m,) [px]."""
     by_x = values[:, grid.right] - values[:, grid.left]
     by_y = values[:, grid.below] - values[:, grid.above]
@@ -236,7 +236,7 @@ def _left_out(
     lit *= (columns[:, _MID] * windows.values)[:, None]
     matrix = normal[:, :_PARAMETERS, :_PARAMETERS].copy()
     sides = np.matmul(columns[:, :_PARAMETERS], left_out.transpose(0, 2, 1)).astype(np.float64)
-    damp(matrix)
+    damp_diagonals(matrix)
     moves = _by_normals(state, np.asarray(np.linalg.solve(matrix, sides), np.float64)[:, :2])
     return moves[:, :, :2], moves[:, :, 2:]
 
@@ -332,7 +332,7 @@ def _step(normal: Floats, state: Floats) -> tuple[Floats, Floats]:
         sides[:, i, 0] += alike * (state[:, j] - state[:, i])
     matrix[:, _RHO, _RHO] += known
     sides[:, _RHO, 0] += known * (np.cos(state[:, 2] - state[:, 3]) - state[:, _RHO])
-    damp(matrix)
+    damp_diagonals(matrix)
     solved = np.asarray(np.linalg.solve(matrix, sides), dtype=np.float64)
     step = solved[:, :, 0]
     longest = np.abs(step[:, : _RHO + 1] / _LONGEST_STEP).max(axis=1)

@@ -43,7 +43,7 @@ class Windows:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Grid:
+class PixelGrid:
     """Pixels around a middle, the nearest first.
 
     Attributes
@@ -68,7 +68,7 @@ class Grid:
 
 
 @lru_cache(maxsize=16)
-def grid_around(half: int) -> Grid:
+def grid_around(half: int) -> PixelGrid:
     """Return the pixels of the square that reaches so many pixels to all sides."""
     offset = np.arange(-half, half + 1)
     x, y = np.tile(offset, len(offset)), np.repeat(offset, len(offset))
@@ -78,7 +78,7 @@ def grid_around(half: int) -> Grid:
     at[order] = np.arange(len(order))
     side = len(offset)
     core = np.flatnonzero((np.abs(x) <= min(2, half - 1)) & (np.abs(y) <= min(2, half - 1)))
-    return Grid(
+    return PixelGrid(
         x=x[order].astype(np.float32),
         y=y[order].astype(np.float32),
         distance=distance[order].astype(np.float32),
@@ -89,7 +89,7 @@ def grid_around(half: int) -> Grid:
     )
 
 
-def gathered(image: Grey, middle: Integers, grid: Grid) -> tuple[Singles, Booleans | None]:
+def gather_pixels(image: Grey, middle: Integers, grid: PixelGrid) -> tuple[Singles, Booleans | None]:
     """Return the pixels around middles, (m, n), and which are inside the image; None for all of them."""
     height, width = image.shape
     x, y = grid.x.astype(np.int64), grid.y.astype(np.int64)
@@ -103,7 +103,7 @@ def gathered(image: Grey, middle: Integers, grid: Grid) -> tuple[Singles, Boolea
     return flat.take(np.where(seen, v * width + u, 0)).astype(np.float32), seen
 
 
-def disc(values: Singles, seen: Booleans | None, grid: Grid, reach: Floats) -> Windows:
+def round_windows(values: Singles, seen: Booleans | None, grid: PixelGrid, reach: Floats) -> Windows:
     """Return the pixels of round windows."""
     count = int(np.searchsorted(grid.distance, reach.max() + 0.5))
     weight = np.clip((reach[:, None] + 0.5).astype(np.float32) - grid.distance[:count], 0, 1)
@@ -112,10 +112,10 @@ def disc(values: Singles, seen: Booleans | None, grid: Grid, reach: Floats) -> W
     return _windows(np.ascontiguousarray(values[:, :count]), grid.place[None, :, :count], weight)
 
 
-def arms_of(
+def edge_windows(
     values: Singles,
     seen: Booleans | None,
-    grid: Grid,
+    grid: PixelGrid,
     edges: tuple[Floats, Floats],
     shape: tuple[Floats, Floats, Floats],
 ) -> Windows:
@@ -138,11 +138,11 @@ def arms_of(
         chosen |= across & (along <= arms[:, None]) & (along >= -outer[:, None])
     if seen is not None:
         chosen &= seen
-    index, weight = packed(chosen)
+    index, weight = pack_rows(chosen)
     return _windows(np.take_along_axis(values, index, axis=1), grid.place[:, index].transpose(1, 0, 2), weight)
 
 
-def packed(chosen: Booleans) -> tuple[Integers, Singles]:
+def pack_rows(chosen: Booleans) -> tuple[Integers, Singles]:
     """Return the pixels of each row that are chosen of (m, n), (m, k), and their weights: 0 where a row has fewer."""
     row, pixel = np.nonzero(chosen)
     each = chosen.sum(axis=1)

@@ -59,7 +59,7 @@ class CornerFits(PointFits):
     slope: Floats
 
 
-def joined(first: CornerFits, second: CornerFits) -> CornerFits:
+def join_corner_fits(first: CornerFits, second: CornerFits) -> CornerFits:
     """Return the corners of both."""
     return CornerFits(
         **{
@@ -69,7 +69,7 @@ def joined(first: CornerFits, second: CornerFits) -> CornerFits:
     )
 
 
-def damp(matrix: Floats) -> None:
+def damp_diagonals(matrix: Floats) -> None:
     """Make the diagonals of normal matrices (m, n, n) a little larger, in place."""
     diagonal = np.einsum("mii->mi", matrix)
     diagonal *= 1 + _DAMPING

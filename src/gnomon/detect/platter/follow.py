@@ -9,7 +9,7 @@ from ...results.intervals import Booleans
 from .period import PictureSeries, RoughPeriod
 from .phase import COARSE_HARMONICS, MOST_HARMONICS, PhaseTemplate, learn_template, place_phases, refine_phases
 from .steady import (
-    Blocks,
+    DeviationMeans,
     EvenRate,
     PhaseLine,
     block_length,
@@ -54,7 +54,7 @@ class Followed:
     stop_s: float
     used: Booleans
     off: Floats
-    blocks: Blocks
+    blocks: DeviationMeans
 
     @property
     def periods(self) -> float:
@@ -62,7 +62,7 @@ class Followed:
         return self.even.line.rate * (self.stop_s - self.start_s) / (2 * np.pi)
 
 
-def follow(series: PictureSeries, rough: RoughPeriod) -> Followed | None:
+def follow_repetition(series: PictureSeries, rough: RoughPeriod) -> Followed | None:
     """Follow a repetition from the window where it was seen through the whole video; None where it is none."""
     t = series.t_s
     everywhere = np.ones(len(t), dtype=bool)
@@ -163,7 +163,7 @@ def _off_the_ends(part: tuple[float, float], t_s: Floats, period_s: float) -> tu
     )
 
 
-def agreement(series: PictureSeries, followed: Followed) -> float:
+def agreeing_share(series: PictureSeries, followed: Followed) -> float:
     """Return the share of pictures that are near the line by what pictures of other periods look like."""
     line = followed.even.line
     t, cells = series.t_s[followed.used], series.cells[followed.used]

@@ -19,7 +19,7 @@ from .clock import (
     stamps_are_nominal,
 )
 from .findings import rate_findings
-from .follow import Followed, agreement, follow
+from .follow import Followed, agreeing_share, follow_repetition
 from .period import PictureSeries, RoughPeriod, read_pictures, rough_periods
 from .phase import COARSE_HARMONICS, learn_template, refine_phases
 from .steady import PhaseLine, blocks_of, even_rate
@@ -160,7 +160,7 @@ def _with_missing_frames(series: PictureSeries, followed: Followed) -> tuple[Pic
         rough = RoughPeriod(
             frequency_hz=rate / (2 * np.pi), start_s=float(moved[index[0]]), stop_s=float(moved[index[-1]])
         )
-        again = follow(replace(series, t_s=moved), rough)
+        again = follow_repetition(replace(series, t_s=moved), rough)
         if again is None:
             break
         series, followed = replace(series, t_s=moved), again
@@ -172,8 +172,8 @@ def _best(series: PictureSeries) -> tuple[RoughPeriod, Followed, PatternTurn]:
     """Return the first of the repetitions that is that of a turning platter, or else the first that holds."""
     second: tuple[RoughPeriod, Followed, PatternTurn] | None = None
     for rough in _candidates(series):
-        followed = follow(series, rough)
-        if followed is None or agreement(series, followed) < _AGREEMENT:
+        followed = follow_repetition(series, rough)
+        if followed is None or agreeing_share(series, followed) < _AGREEMENT:
             continue
         pattern = pattern_turn(followed.template, series.shape)
         if pattern.per_turn is not None and followed.periods >= FEWEST_TURNS * pattern.per_turn:

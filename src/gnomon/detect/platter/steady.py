@@ -40,7 +40,7 @@ class PhaseLine:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Blocks:
+class DeviationMeans:
     """Means over some pictures each, of their time and of their distance from a line.
 
     Attributes
@@ -106,7 +106,9 @@ def coherent_line(t_s: Floats, phase: Floats, rate: float, half_width: float) ->
     return PhaseLine(rate=rate + offset, phase=float(start))
 
 
-def blocks_of(t_s: Floats, off: Floats, sigma: Floats, good: Booleans, *, length_s: float, start_s: float) -> Blocks:
+def blocks_of(
+    t_s: Floats, off: Floats, sigma: Floats, good: Booleans, *, length_s: float, start_s: float
+) -> DeviationMeans:
     """Average the good pictures over blocks of even length; blocks of which most are not good are left out.
 
     Parameters
@@ -123,7 +125,7 @@ def blocks_of(t_s: Floats, off: Floats, sigma: Floats, good: Booleans, *, length
     mean = np.bincount(number, weights=weight * off) / total
     square = np.bincount(number, weights=weight * (off - mean[number]) ** 2) / total
     usual = float(np.median(square[kept])) if len(kept) else 0.0
-    return Blocks(
+    return DeviationMeans(
         t_s=(np.bincount(number, weights=weight * t_s) / total)[kept],
         off=mean[kept],
         variance=0.5 * (square[kept] + usual) / count[kept] + 1e-12,
@@ -133,7 +135,7 @@ def blocks_of(t_s: Floats, off: Floats, sigma: Floats, good: Booleans, *, length
     )
 
 
-def steady_blocks(blocks: Blocks) -> Integers:
+def steady_blocks(blocks: DeviationMeans) -> Integers:
     """Return the longest run of blocks that is on a line of its own, as indices."""
     chosen = np.arange(len(blocks.off))
     for _ in range(_PASSES):
@@ -178,7 +180,7 @@ def _robust_line(t: Floats, off: Floats) -> tuple[float, float]:
     return slope, start
 
 
-def even_rate(line: PhaseLine, blocks: Blocks) -> EvenRate:
+def even_rate(line: PhaseLine, blocks: DeviationMeans) -> EvenRate:
     """Fit the rate to the blocks of the steady part by generalised least squares.
 
     A block's error has a part of its own and one of a random walk, as irregular speed makes it; their ratio is not
@@ -211,7 +213,7 @@ def even_rate(line: PhaseLine, blocks: Blocks) -> EvenRate:
     )
 
 
-def _mixture(blocks: Blocks, design: Floats, wanted: int) -> tuple[float, float, float]:
+def _mixture(blocks: DeviationMeans, design: Floats, wanted: int) -> tuple[float, float, float]:
     """Return a coefficient, its variance, and the share of the walk, averaged over the ratio of walk to own error."""
     count, unknown = design.shape
     own = float(np.median(blocks.variance))

@@ -8,7 +8,7 @@ from ...results.intervals import Booleans
 _RARE = 0.01
 
 
-def repaired(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
+def drop_repeated_timestamps(samples: TriadSamples, *, counted: bool = False) -> TriadSamples:
     """Return the samples without those whose timestamp equals the one before; the first of them is kept.
 
     A sample that repeats timestamp and values of the one before was written twice, and is always dropped, unless a

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...recording import Floats, Integers, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
-from .static import runs_below, trimmed
+from .static import runs_below, trim_intervals
 from .turning import RateMarks, mark_rates
 
 _SURELY_STILL = 10.0  # times the resting level of s^2
@@ -51,7 +51,7 @@ class Rests:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class RestStatistics:
     """What the detectors saw of an accelerometer's samples.
 
     Attributes
@@ -77,7 +77,7 @@ class Motion:
         saturated: Booleans,
         gyroscope: TriadSamples,
         t_s: tuple[Floats, Floats],
-    ) -> "Motion":
+    ) -> "RestStatistics":
         """Return the motion of an IMU.
 
         Parameters
@@ -101,7 +101,7 @@ class Motion:
         return cls(samples=samples, statistic=statistic, saturated=saturated, marks=marks, turned=turned)
 
 
-def find_rests(motion: Motion, multiplier: float, shortest: int) -> Rests:
+def find_rests(motion: RestStatistics, multiplier: float, shortest: int) -> Rests:
     """Return the rests at one threshold, and what can be used of each.
 
     A low threshold breaks a rest into pieces that follow each other in one attitude; they are one rest, of which the
@@ -150,10 +150,12 @@ def _count(marked: Booleans, intervals: StaticIntervals) -> Integers:
     return total[intervals.stop] - total[intervals.start]
 
 
-def _parts(motion: Motion, turns: Booleans, stirs: Booleans, multiplier: float, shortest: int) -> StaticIntervals:
+def _parts(
+    motion: RestStatistics, turns: Booleans, stirs: Booleans, multiplier: float, shortest: int
+) -> StaticIntervals:
     """Return what can be used of rests, where the gyroscope is told to turn and to stir."""
     steady = runs_below(np.where(turns, np.inf, motion.statistic), multiplier, shortest)
-    parts = trimmed(steady, stirs, shortest)
+    parts = trim_intervals(steady, stirs, shortest)
     return parts.where((_count(motion.saturated, parts) == 0) & (_count(motion.marks.apart, parts) == 0))
 
 
@@ -165,7 +167,7 @@ def _longest(parts: StaticIntervals, own: Booleans) -> tuple[int, int] | None:
     return int(parts.start[k]), int(parts.stop[k])
 
 
-def _numbered(motion: Motion, pieces: StaticIntervals) -> Integers:
+def _numbered(motion: RestStatistics, pieces: StaticIntervals) -> Integers:
     """Return the number of the rest that each piece belongs to, from 0."""
     if len(pieces) < 2:
         return np.zeros(len(pieces), dtype=np.int64)
@@ -178,7 +180,7 @@ def _numbered(motion: Motion, pieces: StaticIntervals) -> Integers:
     return np.concatenate([[0], np.cumsum(other)])
 
 
-def _why(motion: Motion, start: int, stop: int) -> str:
+def _why(motion: RestStatistics, start: int, stop: int) -> str:
     """Return why a rest cannot be used."""
     part, marks = slice(start, stop), motion.marks
     if motion.saturated[part].any() and not marks.turns[part].any():

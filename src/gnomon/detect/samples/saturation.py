@@ -16,7 +16,7 @@ _NOISE_SAMPLES = 10_000
 _ENOUGH, _DISTINCT, _TIES = 20, 0.95, 5
 
 
-def saturated(samples: TriadSamples, full_scale: float | None = None) -> Booleans:
+def saturated_samples(samples: TriadSamples, full_scale: float | None = None) -> Booleans:
     """Mark the samples of which an axis is clipped, (n,).
 
     A signal that is cut off stands on its extreme value again and again while it hardly ever visits the values just

@@ -122,7 +122,7 @@ def static_statistic(values: Floats, window: int) -> Floats:
     return variance_magnitude_squared(variances, level) / 3
 
 
-def trimmed(intervals: StaticIntervals, stirs: Booleans, shortest: int) -> StaticIntervals:
+def trim_intervals(intervals: StaticIntervals, stirs: Booleans, shortest: int) -> StaticIntervals:
     """Return the intervals without the samples at their ends that stir, where enough is left.
 
     Parameters

@@ -25,7 +25,7 @@ _SURE: dict[PatternKind, float] = {"step": 30.0, "wave": 34.0, "warm-up": 30.0}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pattern:
+class MeansPattern:
     """A pattern in the means of one axis.
 
     Attributes
@@ -52,7 +52,7 @@ class _Candidates:
     pair: bool
 
 
-def find_pattern(means: Floats, duration_s: float) -> Pattern | None:
+def find_pattern(means: Floats, duration_s: float) -> MeansPattern | None:
     """Return the pattern that explains the means (k,) of equal spans of time best, where noise does not.
 
     A straight line in time is no pattern.
@@ -85,12 +85,12 @@ def find_pattern(means: Floats, duration_s: float) -> Pattern | None:
                 design = np.column_stack([whitener @ raw, line])
                 size = np.linalg.lstsq(design, whitener @ difference, rcond=None)[0][:-1]
                 best[k] = (left, at, float(np.linalg.norm(size) if group.pair else size[0]))
-    found: list[Pattern] = []
+    found: list[MeansPattern] = []
     for (left, at, size), group in zip(best, candidates, strict=True):
         kind, gain = group.kind[at], null - left
         if gain > _SURE[kind]:
             span = duration_s * count * length / len(means)
-            found.append(Pattern(kind=kind, time_s=float(group.time[at]) * span, size=size, gain=gain))
+            found.append(MeansPattern(kind=kind, time_s=float(group.time[at]) * span, size=size, gain=gain))
     return max(found, key=lambda one: one.gain, default=None)
 
 

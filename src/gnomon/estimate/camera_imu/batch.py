@@ -12,12 +12,12 @@ import numpy as np
 
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Workspace
-from .layout import Layout
-from .parameters import Parameters
-from .terms.assembly import TRIAD, groups, summed_up
+from .layout import BorderLayout
+from .parameters import RigParameters
+from .terms.assembly import TRIAD, scalar_groups, summed_up
 from .terms.board_terms import BoardBorder
 from .terms.corner_sums import CornerNoise, CornerSums
-from .terms.inertial_data import InertialData, InertialNoise, apart
+from .terms.inertial_data import InertialData, InertialNoise, split_triads
 from .terms.inertial_terms import InertialTerms
 from .terms.prior_terms import add_priors, add_smoothness, add_walks
 from .terms.visual_terms import VisualData, VisualTerms
@@ -26,7 +26,7 @@ from .walk_noise import PROBES, add_walk_probes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class NoiseLevels:
     """Noise levels that the estimation weighs by.
 
     Attributes
@@ -44,11 +44,11 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class State:
+class RigState:
     """Everything that is estimated."""
 
     trajectory: Trajectory
-    parameters: Parameters
+    parameters: RigParameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +68,7 @@ class Measurements:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Linearisation:
+class NormalEquations:
     """The normal equations at a state, and what was seen on the way.
 
     Attributes
@@ -95,19 +95,19 @@ class Linearisation:
     sums: tuple[CornerSums, ...]
     known: tuple[np.ndarray, ...]
     inside: tuple[np.ndarray, ...]
-    layout: Layout
+    layout: BorderLayout
     probing: bool
 
 
-def linearised(
+def linearize_batch(
     measurements: Measurements,
-    state: State,
-    layout: Layout,
-    noise: Noise,
+    state: RigState,
+    layout: BorderLayout,
+    noise: NoiseLevels,
     *,
     probing: bool,
     workspace: Workspace | None = None,
-) -> Linearisation:
+) -> NormalEquations:
     """Return the normal equations at a state.
 
     Parameters
@@ -124,7 +124,7 @@ def linearised(
     system = BorderedBand(
         controls=grid.controls,
         order=grid.order,
-        groups=groups(imus),
+        groups=scalar_groups(imus),
         parameters=layout.dense,
         sides=1 + (probes + (BIAS + 2 * PROBES) * imus if probing else 0),
         workspace=workspace,
@@ -145,7 +145,7 @@ def linearised(
     cost += add_walks(system, trajectory, noise.walks)
     add_smoothness(system, trajectory)
     cost += add_priors(system, state.parameters, layout)
-    return Linearisation(
+    return NormalEquations(
         system=system,
         cost=cost,
         inertial_chi2=tuple(chi2),
@@ -161,14 +161,14 @@ def linearised(
 
 def error_terms(
     measurements: Measurements,
-    state: State,
-    layout: Layout,
-    noise: Noise,
+    state: RigState,
+    layout: BorderLayout,
+    noise: NoiseLevels,
     *,
     probing: bool,
     parts: Sequence[Integers] | None = None,
 ) -> tuple[list[InertialTerms], list[VisualTerms]]:
-    """Return the error terms of everything that was measured, at a state; see `linearised`.
+    """Return the error terms of everything that was measured, at a state; see `linearize_batch`.
 
     Parameters
     ----------
@@ -207,10 +207,10 @@ def error_terms(
     return inertial, visual
 
 
-def _by_clock(inertial: tuple[InertialData, ...], parameters: Parameters) -> Iterator[InertialData]:
+def _by_clock(inertial: tuple[InertialData, ...], parameters: RigParameters) -> Iterator[InertialData]:
     """Yield the readings, those of triads that share their timestamps but not their delay one by one."""
     for data in inertial:
-        yield from apart(data) if parameters.imus[data.imu].accelerometer_shift_s else (data,)
+        yield from split_triads(data) if parameters.imus[data.imu].accelerometer_shift_s else (data,)
 
 
 def mean_weights(trajectory: Trajectory) -> Floats:

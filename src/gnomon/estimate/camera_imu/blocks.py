@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...recording import Floats, KnownRig
-from .parameters import Parameters
+from .parameters import RigParameters
 from .terms.board import OFFSETS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Block:
+class ParameterBlock:
     """Scalars that belong together.
 
     Attributes
@@ -71,17 +71,17 @@ _IMU_SCALARS = tuple(f"{name}[{i}]" for name, size, _, _ in _IMU_BLOCKS for i in
 _LENS_SIGMA = {"projection": 0.1, "focal": 20.0, "principal": 20.0, "distortion": 0.1}
 
 
-def blocks(parameters: Parameters) -> tuple[Block, ...]:
+def parameter_blocks(parameters: RigParameters) -> tuple[ParameterBlock, ...]:
     """Return all blocks of scalars, in their order."""
     found = [
-        Block(name="gravity.direction", size=2, weak_sigma=(0.5,) * 2, unit="rad"),
-        Block(name="gravity.magnitude", size=1, weak_sigma=(0.05,), unit="m/s^2"),
-        Block(name="target.scale", size=1, weak_sigma=(0.1,), unit=""),
+        ParameterBlock(name="gravity.direction", size=2, weak_sigma=(0.5,) * 2, unit="rad"),
+        ParameterBlock(name="gravity.magnitude", size=1, weak_sigma=(0.05,), unit="m/s^2"),
+        ParameterBlock(name="target.scale", size=1, weak_sigma=(0.1,), unit=""),
     ]
     for i in range(len(parameters.imus)):
         of_imu = (*_IMU_BLOCKS, _LEVER_ARMS, *(_POSE_AND_CLOCK if i else ()), _ACCELEROMETER_SHIFT)
         found += [
-            Block(name=f"imu{i}.{name}", size=size, weak_sigma=(sigma,) * size, unit=unit)
+            ParameterBlock(name=f"imu{i}.{name}", size=size, weak_sigma=(sigma,) * size, unit=unit)
             for name, size, sigma, unit in of_imu
         ]
     for entry in parameters.cameras:
@@ -89,23 +89,25 @@ def blocks(parameters: Parameters) -> tuple[Block, ...]:
         sigmas = tuple(_LENS_SIGMA[kind] for kind in lens.parameter_kinds)
         count = len(lens.intrinsics)
         found += [
-            Block(name=f"{name}.T_cam_imu.rotation", size=3, weak_sigma=(1.0,) * 3, unit="rad"),
-            Block(name=f"{name}.T_cam_imu.translation", size=3, weak_sigma=(1.0,) * 3, unit="m"),
-            Block(name=f"{name}.time_shift_cam_imu", size=1, weak_sigma=(0.1,), unit="s"),
-            Block(name=f"{name}.line_delay", size=1, weak_sigma=(1e-4,), unit="s"),
-            Block(name=f"{name}.intrinsics", size=count, weak_sigma=sigmas[:count], unit="px", pure=count - 4),
+            ParameterBlock(name=f"{name}.T_cam_imu.rotation", size=3, weak_sigma=(1.0,) * 3, unit="rad"),
+            ParameterBlock(name=f"{name}.T_cam_imu.translation", size=3, weak_sigma=(1.0,) * 3, unit="m"),
+            ParameterBlock(name=f"{name}.time_shift_cam_imu", size=1, weak_sigma=(0.1,), unit="s"),
+            ParameterBlock(name=f"{name}.line_delay", size=1, weak_sigma=(1e-4,), unit="s"),
+            ParameterBlock(name=f"{name}.intrinsics", size=count, weak_sigma=sigmas[:count], unit="px", pure=count - 4),
         ]
         if len(sigmas) > count:
             found.append(
-                Block(name=f"{name}.distortion_coeffs", size=len(sigmas) - count, weak_sigma=sigmas[count:], unit="")
+                ParameterBlock(
+                    name=f"{name}.distortion_coeffs", size=len(sigmas) - count, weak_sigma=sigmas[count:], unit=""
+                )
             )
     if parameters.board is not None:  # last: its columns are the wide part of the border
         size = parameters.board.offsets.size
-        found.append(Block(name=OFFSETS, size=size, weak_sigma=(parameters.board.sigma_m,) * size, unit="m"))
+        found.append(ParameterBlock(name=OFFSETS, size=size, weak_sigma=(parameters.board.sigma_m,) * size, unit="m"))
     return tuple(found)
 
 
-def known_beforehand(parameters: Parameters) -> Iterator[tuple[list[str], Floats, Floats]]:
+def sensor_priors(parameters: RigParameters) -> Iterator[tuple[list[str], Floats, Floats]]:
     """Yield what is known of each sensor with an uncertainty: names (k), sigmas (k,) and correlation (k, k)."""
     sensors: list[tuple[list[str], Floats | None]] = [
         ([f"imu{i}.{name}" for name in _IMU_SCALARS], imu.covariance) for i, imu in enumerate(parameters.imus)
@@ -125,7 +127,7 @@ def known_beforehand(parameters: Parameters) -> Iterator[tuple[list[str], Floats
             yield [names[i] for i in known], size, covariance[np.ix_(known, known)] / np.outer(size, size)
 
 
-def lenses_of(rig: KnownRig, parameters: Parameters) -> tuple[list[str], Floats]:
+def lenses_of(rig: KnownRig, parameters: RigParameters) -> tuple[list[str], Floats]:
     """Return the names of the lenses' scalars that a rig knows, and their joint covariance."""
     wanted = {name for entry in parameters.cameras for name in entry.lens_names()}
     at = [i for i, name in enumerate(rig.names) if name in wanted]

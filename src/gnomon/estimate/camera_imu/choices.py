@@ -8,9 +8,9 @@ import numpy as np
 
 from ...errors import OptionError
 from ...options import CameraImuOptions, stated_prior
-from .blocks import Block, blocks, known_beforehand
+from .blocks import ParameterBlock, parameter_blocks, sensor_priors
 from .layout import Status
-from .parameters import Parameters
+from .parameters import RigParameters
 
 _MODEL_BLOCKS = {
     "basic": (),
@@ -47,8 +47,8 @@ class Choices:
     prior_sigma: dict[str, float]
 
 
-def choices(
-    start: Parameters, options: CameraImuOptions, model: str | None = None, added: Sequence[str] = ()
+def estimation_choices(
+    start: RigParameters, options: CameraImuOptions, model: str | None = None, added: Sequence[str] = ()
 ) -> Choices:
     """Return what is estimated.
 
@@ -64,7 +64,7 @@ def choices(
     OptionError
         If a name is unknown, stands in two lists, or a prior is not NAME=SIGMA with SIGMA > 0.
     """
-    all_blocks = blocks(start)
+    all_blocks = parameter_blocks(start)
     estimated = (*_MODEL_BLOCKS[model or options.model], *added, *_BESIDES)
     status: dict[str, Status] = {}
     for block in all_blocks:
@@ -75,11 +75,11 @@ def choices(
             status[f"imu{i}.accelerometer_shift"] = "estimated"
     stated: dict[str, str] = {}
     sigma: dict[str, float] = {}
-    for names, size, _ in known_beforehand(start):  # estimated jointly, of an IMU what the model has
+    for names, size, _ in sensor_priors(start):  # estimated jointly, of an IMU what the model has
         known = zip(names, size.tolist(), strict=True)
         sigma |= {name: value for name, value in known if status[name] == "estimated" or not name.startswith("imu")}
     if not {"intrinsics", "distortion_coeffs"}.isdisjoint(added):
-        sigma = {name: value for name, value in lens_prior(start).items() if status[name] == "estimated"} | sigma
+        sigma = {name: value for name, value in lens_tolerances(start).items() if status[name] == "estimated"} | sigma
     status |= dict.fromkeys(sigma, "prior")
     for option, names in (("free", options.free), ("fix", options.fix)):
         for name in names:
@@ -93,7 +93,7 @@ def choices(
     return Choices(status=status, prior_sigma=sigma)
 
 
-def lens_prior(start: Parameters) -> dict[str, float]:
+def lens_tolerances(start: RigParameters) -> dict[str, float]:
     """Return scalar of a lens -> how far a stated value may be off where nothing is known of its uncertainty.
 
     Intrinsics of a careful calibration, of another day or with a biased board, are off by some pixels (the published
@@ -120,12 +120,12 @@ def wants_k3(name: str, options: CameraImuOptions) -> bool:
     return not named.isdisjoint({f"{name}.k3", f"{name}.{K3}"})
 
 
-def imu_blocks(start: Parameters) -> tuple[str, ...]:
+def imu_blocks(start: RigParameters) -> tuple[str, ...]:
     """Return the blocks of the full model of every IMU."""
     return tuple(f"imu{i}.{name}" for i in range(len(start.imus)) for name in _MODEL_BLOCKS["full"])
 
 
-def _scalars(name: str, option: str, all_blocks: tuple[Block, ...], stated: dict[str, str]) -> list[str]:
+def _scalars(name: str, option: str, all_blocks: tuple[ParameterBlock, ...], stated: dict[str, str]) -> list[str]:
     """Return the scalars that a name stands for: itself, a block, or everything below it ("cam0.T_cam_imu")."""
     if name.endswith(".k3"):
         name = name.removesuffix("k3") + K3

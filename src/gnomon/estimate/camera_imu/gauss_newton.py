@@ -7,8 +7,8 @@ import numpy as np
 from ...errors import OptionError, SolveError
 from ...recording import Floats, Integers
 from ...solve.bordered_band import Factor, Workspace
-from .batch import Linearisation, Measurements, Noise, State, linearised
-from .layout import Layout
+from .batch import Measurements, NoiseLevels, NormalEquations, RigState, linearize_batch
+from .layout import BorderLayout
 
 _OVERSHOT = 0.25  # of the decrease that a step foretold: if less comes true, half of the step is tried, too
 _WORTH = 1.0  # decrease of the cost below which nothing is
@@ -18,7 +18,7 @@ _DAMPINGS = tuple(10.0**power for power in range(-6, 5, 2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Step:
+class GaussNewtonStep:
     """A Gauss-Newton step.
 
     Attributes
@@ -38,12 +38,12 @@ class Step:
     factor: Factor
     covariance: Floats
 
-    def part(self, share: float) -> "Step":
+    def part(self, share: float) -> "GaussNewtonStep":
         """Return the same step, but only a share of the way."""
         return replace(self, trajectory=share * self.trajectory, parameters=share * self.parameters)
 
 
-def gauss_newton_step(lin: Linearisation, damping: float = 0.0, similar: Factor | None = None) -> Step:
+def gauss_newton_step(lin: NormalEquations, damping: float = 0.0, similar: Factor | None = None) -> GaussNewtonStep:
     """Solve the normal equations.
 
     Parameters
@@ -61,7 +61,7 @@ def gauss_newton_step(lin: Linearisation, damping: float = 0.0, similar: Factor 
     return step_by(lin.system.factorised(similar), lin.layout)
 
 
-def step_by(factor: Factor, layout: Layout) -> Step:
+def step_by(factor: Factor, layout: BorderLayout) -> GaussNewtonStep:
     """Return the step by a factor of the normal equations.
 
     Where the model of an IMU would leave the range of its weak priors in one step, which happens far from the minimum
@@ -83,7 +83,7 @@ def step_by(factor: Factor, layout: Layout) -> Step:
         largest = float(np.sqrt(2 * max(decrease, 0.0) / (factor.controls * factor.size)))
     if leaves[free].any():
         parameters, _ = _border_step(factor, np.flatnonzero(layout.free & ~layout.of_imu))
-    return Step(
+    return GaussNewtonStep(
         trajectory=factor.substituted(0, parameters),
         parameters=parameters,
         largest=largest,
@@ -105,7 +105,7 @@ def _border_step(factor: Factor, free: Integers) -> tuple[Floats, Floats]:
     return parameters, covariance
 
 
-def moved(state: State, layout: Layout, step: Step) -> State:
+def apply_step(state: RigState, layout: BorderLayout, step: GaussNewtonStep) -> RigState:
     """Return the state after a step.
 
     Raises
@@ -117,10 +117,10 @@ def moved(state: State, layout: Layout, step: Step) -> State:
         parameters = layout.plus(state.parameters, step.parameters)
     except OptionError as error:
         raise SolveError(f"the intrinsics left the domain of their model: {error}") from error
-    return State(trajectory=state.trajectory.plus(step.trajectory), parameters=parameters)
+    return RigState(trajectory=state.trajectory.plus(step.trajectory), parameters=parameters)
 
 
-def _cost_change(lin: Linearisation, following: Linearisation) -> float:
+def _cost_change(lin: NormalEquations, following: NormalEquations) -> float:
     """Return how much the cost grew, but for what counts at one of both states only.
 
     A step of the time shift takes exposures at the ends of the trajectory in or out, and where a lens folds back, at
@@ -147,23 +147,23 @@ class Iteration:
     accepted: bool
 
 
-def _overshot(step: Step, change: float) -> bool:
+def _overshot(step: GaussNewtonStep, change: float) -> bool:
     """Tell whether much less came true than the step foretold."""
     return step.decrease > _WORTH and -change < _OVERSHOT * step.decrease
 
 
-def descended(
+def line_search(
     measurements: Measurements,
-    lin: Linearisation,
-    state: State,
-    step: Step,
-    noise: Noise,
+    lin: NormalEquations,
+    state: RigState,
+    step: GaussNewtonStep,
+    noise: NoiseLevels,
     *,
-    layout: Layout,
+    layout: BorderLayout,
     probing: bool,
     workspace: Workspace,
     damped: float = 0.0,
-) -> tuple[State, Linearisation, list[Iteration]]:
+) -> tuple[RigState, NormalEquations, list[Iteration]]:
     """Take the Gauss-Newton step; a part of it, or a damped one, only if it would not lower the cost.
 
     Parameters
@@ -184,9 +184,9 @@ def descended(
         If no step lowers the cost, or the equations are singular.
     """
 
-    def after(taken: Step) -> tuple[State, Linearisation]:
-        there = moved(state, lin.layout, taken)
-        return there, linearised(measurements, there, layout, noise, probing=probing, workspace=workspace)
+    def after(taken: GaussNewtonStep) -> tuple[RigState, NormalEquations]:
+        there = apply_step(state, lin.layout, taken)
+        return there, linearize_batch(measurements, there, layout, noise, probing=probing, workspace=workspace)
 
     tried: list[Iteration] = []
     least = max((damping for damping in _DAMPINGS if damping < damped), default=0.0)
@@ -195,7 +195,9 @@ def descended(
         taken = step.part(share)
         try:
             if damping:  # the undamped equations were overwritten by those after the step
-                again = linearised(measurements, state, lin.layout, noise, probing=lin.probing, workspace=workspace)
+                again = linearize_batch(
+                    measurements, state, lin.layout, noise, probing=lin.probing, workspace=workspace
+                )
                 taken = gauss_newton_step(again, damping)
             candidate, following = after(taken)
             change = _cost_change(lin, following)

@@ -38,14 +38,14 @@ def knots_per_s(*signals: tuple[Floats, Floats], rate_hz: float | None = None) -
 
 def motion_limit_hz(t_s: Floats, values: Floats, rate_hz: float) -> float:
     """Return the frequency above which a signal (n, 3) holds no more than its noise [Hz]."""
-    frequency, power = spectrum(t_s, values, rate_hz)
+    frequency, power = power_spectrum(t_s, values, rate_hz)
     floor = float(np.median(power[len(power) * 3 // 4 :]))
     excess = np.cumsum((power - floor)[::-1])[::-1]
     beyond = np.flatnonzero(excess > _EXCESS * floor * len(power))
     return float(frequency[min(beyond[-1] + 1, len(frequency) - 1)]) if len(beyond) else 0.0
 
 
-def spectrum(t_s: Floats, values: Floats, rate_hz: float) -> tuple[Floats, Floats]:
+def power_spectrum(t_s: Floats, values: Floats, rate_hz: float) -> tuple[Floats, Floats]:
     """Return frequencies (f,) [Hz] and the mean power spectral density (f,) of the three axes [unit^2/Hz]."""
     uniform = np.arange(t_s[0], t_s[-1], 1 / rate_hz)
     signal = np.stack([np.interp(uniform, t_s, values[:, i]) for i in range(3)], axis=1)

@@ -1,4 +1,4 @@
-"""Which scalars are estimated: `Layout` gives them, and those whose influence is wanted, columns in the border.
+"""Which scalars are estimated: `BorderLayout` gives them, and those whose influence is wanted, columns in the border.
 
 Rotations are perturbed on the right, and counted from where they started.
 """
@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...recording import Floats, Integers
-from .blocks import blocks, known_beforehand
-from .parameters import CameraParameters, ImuParameters, Parameters
+from .blocks import parameter_blocks, sensor_priors
+from .parameters import CameraParameters, ImuParameters, RigParameters
 from .terms.board import OFFSETS
 
 Status = Literal["estimated", "prior", "fixed"]
@@ -30,7 +30,7 @@ _IMU_FIELDS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layout:
+class BorderLayout:
     """Columns of the border.
 
     Attributes
@@ -52,7 +52,7 @@ class Layout:
     prior_sigma: Floats
     prior_information: Floats
     weak: np.ndarray
-    start: Parameters
+    start: RigParameters
 
     def __len__(self) -> int:
         return len(self.names)
@@ -80,14 +80,14 @@ class Layout:
         """Return the columns of a block, or None where it has none."""
         return self.columns.get(name)
 
-    def values(self, parameters: Parameters) -> Floats:
+    def values(self, parameters: RigParameters) -> Floats:
         """Return the scalars (p,); of rotations and of gravity's direction the small angles from the start."""
         result = np.empty(len(self))
         for name, columns in self.columns.items():
-            result[columns] = coordinates(name, parameters, self.start)
+            result[columns] = block_coordinates(name, parameters, self.start)
         return result
 
-    def values_jacobian(self, parameters: Parameters) -> Floats:
+    def values_jacobian(self, parameters: RigParameters) -> Floats:
         """Return the derivative of `values` by a step of the scalars, (p, p)."""
         jacobian = np.eye(len(self))
         for name, columns in self.columns.items():
@@ -96,7 +96,7 @@ class Layout:
                 jacobian[columns, columns] = block
         return jacobian
 
-    def plus(self, parameters: Parameters, step: Floats) -> Parameters:
+    def plus(self, parameters: RigParameters, step: Floats) -> RigParameters:
         """Return parameters moved by a step (p,)."""
         moved = parameters
         for name, columns in self.columns.items():
@@ -106,12 +106,12 @@ class Layout:
         return moved
 
 
-def layout(
-    start: Parameters,
+def border_layout(
+    start: RigParameters,
     status: dict[str, Status],
     prior_sigma: dict[str, float],
     consider: Sequence[str] = (),
-) -> Layout:
+) -> BorderLayout:
     """Return the columns for what is estimated.
 
     Parameters
@@ -126,7 +126,7 @@ def layout(
     units: list[str] = []
     sigma: list[float] = []
     weak: list[bool] = []
-    for block in blocks(start):
+    for block in parameter_blocks(start):
         scalars = block.scalars()
         if block.name not in consider and all(status[name] == "fixed" for name in scalars):
             continue
@@ -135,7 +135,7 @@ def layout(
         units += block.units
         sigma += [prior_sigma.get(name, weak) for name, weak in zip(scalars, block.weak_sigma, strict=True)]
         weak += [name not in prior_sigma for name in scalars]
-    draft = Layout(
+    draft = BorderLayout(
         columns=columns,
         names=tuple(names),
         units=tuple(units),
@@ -149,11 +149,11 @@ def layout(
     return replace(draft, prior_mean=draft.values(start))
 
 
-def _information(start: Parameters, names: list[str], sigma: Floats) -> Floats:
+def _information(start: RigParameters, names: list[str], sigma: Floats) -> Floats:
     """Return the inverse of the priors' covariance (p, p): what is known beforehand comes with its correlations."""
     information = np.diag(np.where(np.isfinite(sigma), sigma, np.inf) ** -2.0)
     column = {name: i for i, name in enumerate(names)}
-    for known, size, correlation in known_beforehand(start):
+    for known, size, correlation in sensor_priors(start):
         whole = np.linalg.inv(correlation) / np.outer(size, size)
         kept = [i for i, name in enumerate(known) if name in column and sigma[column[name]] == size[i]]
         at = [column[known[i]] for i in kept]
@@ -163,7 +163,7 @@ def _information(start: Parameters, names: list[str], sigma: Floats) -> Floats:
     return information
 
 
-def coordinates(name: str, parameters: Parameters, start: Parameters) -> Floats | float:
+def block_coordinates(name: str, parameters: RigParameters, start: RigParameters) -> Floats | float:
     """Return the scalars of a block; of rotations and of gravity's direction the small angles from the start."""
     owner, _, rest = name.partition(".")
     if name == "gravity.direction":
@@ -205,16 +205,16 @@ def _turned(start: Floats, now: Floats) -> Floats:
     return rotvec_from_rotation(start.T @ now)
 
 
-def _coordinates_jacobian(name: str, parameters: Parameters, start: Parameters) -> Floats | None:
+def _coordinates_jacobian(name: str, parameters: RigParameters, start: RigParameters) -> Floats | None:
     """Return the derivative of the coordinates of a block by its step, or None where it is the identity."""
     if name == "gravity.direction":
         return start.gravity_plane.T @ parameters.gravity_plane
     if name.endswith((".T_cam_imu.rotation", *(f".{block}" for block in _IMU_ROTATIONS))):
-        return inverse(right_jacobian(np.asarray(coordinates(name, parameters, start))))
+        return invert_3x3(right_jacobian(np.asarray(block_coordinates(name, parameters, start))))
     return None
 
 
-def _moved(name: str, parameters: Parameters, delta: Floats) -> Parameters:
+def _moved(name: str, parameters: RigParameters, delta: Floats) -> RigParameters:
     owner, _, rest = name.partition(".")
     if owner == "gravity":
         if rest == "magnitude":

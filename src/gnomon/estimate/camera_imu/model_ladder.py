@@ -8,10 +8,10 @@ from ...geometry.rotation_vector import rotvec_from_rotation
 from ...recording import Floats, Integers
 from ...results.trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
-from ..trust.model_choice import Candidate, Step, model_steps
+from ..trust.model_choice import CandidateBlock, CandidateStep, model_steps
 from .choices import K3
-from .layout import Layout
-from .parameters import Parameters
+from .layout import BorderLayout
+from .parameters import RigParameters
 
 ARMS, DELAY = "lever arms", "accelerometer delay"
 
@@ -34,10 +34,10 @@ _CHANGES = 3
 """Blocks that a step is said to have moved."""
 
 
-def ladder(
+def evaluate_nested_models(
     sums: ClusterSums,
-    layout: Layout,
-    parameters: Parameters,
+    layout: BorderLayout,
+    parameters: RigParameters,
     forced: Mapping[str, bool],
     least: Mapping[str, float],
 ) -> tuple[ModelStep, ...]:
@@ -51,7 +51,7 @@ def ladder(
     least : step -> gain of the log-likelihood that it must bring, however certain it is
     """
     candidates = [
-        Candidate(
+        CandidateBlock(
             name=name,
             columns=columns,
             away=_away(layout, parameters)[columns],
@@ -68,7 +68,7 @@ def ladder(
     return tuple(_told(step, layout) for step in model_steps(sums, always, candidates))
 
 
-def step_columns(layout: Layout, name: str) -> Integers:
+def step_columns(layout: BorderLayout, name: str) -> Integers:
     """Return the columns of a step's blocks."""
     found = [
         column
@@ -82,12 +82,12 @@ def step_columns(layout: Layout, name: str) -> Integers:
     return np.array(found, dtype=np.int64)
 
 
-def _has_own_stamps(layout: Layout, block: str, name: str) -> bool:
+def _has_own_stamps(layout: BorderLayout, block: str, name: str) -> bool:
     """Tell whether a block is the delay of an accelerometer with timestamps of its own."""
     return name == DELAY and layout.start.imus[int(block.partition(".")[0].removeprefix("imu"))].apart
 
 
-def _away(layout: Layout, parameters: Parameters) -> Floats:
+def _away(layout: BorderLayout, parameters: RigParameters) -> Floats:
     """Return the step (p,) from present values to those of a model without the block.
 
     An IMU without the block is ideal; everything else keeps its start value.
@@ -108,7 +108,7 @@ def _away(layout: Layout, parameters: Parameters) -> Floats:
     return away
 
 
-def _told(step: Step, layout: Layout) -> ModelStep:
+def _told(step: CandidateStep, layout: BorderLayout) -> ModelStep:
     own = set(step.candidate.columns.tolist())
     changes: list[BlockChange] = []
     for block, columns in layout.columns.items():

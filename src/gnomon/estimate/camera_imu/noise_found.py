@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from .batch import Linearisation, Noise
-from .gauss_newton import Step
+from .batch import NoiseLevels, NormalEquations
+from .gauss_newton import GaussNewtonStep
 from .terms.corner_sums import CornerSums
 from .terms.inertial_data import InertialNoise
 from .trajectory import BIAS
 from .walk_noise import found_walks, walk_sums
 
 
-def estimated_noise(lin: Linearisation, step: Step, noise: Noise) -> Noise:
+def estimated_noise(lin: NormalEquations, step: GaussNewtonStep, noise: NoiseLevels) -> NoiseLevels:
     """Return the noise levels that the residuals show, at a linearisation that was made with `noise` and probes."""
     free = lin.layout.free_index
     imus: list[InertialNoise] = []

@@ -9,7 +9,7 @@ from ...models.camera import Camera
 from ...models.origin import Origin
 from ...models.pattern import DIAGONAL, LOWER
 from ...recording import Floats, KnownRig
-from .terms.board import Board
+from .terms.board import BoardPoints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -156,7 +156,7 @@ def gravity_axes(direction: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Parameters:
+class RigParameters:
     """All constant design variables.
 
     Attributes
@@ -175,7 +175,7 @@ class Parameters:
     target_scale: float
     imus: tuple[ImuParameters, ...]
     cameras: tuple[CameraParameters, ...]
-    board: Board | None = None
+    board: BoardPoints | None = None
     rig: KnownRig | None = None
 
     @property

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.rotation_vector import right_jacobian, rotvec_from_rotation
-from ...geometry.so3 import inverse, skew
+from ...geometry.so3 import invert_3x3, skew
 from ...recording import Floats, KnownRig
 from .blocks import lenses_of
-from .layout import Layout
-from .parameters import Parameters
+from .layout import BorderLayout
+from .parameters import RigParameters
 
 _POSE = 6
 
@@ -38,7 +38,7 @@ class RigResidual:
     jacobian: Floats
 
 
-def pose_residual(rig: KnownRig, layout: Layout, parameters: Parameters) -> RigResidual:
+def pose_residual(rig: KnownRig, layout: BorderLayout, parameters: RigParameters) -> RigResidual:
     """Return how far the poses of the cameras to cam0 are from what was known."""
     names: list[str] = []
     residual: list[Floats] = []
@@ -49,7 +49,7 @@ def pose_residual(rig: KnownRig, layout: Layout, parameters: Parameters) -> RigR
         R = other.R_cam_imu @ one.R_cam_imu.T
         turn = rotvec_from_rotation(known[:3, :3].T @ R)
         moved = other.p_cam_imu - R @ one.p_cam_imu - known[:3, 3]
-        straight = inverse(right_jacobian(turn)) @ one.R_cam_imu
+        straight = invert_3x3(right_jacobian(turn)) @ one.R_cam_imu
         around = R @ skew(one.p_cam_imu) @ one.R_cam_imu
         rows = np.zeros((_POSE, len(layout)))
         for block, by_turn, by_place in (("cam0", (-straight, -around), -R), (name, (straight, around), np.eye(3))):
@@ -68,7 +68,7 @@ def pose_residual(rig: KnownRig, layout: Layout, parameters: Parameters) -> RigR
     )
 
 
-def from_known(rig: KnownRig, layout: Layout, parameters: Parameters) -> RigResidual:
+def from_known(rig: KnownRig, layout: BorderLayout, parameters: RigParameters) -> RigResidual:
     """Return how far all that is known of the cameras together, lenses and poses, is from what was known."""
     poses = pose_residual(rig, layout, parameters)
     column = {name: i for i, name in enumerate(layout.names)}
@@ -82,7 +82,7 @@ def from_known(rig: KnownRig, layout: Layout, parameters: Parameters) -> RigResi
     )
 
 
-def rig_prior(layout: Layout, parameters: Parameters) -> tuple[Floats, Floats, float]:
+def rig_prior(layout: BorderLayout, parameters: RigParameters) -> tuple[Floats, Floats, float]:
     """Return information (p, p) and pull (p,) of what is known of the poses, given the lenses, and its cost."""
     rig, size = layout.start.rig, len(layout)
     if rig is None or not rig.T_cam_cam0:

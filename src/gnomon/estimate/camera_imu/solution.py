@@ -9,9 +9,9 @@ import numpy as np
 from ...errors import SolveError
 from ...recording import Floats
 from ...solve.bordered_band import Factor, Workspace
-from .batch import Linearisation, Measurements, Noise, State, linearised
-from .gauss_newton import Iteration, Step, descended, gauss_newton_step, moved, step_by
-from .layout import Layout
+from .batch import Measurements, NoiseLevels, NormalEquations, RigState, linearize_batch
+from .gauss_newton import GaussNewtonStep, Iteration, apply_step, gauss_newton_step, line_search, step_by
+from .layout import BorderLayout
 from .noise_found import estimated_noise
 from .terms.corner_sums import CornerSums, Exposures, frame_scatter
 from .terms.inertial_data import InertialNoise
@@ -54,13 +54,13 @@ class Solution:
     converged : whether it came to rest
     """
 
-    state: State
+    state: RigState
     measurements: Measurements
-    noise: Noise
-    noise_found: Noise
-    layout: Layout
-    lin: Linearisation
-    step: Step
+    noise: NoiseLevels
+    noise_found: NoiseLevels
+    layout: BorderLayout
+    lin: NormalEquations
+    step: GaussNewtonStep
     iterations: tuple[Iteration, ...]
     converged: bool
 
@@ -80,18 +80,18 @@ class _Judged:
     same : whether these are the ones that were used
     """
 
-    found: Noise
-    noise: Noise
+    found: NoiseLevels
+    noise: NoiseLevels
     used: tuple[np.ndarray, ...]
     same: bool
 
 
-def solved(
+def minimise_cost(
     measurements: Measurements,
-    start: State,
-    layout: Layout,
-    extended: Layout,
-    noise: Noise,
+    start: RigState,
+    layout: BorderLayout,
+    extended: BorderLayout,
+    noise: NoiseLevels,
     *,
     estimate_noise: bool,
     estimate_walks: bool = False,
@@ -118,7 +118,7 @@ def solved(
     """
     state, iterations, converged = start, list[Iteration](), False
     first, judgements, workspace = noise, 0, workspace or Workspace()
-    lin = linearised(measurements, state, layout, noise, probing=False, workspace=workspace)
+    lin = linearize_batch(measurements, state, layout, noise, probing=False, workspace=workspace)
     step, found, previous, changed, since = _step(lin), noise, np.inf, False, 0  # since: the problem is the same
     rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
@@ -144,19 +144,19 @@ def solved(
                 at_rest = _left(step, previous) < rest
             changed = not (judged.same or (changed and step.largest > previous))
             if at_rest or changed:
-                state = moved(state, lin.layout, step)
+                state = apply_step(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
             if at_rest:
                 converged = True
                 break
             if changed:  # another problem from here on: costs are not comparable
                 noise, measurements = judged.noise, replace(measurements, used=judged.used)
-                lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
+                lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
                 previous, step, since = step.largest, _step(lin, step.factor), len(iterations)
                 continue
         if _stalled(iterations[since:]):
             break
-        state, lin, tried = descended(
+        state, lin, tried = line_search(
             measurements,
             lin,
             state,
@@ -170,7 +170,7 @@ def solved(
         iterations += tried
         previous, step = step.largest, _step(lin, step.factor)
     if not lin.probing:
-        lin = linearised(measurements, state, extended, noise, probing=True, workspace=workspace)
+        lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)
         found = estimated_noise(lin, step, noise)
     return Solution(
@@ -188,10 +188,10 @@ def solved(
 
 def _judged(
     measurements: Measurements,
-    lin: Linearisation,
-    step: Step,
-    noise: Noise,
-    first: Noise,
+    lin: NormalEquations,
+    step: GaussNewtonStep,
+    noise: NoiseLevels,
+    first: NoiseLevels,
     *,
     estimate_noise: bool,
     estimate_walks: bool,
@@ -201,7 +201,7 @@ def _judged(
     """Judge noise levels, where they change by more than a tolerance, and frames near the minimum."""
     found = _at_least(estimated_noise(lin, step, noise), first)
     proposed = replace(found, walks=_next_walks(found, noise, first) if estimate_walks else noise.walks)
-    kept = _gated(measurements, lin, noise) if gate else measurements.used
+    kept = _gate_outliers(measurements, lin, noise) if gate else measurements.used
     same_noise = not estimate_noise or noise_change(proposed, noise) < tolerance
     same_frames = all(np.mean(a != b) < _FEW for a, b in zip(kept, measurements.used, strict=True))
     return _Judged(
@@ -221,17 +221,17 @@ def _stalled(iterations: list[Iteration]) -> bool:
     return min(steps[-_PATIENCE // 2 :]) > 0.5 * min(steps[: -_PATIENCE // 2])
 
 
-def _left(step: Step, previous: float) -> float:
+def _left(step: GaussNewtonStep, previous: float) -> float:
     """Return how far the minimum lies from the end of a step, in sigmas, as it and the previous one foretell."""
     return step.largest * min(1.0, step.largest / max(previous, 1e-12))
 
 
-def _exact(lin: Linearisation, step: Step) -> Step:
+def _exact(lin: NormalEquations, step: GaussNewtonStep) -> GaussNewtonStep:
     """Return the step by the equations themselves instead of similar ones."""
     return step_by(step.factor.exact(), lin.layout)
 
 
-def _step(lin: Linearisation, similar: Factor | None = None) -> Step:
+def _step(lin: NormalEquations, similar: Factor | None = None) -> GaussNewtonStep:
     """Return the step to the minimum; with many corners of a board by similar equations, if these will do."""
     if similar is not None and similar.taken is not None:
         with suppress(np.linalg.LinAlgError):
@@ -246,7 +246,7 @@ def _step(lin: Linearisation, similar: Factor | None = None) -> Step:
         ) from error
 
 
-def _at_least(found: Noise, first: Noise) -> Noise:
+def _at_least(found: NoiseLevels, first: NoiseLevels) -> NoiseLevels:
     """Return noise levels that are not below a small share of the first ones."""
     return replace(
         found,
@@ -261,7 +261,7 @@ def _at_least(found: Noise, first: Noise) -> Noise:
     )
 
 
-def _next_walks(found: Noise, used: Noise, stated: Noise) -> tuple[tuple[float, float], ...]:
+def _next_walks(found: NoiseLevels, used: NoiseLevels, stated: NoiseLevels) -> tuple[tuple[float, float], ...]:
     """Return the random walks of the biases to go on with."""
     return tuple(
         (next_walk(f[0], u[0], s[0]), next_walk(f[1], u[1], s[1]))
@@ -269,7 +269,7 @@ def _next_walks(found: Noise, used: Noise, stated: Noise) -> tuple[tuple[float, 
     )
 
 
-def noise_change(a: Noise, b: Noise) -> float:
+def noise_change(a: NoiseLevels, b: NoiseLevels) -> float:
     """Return the largest relative difference of two sets of noise levels."""
     pairs = [
         *zip(a.pixel_sigma, b.pixel_sigma, strict=True),
@@ -281,7 +281,7 @@ def noise_change(a: Noise, b: Noise) -> float:
     return max(largest, *(_WALK_SHARE * abs(x / y - 1) for x, y in walks))
 
 
-def _gated(measurements: Measurements, lin: Linearisation, noise: Noise) -> tuple[np.ndarray, ...]:
+def _gate_outliers(measurements: Measurements, lin: NormalEquations, noise: NoiseLevels) -> tuple[np.ndarray, ...]:
     """Return for each camera which exposures belong to frames that fit."""
     return tuple(
         _fitting(data.exposures, sums, known, used, sigma_px)

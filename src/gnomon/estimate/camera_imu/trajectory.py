@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...geometry.bspline import basis
-from ...geometry.rotation_vector import angular_acceleration_by_phi, turning
+from ...geometry.bspline import bspline_basis
+from ...geometry.rotation_vector import angular_acceleration_by_phi, body_rotation
 from ...geometry.so3 import skew
 from ...recording import Floats, Integers
 
@@ -41,7 +41,7 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Grid:
+class KnotGrid:
     """Knots of the splines.
 
     Attributes
@@ -129,18 +129,18 @@ class Bases:
     acceleration: Floats
 
     @classmethod
-    def at(cls, places: Places, grid: Grid) -> "Bases":
+    def at(cls, places: Places, grid: KnotGrid) -> "Bases":
         """Return the basis functions at places on a grid."""
         k, dt = grid.order, grid.spacing_s
         return cls(
-            value=basis(k, places.u),
-            rate=basis(k, places.u, 1) / dt,
-            acceleration=basis(k, places.u, 2) / dt**2,
+            value=bspline_basis(k, places.u),
+            rate=bspline_basis(k, places.u, 1) / dt,
+            acceleration=bspline_basis(k, places.u, 2) / dt**2,
         )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Motion:
+class MotionState:
     """State of motion at some instants.
 
     Attributes
@@ -166,7 +166,7 @@ class Motion:
     acceleration: Floats
     turn: Floats | None = None
 
-    def turned(self, turn: Floats) -> "Motion":
+    def turned(self, turn: Floats) -> "MotionState":
         """Return the motion of the same body in other axes, v_new = turn @ v, (3, 3)."""
         return replace(
             self,
@@ -203,23 +203,23 @@ class Trajectory:
         accelerometer bias [m/s^2]
     """
 
-    grid: Grid
+    grid: KnotGrid
     controls: Floats
 
     def plus(self, step: Floats) -> "Trajectory":
         """Return the trajectory with a step (n, 6 + 6 m) added to its control points."""
         return replace(self, controls=self.controls + step)
 
-    def motion(self, places: Places, bases: Bases) -> Motion:
+    def motion(self, places: Places, bases: Bases) -> MotionState:
         """Return the motion at places on the grid."""
         rows = places.first[:, None] + np.arange(self.grid.order)
         pose = self.controls[:, :POSE][rows]
         value, rate = _combined(bases.value, pose), _combined(bases.rate, pose)
         acceleration = _combined(bases.acceleration, pose)
-        rotation, jacobian, omega, by_phi = turning(value[:, :3], rate[:, :3])
+        rotation, jacobian, omega, by_phi = body_rotation(value[:, :3], rate[:, :3])
         references = self.grid.references()
         R = references[0] @ rotation if len(references) == 1 else references[places.segment] @ rotation
-        return Motion(
+        return MotionState(
             R=R,
             phi_jacobian=jacobian,
             omega=omega,
@@ -235,7 +235,7 @@ class Trajectory:
     def jerk(self, places: Places) -> Floats:
         """Return the third derivatives by time of rotation vector [rad/s^3] and position [m/s^3], (n, 6)."""
         rows = places.first[:, None] + np.arange(self.grid.order)
-        weights = basis(self.grid.order, places.u, 3) / self.grid.spacing_s**3
+        weights = bspline_basis(self.grid.order, places.u, 3) / self.grid.spacing_s**3
         return _combined(weights, self.controls[:, :POSE][rows])
 
     def bias_rate(self, places: Places, imu: int) -> tuple[Floats, Floats]:

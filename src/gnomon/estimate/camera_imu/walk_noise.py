@@ -13,7 +13,7 @@ import numpy as np
 from ...recording import Floats, Integers
 from ...solve.bordered_band import BorderedBand, Factor
 from .terms.assembly import TRIAD
-from .terms.prior_terms import links
+from .terms.prior_terms import random_walk_links
 from .trajectory import POSE, Trajectory
 
 PROBES = 4
@@ -41,7 +41,7 @@ def walk_sums(trajectory: Trajectory, walks: tuple[tuple[float, float], ...]) ->
     """Return the sums for gyroscope and accelerometer of every IMU, one after the other."""
     squares, count = np.zeros(2 * len(walks)), 0
     variance = np.square(np.ravel(walks))
-    for a, distance, time_s in links(trajectory.grid):
+    for a, distance, time_s in random_walk_links(trajectory.grid):
         biases = trajectory.controls[:, POSE:]
         steps = (biases[a + distance] - biases[a]) ** 2 / time_s
         squares += steps.reshape(-1, 2 * len(walks), TRIAD).sum(axis=(0, 2)) / variance
@@ -57,7 +57,7 @@ def add_walk_probes(
     for triad, walk in enumerate(np.ravel(walks)):
         scalars = slice(POSE + TRIAD * triad, POSE + TRIAD * (triad + 1))
         side = slice(first + PROBES * triad, first + PROBES * (triad + 1))
-        for a, distance, time_s in links(trajectory.grid):
+        for a, distance, time_s in random_walk_links(trajectory.grid):
             signs = (2.0 * rng.integers(0, 2, (len(a), TRIAD, PROBES)) - 1.0) / (walk * np.sqrt(time_s))
             system.rhs[a + distance, scalars, side] += signs
             system.rhs[a, scalars, side] -= signs

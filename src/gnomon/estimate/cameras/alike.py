@@ -7,13 +7,13 @@ Consecutive frames of a video share all of that until the board has moved on.
 import numpy as np
 
 from ...recording import Floats, Integers
-from .rig import Views
+from .rig import RigViews
 
 _MOVED = 0.1  # of the image's width
 _PAUSE_NS = 2_000_000_000
 
 
-def views_alike(views: Views) -> Integers:
+def views_alike(views: RigViews) -> Integers:
     """Return the number of the cluster of each view, (v,), ascending: consecutive views that look alike.
 
     A new cluster begins where the board's points have moved by a tenth of the image's width since its first view, in
@@ -30,7 +30,7 @@ def views_alike(views: Views) -> Integers:
     return cluster
 
 
-def _places(views: Views, number: int) -> Floats:
+def _places(views: RigViews, number: int) -> Floats:
     """Return where each view of a camera has each point of the board, (v, n, 2) [px]; nan where it has not."""
     frames = tuple(views.cameras.values())[number]
     seen = np.flatnonzero(views.frame[:, number] >= 0)

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats
-from ..camera_imu.terms.board import Board
+from ..camera_imu.terms.board import BoardPoints
 from .rig import BoardShape
 
 ASPECT, BOW, OFFSETS = "target.aspect", "target.bow", "target.offsets"
@@ -17,7 +17,7 @@ _BOW_SHARE = 0.1  # prior standard deviation of the bow over the size of the boa
 _GAUGE = 1e-3  # standard deviation of what the offsets leave to others, as a share of that of a point
 
 
-def stated(target: Target) -> BoardShape:
+def stated_shape(target: Target) -> BoardShape:
     """Return the shape of a board that is as it was stated."""
     return BoardShape(aspect=0.0, bow_m=np.zeros(2), offsets=np.zeros((len(target), 3)))
 
@@ -43,7 +43,7 @@ def bow_sigma(target: Target) -> float:
     return _BOW_SHARE * max(target.size_m)
 
 
-def places(target: Target, shape: BoardShape) -> Floats:
+def board_points(target: Target, shape: BoardShape) -> Floats:
     """Return where the points are, (n, 3) [m]."""
     moved = shape.aspect * aspect_move(target)[0] + np.tensordot(shape.bow_m, bow_moves(target), axes=1)
     return target.points + moved + shape.offsets
@@ -60,7 +60,7 @@ def offsets_information(target: Target, others: Floats) -> Floats:
     target : the board
     others : (k, n, 3) moves of the points that parameters of their own stand for
     """
-    board = Board.nominal(target)
+    board = BoardPoints.nominal(target)
     rows = np.concatenate([board.similarity(), others.reshape(len(others), 3 * len(target))])
     rows = np.linalg.qr(rows.T)[0].T / (_GAUGE * board.sigma_m)
     return np.eye(3 * len(target)) / board.sigma_m**2 + rows.T @ rows

@@ -18,13 +18,13 @@ from ...models.projections import PROJECTIONS
 from ...models.target import Target
 from ...recording import Floats, Integers
 from ...solve.levenberg_marquardt import levenberg_marquardt
-from ..camera_imu.start.board_poses import thinned
-from .board_shape import stated
-from .layout import bounds
-from .poses import first_poses, settled
-from .rig import Rig, Views
-from .solution import solved
-from .views import CameraCorners, corners_of_camera
+from ..camera_imu.start.board_poses import thin_exposures
+from .board_shape import stated_shape
+from .layout import lens_bounds
+from .poses import first_poses, settle_poses
+from .rig import CameraRig, RigViews
+from .solution import solve_rig
+from .views import CameraCorners, view_corners
 
 _VIEWS = 10  # of the sweep
 _FOCALS = np.geomspace(0.18, 6.0, 16)  # over the image's width
@@ -58,11 +58,11 @@ BENDINGS: Mapping[DistortionName, tuple[tuple[float, ...], ...]] = {
 class _Trial:
     """One lens on the views of the sweep, and the median distance of its corners [px]."""
 
-    rig: Rig
+    rig: CameraRig
     error_px: float
 
 
-def first_lens(views: Views, number: int, model: str) -> Camera:
+def first_lens(views: RigViews, number: int, model: str) -> Camera:
     """Return a lens that fits the views of one camera about as well as its model can.
 
     Parameters
@@ -78,10 +78,10 @@ def first_lens(views: Views, number: int, model: str) -> Camera:
     OptionError
         If there is no such model.
     """
-    return fitted(general_lens(views, number), model, corners_of_camera(views, number).exposures.pixels)
+    return fit_lens_model(general_lens(views, number), model, view_corners(views, number).exposures.pixels)
 
 
-def general_lens(views: Views, number: int) -> Camera:
+def general_lens(views: RigViews, number: int) -> Camera:
     """Return an eucm-none lens that fits the views of one camera; see `first_lens`."""
     name = tuple(views.cameras)[number]
     frames = views.cameras[name]
@@ -91,9 +91,9 @@ def general_lens(views: Views, number: int) -> Camera:
             f"{name}: no image shows enough of the board to be used, at least six points that do not lie on one line. "
             "Record more views, closer to the board."
         )
-    chosen = some.where(_well_spread(corners_of_camera(some, 0)))
-    few = corners_of_camera(chosen, 0)
-    few = replace(few, exposures=thinned(few.exposures), own_sigma_px=None)
+    chosen = some.where(_well_spread(view_corners(some, 0)))
+    few = view_corners(chosen, 0)
+    few = replace(few, exposures=thin_exposures(few.exposures), own_sigma_px=None)
     trials = [
         trial
         for focal in _FOCALS * frames.camera.resolution[0]
@@ -102,7 +102,7 @@ def general_lens(views: Views, number: int) -> Camera:
     ]
     found: list[_Trial] = []
     for trial in _best(trials, _SETTLED):
-        rig, _ = settled((few,), views.target, trial.rig, steps=_SWEEP_STEPS)
+        rig, _ = settle_poses((few,), views.target, trial.rig, steps=_SWEEP_STEPS)
         found.append(_Trial(rig=rig, error_px=_error(rig, few)))
     refined = [_refined(chosen, few, trial) for trial in _best(found, _REFINED)]
     if not refined or not np.isfinite(min(trial.error_px for trial in refined)):
@@ -117,7 +117,7 @@ def _best(trials: list[_Trial], count: int) -> list[_Trial]:
     return sorted(trials, key=lambda trial: trial.error_px)[:count]
 
 
-def _alone(views: Views, number: int) -> Views:
+def _alone(views: RigViews, number: int) -> RigViews:
     """Return the views of one camera alone."""
     name = tuple(views.cameras)[number]
     kept = views.frame[:, number] >= 0
@@ -171,17 +171,17 @@ def _tried(seen: CameraCorners, target: Target, camera: Camera) -> _Trial | None
     if not valid.all() or not np.isfinite(rays).all():
         return None
     R, p = first_poses(seen, camera)
-    rig = Rig(
+    rig = CameraRig(
         cameras={seen.name: camera},
         T_cam_cam0=np.eye(4)[None],
         R_cam0_target=R,
         p_cam0_target=p,
-        board=stated(target),
+        board=stated_shape(target),
     )
     return _Trial(rig=rig, error_px=_error(rig, seen))
 
 
-def _error(rig: Rig, seen: CameraCorners) -> float:
+def _error(rig: CameraRig, seen: CameraCorners) -> float:
     """Return the median distance of the corners; those that cannot be imaged count as infinitely far."""
     of = seen.exposures.of_corner
     points = np.einsum("mij,mj->mi", rig.R_cam0_target[of], seen.exposures.points) + rig.p_cam0_target[of]
@@ -190,12 +190,12 @@ def _error(rig: Rig, seen: CameraCorners) -> float:
     return float(np.median(np.where(np.isfinite(distance), distance, np.inf)))
 
 
-def _refined(views: Views, few: CameraCorners, trial: _Trial) -> _Trial:
-    found = solved(views, trial.rig, most_iterations=_SHORT)
+def _refined(views: RigViews, few: CameraCorners, trial: _Trial) -> _Trial:
+    found = solve_rig(views, trial.rig, most_iterations=_SHORT)
     return _Trial(rig=found.rig, error_px=_error(found.rig, few))
 
 
-def fitted(lens: Camera, model: str, pixels: Floats) -> Camera:
+def fit_lens_model(lens: Camera, model: str, pixels: Floats) -> Camera:
     """Return a lens of another model that sees about the same rays at the same pixels.
 
     Parameters
@@ -274,7 +274,7 @@ def _start(
 
 def _fit(start: Camera, rays: Floats, pixels: Floats) -> Camera:
     """Return the lens whose pixels of some rays are nearest; rays that it cannot have do not count."""
-    low, high = bounds(start)
+    low, high = lens_bounds(start)
     size = np.maximum(np.abs(start.parameters), 0.1)
     ahead = rays[:, 2] > np.cos(_WIDEST) if start.projection == "pinhole" else np.ones(len(rays), dtype=np.bool_)
     limit = 0.1 * start.resolution[0]

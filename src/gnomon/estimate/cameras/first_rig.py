@@ -8,11 +8,11 @@ import numpy as np
 from ...errors import InitialisationError
 from ...models.camera import Camera
 from ...recording import Floats, Integers
-from .board_shape import stated
+from .board_shape import stated_shape
 from .first_lens import first_lens
-from .poses import first_poses, settled
-from .rig import Rig, Views
-from .views import camera_corners, corners_of_camera, renumbered
+from .poses import first_poses, settle_poses
+from .rig import CameraRig, RigViews
+from .views import camera_corners, renumber_camera, view_corners
 
 _FEWEST_SHARED = 3
 _NEAR_ROTATION = np.radians(5.0)
@@ -21,7 +21,7 @@ _CANDIDATES = 60
 _ENOUGH = 120  # shared views that tell where a camera is to another, before anything is estimated
 
 
-def first_rig(views: Views, models: Mapping[str, str], lenses: Mapping[str, Camera] | None = None) -> Rig:
+def first_rig(views: RigViews, models: Mapping[str, str], lenses: Mapping[str, Camera] | None = None) -> CameraRig:
     """Return lenses, poses of the cameras to each other and poses of all views, with no guess of anything.
 
     Parameters
@@ -41,12 +41,14 @@ def first_rig(views: Views, models: Mapping[str, str], lenses: Mapping[str, Came
     return posed_rig(views, cameras, cameras_apart(views, cameras))
 
 
-def first_lenses(views: Views, models: Mapping[str, str]) -> dict[str, Camera]:
+def first_lenses(views: RigViews, models: Mapping[str, str]) -> dict[str, Camera]:
     """Return a lens of each camera; see `first_rig`."""
     return {name: first_lens(views, number, models[name]) for number, name in enumerate(views.cameras)}
 
 
-def posed_rig(views: Views, cameras: Mapping[str, Camera], T_cam_cam0: Floats, board: Rig | None = None) -> Rig:
+def posed_rig(
+    views: RigViews, cameras: Mapping[str, Camera], T_cam_cam0: Floats, board: CameraRig | None = None
+) -> CameraRig:
     """Return a rig with the pose of every view, found anew.
 
     Parameters
@@ -69,17 +71,17 @@ def posed_rig(views: Views, cameras: Mapping[str, Camera], T_cam_cam0: Floats, b
         R[at] = T[:3, :3].T @ R_cam[better]
         p[at] = (p_cam[better] - T[:3, 3]) @ T[:3, :3]
         most[at] = np.diff(seen.exposures.start)[better]
-    rig = Rig(
+    rig = CameraRig(
         cameras=cameras,
         T_cam_cam0=T_cam_cam0,
         R_cam0_target=R,
         p_cam0_target=p,
-        board=stated(views.target) if board is None else board.board,
+        board=stated_shape(views.target) if board is None else board.board,
     )
-    return settled(corners, views.target, rig)[0]
+    return settle_poses(corners, views.target, rig)[0]
 
 
-def cameras_apart(views: Views, cameras: Mapping[str, Camera]) -> Floats:
+def cameras_apart(views: RigViews, cameras: Mapping[str, Camera]) -> Floats:
     """Return T_cam_cam0 (c, 4, 4) from the views that cameras share, along the pairs that share most.
 
     Raises
@@ -100,7 +102,7 @@ def cameras_apart(views: Views, cameras: Mapping[str, Camera]) -> Floats:
     return T
 
 
-def numbered_alike(views: Views, cameras: Mapping[str, Camera], numberings: Integers) -> Views:
+def number_views_alike(views: RigViews, cameras: Mapping[str, Camera], numberings: Integers) -> RigViews:
     """Return the views with boards that look the same from several ends numbered from one end by all cameras.
 
     A camera alone may count each view from another end: what it tells of its lens is the same. Views that cameras
@@ -128,33 +130,33 @@ def numbered_alike(views: Views, cameras: Mapping[str, Camera], numberings: Inte
         usual = _usual(apart.reshape(-1, 4, 4))
         way = np.zeros(len(views), np.int64)
         way[shared] = np.argmin([[_distance(usual, one) for one in of_way] for of_way in apart], axis=0)
-        views = renumbered(views, new, way, numberings)
+        views = renumber_camera(views, new, way, numberings)
     return views
 
 
-def _poses(views: Views, number: int, cameras: Mapping[str, Camera]) -> Floats:
+def _poses(views: RigViews, number: int, cameras: Mapping[str, Camera]) -> Floats:
     """Return T_cam_target (v, 4, 4) of one camera; the identity where it did not see the board."""
-    seen = corners_of_camera(views, number)
+    seen = view_corners(views, number)
     alone = replace(seen, camera=0, view=np.arange(len(seen)))
     R, p = first_poses(seen, cameras[seen.name])
-    rig = Rig(
+    rig = CameraRig(
         cameras={seen.name: cameras[seen.name]},
         T_cam_cam0=np.eye(4)[None],
         R_cam0_target=R,
         p_cam0_target=p,
-        board=stated(views.target),
+        board=stated_shape(views.target),
     )
-    rig = settled((alone,), views.target, rig)[0] if len(seen) else rig
+    rig = settle_poses((alone,), views.target, rig)[0] if len(seen) else rig
     T = np.tile(np.eye(4), (len(views), 1, 1))
     T[seen.view, :3, :3], T[seen.view, :3, 3] = rig.R_cam0_target, rig.p_cam0_target
     return T
 
 
-def _shared(views: Views, first: int, second: int) -> Integers:
+def _shared(views: RigViews, first: int, second: int) -> Integers:
     return np.flatnonzero((views.frame[:, first] >= 0) & (views.frame[:, second] >= 0))
 
 
-def _pairs(views: Views) -> list[tuple[int, int]]:
+def _pairs(views: RigViews) -> list[tuple[int, int]]:
     """Return pairs (known camera, new camera), from cam0 on, always the two that share most views."""
     names, known = tuple(views.cameras), [0]
     pairs: list[tuple[int, int]] = []

@@ -12,11 +12,11 @@ import numpy as np
 from ...recording import Floats
 from ..camera_imu.terms.corner_sums import CornerNoise
 from .first_rig import posed_rig
-from .layout import Layout
+from .layout import SharedLayout
 from .noise import HUBER, usual_sigma
-from .normal import linearised
-from .poses import settled
-from .rig import Rig, SeenCorners, Views
+from .normal import accumulate_normal_equations
+from .poses import settle_poses
+from .rig import CameraRig, RigViews, SeenCorners
 from .views import camera_corners
 
 _OUTLIER = 6.0  # sigmas of a corner's distance, by the best model
@@ -24,7 +24,7 @@ _STEPS = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HeldOut:
+class HeldOutCorners:
     """The corners of one camera in views that were held out.
 
     Attributes
@@ -43,7 +43,7 @@ class HeldOut:
     corners: Floats
 
 
-def posed(views: Views, rig: Rig) -> dict[str, SeenCorners]:
+def held_out_residuals(views: RigViews, rig: CameraRig) -> dict[str, SeenCorners]:
     """Return the residuals of views that get a pose of their own and nothing else.
 
     Parameters
@@ -54,18 +54,18 @@ def posed(views: Views, rig: Rig) -> dict[str, SeenCorners]:
     return at_poses(views, posed_rig(views, rig.cameras, rig.T_cam_cam0, rig))
 
 
-def at_poses(views: Views, rig: Rig) -> dict[str, SeenCorners]:
+def at_poses(views: RigViews, rig: CameraRig) -> dict[str, SeenCorners]:
     """Return the residuals of views at a rig that holds their poses, each moved to its robust minimum."""
     corners = camera_corners(views)
     plain = {name: CornerNoise(sigma_px=1.0, huber=np.inf) for name in rig.cameras}
-    layout = Layout.poses_only(rig.cameras)
-    at = linearised(corners, views.target, rig, layout, plain)
+    layout = SharedLayout.poses_only(rig.cameras)
+    at = accumulate_normal_equations(corners, views.target, rig, layout, plain)
     noise = {
         seen.name: CornerNoise(sigma_px=usual_sigma(sums), huber=HUBER)
         for seen, sums in zip(corners, at.sums, strict=True)
     }
-    rig, _ = settled(corners, views.target, rig, steps=_STEPS, noise=noise)
-    at = linearised(corners, views.target, rig, layout, noise)
+    rig, _ = settle_poses(corners, views.target, rig, steps=_STEPS, noise=noise)
+    at = accumulate_normal_equations(corners, views.target, rig, layout, noise)
     return {
         seen.name: SeenCorners(
             view=seen.of_corner,
@@ -80,7 +80,7 @@ def at_poses(views: Views, rig: Rig) -> dict[str, SeenCorners]:
     }
 
 
-def held_out_rms(trials: Mapping[str, SeenCorners]) -> dict[str, HeldOut]:
+def held_out_rms(trials: Mapping[str, SeenCorners]) -> dict[str, HeldOutCorners]:
     """Return how far the corners of one camera are from what several models foresee, on the same corners.
 
     Parameters
@@ -97,14 +97,14 @@ def held_out_rms(trials: Mapping[str, SeenCorners]) -> dict[str, HeldOut]:
     return {model: _held_out(trials[model], finite[model], wrong) for model in trials}
 
 
-def _held_out(seen: SeenCorners, distance: Floats, wrong: np.ndarray) -> HeldOut:
+def _held_out(seen: SeenCorners, distance: Floats, wrong: np.ndarray) -> HeldOutCorners:
     lost = ~np.isfinite(distance) & ~wrong
     counted = ~wrong
     worst = float(distance[counted & ~lost].max(initial=0.0))
     squares = np.where(lost, worst, np.where(counted, distance, 0.0)) ** 2
     views = int(seen.view.max(initial=-1)) + 1
     count = int(counted.sum())
-    return HeldOut(
+    return HeldOutCorners(
         rms_px=float(np.sqrt(squares.sum() / (2 * count))) if count else float("nan"),
         outliers=float(wrong.mean()) if len(wrong) else 0.0,
         lost=float(lost.sum() / count) if count else 0.0,
@@ -113,7 +113,7 @@ def _held_out(seen: SeenCorners, distance: Floats, wrong: np.ndarray) -> HeldOut
     )
 
 
-def merged(parts: list[SeenCorners]) -> SeenCorners:
+def merge_corners(parts: list[SeenCorners]) -> SeenCorners:
     """Return the corners of several sets of views as one, the views counted on."""
     views = np.cumsum([0, *(int(part.view.max(initial=-1)) + 1 for part in parts[:-1])])
     shifted = [replace(part, view=part.view + first) for part, first in zip(parts, views, strict=True)]

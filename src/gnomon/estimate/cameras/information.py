@@ -14,7 +14,7 @@ from ..camera_imu.terms.corner_sums import CornerNoise
 from ..trust.clusters import ClusterSums
 from .normal import view_sums
 from .problem import Problem
-from .rig import Rig, RigSolution, Views
+from .rig import CameraRig, RigSolution, RigViews
 
 _NEGLIGIBLE = 0.004
 """Nats per parameter: the last of some 125 alike views adds so much."""
@@ -37,7 +37,7 @@ class ChosenViews:
     nats: Floats
 
 
-def chosen_views(views: Views, at: RigSolution | Rig, most: int | None = None) -> ChosenViews:
+def chosen_views(views: RigViews, at: RigSolution | CameraRig, most: int | None = None) -> ChosenViews:
     """Return the most informative views for the lenses and the places of the cameras.
 
     Parameters
@@ -50,7 +50,7 @@ def chosen_views(views: Views, at: RigSolution | Rig, most: int | None = None) -
     return _greedy(sums, most)
 
 
-def sums_at(views: Views, rig: Rig) -> ClusterSums:
+def sums_at(views: RigViews, rig: CameraRig) -> ClusterSums:
     """Return pull and information of each view at a rig that holds its pose, for usual noise of one size."""
     problem = Problem.of(views, rig, (), True)
     noise = {

@@ -12,7 +12,7 @@ from ...models.target import Target
 from ...recording import Floats, Integers
 from ..camera_imu.terms.corner_sums import TWIST
 from .board_shape import ASPECT, BOW, OFFSETS, aspect_move, bow_moves
-from .rig import BoardShape, Rig
+from .rig import BoardShape, CameraRig
 
 POSE = 6
 """Columns of the pose of a view: a small rotation about cam0's origin and a shift, both in cam0's frame."""
@@ -30,7 +30,7 @@ _POWER = {"fu": 1, "fv": 1, "p1": 1, "p2": 1, "k1": 2, "k2": 4, "k3": 6, "k4": 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layout:
+class SharedLayout:
     """Columns of the shared parameters; those of the points of the board come last.
 
     Attributes
@@ -52,7 +52,7 @@ class Layout:
     @classmethod
     def of(
         cls, cameras: Mapping[str, Camera], own: Mapping[str, Integers], board: tuple[str, ...], points: int
-    ) -> "Layout":
+    ) -> "SharedLayout":
         """Return the columns of some lens parameters, of all places but cam0's, and of parts of the board's shape."""
         at = 0
         lens: dict[str, slice] = {}
@@ -77,7 +77,7 @@ class Layout:
         )
 
     @classmethod
-    def poses_only(cls, cameras: Mapping[str, Camera]) -> "Layout":
+    def poses_only(cls, cameras: Mapping[str, Camera]) -> "SharedLayout":
         """Return the columns where all that is shared is held: none."""
         none = slice(0, 0)
         return cls(
@@ -116,7 +116,7 @@ class Layout:
             ]
         )
 
-    def map(self, rig: Rig, name: str, number: int) -> Floats:
+    def map(self, rig: CameraRig, name: str, number: int) -> Floats:
         """Return how the columns of an exposure follow from those of a view, (w, 6 + q + 1).
 
         The columns of an exposure are [twist | lens | aspect and bow | residual], those of a view [pose | shared,
@@ -135,7 +135,7 @@ class Layout:
         found[-1, -1] = 1.0
         return found
 
-    def moved(self, rig: Rig, poses: Floats, shared: Floats) -> Rig:
+    def moved(self, rig: CameraRig, poses: Floats, shared: Floats) -> CameraRig:
         """Return the rig after a step of the poses (v, 6) and of the shared parameters (size,)."""
         turn = rotation_from_rotvec(poses[:, :3])
         cameras: dict[str, Camera] = {}
@@ -164,7 +164,7 @@ class Layout:
         )
 
 
-def bounds(camera: Camera) -> tuple[Floats, Floats]:
+def lens_bounds(camera: Camera) -> tuple[Floats, Floats]:
     """Return the least and the largest value of each parameter of a lens, (q,) both."""
     pairs = [_BOUNDS.get(symbol, (-np.inf, np.inf)) for symbol in camera.parameter_symbols]
     low, high = (np.array(side) for side in zip(*pairs, strict=True))
@@ -179,7 +179,7 @@ def _moved(camera: Camera, step: Floats) -> Camera:
     A larger xi makes the plane of the projection smaller by 1 + xi: focal lengths and coefficients go along with it, as
     they do along the valley in which the cost hardly changes. For a small step that is the same as adding it.
     """
-    low, high = bounds(camera)
+    low, high = lens_bounds(camera)
     if "xi" not in camera.parameter_symbols:
         return camera.with_parameters(np.clip(camera.parameters + step, low, high))
     power = np.array([_POWER.get(symbol, 0) for symbol in camera.parameter_symbols])

@@ -27,7 +27,7 @@ class LensPrior:
     sigma: Floats
 
 
-def lens_prior(camera: Camera, pixels: Floats) -> LensPrior:
+def image_wide_prior(camera: Camera, pixels: Floats) -> LensPrior:
     """Return a prior as wide as the image itself: a distortion of 100 % at its border, a focal length of 100 %.
 
     Parameters
@@ -56,7 +56,7 @@ def lens_prior(camera: Camera, pixels: Floats) -> LensPrior:
     return LensPrior(mean=mean, sigma=np.array(sigma))
 
 
-def undetermined(solution: RigSolution) -> tuple[str, ...]:
+def undetermined_parameters(solution: RigSolution) -> tuple[str, ...]:
     """Return the names of parameters that the views leave about as open as any lens or board is."""
     prior = np.diag(solution.sums.prior_information)
     held = prior * np.diag(solution.ordinary) > _OPEN**2

@@ -48,7 +48,7 @@ def bounded_sigma(sums: CornerSums, counted: np.ndarray, huber: float, freedom: 
     return max(float(np.sqrt(np.mean(cut**2) / (2 * freedom * share))), SMALLEST_PX)
 
 
-def spread(seen: CameraCorners, sigma_px: float) -> Floats | None:
+def relative_corner_sigmas(seen: CameraCorners, sigma_px: float) -> Floats | None:
     """Return the standard deviation of each corner over that of a usual one.
 
     What the detector knows of each corner adds up with what is common to all, such as the errors of the board.

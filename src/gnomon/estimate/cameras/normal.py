@@ -16,16 +16,16 @@ import numpy as np
 from ...models.target import Target
 from ...recording import Floats
 from ..camera_imu.terms.corner_sums import CornerNoise, CornerSums, corner_sums
-from .board_shape import places
-from .layout import POSE, Layout
-from .rig import Rig
+from .board_shape import board_points
+from .layout import POSE, SharedLayout
+from .rig import CameraRig
 from .views import CameraCorners
 
 _LOST = 0.25  # of the image's width: how far off a corner counts that the lens cannot image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Linearised:
+class ViewNormalEquations:
     """The sums over the corners at a rig.
 
     Attributes
@@ -99,9 +99,13 @@ class _PointProducts:
         self.squares[corners] = np.einsum("imk,jmk->mij", own, own, optimize=True)
 
 
-def linearised(
-    corners: Sequence[CameraCorners], target: Target, rig: Rig, layout: Layout, noise: Mapping[str, CornerNoise]
-) -> Linearised:
+def accumulate_normal_equations(
+    corners: Sequence[CameraCorners],
+    target: Target,
+    rig: CameraRig,
+    layout: SharedLayout,
+    noise: Mapping[str, CornerNoise],
+) -> ViewNormalEquations:
     """Sum up the corners of all views at a rig.
 
     Parameters
@@ -117,7 +121,7 @@ def linearised(
     gram = np.zeros((views, POSE + q + 1, POSE + q + 1))
     by_points = np.zeros((views, points, POSE + q + 1, 3))
     squares, cost = np.zeros((views, points, 3, 3)), np.zeros(views)
-    where, moves = places(target, rig.board), layout.board_moves(target)
+    where, moves = board_points(target, rig.board), layout.board_moves(target)
     found: list[CornerSums] = []
     for seen in corners:
         R, p = poses_in_camera(rig, seen)
@@ -143,7 +147,7 @@ def linearised(
             by_points[seen.of_corner, seen.point] += mapped.T @ products.by_row
             squares[seen.of_corner, seen.point] += products.squares
         found.append(sums)
-    return Linearised(
+    return ViewNormalEquations(
         gram=gram,
         by_points=by_points.transpose(0, 2, 1, 3).reshape(views, POSE + q + 1, 3 * points),
         squares=squares,
@@ -152,20 +156,20 @@ def linearised(
     )
 
 
-def poses_in_camera(rig: Rig, seen: CameraCorners) -> tuple[Floats, Floats]:
+def poses_in_camera(rig: CameraRig, seen: CameraCorners) -> tuple[Floats, Floats]:
     """Return the pose of the board in a camera's frame at each of its exposures, (e, 3, 3) and (e, 3)."""
     T = rig.T_cam_cam0[seen.camera]
     return T[:3, :3] @ rig.R_cam0_target[seen.view], rig.p_cam0_target[seen.view] @ T[:3, :3].T + T[:3, 3]
 
 
-def _lost_cost(rig: Rig, seen: CameraCorners, noise: CornerNoise) -> float:
+def _lost_cost(rig: CameraRig, seen: CameraCorners, noise: CornerNoise) -> float:
     """Return the cost of a corner that the lens cannot image: that of one far off."""
     distance = _LOST * rig.cameras[seen.name].resolution[0] / noise.sigma_px
     return 0.5 * distance**2 if distance < noise.huber else noise.huber * (distance - 0.5 * noise.huber)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Reduced:
+class ReducedEquations:
     """Normal equations of the shared parameters, the poses eliminated, and how the poses follow.
 
     Attributes
@@ -185,14 +189,14 @@ class Reduced:
         return -self.rest - self.follow @ shared
 
 
-def reduced(at: Linearised, damping: float = 0.0) -> Reduced:
+def eliminate_poses(at: ViewNormalEquations, damping: float = 0.0) -> ReducedEquations:
     """Return the equations of the shared parameters alone."""
     border = at.border
     inverse = inverse_poses(at.pose, damping)
     follow = inverse @ border
     rest = np.einsum("vij,vj->vi", inverse, at.pose_gradient)
     wide = border.reshape(-1, at.size)
-    return Reduced(
+    return ReducedEquations(
         information=at.shared() - wide.T @ follow.reshape(-1, at.size),
         gradient=at.gradients().sum(axis=0) - wide.T @ rest.ravel(),
         follow=follow,
@@ -213,7 +217,7 @@ def inverse_poses(pose: Floats, damping: float | Floats = 0.0) -> Floats:
     return found
 
 
-def view_sums(at: Linearised) -> tuple[Floats, Floats]:
+def view_sums(at: ViewNormalEquations) -> tuple[Floats, Floats]:
     """Return pull (v, p) and information (v, p, p) of each view, its pose eliminated."""
     inverse, border = inverse_poses(at.pose), at.border
     follow = inverse @ border

@@ -8,12 +8,12 @@ import numpy as np
 from ...models.camera import Camera
 from ...models.target import Target
 from ...recording import Floats
-from ..camera_imu.start.board_poses import homography_poses, thinned
+from ..camera_imu.start.board_poses import homography_poses, thin_exposures
 from ..camera_imu.terms.corner_sums import CornerNoise
-from .layout import Layout
+from .layout import SharedLayout
 from .noise import usual_sigma
-from .normal import Linearised, inverse_poses, linearised
-from .rig import Rig
+from .normal import ViewNormalEquations, accumulate_normal_equations, inverse_poses
+from .rig import CameraRig
 from .views import CameraCorners
 
 _STEPS = 12
@@ -27,36 +27,36 @@ def first_poses(seen: CameraCorners, camera: Camera) -> tuple[Floats, Floats]:
     """Return the pose of the board in a camera in each of its exposures by homographies, (e, 3, 3) and (e, 3)."""
     if not len(seen):
         return np.empty((0, 3, 3)), np.empty((0, 3))
-    return homography_poses(thinned(seen.exposures), camera)
+    return homography_poses(thin_exposures(seen.exposures), camera)
 
 
-def settled(
+def settle_poses(
     corners: Sequence[CameraCorners],
     target: Target,
-    rig: Rig,
+    rig: CameraRig,
     *,
     steps: int = _STEPS,
     noise: Mapping[str, CornerNoise] | None = None,
-) -> tuple[Rig, Floats]:
+) -> tuple[CameraRig, Floats]:
     """Return the rig with each view's pose where its own robust cost is least, and that cost (v,).
 
     Each view is damped alone. Without `noise` the corners' scatter about the poses is found on the way.
     """
-    layout = Layout.poses_only(rig.cameras)
+    layout = SharedLayout.poses_only(rig.cameras)
     weights = noise or {name: CornerNoise(sigma_px=1.0, huber=np.inf) for name in rig.cameras}
-    at = linearised(corners, target, rig, layout, weights)
+    at = accumulate_normal_equations(corners, target, rig, layout, weights)
     pose, gradient, cost = at.pose, at.pose_gradient, at.cost
     damping = np.full(len(cost), 1e-6)
     for step in range(steps):
         if noise is None and step in _WEIGHED:
             weights = _weights(corners, at)
-            at = linearised(corners, target, rig, layout, weights)
+            at = accumulate_normal_equations(corners, target, rig, layout, weights)
             pose, gradient, cost = at.pose, at.pose_gradient, at.cost
         moves = -np.einsum("vij,vj->vi", inverse_poses(pose, damping), gradient)
         turn = np.linalg.norm(moves[:, :3], axis=1, keepdims=True)
         moves *= np.minimum(1.0, _MOST_TURN / np.maximum(turn, 1e-300))
         trial = layout.moved(rig, moves, np.empty(0))
-        at = linearised(corners, target, trial, layout, weights)
+        at = accumulate_normal_equations(corners, target, trial, layout, weights)
         better = at.cost <= cost * (1 + 1e-12)
         gained = float((cost - at.cost)[better].sum())
         one, two = better[:, None], better[:, None, None]
@@ -73,7 +73,7 @@ def settled(
     return rig, cost
 
 
-def _weights(corners: Sequence[CameraCorners], at: Linearised) -> dict[str, CornerNoise]:
+def _weights(corners: Sequence[CameraCorners], at: ViewNormalEquations) -> dict[str, CornerNoise]:
     return {
         seen.name: CornerNoise(sigma_px=usual_sigma(sums), huber=_HUBER)
         for seen, sums in zip(corners, at.sums, strict=True)

@@ -8,11 +8,11 @@ import numpy as np
 from ...recording import Floats
 from ..camera_imu.terms.corner_sums import CornerNoise
 from .board_shape import ASPECT_SIGMA, bow_sigma, offsets_information
-from .layout import Layout, bounds
-from .lens_prior import LensPrior, lens_prior
-from .noise import HUBER, bounded_sigma, spread, usual_sigma
-from .normal import Linearised, linearised
-from .rig import Rig, Views
+from .layout import SharedLayout, lens_bounds
+from .lens_prior import LensPrior, image_wide_prior
+from .noise import HUBER, bounded_sigma, relative_corner_sigmas, usual_sigma
+from .normal import ViewNormalEquations, accumulate_normal_equations
+from .rig import CameraRig, RigViews
 from .views import CameraCorners, camera_corners
 
 
@@ -30,20 +30,20 @@ class Problem:
     huber : distance in sigmas from which on a corner counts less; infinite for least squares
     """
 
-    views: Views
+    views: RigViews
     corners: tuple[CameraCorners, ...]
-    layout: Layout
+    layout: SharedLayout
     prior: Mapping[str, LensPrior]
     information: Floats
     huber: float
 
     @classmethod
-    def of(cls, views: Views, start: Rig, board: tuple[str, ...], robust: bool) -> "Problem":
+    def of(cls, views: RigViews, start: CameraRig, board: tuple[str, ...], robust: bool) -> "Problem":
         """Return the problem of all lens parameters, all places but cam0's, and parts of the board's shape."""
         corners = camera_corners(views)
         own = {name: np.arange(len(camera.parameters)) for name, camera in start.cameras.items()}
-        prior = {seen.name: lens_prior(start.cameras[seen.name], seen.exposures.pixels) for seen in corners}
-        layout = Layout.of(start.cameras, own, board, len(views.target))
+        prior = {seen.name: image_wide_prior(start.cameras[seen.name], seen.exposures.pixels) for seen in corners}
+        layout = SharedLayout.of(start.cameras, own, board, len(views.target))
         return cls(
             views=views,
             corners=corners,
@@ -56,7 +56,7 @@ class Problem:
     def holding(self, own: Mapping[str, np.ndarray], board: tuple[str, ...]) -> "Problem":
         """Return the problem of some of the lens parameters."""
         cameras = {name: frames.camera for name, frames in self.views.cameras.items()}
-        layout = Layout.of(cameras, own, board, len(self.views.target))
+        layout = SharedLayout.of(cameras, own, board, len(self.views.target))
         return replace(self, layout=layout, information=_prior_information(self.views, layout, self.prior))
 
     @property
@@ -66,20 +66,20 @@ class Problem:
         taken = 6 * len(np.unique(np.concatenate([seen.view for seen in self.corners]))) + self.layout.size
         return max(residuals - taken, 1) / max(residuals, 1)
 
-    def at(self, rig: Rig, noise: Mapping[str, CornerNoise]) -> Linearised:
+    def at(self, rig: CameraRig, noise: Mapping[str, CornerNoise]) -> ViewNormalEquations:
         """Return the sums over the corners at a rig."""
-        return linearised(self.corners, self.views.target, rig, self.layout, noise)
+        return accumulate_normal_equations(self.corners, self.views.target, rig, self.layout, noise)
 
-    def prior_gradient(self, rig: Rig) -> Floats:
+    def prior_gradient(self, rig: CameraRig) -> Floats:
         """Return the gradient of the priors' cost, (p,)."""
         return self.information @ self._apart(rig)
 
-    def cost(self, at: Linearised, rig: Rig) -> float:
+    def cost(self, at: ViewNormalEquations, rig: CameraRig) -> float:
         """Return the robust cost with that of the priors."""
         apart = self._apart(rig)
         return float(at.cost.sum() + 0.5 * apart @ self.information @ apart)
 
-    def _apart(self, rig: Rig) -> Floats:
+    def _apart(self, rig: CameraRig) -> Floats:
         """Return how far a rig is from the priors' means, (p,)."""
         layout, found = self.layout, np.zeros(self.layout.size)
         for name, camera in rig.cameras.items():
@@ -93,16 +93,18 @@ class Problem:
             found[layout.offsets] = rig.board.offsets.ravel()
         return found
 
-    def first_noise(self, rig: Rig) -> dict[str, CornerNoise]:
+    def first_noise(self, rig: CameraRig) -> dict[str, CornerNoise]:
         """Return weights by the scatter of the corners at a rig."""
         plain = {seen.name: CornerNoise(sigma_px=1.0, huber=np.inf) for seen in self.corners}
-        at = linearised(self.corners, self.views.target, rig, Layout.poses_only(rig.cameras), plain)
+        at = accumulate_normal_equations(
+            self.corners, self.views.target, rig, SharedLayout.poses_only(rig.cameras), plain
+        )
         return {
             seen.name: CornerNoise(sigma_px=usual_sigma(sums), huber=self.huber)
             for seen, sums in zip(self.corners, at.sums, strict=True)
         }
 
-    def noise_at(self, at: Linearised) -> dict[str, CornerNoise]:
+    def noise_at(self, at: ViewNormalEquations) -> dict[str, CornerNoise]:
         """Return weights by the residuals of a linearisation."""
         return {
             seen.name: CornerNoise(
@@ -115,22 +117,24 @@ class Problem:
     def with_spread(self, noise: Mapping[str, CornerNoise]) -> "Problem":
         """Return the problem with the spread of the corners that their detector knows of."""
         corners = tuple(
-            replace(seen, exposures=replace(seen.exposures, spread=spread(seen, noise[seen.name].sigma_px)))
+            replace(
+                seen, exposures=replace(seen.exposures, spread=relative_corner_sigmas(seen, noise[seen.name].sigma_px))
+            )
             for seen in self.corners
         )
         return replace(self, corners=corners)
 
-    def held(self, rig: Rig, gradient: Floats) -> np.ndarray:
+    def held(self, rig: CameraRig, gradient: Floats) -> np.ndarray:
         """Return which columns are at a bound of their lens and pull outwards, (p,) bool."""
         found = np.zeros(self.layout.size, dtype=np.bool_)
         for name, camera in rig.cameras.items():
-            low, high = (side[self.layout.own[name]] for side in bounds(camera))
+            low, high = (side[self.layout.own[name]] for side in lens_bounds(camera))
             values, pull = camera.parameters[self.layout.own[name]], -gradient[self.layout.lens[name]]
             found[self.layout.lens[name]] = ((values <= low) & (pull < 0)) | ((values >= high) & (pull > 0))
         return found
 
 
-def _prior_information(views: Views, layout: Layout, prior: Mapping[str, LensPrior]) -> Floats:
+def _prior_information(views: RigViews, layout: SharedLayout, prior: Mapping[str, LensPrior]) -> Floats:
     found = np.zeros((layout.size, layout.size))
     diagonal = np.zeros(layout.size)
     for name, one in prior.items():

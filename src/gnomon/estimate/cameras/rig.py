@@ -19,7 +19,7 @@ from ..trust.clusters import ClusterSums
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Views:
+class RigViews:
     """The corners of all cameras, gathered by the instant at which they were seen.
 
     Attributes
@@ -38,9 +38,9 @@ class Views:
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def where(self, kept: np.ndarray) -> "Views":
+    def where(self, kept: np.ndarray) -> "RigViews":
         """Return some of the views, (v,) bool or indices in ascending order."""
-        return Views(target=self.target, cameras=self.cameras, t_ns=self.t_ns[kept], frame=self.frame[kept])
+        return RigViews(target=self.target, cameras=self.cameras, t_ns=self.t_ns[kept], frame=self.frame[kept])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +61,7 @@ class BoardShape:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rig:
+class CameraRig:
     """Everything that the views depend on.
 
     Attributes
@@ -122,8 +122,8 @@ class RigSolution:
     converged : whether they came to rest
     """
 
-    views: Views
-    rig: Rig
+    views: RigViews
+    rig: CameraRig
     names: tuple[str, ...]
     sums: ClusterSums
     ordinary: Floats

@@ -14,9 +14,9 @@ from ...recording import Floats
 from ...results.camera_diagnostics import SolverStep
 from ..camera_imu.terms.corner_sums import CornerNoise, Exposures
 from ..trust.clusters import ClusterSums
-from .normal import Linearised, Reduced, reduced, view_sums
+from .normal import ReducedEquations, ViewNormalEquations, eliminate_poses, view_sums
 from .problem import Problem
-from .rig import Rig, RigSolution, SeenCorners, Views
+from .rig import CameraRig, RigSolution, RigViews, SeenCorners
 from .views import CameraCorners
 
 _AT_REST = 3e-3  # sigmas of a shared parameter
@@ -34,15 +34,15 @@ class _State:
     """Where the iterations are."""
 
     problem: Problem
-    rig: Rig
+    rig: CameraRig
     noise: Mapping[str, CornerNoise]
-    at: Linearised
+    at: ViewNormalEquations
     steps: tuple[SolverStep, ...]
     converged: bool = False
 
 
-def solved(
-    views: Views, start: Rig, *, board: tuple[str, ...] = (), robust: bool = True, most_iterations: int = 50
+def solve_rig(
+    views: RigViews, start: CameraRig, *, board: tuple[str, ...] = (), robust: bool = True, most_iterations: int = 50
 ) -> RigSolution:
     """Estimate all lenses, the cameras' poses to each other, and parts of the board's shape.
 
@@ -71,7 +71,7 @@ def solved(
     return _solution(state)
 
 
-def _minimum(problem: Problem, rig: Rig, noise: Mapping[str, CornerNoise], most: int) -> _State:
+def _minimum(problem: Problem, rig: CameraRig, noise: Mapping[str, CornerNoise], most: int) -> _State:
     """Return the minimum with weights by its own residuals."""
     problem = problem.with_spread(noise)
     state = _State(problem=problem, rig=rig, noise=noise, at=problem.at(rig, noise), steps=())
@@ -95,7 +95,7 @@ def _descended(state: _State, most: int, at_rest: float) -> _State:
     steps, damping, growth = list(state.steps), 0.0, 2.0
     cost = problem.cost(at, rig)
     for _ in range(most):
-        equations = reduced(at)
+        equations = eliminate_poses(at)
         information = equations.information + problem.information
         gradient = equations.gradient + problem.prior_gradient(rig)
         held = problem.held(rig, gradient)
@@ -123,12 +123,12 @@ def _descended(state: _State, most: int, at_rest: float) -> _State:
 class _Trial:
     """A rig that may be better, and its cost; infinite where it is not a finite number."""
 
-    rig: Rig
-    at: Linearised
+    rig: CameraRig
+    at: ViewNormalEquations
     cost: float
 
     @classmethod
-    def of(cls, state: _State, rig: Rig, equations: Reduced, shared: Floats) -> "_Trial":
+    def of(cls, state: _State, rig: CameraRig, equations: ReducedEquations, shared: Floats) -> "_Trial":
         """Return the rig after a step of the shared parameters that the poses follow."""
         with np.errstate(over="ignore", invalid="ignore"):  # of what runs away; it is no better then
             poses = equations.poses(shared)
@@ -151,7 +151,7 @@ def _brought_back(state: _State, trial: _Trial, along: Floats, held: np.ndarray)
     held : (p,) bool
     """
     problem = state.problem
-    equations = reduced(trial.at)
+    equations = eliminate_poses(trial.at)
     information = equations.information + problem.information
     gradient = equations.gradient + problem.prior_gradient(trial.rig)
     plain = _damped(information, gradient, held, 0.0)
@@ -243,12 +243,12 @@ def _solution(state: _State) -> RigSolution:
     )
 
 
-def seen_corners(problem: Problem, at: Linearised, views: Views) -> dict[str, SeenCorners]:
+def seen_corners(problem: Problem, at: ViewNormalEquations, views: RigViews) -> dict[str, SeenCorners]:
     """Return the corners that take part, with their residuals."""
     return {seen.name: _seen(seen, at, k) for k, seen in enumerate(problem.corners)} if len(views) else {}
 
 
-def _seen(seen: CameraCorners, at: Linearised, number: int) -> SeenCorners:
+def _seen(seen: CameraCorners, at: ViewNormalEquations, number: int) -> SeenCorners:
     sums = at.sums[number]
     return SeenCorners(
         view=seen.of_corner,

@@ -7,9 +7,9 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import CameraFrames, Floats, Integers
-from ..camera_imu.start.board_poses import gathered
+from ..camera_imu.start.board_poses import gather_exposures
 from ..camera_imu.terms.corner_sums import Exposures
-from .rig import Views
+from .rig import RigViews
 
 _APART_NS = 5_000_000  # timestamps of one instant are not further apart, however slow the cameras
 
@@ -21,7 +21,7 @@ class CameraCorners:
     Attributes
     ----------
     name : "cam0", ...
-    camera : its number in `Views.frame`
+    camera : its number in `RigViews.frame`
     exposures : one a frame, in the order of views
     view : (e,) view of each exposure
     own_sigma_px : (m,) standard deviation of each corner as its detector knows it [px], or None
@@ -48,7 +48,7 @@ class CameraCorners:
         return self.view[self.exposures.of_corner]
 
 
-def gathered_views(cameras: Mapping[str, CameraFrames], target: Target) -> Views:
+def gathered_views(cameras: Mapping[str, CameraFrames], target: Target) -> RigViews:
     """Return the frames with enough corners, those of one instant gathered in a view.
 
     Timestamps of one instant are equal, or the nearest to each other, not further apart than half the time between
@@ -61,9 +61,9 @@ def gathered_views(cameras: Mapping[str, CameraFrames], target: Target) -> Views
     """
     t_ns, frame = np.empty(0, np.int64), np.empty((0, len(cameras)), np.int64)
     for number, frames in enumerate(cameras.values()):
-        usable = gathered(frames, target).frame
+        usable = gather_exposures(frames, target).frame
         t_ns, frame = _with_camera(t_ns, frame, number, frames.t_ns, usable)
-    return Views(target=target, cameras=dict(cameras), t_ns=t_ns, frame=frame)
+    return RigViews(target=target, cameras=dict(cameras), t_ns=t_ns, frame=frame)
 
 
 def _with_camera(
@@ -98,12 +98,12 @@ def _step(stamps: Integers) -> float:
     return float(np.median(np.diff(stamps))) if len(stamps) > 1 else float(2 * _APART_NS)
 
 
-def camera_corners(views: Views) -> tuple[CameraCorners, ...]:
+def camera_corners(views: RigViews) -> tuple[CameraCorners, ...]:
     """Return the corners that the views hold, camera by camera."""
-    return tuple(corners_of_camera(views, number) for number in range(len(views.cameras)))
+    return tuple(view_corners(views, number) for number in range(len(views.cameras)))
 
 
-def corners_of_camera(views: Views, number: int) -> CameraCorners:
+def view_corners(views: RigViews, number: int) -> CameraCorners:
     """Return the corners that the views hold of one camera."""
     name = tuple(views.cameras)[number]
     frames = views.cameras[name]
@@ -130,7 +130,7 @@ def corners_of_camera(views: Views, number: int) -> CameraCorners:
     )
 
 
-def renumbered(views: Views, number: int, way: Integers, numberings: Integers) -> Views:
+def renumber_camera(views: RigViews, number: int, way: Integers, numberings: Integers) -> RigViews:
     """Return the views with the points of one camera's frames counted in another way.
 
     Parameters

@@ -81,7 +81,7 @@ class RestMeans:
         return float(self.rest[k]) + (at - float(own[0])) / len(own)
 
 
-def before(place: Floats | float, n: int) -> Floats:
+def shares_before(place: Floats | float, n: int) -> Floats:
     """Return the share (n, ...) of each of n static intervals that lies before a place of `BiasChanges.steps`."""
     place = np.asarray(place, dtype=np.float64)
     return np.clip(place - np.arange(n).reshape(-1, *[1] * place.ndim), 0.0, 1.0)
@@ -90,7 +90,7 @@ def before(place: Floats | float, n: int) -> Floats:
 def functions_of_time(changes: BiasChanges, t_s: Floats, half_s: Floats) -> Floats:
     """Return what the bias follows at rest, (n, j): one in each segment but the last, and the decay."""
     n = len(t_s)
-    steps = [before(place, n) for place in changes.steps]
+    steps = [shares_before(place, n) for place in changes.steps]
     if changes.warm_up_s:
         steps.append(_decay(t_s, half_s, changes.warm_up_s))
     return np.stack(steps, axis=1) if steps else np.empty((n, 0))
@@ -224,7 +224,7 @@ def _candidates(rests: RestMeans, shortest: int) -> _Candidates:
     in_first = int(np.sum(rests.rest == 0))  # what came before is another turn-on, however short
     at = np.arange(1 if in_first > 1 else shortest, n - shortest + 1)
     at = at[(at >= shortest) | (at <= in_first)]
-    steps = before(at.astype(np.float64), n)
+    steps = shares_before(at.astype(np.float64), n)
     tau = np.array(DECAYS) * span
     decays = _decay(t_s[:, None], rests.half_s[:, None], tau)
     return _Candidates(
@@ -250,7 +250,7 @@ def _refined(rests: RestMeans, series: _Series, candidates: _Candidates, taken: 
             columns = (
                 _decay(rests.t_s[:, None], rests.half_s[:, None], finer)
                 if candidates.kind[k] == "warm-up"
-                else before(finer, n)
+                else shares_before(finer, n)
             )
             chosen = [*others, *[k] * len(finer)]
             trial = _Candidates(

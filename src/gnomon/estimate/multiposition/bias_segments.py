@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...recording import Floats
-from .bias_changes import before
+from .bias_changes import shares_before
 from .drift import mean_at_rest
 from .model import BiasFunctions, MultiPositionData
 
@@ -45,7 +45,7 @@ def step_functions(places: Floats, n: int, triad: str) -> BiasFunctions:
     """Return one function for each segment but the last, whose bias is that of the model."""
     in_motion = np.arange(1, n)[:, None] < places
     return BiasFunctions(
-        at_rest=np.diff(before(places, n), axis=1, prepend=0.0),
+        at_rest=np.diff(shares_before(places, n), axis=1, prepend=0.0),
         in_motion=np.diff(in_motion.astype(np.float64), axis=1, prepend=0.0),
         kind=("step",) * len(places),
         sigma=np.full((len(places), 3), _WEAK[triad]),

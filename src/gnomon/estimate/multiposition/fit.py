@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import SolveError
 from ...frozen import value_class
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...results.intervals import Booleans
@@ -36,11 +36,11 @@ from .model import (
     LOWER,
     PARAMETERS,
     S_,
-    Linearisation,
     MultiPositionData,
-    State,
+    MultiPositionLinearization,
+    MultiPositionState,
     Whitening,
-    linearise,
+    linearize_model,
     normal_equations,
 )
 from .noise_levels import ExtraVariance, estimate_extra_variance, rotation_variance, whitened_rest
@@ -57,12 +57,12 @@ _FEWEST_INTERVALS = 9
 _HELD = 0.3  # posterior sigma over prior sigma beyond which a parameter is the prior's
 
 
-Knowledge = Callable[[State], tuple[Floats, Floats]]
+Knowledge = Callable[[MultiPositionState], tuple[Floats, Floats]]
 """What is known beforehand: at a state, precision (30, 30) and information vector (30,) of theta, linearised there."""
 
 
 @value_class
-class Task:
+class FitProblem:
     """What stays the same during a fit.
 
     Attributes
@@ -77,7 +77,7 @@ class Task:
     """
 
     data: MultiPositionData
-    start: State
+    start: MultiPositionState
     free: Booleans
     known: Knowledge | None
     prior_mean: Floats
@@ -86,11 +86,11 @@ class Task:
 
 
 @value_class
-class Point:
+class Iterate:
     """Where a fit stands: the state, its linearisation, and the step and covariance that follow from it."""
 
-    state: State
-    lines: Linearisation
+    state: MultiPositionState
+    lines: MultiPositionLinearization
     whitening: Whitening
     arrow: ArrowSolution
     iterations: int
@@ -119,10 +119,10 @@ class MultiPositionFit:
     """
 
     data: MultiPositionData
-    state: State
+    state: MultiPositionState
     covariance: Floats
     held_by_prior: Booleans
-    lines: Linearisation
+    lines: MultiPositionLinearization
     whitening: Whitening
     arrow: ArrowSolution
     free: Booleans
@@ -166,11 +166,11 @@ def fit_multiposition(
         If the normal equations are not positive definite even with the weak prior.
     """
     start = start_state(data)
-    task = _task(data, start, None, known, g_sensitivity=g_sensitivity)
+    task = _fit_problem(data, start, None, known, g_sensitivity=g_sensitivity)
     used = everything = (np.ones(len(start.u), dtype=bool), data.linked)
     whitening = _whitening(task, start, ExtraVariance(), used)
     state = _with_zeros(start, task)
-    point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
+    point = _gauss_newton(task, state, linearize_model(data, state), whitening, _ROUGH_STEP)
     data = with_sampling_error(data, point.state)
     task = replace(task, data=data)
     data, found = _with_changes(data, point.state, changes)
@@ -188,37 +188,37 @@ def fit_multiposition(
         data = with_drift(data)
     used = everything = (used[0], data.linked)
     if data.drifting:
-        task = _task(data, start, walk, known, g_sensitivity=g_sensitivity)
+        task = _fit_problem(data, start, walk, known, g_sensitivity=g_sensitivity)
         state = _with_zeros(point.state, task)
         whitening = _whitening(task, state, ExtraVariance(), used)
-        point = _gauss_newton(task, state, linearise(data, state), whitening, _ROUGH_STEP)
-    task = _knowing(task, point.state)
-    lines = _reweighted(task, point)
+        point = _gauss_newton(task, state, linearize_model(data, state), whitening, _ROUGH_STEP)
+    task = _with_prior(task, point.state)
+    lines = _irls(task, point)
     robust = estimate_extra_variance(
         data, point.state, lines, point.arrow, point.whitening, free=task.free, robust=True
     )
-    used = _gated(task, replace(point, lines=lines), robust, used)
-    extra = _settled_variance(task, point, used, robust)
+    used = _gate_outliers(task, replace(point, lines=lines), robust, used)
+    extra = _estimate_extra_variance(task, point, used, robust)
     whitening = _whitening(task, point.state, extra, used)
     second = _gauss_newton(task, point.state, point.lines, whitening, _ROUGH_STEP)
-    task = _knowing(task, second.state)
-    still_used = _gated(task, second, extra, everything)  # what the settled levels explain comes back
+    task = _with_prior(task, second.state)
+    still_used = _gate_outliers(task, second, extra, everything)  # what the settled levels explain comes back
     if not all(np.array_equal(a, b) for a, b in zip(used, still_used, strict=True)):
-        used, extra = still_used, _settled_variance(task, second, still_used, extra)
+        used, extra = still_used, _estimate_extra_variance(task, second, still_used, extra)
     whitening = _whitening(task, second.state, extra, used)
     last = _gauss_newton(task, second.state, second.lines, whitening, _NEGLIGIBLE_STEP)
     iterations = point.iterations + second.iterations + last.iterations
     return _finished(task, replace(last, iterations=iterations), extra, used, found)
 
 
-def _with_zeros(state: State, task: Task) -> State:
+def _with_zeros(state: MultiPositionState, task: FitProblem) -> MultiPositionState:
     """Return the state with zeros for the functions of time in the biases."""
     zeros = np.zeros(len(task.free) - PARAMETERS)
-    return State(theta=np.append(state.theta[:PARAMETERS], zeros), u=state.u)
+    return MultiPositionState(theta=np.append(state.theta[:PARAMETERS], zeros), u=state.u)
 
 
 def _with_changes(
-    data: MultiPositionData, state: State, known: tuple[BiasChanges | None, BiasChanges | None]
+    data: MultiPositionData, state: MultiPositionState, known: tuple[BiasChanges | None, BiasChanges | None]
 ) -> tuple[MultiPositionData, tuple[BiasChanges, BiasChanges]]:
     """Return the data with the steps and the warm-up of the biases for which the rests speak.
 
@@ -239,9 +239,14 @@ def _with_changes(
     return data, (of_gyroscope, of_accelerometer)
 
 
-def _task(
-    data: MultiPositionData, start: State, walk: Floats | None, known: Knowledge | None, *, g_sensitivity: bool
-) -> Task:
+def _fit_problem(
+    data: MultiPositionData,
+    start: MultiPositionState,
+    walk: Floats | None,
+    known: Knowledge | None,
+    *,
+    g_sensitivity: bool,
+) -> FitProblem:
     sigma = weak_prior_sigma(start)
     knots = data.drifting
     free = np.ones(PARAMETERS + 3 * knots, dtype=bool)
@@ -252,7 +257,7 @@ def _task(
     if walk is not None:
         tail = slice(PARAMETERS, PARAMETERS + 3 * int(data.of_gyroscope.of_kind("walk").sum()))
         precision[tail, tail] = walk_precision(data, walk)
-    task = Task(
+    task = FitProblem(
         data=data,
         start=start,
         free=free,
@@ -261,10 +266,10 @@ def _task(
         prior_sigma=sigma,
         prior_precision=precision,
     )
-    return _knowing(task, start)
+    return _with_prior(task, start)
 
 
-def _knowing(task: Task, state: State) -> Task:
+def _with_prior(task: FitProblem, state: MultiPositionState) -> FitProblem:
     """Return the task with what is known beforehand linearised about a state, on top of the weak prior."""
     if task.known is None:
         return task
@@ -279,8 +284,8 @@ def _knowing(task: Task, state: State) -> Task:
 
 
 def _finished(
-    task: Task,
-    point: Point,
+    task: FitProblem,
+    point: Iterate,
     extra: ExtraVariance,
     used: tuple[Booleans, Booleans],
     changes: tuple[BiasChanges, BiasChanges],
@@ -310,7 +315,7 @@ def _finished(
     )
 
 
-def start_state(data: MultiPositionData) -> State:
+def start_state(data: MultiPositionData) -> MultiPositionState:
     """Return a starting point in closed form: ellipsoid, medians at rest, linear rotations.
 
     Raises
@@ -319,9 +324,9 @@ def start_state(data: MultiPositionData) -> State:
         If the attitudes determine no accelerometer calibration.
     """
     fit = fit_magnitude(data.accelerometer, 1.0)
-    sensitivity = inverse(fit.correction)
+    sensitivity = invert_3x3(fit.correction)
     sensitivity = sensitivity @ frame_rotation(sensitivity, "accel-x").T
-    correction = inverse(sensitivity)
+    correction = invert_3x3(sensitivity)
     u = (data.accelerometer - fit.bias) @ correction.T
     still = np.median(data.gyroscope, axis=0)
     force = (data.segments.accelerometer - fit.bias) @ correction.T
@@ -331,10 +336,10 @@ def start_state(data: MultiPositionData) -> State:
     theta = np.zeros(PARAMETERS)
     theta[S_], theta[B_] = sensitivity[LOWER], fit.bias
     theta[CG_], theta[BG_] = rates.ravel(), still
-    return State(theta=theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
+    return MultiPositionState(theta=theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
-def weak_prior_sigma(state: State) -> Floats:
+def weak_prior_sigma(state: MultiPositionState) -> Floats:
     """Weak priors in scaled units: 30 % of a scale, 0.1 rad/s per g; they hold what a recording leaves open."""
     size = np.sqrt(3 * np.mean(state.theta[CG_] ** 2)) or 1.0
     sigma = np.empty(PARAMETERS)
@@ -342,7 +347,9 @@ def weak_prior_sigma(state: State) -> Floats:
     return sigma
 
 
-def _whitening(task: Task, state: State, extra: ExtraVariance, used: tuple[Booleans, Booleans]) -> Whitening:
+def _whitening(
+    task: FitProblem, state: MultiPositionState, extra: ExtraVariance, used: tuple[Booleans, Booleans]
+) -> Whitening:
     accelerometer, gyroscope = whitened_rest(task.data, state, extra)
     kept, linked = used
     return Whitening(
@@ -353,7 +360,7 @@ def _whitening(task: Task, state: State, extra: ExtraVariance, used: tuple[Boole
     )
 
 
-def squares(lines: Linearisation, whitening: Whitening, from_prior: Floats) -> float:
+def sum_of_squares(lines: MultiPositionLinearization, whitening: Whitening, from_prior: Floats) -> float:
     """Return the sum of squares of all residuals, whitened."""
     parts = (
         np.einsum("kij,kj->ki", whitening.accelerometer, lines.accelerometer),
@@ -363,7 +370,9 @@ def squares(lines: Linearisation, whitening: Whitening, from_prior: Floats) -> f
     return float(sum(np.sum(part**2) for part in parts) + from_prior @ whitening.prior @ from_prior)
 
 
-def _solve(task: Task, state: State, lines: Linearisation, whitening: Whitening) -> ArrowSolution:
+def _solve(
+    task: FitProblem, state: MultiPositionState, lines: MultiPositionLinearization, whitening: Whitening
+) -> ArrowSolution:
     try:
         return solve_arrow(normal_equations(lines, whitening, state.theta - task.prior_mean, task.free))
     except np.linalg.LinAlgError as error:
@@ -373,20 +382,26 @@ def _solve(task: Task, state: State, lines: Linearisation, whitening: Whitening)
         ) from error
 
 
-def _parameter_step(task: Task, arrow: ArrowSolution) -> Floats:
+def _parameter_step(task: FitProblem, arrow: ArrowSolution) -> Floats:
     step = np.zeros(len(task.free))
     step[task.free] = arrow.corner
     return step
 
 
-def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whitening, tolerance: float) -> Point:
+def _gauss_newton(
+    task: FitProblem,
+    state: MultiPositionState,
+    lines: MultiPositionLinearization,
+    whitening: Whitening,
+    tolerance: float,
+) -> Iterate:
     """Iterate until no parameter moves by more than `tolerance` sigma; that last step is taken without integrating."""
-    cost = squares(lines, whitening, state.theta - task.prior_mean)
+    cost = sum_of_squares(lines, whitening, state.theta - task.prior_mean)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         arrow = _solve(task, state, lines, whitening)
         step = _parameter_step(task, arrow)
         if np.max(np.abs(arrow.corner) / np.sqrt(np.diag(arrow.corner_covariance))) < tolerance:
-            return Point(
+            return Iterate(
                 state=state.moved(step, arrow.states),
                 lines=lines.extrapolated(step, arrow.states),
                 whitening=whitening,
@@ -397,13 +412,13 @@ def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whi
         length = 1.0
         while True:
             trial = state.moved(length * step, length * arrow.states)
-            trial_lines = linearise(task.data, trial)
-            trial_cost = squares(trial_lines, whitening, trial.theta - task.prior_mean)
+            trial_lines = linearize_model(task.data, trial)
+            trial_cost = sum_of_squares(trial_lines, whitening, trial.theta - task.prior_mean)
             if trial_cost <= cost * (1 + 1e-9) + 1e-9 or length < 1e-3:
                 break
             length *= 0.3
         state, lines, cost = trial, trial_lines, trial_cost
-    return Point(
+    return Iterate(
         state=state,
         lines=lines,
         whitening=whitening,
@@ -413,7 +428,7 @@ def _gauss_newton(task: Task, state: State, lines: Linearisation, whitening: Whi
     )
 
 
-def _reweighted(task: Task, point: Point) -> Linearisation:
+def _irls(task: FitProblem, point: Iterate) -> MultiPositionLinearization:
     """Return the residuals of a fit in which rotations that stand out count by their size, not by its square.
 
     Several bad rotations bend an ordinary fit until none of them stands out; they cannot bend this one as far.
@@ -431,7 +446,9 @@ def _reweighted(task: Task, point: Point) -> Linearisation:
     return lines
 
 
-def _settled_variance(task: Task, point: Point, used: tuple[Booleans, Booleans], extra: ExtraVariance) -> ExtraVariance:
+def _estimate_extra_variance(
+    task: FitProblem, point: Iterate, used: tuple[Booleans, Booleans], extra: ExtraVariance
+) -> ExtraVariance:
     """Iterate solution and extra variances on one linearisation until they agree to 5 %."""
     for _ in range(8):
         whitening = _whitening(task, point.state, extra, used)
@@ -444,8 +461,8 @@ def _settled_variance(task: Task, point: Point, used: tuple[Booleans, Booleans],
     return extra
 
 
-def _gated(
-    task: Task, point: Point, extra: ExtraVariance, used: tuple[Booleans, Booleans]
+def _gate_outliers(
+    task: FitProblem, point: Iterate, extra: ExtraVariance, used: tuple[Booleans, Booleans]
 ) -> tuple[Booleans, Booleans]:
     """Return which intervals and rotations stay: those whose residuals are within five sigma.
 

@@ -7,7 +7,7 @@ the step needs is at hand; nothing is fitted again.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import inverse, tangent_basis
+from ...geometry.so3 import invert_3x3, tangent_basis
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
@@ -17,15 +17,15 @@ from .model import (
     G_,
     LOWER,
     S_,
-    Linearisation,
     MultiPositionData,
+    MultiPositionLinearization,
     normal_equations,
 )
 from .noise_levels import interval_rows, rotation_rows
 
 
 @value_class
-class HeldOut:
+class LeaveOneOutErrors:
     """Errors of each interval and rotation when it was left out.
 
     Attributes
@@ -42,7 +42,7 @@ class HeldOut:
     measured: Floats
 
 
-def leave_one_out(fit: MultiPositionFit, *, g_sensitivity: bool = True) -> HeldOut:
+def leave_one_out(fit: MultiPositionFit, *, g_sensitivity: bool = True) -> LeaveOneOutErrors:
     """Predict each interval and each rotation from all the others.
 
     Parameters
@@ -64,7 +64,7 @@ def leave_one_out(fit: MultiPositionFit, *, g_sensitivity: bool = True) -> HeldO
     direct = lines.rotation + offset[1:] + np.einsum("kij,kj->ki", lines.rotation_u, offset[:-1])
     rows, gain = rotation_rows(lines, arrow, fit.whitening, free)
     change = _change_without(rows, gain, fit.whitening.rotation[:, None] * lines.rotation, free)
-    return HeldOut(
+    return LeaveOneOutErrors(
         magnitude=np.linalg.norm(_forces(data, thetas), axis=1) - 1,
         magnitude_fit=norms - 1,
         rotation=direct + np.einsum("kij,kj->ki", lines.rotation_theta, change),
@@ -82,7 +82,7 @@ def _change_without(rows: Floats, gain: Floats, residual: Floats, free: Booleans
     return change
 
 
-def _without_g_sensitivity(fit: MultiPositionFit) -> tuple[Linearisation, ArrowSolution, Booleans, Floats]:
+def _without_g_sensitivity(fit: MultiPositionFit) -> tuple[MultiPositionLinearization, ArrowSolution, Booleans, Floats]:
     """Return the linearised solution with G = 0."""
     free = fit.free.copy()
     free[G_] = False
@@ -101,4 +101,4 @@ def _forces(data: MultiPositionData, thetas: Floats) -> Floats:
     s[:, LOWER[0], LOWER[1]] = thetas[:, S_]
     drifting = thetas[:, thetas.shape[1] - 3 * data.trend.shape[1] :].reshape(len(thetas), -1, 3)
     drift = np.einsum("kq,kqi->ki", data.trend, np.broadcast_to(drifting, (len(data.trend), *drifting.shape[1:])))
-    return (inverse(s) @ (data.accelerometer - thetas[:, B_] - drift)[..., None])[..., 0]
+    return (invert_3x3(s) @ (data.accelerometer - thetas[:, B_] - drift)[..., None])[..., 0]

@@ -21,7 +21,7 @@ from ...geometry.so3 import skew, tangent_basis
 from ...recording import Floats
 from ...solve.arrow import ArrowSystem
 from .bias_changes import RestMeans
-from .rotations import MotionSegments, integrate, propagate
+from .rotations import MotionSegments, integrate_rates, propagate_directions
 
 LOWER = np.tril_indices(3)
 PARAMETERS = 30
@@ -131,7 +131,7 @@ class MultiPositionData:
 
 
 @value_class
-class State:
+class MultiPositionState:
     """A point in the space of unknowns: parameters theta (30 + 3 j,) and directions u (n, 3)."""
 
     theta: Floats
@@ -155,14 +155,14 @@ class State:
         """Values of the gyroscope's drift at its knots, then the accelerometer's drift, (j + q, 3)."""
         return self.theta[PARAMETERS:].reshape(-1, 3)
 
-    def moved(self, d_theta: Floats, d_u: Floats) -> "State":
+    def moved(self, d_theta: Floats, d_u: Floats) -> "MultiPositionState":
         """Return the state after a step; d_u (n, 2) in the tangent planes of u."""
         u = self.u + np.einsum("kij,kj->ki", tangent_basis(self.u), d_u)
-        return State(theta=self.theta + d_theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
+        return MultiPositionState(theta=self.theta + d_theta, u=u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
 @value_class
-class Linearisation:
+class MultiPositionLinearization:
     """Residuals, not yet divided by their sigma, and their derivatives.
 
     Attributes
@@ -187,9 +187,9 @@ class Linearisation:
     rotation_theta: Floats
     propagated: Floats
 
-    def extrapolated(self, d_theta: Floats, d_u: Floats) -> "Linearisation":
+    def extrapolated(self, d_theta: Floats, d_u: Floats) -> "MultiPositionLinearization":
         """Return the residuals after a small step without integrating again; derivatives stay."""
-        return Linearisation(
+        return MultiPositionLinearization(
             accelerometer=self.accelerometer
             + self.accelerometer_theta @ d_theta
             + np.einsum("kij,kj->ki", self.accelerometer_u, d_u),
@@ -225,7 +225,7 @@ class Whitening:
     prior: Floats
 
 
-def linearise(data: MultiPositionData, state: State) -> Linearisation:
+def linearize_model(data: MultiPositionData, state: MultiPositionState) -> MultiPositionLinearization:
     """Return residuals (observed minus predicted at rest; second minus propagated direction) and derivatives."""
     s, b, _, b_g, g = state.matrices
     u, n, p = state.u, len(state.u), len(state.theta)
@@ -242,7 +242,7 @@ def linearise(data: MultiPositionData, state: State) -> Linearisation:
     gyroscope_theta[:, :, G_] = -np.einsum("ij,kc->kijc", np.eye(3), u).reshape(n, 3, 9)
     gyroscope_theta[:, :, PARAMETERS : p - drifting.size] = -np.einsum("ij,kc->kicj", np.eye(3), hats).reshape(n, 3, -1)
     propagated, rotation_u, rotation_theta = _rotations(data, state, basis)
-    return Linearisation(
+    return MultiPositionLinearization(
         accelerometer=data.accelerometer - u @ s.T - b - trend @ drifting,
         gyroscope=data.gyroscope - u @ g.T - b_g - hats @ wandering,
         rotation=np.einsum("kij,ki->kj", basis[1:], u[1:] - propagated),
@@ -256,7 +256,7 @@ def linearise(data: MultiPositionData, state: State) -> Linearisation:
     )
 
 
-def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Floats, Floats, Floats]:
+def _rotations(data: MultiPositionData, state: MultiPositionState, basis: Floats) -> tuple[Floats, Floats, Floats]:
     """Return propagated directions, and derivatives of the rotations' residuals by u_k and by theta."""
     m = len(state.u) - 1
     s, b, c_g, b_g, g = state.matrices
@@ -267,7 +267,7 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     if count:
         rate -= np.repeat(hats @ state.knots[:count], data.segments.lengths, axis=0)
     regressors = np.concatenate([rate, np.ones((len(rate), 1)), force], axis=1)
-    turns = integrate(data.segments, rate @ c_g.T, regressors)
+    turns = integrate_rates(data.segments, rate @ c_g.T, regressors)
     start = state.u[:-1]
     back = np.einsum("kai,kab->kib", basis[1:], np.swapaxes(turns.rotation, 1, 2))  # tangent plane <- start frame
     turned = -np.einsum("kib,kbl->kil", back, skew(start))  # residual by delta theta in the start frame
@@ -282,10 +282,12 @@ def _rotations(data: MultiPositionData, state: State, basis: Floats) -> tuple[Fl
     theta[..., BG_] = -by_rate_offset @ c_g
     theta[..., G_] = -np.einsum("kiac,aj->kijc", by_force, c_g).reshape(m, 2, 9)
     theta[..., PARAMETERS : PARAMETERS + 3 * count] = np.einsum("kc,kij->kicj", hats, theta[..., BG_]).reshape(m, 2, -1)
-    return propagate(turns.rotation, start), -back @ basis[:-1], theta
+    return propagate_directions(turns.rotation, start), -back @ basis[:-1], theta
 
 
-def normal_equations(lines: Linearisation, whitening: Whitening, from_prior: Floats, free: np.ndarray) -> ArrowSystem:
+def normal_equations(
+    lines: MultiPositionLinearization, whitening: Whitening, from_prior: Floats, free: np.ndarray
+) -> ArrowSystem:
     """Return the normal equations of the free parameters.
 
     Parameters

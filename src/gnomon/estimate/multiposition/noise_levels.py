@@ -9,11 +9,11 @@ from dataclasses import fields
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution
-from .model import Linearisation, MultiPositionData, State, Whitening
+from .model import MultiPositionData, MultiPositionLinearization, MultiPositionState, Whitening
 
 
 @value_class
@@ -37,10 +37,10 @@ class ExtraVariance:
         return all(abs(a - b) <= tolerance * max(a, b) for a, b in pairs)
 
 
-def whitened_rest(data: MultiPositionData, state: State, extra: ExtraVariance) -> tuple[Floats, Floats]:
+def whitened_rest(data: MultiPositionData, state: MultiPositionState, extra: ExtraVariance) -> tuple[Floats, Floats]:
     """Return inverse roots (n, 3, 3) of the covariances of the accelerometer's and the gyroscope's means at rest."""
     s, _, c_g, _, _ = state.matrices
-    s_g = inverse(c_g)
+    s_g = invert_3x3(c_g)
     gyroscope = extra.gyroscope + data.earth_rate_variance
     return (
         _inverse_root(data.accelerometer_variance, extra.accelerometer * s @ s.T),
@@ -48,7 +48,7 @@ def whitened_rest(data: MultiPositionData, state: State, extra: ExtraVariance) -
     )
 
 
-def rotation_variance(data: MultiPositionData, state: State) -> Floats:
+def rotation_variance(data: MultiPositionData, state: MultiPositionState) -> Floats:
     """Return the variance of each rotation by noise, earth rate and sampling, (n - 1,), per axis [rad^2].
 
     Attitudes change during a rotation, so that the gyroscope's axes share their noise evenly.
@@ -61,8 +61,8 @@ def rotation_variance(data: MultiPositionData, state: State) -> Floats:
 
 def estimate_extra_variance(
     data: MultiPositionData,
-    state: State,
-    lines: Linearisation,
+    state: MultiPositionState,
+    lines: MultiPositionLinearization,
     arrow: ArrowSolution,
     whitening: Whitening,
     *,
@@ -82,7 +82,7 @@ def estimate_extra_variance(
     turns = rotation_variance(data, state)
     modes = (
         _modes(lines.accelerometer, data.accelerometer_variance, s, 0.0),
-        _modes(lines.gyroscope, data.gyroscope_variance, inverse(c_g), data.earth_rate_variance),
+        _modes(lines.gyroscope, data.gyroscope_variance, invert_3x3(c_g), data.earth_rate_variance),
         (lines.rotation**2 / turns[:, None], 1 / np.stack([turns, turns], axis=1)),
     )
     redundancy = _redundancies(lines, arrow, whitening, free)
@@ -98,7 +98,7 @@ def estimate_extra_variance(
 def _inverse_root(white: Floats, extra: Floats) -> Floats:
     """Return inverse Cholesky factors (n, 3, 3) of diag(white_k) + extra."""
     covariance = extra + white[:, :, None] * np.eye(3)
-    return inverse(np.linalg.cholesky(covariance).astype(np.float64))
+    return invert_3x3(np.linalg.cholesky(covariance).astype(np.float64))
 
 
 def _modes(residual: Floats, white: Floats, root: Floats, floor: float) -> tuple[Floats, Floats]:
@@ -114,7 +114,7 @@ def _modes(residual: Floats, white: Floats, root: Floats, floor: float) -> tuple
 
 
 def interval_rows(
-    name: str, lines: Linearisation, arrow: ArrowSolution, whitening: Whitening, free: Booleans
+    name: str, lines: MultiPositionLinearization, arrow: ArrowSolution, whitening: Whitening, free: Booleans
 ) -> tuple[Floats, Floats]:
     """Return the whitened rows A of a group at rest, and their gain P A' with the covariance P of what they touch.
 
@@ -141,7 +141,7 @@ def interval_rows(
 
 
 def rotation_rows(
-    lines: Linearisation, arrow: ArrowSolution, whitening: Whitening, free: Booleans
+    lines: MultiPositionLinearization, arrow: ArrowSolution, whitening: Whitening, free: Booleans
 ) -> tuple[Floats, Floats]:
     """Return the whitened rows A of the rotations, (n - 1, 2, 4 + p), and their gain P A', (n - 1, 4 + p, 2)."""
     weight = whitening.rotation[:, None, None]
@@ -163,7 +163,7 @@ def rotation_rows(
 
 
 def _redundancies(
-    lines: Linearisation, arrow: ArrowSolution, whitening: Whitening, free: Booleans
+    lines: MultiPositionLinearization, arrow: ArrowSolution, whitening: Whitening, free: Booleans
 ) -> tuple[Floats, Floats, Floats]:
     """Return trace(I - H) of each interval's accelerometer and gyroscope residuals and of each rotation's."""
     groups = (

@@ -114,7 +114,7 @@ class Turns:
     sensitivity: Floats
 
 
-def integrate(segments: MotionSegments, omega: Floats, regressors: Floats | None = None) -> Turns:
+def integrate_rates(segments: MotionSegments, omega: Floats, regressors: Floats | None = None) -> Turns:
     """Integrate rates by RK4n, Eqs. (3.10)-(3.16), with first-order sensitivities.
 
     The sensitivity is the integral of R(t) dC z(t) dt by the trapezoid rule, whose error vanishes for motions that
@@ -159,7 +159,7 @@ def _integrate_part(segments: MotionSegments, omega: Floats, regressors: Floats 
     return Turns(rotation=rotation, sensitivity=sensitivity.reshape(-1, 3, 3, 7))
 
 
-def propagate(rotation: Floats, u_start: Floats) -> Floats:
+def propagate_directions(rotation: Floats, u_start: Floats) -> Floats:
     """Return world-fixed vectors (m, 3) at the end of their rotations: u_end = R_start_end' u_start, Eq. (3.7)."""
     return np.einsum("kij,ki->kj", rotation, u_start)
 

@@ -9,17 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...results.intervals import Booleans
-from .model import MultiPositionData, State
+from .model import MultiPositionData, MultiPositionState
 from .noise_levels import rotation_variance
-from .rotations import MotionSegments, integrate
+from .rotations import MotionSegments, integrate_rates
 
 _ORDER = 3.0  # error with every second sample over that with all, less one
 _SURE = 4.0  # sigmas of chi-square
 
 
-def with_sampling_error(data: MultiPositionData, state: State) -> MultiPositionData:
+def with_sampling_error(data: MultiPositionData, state: MultiPositionState) -> MultiPositionData:
     """Return the data with the variance of rotations by motion between samples, where it stands out from the noise.
 
     Parameters
@@ -32,11 +32,13 @@ def with_sampling_error(data: MultiPositionData, state: State) -> MultiPositionD
     if not linked.any():
         return data
     segments = data.segments
-    force = (segments.accelerometer - b) @ inverse(s).T
+    force = (segments.accelerometer - b) @ invert_3x3(s).T
     omega = (segments.gyroscope - b_g - force @ g.T) @ c_g.T
     halved, kept = _every_second(segments)
     difference = np.einsum(
-        "kji,kjl->kil", integrate(segments, omega).rotation[linked], integrate(halved, omega[kept]).rotation[linked]
+        "kji,kjl->kil",
+        integrate_rates(segments, omega).rotation[linked],
+        integrate_rates(halved, omega[kept]).rotation[linked],
     )
     skew = 0.5 * (difference - np.swapaxes(difference, 1, 2))
     squares = 0.5 * np.einsum("kij,kij->k", skew, skew)  # of the sine of the angle between both

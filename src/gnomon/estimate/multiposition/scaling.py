@@ -11,7 +11,7 @@ from ...frozen import value_class
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...recording import Floats, frozen_array
 from ...results.intervals import Booleans
-from .model import B_, BG_, CG_, G_, LOWER, S_, State
+from .model import B_, BG_, CG_, G_, LOWER, S_, MultiPositionState
 
 
 @value_class
@@ -79,7 +79,7 @@ class Fitted(Protocol):
     """What a fit says in scaled units: the state, the covariance (30, 30), and which parameters were estimated."""
 
     @property
-    def state(self) -> State:
+    def state(self) -> MultiPositionState:
         """Where it stands."""
         ...
 
@@ -94,7 +94,7 @@ class Fitted(Protocol):
         ...
 
 
-def unscaled(
+def to_physical_units(
     fit: Fitted,
     accelerometer: Scaling,
     gyroscope: Scaling,
@@ -155,7 +155,12 @@ def blocks_of_scalars(values: Floats) -> tuple[tuple[str, Floats, str], ...]:
 
 
 def sensor_scalars(
-    state: State, accelerometer: Scaling, gyroscope: Scaling, *, gravity_m_s2: float, latitude_deg: float | None
+    state: MultiPositionState,
+    accelerometer: Scaling,
+    gyroscope: Scaling,
+    *,
+    gravity_m_s2: float,
+    latitude_deg: float | None,
 ) -> tuple[Floats, Floats]:
     """Return the scalars (33,) in the sensors' units, in the order of `ImuEstimate.covariance`, and their derivative.
 

@@ -7,8 +7,8 @@ import numpy as np
 from ...recording import Floats
 from ...results.trust import BlockChange, ModelStep
 from ..trust.clusters import ClusterSums
-from ..trust.model_choice import Candidate, Step, model_steps
-from .model import B_, BG_, CG_, G_, PARAMETERS, S_, BiasFunctions, State
+from ..trust.model_choice import CandidateBlock, CandidateStep, model_steps
+from .model import B_, BG_, CG_, G_, PARAMETERS, S_, BiasFunctions, MultiPositionState
 
 _SCALES = np.array([S_.start, S_.start + 2, S_.start + 5, CG_.start, CG_.start + 4, CG_.start + 8])
 _ANGLES = np.setdiff1d(np.r_[S_, CG_], _SCALES)
@@ -17,12 +17,12 @@ _OFFSETS = np.r_[B_, BG_]
 
 def imu_models(
     sums: ClusterSums,
-    state: State,
+    state: MultiPositionState,
     scales: Floats | None,
     *,
     g_sensitivity: bool | None,
     functions: tuple[BiasFunctions, BiasFunctions],
-) -> tuple[Step, ...]:
+) -> tuple[CandidateStep, ...]:
     """Return what each step of the model brings, by predicting clusters of time that were left out.
 
     Scales and misalignments are estimated whatever they bring: they are what is calibrated. Whether biases drift is
@@ -39,14 +39,14 @@ def imu_models(
     """
     theta = state.theta
     steps = [
-        Candidate(name="misalignment", columns=_ANGLES, away=-theta[_ANGLES], forced=True),
-        Candidate(name="g-sensitivity", columns=np.r_[G_], away=-theta[G_], forced=g_sensitivity),
+        CandidateBlock(name="misalignment", columns=_ANGLES, away=-theta[_ANGLES], forced=True),
+        CandidateBlock(name="g-sensitivity", columns=np.r_[G_], away=-theta[G_], forced=g_sensitivity),
     ]
     always = _OFFSETS
     if scales is None:
         always = np.sort(np.r_[_OFFSETS, _SCALES])
     else:
-        steps.insert(0, Candidate(name="scale", columns=_SCALES, away=scales - theta[_SCALES], forced=True))
+        steps.insert(0, CandidateBlock(name="scale", columns=_SCALES, away=scales - theta[_SCALES], forced=True))
     first = PARAMETERS
     for function, triad in zip(functions, ("", "accelerometer "), strict=True):
         columns = np.arange(first, first + 3 * len(function.kind))
@@ -54,12 +54,12 @@ def imu_models(
         stepping = np.repeat(function.of_kind("step", "single"), 3)
         for name, own in (("drift", columns[~stepping]), ("bias steps", columns[stepping])):
             if len(own):
-                steps.append(Candidate(name=triad + name, columns=own, away=-theta[own], forced=True))
+                steps.append(CandidateBlock(name=triad + name, columns=own, away=-theta[own], forced=True))
     return model_steps(sums, always, steps)
 
 
 def as_table(
-    steps: Sequence[Step], jacobian: Floats, blocks: Sequence[tuple[str, Floats, str]], *, forced: bool
+    steps: Sequence[CandidateStep], jacobian: Floats, blocks: Sequence[tuple[str, Floats, str]], *, forced: bool
 ) -> tuple[ModelStep, ...]:
     """Return the steps with what each moved.
 
@@ -84,7 +84,9 @@ def as_table(
     )
 
 
-def _changes(step: Step, jacobian: Floats, blocks: Sequence[tuple[str, Floats, str]]) -> tuple[BlockChange, ...]:
+def _changes(
+    step: CandidateStep, jacobian: Floats, blocks: Sequence[tuple[str, Floats, str]]
+) -> tuple[BlockChange, ...]:
     moved = jacobian @ step.change
     sigma = np.nan_to_num(step.sigma)
     found: list[BlockChange] = []

@@ -17,7 +17,7 @@ from .noise_levels import rotation_variance
 _RUN, _MOST_OF_RUN = 5, 4  # rotations
 
 
-def stretch_sums(fit: MultiPositionFit, rotations: Booleans | None = None) -> ClusterSums:
+def segment_sums(fit: MultiPositionFit, rotations: Booleans | None = None) -> ClusterSums:
     """Return the sums of each static interval with the rotation behind it, over the free parameters of a fit.
 
     Parameters

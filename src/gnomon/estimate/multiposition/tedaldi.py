@@ -15,7 +15,7 @@ from ...recording import Floats
 from ...results.intervals import StaticIntervals, interval_means
 from ...solve.levenberg_marquardt import levenberg_marquardt
 from .magnitude import MagnitudeFit, fit_magnitude
-from .rotations import MotionSegments, integrate, linear_start, propagate
+from .rotations import MotionSegments, integrate_rates, linear_start, propagate_directions
 
 
 @value_class(eq=True)
@@ -116,7 +116,7 @@ def select_samples(values: Floats, intervals: StaticIntervals, rules: TedaldiRul
     return np.concatenate(chosen) if chosen else np.empty((0, 3))
 
 
-def fit_accelerometer(samples: Floats, rules: TedaldiRules, gravity: float) -> MagnitudeFit:
+def fit_published_accelerometer(samples: Floats, rules: TedaldiRules, gravity: float) -> MagnitudeFit:
     """Minimise Eq. (3.4), or the program's form of it.
 
     Raises
@@ -175,10 +175,10 @@ def fit_gyroscope(segments: MotionSegments, forces: Floats, u_start: Floats, u_e
     regressors[:, :3] = size * segments.gyroscope
 
     def problem(x: Floats) -> tuple[Floats, Floats]:
-        turns = integrate(segments, regressors[:, :3] @ x.reshape(3, 3).T, regressors)
+        turns = integrate_rates(segments, regressors[:, :3] @ x.reshape(3, 3).T, regressors)
         by_turn = np.swapaxes(turns.rotation, 1, 2) @ skew(u_start)
         jacobian = -np.einsum("kil,klac->kiac", by_turn, turns.sensitivity[..., :3])
-        return (u_end - propagate(turns.rotation, u_start)).ravel(), jacobian.reshape(-1, 9)
+        return (u_end - propagate_directions(turns.rotation, u_start)).ravel(), jacobian.reshape(-1, 9)
 
     solution = levenberg_marquardt(problem, (start / size).ravel(), tolerance=1e-10)
     jacobian = solution.jacobian / size

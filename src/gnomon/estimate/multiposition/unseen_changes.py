@@ -18,10 +18,10 @@ import numpy as np
 from ...frozen import value_class
 from ...recording import Floats, Integers
 from ...solve.arrow import reduced_normal_equations
-from .bias_changes import DECAYS, before
+from .bias_changes import DECAYS, shares_before
 from .bias_segments import decay_functions, step_functions
-from .fit import MultiPositionFit, squares
-from .model import PARAMETERS, BiasFunctions, State, linearise, normal_equations
+from .fit import MultiPositionFit, sum_of_squares
+from .model import PARAMETERS, BiasFunctions, MultiPositionState, linearize_model, normal_equations
 from .noise_levels import whitened_rest
 
 _MOST_PLACES = 40
@@ -45,14 +45,14 @@ def unseen_changes(fit: MultiPositionFit) -> Floats:
     if fit.data.rests is None:
         return added
     for triad in ("gyroscope", "accelerometer"):
-        moves, odds = alternatives(fit, triad)
+        moves, odds = alternative_models(fit, triad)
         weight = np.exp(odds - max(odds.max(), 0.0))
         weight /= weight.sum() + np.exp(-max(odds.max(), 0.0))
         added += (moves * weight[:, None]).T @ moves
     return added
 
 
-def alternatives(fit: MultiPositionFit, triad: str) -> tuple[Floats, Floats]:
+def alternative_models(fit: MultiPositionFit, triad: str) -> tuple[Floats, Floats]:
     """Return how far each other model moves theta, (m, 30), and the logarithm of its odds, (m,)."""
     gyroscope = triad == "gyroscope"
     present = fit.data.of_gyroscope if gyroscope else fit.data.of_accelerometer
@@ -119,7 +119,7 @@ def _levels(
     prior = np.zeros((count, count))
     prior[np.ix_(fitted, fitted)] = fit.whitening.prior
     prior[new, new] = 1 / candidates.sigma.ravel() ** 2
-    lines = linearise(data, State(theta=theta, u=fit.state.u))
+    lines = linearize_model(data, MultiPositionState(theta=theta, u=fit.state.u))
     scatter = getattr(fit.extra, triad)
     found: list[_Level] = []
     for share in _SCATTER if scatter else _SCATTER[:1]:
@@ -130,7 +130,9 @@ def _levels(
         whitening = replace(fit.whitening, accelerometer=accelerometer, gyroscope=gyroscope, prior=prior)
         used = (accelerometer if triad == "accelerometer" else gyroscope)[fit.interval_used]
         matrix, right, lowered = reduced_normal_equations(normal_equations(lines, whitening, from_prior, free))
-        level = float(np.sum(np.linalg.slogdet(used)[1])) - 0.5 * (squares(lines, whitening, from_prior) - lowered)
+        level = float(np.sum(np.linalg.slogdet(used)[1])) - 0.5 * (
+            sum_of_squares(lines, whitening, from_prior) - lowered
+        )
         found.append(_Level(matrix=matrix, right=right, likelihood=level))
     return found
 
@@ -167,7 +169,7 @@ def _published(fit: MultiPositionFit, triad: str) -> Floats:
     assert data.half_s is not None
     functions = data.of_accelerometer if triad == "accelerometer" else data.of_gyroscope
     n = len(data.interval_s)
-    share = 1 - before(changes.steps[-1], n) if changes.steps else np.ones(n)
+    share = 1 - shares_before(changes.steps[-1], n) if changes.steps else np.ones(n)
     if functions.of_kind("walk", "line", "warm-up").any():
         weight = np.gradient(data.interval_s) * share
     else:

@@ -19,7 +19,7 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...models.angrisano import AngrisanoTriad, Geometry, alignment, alignment_derivatives, angles_and_scales
+from ...models.angrisano import AngrisanoTriad, Geometry, alignment_derivatives, alignment_matrix, angles_and_scales
 from ...recording import Floats
 
 TOLERANCE = 0.0005
@@ -115,14 +115,14 @@ def datasheet_start(bits: int, full_scale: float) -> Floats:
     return np.concatenate([np.zeros(3), np.full(3, highest / 2), np.full(3, 2 * full_scale / highest)])
 
 
-def predicted(X: Floats, measured: Floats, geometry: Geometry = "small-angle") -> Floats:
+def predict_magnitudes(X: Floats, measured: Floats, geometry: Geometry = "small-angle") -> Floats:
     """Return N (n, 3), Eq. (5): what measurements (n, 3) [unit] mean with X (9,)."""
-    return (measured - X[3:6]) @ (alignment(X[:3], geometry) * X[6:]).T
+    return (measured - X[3:6]) @ (alignment_matrix(X[:3], geometry) * X[6:]).T
 
 
-def design(X: Floats, measured: Floats, geometry: Geometry = "small-angle") -> Floats:
+def design_matrix(X: Floats, measured: Floats, geometry: Geometry = "small-angle") -> Floats:
     """Return A (n, 3, 9) = -dN/dX, Eq. (6), for measurements (n, 3) [unit] at X (9,)."""
-    T, k, centred = alignment(X[:3], geometry), X[6:], measured - X[3:6]
+    T, k, centred = alignment_matrix(X[:3], geometry), X[6:], measured - X[3:6]
     A = np.empty((len(measured), 3, 9))
     A[:, :, :3] = -np.einsum("aij,nj->nia", alignment_derivatives(X[:3], geometry), k * centred)
     A[:, :, 3:6] = T * k
@@ -160,7 +160,9 @@ def fit_components(
     _require(len(measured), 4, "components")
 
     def equations(X: Floats) -> tuple[Floats, Floats]:
-        return design(X, measured, geometry).reshape(-1, 9), (predicted(X, measured, geometry) - truth).ravel()
+        return design_matrix(X, measured, geometry).reshape(-1, 9), (
+            predict_magnitudes(X, measured, geometry) - truth
+        ).ravel()
 
     reference = float(np.sqrt(np.mean(np.sum(truth**2, axis=1))))
     rule = _Rule(tolerance=tolerance, growth_stops=growth_stops, most_iterations=most_iterations)
@@ -194,8 +196,8 @@ def fit_magnitudes(
     s = np.broadcast_to(np.asarray(magnitude, dtype=np.float64), len(measured))
 
     def equations(X: Floats) -> tuple[Floats, Floats]:
-        N = predicted(X, measured, geometry)
-        H = np.einsum("ni,nij->nj", N, design(X, measured, geometry))
+        N = predict_magnitudes(X, measured, geometry)
+        H = np.einsum("ni,nij->nj", N, design_matrix(X, measured, geometry))
         return H, 0.5 * (np.einsum("ni,ni->n", N, N) - s**2)
 
     reference = float(np.sqrt(np.mean(s**2)))
@@ -204,9 +206,9 @@ def fit_magnitudes(
     return _iterate(equations, start, geometry, rule, unit=reference, reference=reference)
 
 
-def canonical(X: Floats, geometry: Geometry = "small-angle") -> Floats:
+def canonical_parameters(X: Floats, geometry: Geometry = "small-angle") -> Floats:
     """Return X (9,) with positive scale factors; reversed axes of the orthogonal frame have the same magnitudes."""
-    correction = alignment(X[:3], geometry) * X[6:]
+    correction = alignment_matrix(X[:3], geometry) * X[6:]
     signs = np.where(np.diag(correction) < 0, -1.0, 1.0)
     angles, K = angles_and_scales(signs[:, None] * correction, geometry)
     return np.concatenate([angles, X[3:6], K])
@@ -214,7 +216,7 @@ def canonical(X: Floats, geometry: Geometry = "small-angle") -> Floats:
 
 def sensor_jacobian(X: Floats, geometry: Geometry) -> Floats:
     """Return the derivative (12, 9) of gnomon's sensitivity, entries in row order, and bias, by X (9,)."""
-    T, k = alignment(X[:3], geometry), X[6:]
+    T, k = alignment_matrix(X[:3], geometry), X[6:]
     S = np.linalg.inv(T * k)
     by = np.zeros((9, 3, 3))  # of T K
     by[:3] = alignment_derivatives(X[:3], geometry) * k
@@ -310,7 +312,7 @@ def _solved(H: Floats, rest: Floats) -> tuple[Floats, Floats] | None:
 
 def _minimum(X: Floats, geometry: Geometry) -> Status:
     """Return which of the minima that explain the measurements X (9,) is."""
-    return "converged" if (np.diag(alignment(X[:3], geometry) * X[6:]) > 0).all() else "mirrored"
+    return "converged" if (np.diag(alignment_matrix(X[:3], geometry) * X[6:]) > 0).all() else "mirrored"
 
 
 def _require(poses: int, fewest: int, what: str) -> None:

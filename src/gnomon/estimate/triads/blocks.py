@@ -57,7 +57,7 @@ def memory_s(t_s: Floats, residual: Floats) -> float:
 
 
 @value_class
-class Blocks:
+class TimeBlocks:
     """Blocks of time.
 
     Attributes
@@ -72,7 +72,7 @@ class Blocks:
     memory_s: float
 
     @classmethod
-    def of(cls, t_s: Floats, memory: float) -> "Blocks":
+    def of(cls, t_s: Floats, memory: float) -> "TimeBlocks":
         """Return blocks of rising times (n,), three times as long as the memory unless they became too few."""
         span = float(t_s[-1] - t_s[0]) * (1 + 1e-9)
         length = min(max(_LONGER * memory, _SHORTEST_S), span / FEWEST_BLOCKS)
@@ -91,7 +91,7 @@ class Blocks:
         return float(1 - (1 - np.exp(-ratio)) / ratio)
 
 
-def left_out(stages: Sequence[Stage], block: Integers) -> Floats:
+def leave_blocks_out(stages: Sequence[Stage], block: Integers) -> Floats:
     """Return how all parameters, stage by stage, move when each block is left out, (blocks, p + q + ...)."""
     count = int(block.max()) + 1
     moved: list[Floats] = []
@@ -111,7 +111,7 @@ def left_out(stages: Sequence[Stage], block: Integers) -> Floats:
     return np.concatenate(moved, axis=1)
 
 
-def block_covariance(stages: Sequence[Stage], blocks: Blocks, moves: Floats) -> Floats:
+def block_covariance(stages: Sequence[Stage], blocks: TimeBlocks, moves: Floats) -> Floats:
     """Return the joint covariance of all parameters.
 
     The blocks tell the variances, none of them below that for independent errors. Correlations of many parameters they

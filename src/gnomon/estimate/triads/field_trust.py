@@ -6,7 +6,7 @@ from ...recording import Floats
 from ...results.parameters import element_names
 from ...results.trust import Clusters, SigmaRatio, Trust
 from ..trust.changes import parameter_changes
-from ..trust.cluster_trust import Comparison, Trusted
+from ..trust.cluster_trust import PartComparison, RobustCovariance
 from ..trust.clusters import ClusterSums
 from ..trust.robust import Robust
 from .magnetometer import MagnetometerFit
@@ -16,7 +16,7 @@ _NAMES = (*element_names(_PATHS[0], (3, 3)), *element_names(_PATHS[1], (3,)))
 _OPEN = 1e-9  # of the information: what a part leaves open stays finite
 
 
-def field_trust(fit: MagnetometerFit, t_s: Floats) -> Trusted:
+def field_trust(fit: MagnetometerFit, t_s: Floats) -> RobustCovariance:
     """Return what blocks of time say of a magnetometer, in its own frame.
 
     Parameters
@@ -40,8 +40,8 @@ def field_trust(fit: MagnetometerFit, t_s: Floats) -> Trusted:
     )
     paths = np.array([name.split("[")[0] for name in _NAMES], dtype=object)
     estimated = np.diag(ordinary) > 0
-    comparison = Comparison(sums=sums, jacobian=basis, found=found, names=_NAMES, paths=paths)
-    return Trusted(
+    comparison = PartComparison(sums=sums, jacobian=basis, found=found, names=_NAMES, paths=paths)
+    return RobustCovariance(
         covariance=covariance,
         trust=Trust(
             clusters=Clusters(count=len(sums), length_s=fit.blocks.length_s, memory_s=fit.blocks.memory_s),

@@ -11,10 +11,10 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
-from .blocks import Blocks, Stage, block_covariance, by_direction, left_out, memory_s
+from .blocks import Stage, TimeBlocks, block_covariance, by_direction, leave_blocks_out, memory_s
 from .field_poses import FieldPoses
 from .triad import fit_triad
 from .triad_poses import TriadPoses, TriadPrior
@@ -29,7 +29,7 @@ _MAD = 1.4826
 
 
 @value_class
-class Iron:
+class HardSoftIron:
     """A magnetometer's parameters as their estimator leaves them; of p free numbers theta the twelve are basis @ theta.
 
     Attributes
@@ -83,13 +83,13 @@ class MagnetometerFit:
     """
 
     model: MagnetometerModel
-    iron: Iron
+    iron: HardSoftIron
     field: float
     error: Floats
     sigma: Floats
     error_holdout: Floats
     stage: Stage
-    blocks: Blocks
+    blocks: TimeBlocks
     covariance: Floats
     direction: Floats
     by_parameters: Floats
@@ -137,7 +137,7 @@ def fit_magnetometer(
     return _with_blocks(poses, iron, field, model)
 
 
-def _ellipsoid(poses: FieldPoses, used: Booleans, field: float, prior: TriadPrior | None) -> Iron:
+def _ellipsoid(poses: FieldPoses, used: Booleans, field: float, prior: TriadPrior | None) -> HardSoftIron:
     data = TriadPoses.of(poses.measured[used], field * poses.length[used], variance=poses.variance[used])
     triad = fit_triad(data, prior=prior)
     typical = triad.extra_sigma
@@ -149,7 +149,7 @@ def _ellipsoid(poses: FieldPoses, used: Booleans, field: float, prior: TriadPrio
     used[used] = triad.used
     free = np.flatnonzero(triad.free[:12])
     known = None if prior is None else prior.precision[np.ix_(free, free)]
-    return Iron(
+    return HardSoftIron(
         sensitivity=triad.sensitivity,
         bias=triad.bias,
         basis=np.eye(12)[:, free],
@@ -174,7 +174,7 @@ def _longer_stay(samples: Integers) -> Floats:
     return np.sqrt(count.mean() / count)
 
 
-def _sphere(poses: FieldPoses, used: Booleans, field: float, shape: Ellipsoid) -> Iron:
+def _sphere(poses: FieldPoses, used: Booleans, field: float, shape: Ellipsoid) -> HardSoftIron:
     """Fit the sphere of least squared distances in the sensor's unit.
 
     Relative to the radius they would be least for a sphere without end, which is why the triad's estimator, made for
@@ -206,7 +206,7 @@ def _sphere(poses: FieldPoses, used: Booleans, field: float, shape: Ellipsoid) -
     variance = float(np.mean(error[weight > 0] ** 2))
     noise = float(np.mean(poses.variance[kept]))
     extra = float(np.sqrt(max(variance - noise, 0.0))) / radius * field
-    return Iron(
+    return HardSoftIron(
         sensitivity=radius / field * np.eye(3),
         bias=bias,
         basis=basis,
@@ -222,8 +222,8 @@ def _sphere(poses: FieldPoses, used: Booleans, field: float, shape: Ellipsoid) -
     )
 
 
-def _with_blocks(poses: FieldPoses, iron: Iron, field: float, model: MagnetometerModel) -> MagnetometerFit:
-    correction = inverse(iron.sensitivity)
+def _with_blocks(poses: FieldPoses, iron: HardSoftIron, field: float, model: MagnetometerModel) -> MagnetometerFit:
+    correction = invert_3x3(iron.sensitivity)
     x = (poses.measured - iron.bias) @ correction.T
     length = np.linalg.norm(x, axis=1)
     pull = (x / length[:, None]) @ correction
@@ -243,8 +243,8 @@ def _with_blocks(poses: FieldPoses, iron: Iron, field: float, model: Magnetomete
         precision=iron.precision,
     )
     used = iron.used
-    blocks = Blocks.of(poses.t_s, memory_s(poses.t_s[used], (error / sigma)[used]))
-    moves = left_out([stage], blocks.block)
+    blocks = TimeBlocks.of(poses.t_s, memory_s(poses.t_s[used], (error / sigma)[used]))
+    moves = leave_blocks_out([stage], blocks.block)
     covariance = block_covariance([stage], blocks, moves)
     return MagnetometerFit(
         model=model,
@@ -274,7 +274,7 @@ def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> Ma
         (sphere.iron.sensitivity - full.iron.sensitivity).ravel(), sphere.iron.bias - full.iron.bias
     ])  # fmt: skip
     square = np.outer(left_out, left_out)
-    correction = inverse(sphere.iron.sensitivity)
+    correction = invert_3x3(sphere.iron.sensitivity)
     x = sphere.direction * (sphere.field + sphere.error)[:, None]
     return replace(
         sphere,
@@ -295,7 +295,7 @@ def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> Ma
 
 def stray_samples(values: Floats, noise: Floats, fit: MagnetometerFit) -> Booleans:
     """Return which single samples (n,) lie far off the ellipsoid of the fit, by more than noise explains."""
-    correction = inverse(fit.iron.sensitivity)
+    correction = invert_3x3(fit.iron.sensitivity)
     x = (values - fit.iron.bias) @ correction.T
     length = np.linalg.norm(x, axis=1)
     pull = (x / length[:, None]) @ correction

@@ -16,10 +16,10 @@ vertical gravity shows no angle.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import inverse, skew, tangent_basis
+from ...geometry.so3 import invert_3x3, skew, tangent_basis
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
-from ..multiposition.rotations import MotionSegments, integrate, propagate
+from ..multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
 
 _ROUNDS = 15
 _OUTLYING = 4.0  # sigma of a rotation beyond which it counts by its size, not by its square
@@ -88,7 +88,7 @@ def fit_rotation_sensitivity(
     beforehand : (3, 3) sensitivity [unit per rad/s] and (9, 9) its covariance
     """
     start, prior = beforehand
-    correction = nominal = inverse(start)  # C of the module's head
+    correction = nominal = invert_3x3(start)  # C of the module's head
     to_C = -np.kron(nominal, nominal.T)
     information = np.linalg.inv(to_C @ prior @ to_C.T)
     k = rotations.first
@@ -99,9 +99,9 @@ def fit_rotation_sensitivity(
     regressors = np.concatenate([rate, np.zeros((len(rate), 4))], axis=1)
     extra, rounds = 0.0, 0
     while True:
-        turns = integrate(rotations.segments, rate @ correction.T, regressors)
+        turns = integrate_rates(rotations.segments, rate @ correction.T, regressors)
         back = np.einsum("kai,kab->kib", basis, np.swapaxes(turns.rotation, 1, 2))
-        residual = np.einsum("kij,ki->kj", basis, up[k + 1] - propagate(turns.rotation, up[k]))
+        residual = np.einsum("kij,ki->kj", basis, up[k + 1] - propagate_directions(turns.rotation, up[k]))
         turned = -np.einsum("kib,kbl->kil", back, skew(up[k]))
         rows = np.einsum("kil,klac->kiac", turned, turns.sensitivity)[..., :3].reshape(len(k), 2, 9)
         noise = rotations.variance @ (correction**2).sum(axis=0) / 3 + extra
@@ -125,7 +125,7 @@ def fit_rotation_sensitivity(
     )
     moved = -np.linalg.solve(normal, A.T @ (white[:, None, None] * by_up).reshape(-1, by_up.shape[2]))
     covariance = np.linalg.inv(normal) + moved @ accelerometer_covariance @ moved.T
-    S = inverse(correction)
+    S = invert_3x3(correction)
     to_S = -np.kron(S, S.T)
     angle, vertical = _turns(turns.rotation, rotations, rate @ correction.T, up[k])
     covariance = to_S @ covariance @ to_S.T

@@ -9,13 +9,22 @@ import numpy as np
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
-from .triad_rows import TriadProblem, corrected, magnitudes
+from .triad_rows import TriadProblem, known_magnitudes, true_vectors
 from .triad_scaling import TriadScaling, scaled_problem, weak_sigma, with_weak_prior
-from .triad_solve import Linear, Minimum, equations, extra_variance, gated, linearised, reweighted, settled
+from .triad_solve import (
+    Linear,
+    Minimum,
+    covariance_at,
+    equation_counts,
+    extra_variance,
+    fit_extra_variance,
+    gate_outliers,
+    irls,
+)
 from .triad_start import ENOUGH, START_VARIANCE, check_determined, first_fit
 
 _GATINGS = 5
@@ -113,7 +122,7 @@ class TriadFit:
         unbiased = measured - self.bias
         if force is not None:
             unbiased = unbiased - force @ self.g_sensitivity.T
-        return unbiased @ inverse(self.sensitivity).T
+        return unbiased @ invert_3x3(self.sensitivity).T
 
 
 def fit_triad(
@@ -153,14 +162,14 @@ def fit_triad(
     around = first.theta
     problem = with_weak_prior(problem, around)
     point, extra, used = _fitted(problem, first, robust=robust)
-    linear = linearised(problem, point.theta, point.noise, used)
+    linear = covariance_at(problem, point.theta, point.noise, used)
     covariance = np.zeros((len(problem.free),) * 2)
     covariance[np.ix_(problem.free, problem.free)] = linear.covariance
     theta, turn = point.theta, scaling.turn
     parameters = turn * theta[:PARAMETERS] + scaling.shift
     by_group = _group_levels(poses, problem)
     free = problem.free[:PARAMETERS]
-    error = np.linalg.norm(corrected(problem, theta), axis=1) - magnitudes(problem, theta)
+    error = np.linalg.norm(true_vectors(problem, theta), axis=1) - known_magnitudes(problem, theta)
     shares = np.where(used[linear.rows.pose], linear.leverage, 0.0)
     return TriadFit(
         sensitivity=parameters[S_].reshape(3, 3),
@@ -173,11 +182,11 @@ def fit_triad(
         scale_known=not unknown_scale,
         in_own_frame=not free[[1, 2, 5]].any(),
         residual=_by_pose(problem, linear),
-        equations=equations(problem),
+        equations=equation_counts(problem),
         magnitude_error=error * scaling.size,
         magnitude_holdout=_held_out(problem, theta, linear, used) * scaling.size,
         magnitude_sigma=_predicted(problem, linear) * scaling.size,
-        leverage=np.bincount(linear.rows.pose, shares, minlength=len(poses)) / equations(problem),
+        leverage=np.bincount(linear.rows.pose, shares, minlength=len(poses)) / equation_counts(problem),
         extra_sigma=float(np.sqrt(extra)) * scaling.size,
         used=used,
         free=free,
@@ -213,16 +222,16 @@ def _fitted(problem: TriadProblem, first: Minimum, *, robust: bool) -> tuple[Min
     if robust:
         extra = extra_variance(problem, theta, used, START_VARIANCE, robust=True)
         if len(used) <= ENOUGH:  # more are not bent by a few, and the start had as many
-            theta = reweighted(problem, theta, extra).theta
+            theta = irls(problem, theta, extra).theta
             extra = extra_variance(problem, theta, used, extra, robust=True)
-        used = gated(problem, theta, used, extra, known=extra == 0)
-    point, extra = settled(problem, theta, used, extra)
+        used = gate_outliers(problem, theta, used, extra, known=extra == 0)
+    point, extra = fit_extra_variance(problem, theta, used, extra)
     for _ in range(_GATINGS if robust else 0):  # what the settled level explains comes back
-        again = gated(problem, point.theta, used, extra, known=extra == 0)
+        again = gate_outliers(problem, point.theta, used, extra, known=extra == 0)
         if np.array_equal(again, used):
             break
         used = again
-        point, extra = settled(problem, point.theta, used, extra)
+        point, extra = fit_extra_variance(problem, point.theta, used, extra)
     return point, extra, used
 
 
@@ -268,6 +277,6 @@ def _held_out(problem: TriadProblem, theta: Floats, linear: Linear, used: Boolea
         step = gain @ np.linalg.solve(kept, lines.residual[part].reshape(-1, size, 1))
         held[np.ix_(pose, np.flatnonzero(free))] += np.where(used[pose, None], step[..., 0], 0.0)
     s, b, g = held[:, S_].reshape(-1, 3, 3), held[:, B_], held[:, G_].reshape(-1, 3, 3)
-    x = inverse(s) @ (problem.measured - b - np.einsum("kij,kj->ki", g, problem.force))[..., None]
+    x = invert_3x3(s) @ (problem.measured - b - np.einsum("kij,kj->ki", g, problem.force))[..., None]
     factor = 1 + np.einsum("kp,kp->k", problem.level, held[:, PARAMETERS:])
     return np.linalg.norm(x[..., 0], axis=1) - problem.magnitude * factor

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_
@@ -68,7 +68,7 @@ class TriadProblem:
 
 
 @value_class
-class Noise:
+class TriadNoiseLevels:
     """What stays the same while the parameters settle.
 
     Attributes
@@ -105,7 +105,7 @@ class Latent:
 
 
 @value_class
-class Rows:
+class TriadResiduals:
     """Residuals with unit variance and their derivatives, all poses of one equation first, then those of three.
 
     Attributes
@@ -139,22 +139,22 @@ def sensor_covariance(problem: TriadProblem, theta: Floats, u: Floats, extra: fl
     )
 
 
-def corrected(problem: TriadProblem, theta: Floats) -> Floats:
+def true_vectors(problem: TriadProblem, theta: Floats) -> Floats:
     """Return the true vectors (n, 3) that measurements and parameters say."""
-    c = inverse(theta[S_].reshape(3, 3))
+    c = invert_3x3(theta[S_].reshape(3, 3))
     return (problem.measured - theta[B_] - problem.force @ theta[G_].reshape(3, 3).T) @ c.T
 
 
-def magnitudes(problem: TriadProblem, theta: Floats) -> Floats:
+def known_magnitudes(problem: TriadProblem, theta: Floats) -> Floats:
     """Return the known magnitudes (n,) with their estimated errors."""
     return problem.magnitude * (1 + problem.level @ theta[PARAMETERS:])
 
 
-def latent(problem: TriadProblem, theta: Floats, noise: Noise) -> Latent:
+def eliminate_directions(problem: TriadProblem, theta: Floats, noise: TriadNoiseLevels) -> Latent:
     """Return the direction of each pose and the residuals that are left when it is eliminated."""
-    c = inverse(theta[S_].reshape(3, 3))
-    x = corrected(problem, theta)
-    w = magnitudes(problem, theta) + noise.excess
+    c = invert_3x3(theta[S_].reshape(3, 3))
+    x = true_vectors(problem, theta)
+    w = known_magnitudes(problem, theta) + noise.excess
     body = c @ noise.covariance @ c.T
     single = problem.length_only
     if single.all():
@@ -177,16 +177,16 @@ def latent(problem: TriadProblem, theta: Floats, noise: Noise) -> Latent:
     )
 
 
-def rows(problem: TriadProblem, theta: Floats, noise: Noise) -> Rows:
+def triad_residuals(problem: TriadProblem, theta: Floats, noise: TriadNoiseLevels) -> TriadResiduals:
     """Return the residuals and their derivatives by the free parameters."""
-    at = latent(problem, theta, noise)
+    at = eliminate_directions(problem, theta, noise)
     pose, scale = at.pose, 1 / at.sigma
-    c = inverse(theta[S_].reshape(3, 3))
+    c = invert_3x3(theta[S_].reshape(3, 3))
     normal = -(at.q @ c) * scale[:, None]
     along = -scale * np.einsum("ri,ri->r", at.q, at.u[pose]) * problem.magnitude[pose]
     point = (at.length[:, None] * at.u)[pose]
     columns = _columns(problem, pose, normal, point, along)
-    return Rows(
+    return TriadResiduals(
         pose=np.arange(len(at.u)) if isinstance(pose, slice) else pose,
         residual=at.error * scale,
         jacobian=np.stack(columns).T,  # each column in one piece, as it is made and used
@@ -273,12 +273,12 @@ def _exponential(u: Floats, tangent: Floats) -> Floats:
     return moved / np.where(length > 0, length, 1.0)
 
 
-def noise_at(problem: TriadProblem, theta: Floats, extra: float) -> Noise:
+def noise_at(problem: TriadProblem, theta: Floats, extra: float) -> TriadNoiseLevels:
     """Return the noise as it is at these parameters, with an extra variance of every component."""
-    x = corrected(problem, theta)
+    x = true_vectors(problem, theta)
     length = np.linalg.norm(x, axis=1, keepdims=True)
     u = np.where(problem.magnitude[:, None] > 0, x / np.where(length > 0, length, 1.0), 0.0)
-    noise = Noise(covariance=sensor_covariance(problem, theta, u, extra), excess=np.zeros(len(x)))
-    w = magnitudes(problem, theta)
-    spread = latent(problem, theta, noise).spread
+    noise = TriadNoiseLevels(covariance=sensor_covariance(problem, theta, u, extra), excess=np.zeros(len(x)))
+    w = known_magnitudes(problem, theta)
+    spread = eliminate_directions(problem, theta, noise).spread
     return replace(noise, excess=np.clip(0.5 * w * spread, 0.0, _LARGEST_EXCESS * w))

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...geometry.so3 import inverse
+from ...geometry.so3 import invert_3x3
 from ...recording import Floats
 from ...results.intervals import Booleans
 from .triad_ellipsoid import general_ellipsoid
 from .triad_poses import B_, PARAMETERS, S_
-from .triad_rows import TriadProblem, corrected, magnitudes, noise_at
-from .triad_solve import Minimum, minimise
+from .triad_rows import TriadProblem, known_magnitudes, noise_at, true_vectors
+from .triad_solve import Minimum, minimise_from
 
 _SUBSETS = 150  # with every fourth pose bad, some ten of them have none
 _POSES = 10  # in a subset
@@ -29,20 +29,20 @@ def most_errors(problem: TriadProblem, theta: Floats) -> float:
     return size * float(np.mean(error[_better_part(problem, error)]))
 
 
-def concentrated(problem: TriadProblem, theta: Floats, extra: float) -> Minimum:
+def concentrate_fit(problem: TriadProblem, theta: Floats, extra: float) -> Minimum:
     """Return a fit to the better part of the poses, which are chosen again until they stay the same."""
     kept = _better_part(problem, _errors(problem, theta))
-    point = minimise(problem, theta, noise_at(problem, theta, extra), kept.astype(np.float64), rough=True)
+    point = minimise_from(problem, theta, noise_at(problem, theta, extra), kept.astype(np.float64), rough=True)
     for _ in range(_CONCENTRATIONS):
         old, kept = kept, _better_part(problem, _errors(problem, point.theta))
         if np.array_equal(kept, old):
             break
-        point = minimise(problem, point.theta, point.noise, kept.astype(np.float64), rough=True)
+        point = minimise_from(problem, point.theta, point.noise, kept.astype(np.float64), rough=True)
     return point
 
 
 def _errors(problem: TriadProblem, theta: Floats) -> Floats:
-    return np.abs(np.linalg.norm(corrected(problem, theta), axis=1) - magnitudes(problem, theta))
+    return np.abs(np.linalg.norm(true_vectors(problem, theta), axis=1) - known_magnitudes(problem, theta))
 
 
 def _better_part(problem: TriadProblem, error: Floats) -> Booleans:
@@ -72,7 +72,7 @@ def subset_starts(problem: TriadProblem, theta: Floats) -> Iterator[Floats]:
         if ellipsoid is not None:
             trial = theta.copy()
             trial[B_] = ellipsoid.bias + centre
-            trial[S_] = _turned(inverse(ellipsoid.correction), theta[S_].reshape(3, 3)).ravel()
+            trial[S_] = _turned(invert_3x3(ellipsoid.correction), theta[S_].reshape(3, 3)).ravel()
             found.append((most_errors(problem, trial), trial))
     found.sort(key=lambda pair: pair[0])
     yield from (trial for _, trial in found[:_KEPT])

@@ -8,7 +8,7 @@ from ...frozen import value_class
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.levenberg_marquardt import levenberg_marquardt
-from .triad_rows import Noise, Rows, TriadProblem, noise_at, rows
+from .triad_rows import TriadNoiseLevels, TriadProblem, TriadResiduals, noise_at, triad_residuals
 
 _REWEIGHTINGS = 10
 _SAME_WEIGHT = 0.02
@@ -37,7 +37,7 @@ class Minimum:
     """
 
     theta: Floats
-    noise: Noise
+    noise: TriadNoiseLevels
     cost: float
     iterations: int
     converged: bool
@@ -55,13 +55,15 @@ class Linear:
     redundancy : residuals used less what the parameters take
     """
 
-    rows: Rows
+    rows: TriadResiduals
     covariance: Floats
     leverage: Floats
     redundancy: float
 
 
-def minimise(problem: TriadProblem, theta: Floats, noise: Noise, weight: Floats, *, rough: bool = False) -> Minimum:
+def minimise_from(
+    problem: TriadProblem, theta: Floats, noise: TriadNoiseLevels, weight: Floats, *, rough: bool = False
+) -> Minimum:
     """Return the minimum from a point, with poses weighted (n,)."""
     free = problem.free
 
@@ -70,7 +72,7 @@ def minimise(problem: TriadProblem, theta: Floats, noise: Noise, weight: Floats,
         full = theta.copy()
         full[free] = x
         try:
-            lines = rows(problem, full, noise)
+            lines = triad_residuals(problem, full, noise)
         except np.linalg.LinAlgError:  # a step that makes the sensitivity singular is refused
             bad = np.full(shape[0], np.inf)
             return bad, np.zeros(shape)
@@ -95,9 +97,9 @@ def minimise(problem: TriadProblem, theta: Floats, noise: Noise, weight: Floats,
     )
 
 
-def linearised(problem: TriadProblem, theta: Floats, noise: Noise, used: Booleans) -> Linear:
+def covariance_at(problem: TriadProblem, theta: Floats, noise: TriadNoiseLevels, used: Booleans) -> Linear:
     """Return covariance and leverages where a fit stands."""
-    lines = rows(problem, theta, noise)
+    lines = triad_residuals(problem, theta, noise)
     free = problem.free
     counted = used[lines.pose]
     stacked = np.concatenate([lines.jacobian[counted], problem.prior_root[:, free]])
@@ -114,40 +116,40 @@ def linearised(problem: TriadProblem, theta: Floats, noise: Noise, used: Boolean
     )
 
 
-def reweighted(problem: TriadProblem, theta: Floats, extra: float) -> Minimum:
+def irls(problem: TriadProblem, theta: Floats, extra: float) -> Minimum:
     """Return a fit in which poses that stand out count by their size, not by its square.
 
     Several bad poses bend an ordinary fit until none of them stands out; they cannot bend this one as far.
     """
     noise = noise_at(problem, theta, extra)
     weight = _weights(problem, theta, noise)
-    point = minimise(problem, theta, noise, weight, rough=True)
+    point = minimise_from(problem, theta, noise, weight, rough=True)
     iterations = point.iterations
     for _ in range(_REWEIGHTINGS):
         old, weight = weight, _weights(problem, point.theta, noise)
         if np.abs(weight - old).max() < _SAME_WEIGHT:
             break
-        point = minimise(problem, point.theta, noise, weight, rough=True)
+        point = minimise_from(problem, point.theta, noise, weight, rough=True)
         iterations += point.iterations
     return replace(point, iterations=iterations)
 
 
-def _weights(problem: TriadProblem, theta: Floats, noise: Noise) -> Floats:
-    size = pose_sizes(problem, rows(problem, theta, noise))
+def _weights(problem: TriadProblem, theta: Floats, noise: TriadNoiseLevels) -> Floats:
+    size = pose_sizes(problem, triad_residuals(problem, theta, noise))
     usual = float(np.median(size))
     if usual <= 0 or size.max() <= _SUSPICIOUS * np.sqrt(2 * np.log(len(size))) * usual:
         return np.ones(len(size))
     return 1 / np.maximum(size / usual, 1.0)
 
 
-def pose_sizes(problem: TriadProblem, lines: Rows, shrink: Floats | None = None) -> Floats:
+def pose_sizes(problem: TriadProblem, lines: TriadResiduals, shrink: Floats | None = None) -> Floats:
     """Return the root mean square of each pose's residuals (n,), each first divided by the root of `shrink` (r,)."""
     squares = lines.residual**2 if shrink is None else lines.residual**2 / shrink
     total = np.bincount(lines.pose, squares, minlength=len(problem.measured))
-    return np.sqrt(total / equations(problem))
+    return np.sqrt(total / equation_counts(problem))
 
 
-def equations(problem: TriadProblem) -> np.ndarray:
+def equation_counts(problem: TriadProblem) -> np.ndarray:
     """Return how many residuals each pose has, (n,)."""
     return np.where(problem.length_only, 1, 3)
 
@@ -160,8 +162,8 @@ def extra_variance(problem: TriadProblem, theta: Floats, used: Booleans, given: 
     given : extra variance with which theta was found
     robust : take the median for the mean, so that outliers do not count
     """
-    linear = linearised(problem, theta, noise_at(problem, theta, given), used)
-    plain = rows(problem, theta, noise_at(problem, theta, 0.0))
+    linear = covariance_at(problem, theta, noise_at(problem, theta, given), used)
+    plain = triad_residuals(problem, theta, noise_at(problem, theta, 0.0))
     counted = used[plain.pose]
     squares, variance = (plain.residual * plain.sigma)[counted] ** 2, plain.sigma[counted] ** 2
     if linear.redundancy < _FEWEST_REDUNDANT:
@@ -192,22 +194,22 @@ def _matching_variance(squares: Floats, variance: Floats, redundancy: float) -> 
     return extra
 
 
-def settled(problem: TriadProblem, theta: Floats, used: Booleans, extra: float) -> tuple[Minimum, float]:
+def fit_extra_variance(problem: TriadProblem, theta: Floats, used: Booleans, extra: float) -> tuple[Minimum, float]:
     """Return minimum and extra variance that belong together."""
     weight = used.astype(np.float64)
-    theta = minimise(problem, theta, noise_at(problem, theta, extra), weight, rough=True).theta
-    point = minimise(problem, theta, noise_at(problem, theta, extra), weight)
+    theta = minimise_from(problem, theta, noise_at(problem, theta, extra), weight, rough=True).theta
+    point = minimise_from(problem, theta, noise_at(problem, theta, extra), weight)
     iterations = point.iterations
     for _ in range(_SETTLINGS):
         old, extra = extra, extra_variance(problem, point.theta, used, extra, robust=False)
         if abs(extra - old) <= _SAME_VARIANCE * max(extra, old):
             return replace(point, iterations=iterations), old
-        point = minimise(problem, point.theta, noise_at(problem, point.theta, extra), weight)
+        point = minimise_from(problem, point.theta, noise_at(problem, point.theta, extra), weight)
         iterations += point.iterations
     return replace(point, iterations=iterations), extra
 
 
-def gated(problem: TriadProblem, theta: Floats, used: Booleans, extra: float, *, known: bool) -> Booleans:
+def gate_outliers(problem: TriadProblem, theta: Floats, used: Booleans, extra: float, *, known: bool) -> Booleans:
     """Return which poses stay (n,): those that the others predict within five sigma.
 
     Parameters
@@ -217,13 +219,13 @@ def gated(problem: TriadProblem, theta: Floats, used: Booleans, extra: float, *,
     """
     from scipy.special import ndtr, stdtrit
 
-    linear = linearised(problem, theta, noise_at(problem, theta, extra), used)
+    linear = covariance_at(problem, theta, noise_at(problem, theta, extra), used)
     counted = used[linear.rows.pose]
     shrink = np.where(counted, np.maximum(1 - linear.leverage, 1e-3), 1 + linear.leverage)
-    size = pose_sizes(problem, linear.rows, shrink) ** 2 * equations(problem)
+    size = pose_sizes(problem, linear.rows, shrink) ** 2 * equation_counts(problem)
     limit = np.where(problem.length_only, _GATE[1], _GATE[3])
     if not known:
         limit = limit * (stdtrit(max(linear.redundancy, 1.0), ndtr(-_GATE_SIGMA)) / _GATE_SIGMA) ** 2
     kept = size < limit
-    enough = equations(problem)[kept].sum() > problem.free.sum()
+    enough = equation_counts(problem)[kept].sum() > problem.free.sum()
     return kept if enough and kept.mean() >= _FEWEST_SHARE else np.ones_like(kept)

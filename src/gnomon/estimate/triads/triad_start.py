@@ -5,14 +5,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from ...errors import InitialisationError
-from ...geometry.so3 import inverse, nearest_rotation
+from ...geometry.so3 import invert_3x3, nearest_rotation
 from ...recording import Floats
-from .triad_ellipsoid import Ellipsoid, constrained_ellipsoid, from_quadric, general_ellipsoid, sphere
+from .triad_ellipsoid import Ellipsoid, constrained_ellipsoid, fit_sphere, from_quadric, general_ellipsoid
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPrior
 from .triad_rows import TriadProblem
 from .triad_scaling import TriadScaling, not_wild, with_weak_prior
-from .triad_search import concentrated, most_errors, subset_starts
-from .triad_solve import Minimum, equations, reweighted
+from .triad_search import concentrate_fit, most_errors, subset_starts
+from .triad_solve import Minimum, equation_counts, irls
 
 START_VARIANCE = 1e-4
 """Of a component, scaled: a start is good to one percent or so."""
@@ -43,9 +43,9 @@ def check_determined(problem: TriadProblem, prior: TriadPrior | None) -> None:
             "the magnitude is zero in every pose, which shows the bias and no scale. Add poses at a known rate."
         )
     unknowns = int(problem.free[:PARAMETERS].sum())
-    if equations(problem).sum() < unknowns:
+    if equation_counts(problem).sum() < unknowns:
         raise InitialisationError(
-            f"{len(moving)} poses give {equations(problem).sum()} equations for {unknowns} unknowns. "
+            f"{len(moving)} poses give {equation_counts(problem).sum()} equations for {unknowns} unknowns. "
             f"Record at least {unknowns} well spread attitudes, better 18."
         )
     m = problem.measured[moving]
@@ -92,7 +92,7 @@ def first_fit(
     size, best = min(tried, key=_size)
     if robust and size > _EXPLAINED * _noise_size(sample, best.theta):
         for theta in subset_starts(sample, best.theta):
-            tried += _tried(sample, np.where(sample.free, theta, best.theta), concentrated)
+            tried += _tried(sample, np.where(sample.free, theta, best.theta), concentrate_fit)
     return min(tried, key=_size)[1]
 
 
@@ -108,17 +108,17 @@ def _all_starts(
         yield _stated(start, scaling, len(problem.free))
     common_axes = scaling.spread / scaling.spread.max()
     if prior is None:
-        yield from starts(problem, common_axes, None)
+        yield from starting_points(problem, common_axes, None)
         return
     known = (prior.mean - scaling.shift) / scaling.turn
     able = bool(np.all((np.diag(prior.precision) > 0)[_DIAGONAL] | prior.fixed[_DIAGONAL]))
-    for theta in starts(problem, common_axes, known if able else None):
+    for theta in starting_points(problem, common_axes, known if able else None):
         theta[:PARAMETERS] = np.where(prior.fixed, known, theta[:PARAMETERS])
         yield theta
 
 
 def _tried(
-    problem: TriadProblem, theta: Floats, method: Callable[[TriadProblem, Floats, float], Minimum] = reweighted
+    problem: TriadProblem, theta: Floats, method: Callable[[TriadProblem, Floats, float], Minimum] = irls
 ) -> list[tuple[float, Minimum]]:
     """Return a fit from a start with the mean of most poses' errors, by which to compare; nothing if it breaks down."""
     try:
@@ -144,12 +144,12 @@ def _stated(start: Floats, scaling: TriadScaling, size: int) -> Floats:
     if found is None:
         raise InitialisationError("a start needs scales other than zero.")
     parameters = np.zeros(PARAMETERS)
-    parameters[S_], parameters[B_] = inverse(found.correction).ravel(), found.bias
+    parameters[S_], parameters[B_] = invert_3x3(found.correction).ravel(), found.bias
     theta[:PARAMETERS] = (parameters - scaling.shift) / scaling.turn
     return theta
 
 
-def starts(problem: TriadProblem, common_axes: Floats, prior: Floats | None) -> Iterator[Floats]:
+def starting_points(problem: TriadProblem, common_axes: Floats, prior: Floats | None) -> Iterator[Floats]:
     """Yield starting points (21 + p,), the most accurate first.
 
     Parameters
@@ -172,7 +172,7 @@ def starts(problem: TriadProblem, common_axes: Floats, prior: Floats | None) -> 
     for found in (
         general_ellipsoid(m - centre, w),
         _in_common_axes(constrained_ellipsoid, m - centre, w, common_axes),
-        _in_common_axes(sphere, m - centre, w, common_axes),
+        _in_common_axes(fit_sphere, m - centre, w, common_axes),
     ):
         if found is not None:
             shifted = Ellipsoid(correction=found.correction, bias=found.bias + centre)
@@ -191,7 +191,7 @@ def _in_common_axes(method: object, m: Floats, w: Floats, axes: Floats) -> Ellip
 def _oriented(problem: TriadProblem, found: Ellipsoid, prior: Floats | None) -> Floats:
     """Return the parameters of an ellipsoid in the body frame that directions or a prior mean, else in its own."""
     theta = np.zeros(len(problem.free))
-    theta[S_], theta[B_] = inverse(found.correction).ravel(), found.bias
+    theta[S_], theta[B_] = invert_3x3(found.correction).ravel(), found.bias
     if not problem.free[[1, 2, 5]].any():
         theta[[1, 2, 5]] = 0.0
         return theta
@@ -203,7 +203,7 @@ def _oriented(problem: TriadProblem, found: Ellipsoid, prior: Floats | None) -> 
         turn = nearest_rotation(prior[S_].reshape(3, 3).T @ found.correction.T)
     else:
         turn = np.eye(3)
-    theta[S_] = (inverse(found.correction) @ turn.T).ravel()
+    theta[S_] = (invert_3x3(found.correction) @ turn.T).ravel()
     return theta
 
 

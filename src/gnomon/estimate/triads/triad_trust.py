@@ -8,7 +8,7 @@ import numpy as np
 from ...recording import Floats, Integers
 from ...results.parameters import element_names
 from ...results.trust import BlockAgreement, Splits, Trust
-from ..trust.cluster_trust import Trusted, trusted
+from ..trust.cluster_trust import RobustCovariance, robust_covariance
 from ..trust.clusters import ClusterSums
 from .triad import TriadFit
 
@@ -45,7 +45,7 @@ def robust_triad(
     stretch: Integers | None = None,
     g_sensitivity: bool = False,
     widened: bool = True,
-) -> tuple[TriadFit, Trusted]:
+) -> tuple[TriadFit, RobustCovariance]:
     """Return the fit with the covariance from clusters of poses, and how parts of the recording agree.
 
     Parameters
@@ -55,7 +55,7 @@ def robust_triad(
     t_s : (n,) when each pose was measured [s]; None where only their order is known
     stretch : (n,) number of the stretch of a pose, such as its attitude on a turntable; each its own where not given
     g_sensitivity : whether it belongs to the triad
-    widened : as in `trusted`
+    widened : as in `robust_covariance`
     """
     n = len(fit.used)
     t_s = np.arange(n, dtype=np.float64) if t_s is None else t_s
@@ -63,7 +63,7 @@ def robust_triad(
     names = [*element_names(f"{triad}.sensitivity", (3, 3)), *element_names(f"{triad}.bias", (3,))]
     names += element_names(f"{triad}.g_sensitivity", (3, 3)) if g_sensitivity else []
     count = len(names)
-    found = trusted(
+    found = robust_covariance(
         triad_sums(fit, stretch, t_s),
         fit.lines.unscaled[:count],
         names,
@@ -85,7 +85,7 @@ def _few_residuals(fit: TriadFit) -> float:
     return 1 + share * 2 / (freedom - 2)
 
 
-def together(trusts: Sequence[Trust]) -> Trust:
+def merge_trusts(trusts: Sequence[Trust]) -> Trust:
     """Return what recordings of several triads say, as if they were of one."""
     if len(trusts) == 1:
         return trusts[0]

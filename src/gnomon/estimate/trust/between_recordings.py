@@ -30,7 +30,7 @@ _LEAST_CORRELATION = 1e-9  # of the eigenvalues of a correlation matrix
 
 
 @value_class
-class Block:
+class RecordingBlock:
     """Scalars that change alike from recording to recording.
 
     Attributes
@@ -64,7 +64,7 @@ class JoinedEstimate:
         return self.mean_covariance + np.diag(self.scatter**2)
 
 
-def join_estimates(values: Floats, covariances: Floats, blocks: Sequence[Block]) -> JoinedEstimate:
+def join_estimates(values: Floats, covariances: Floats, blocks: Sequence[RecordingBlock]) -> JoinedEstimate:
     """Join the estimates of several recordings.
 
     Parameters

@@ -13,8 +13,8 @@ from ...results.intervals import Booleans
 from ...results.trust import Clusters, SigmaRatio, Splits, Trust
 from .changes import parameter_changes
 from .clusters import ClusterSums
-from .parts import Split, agreement, differences
-from .robust import Robust, clustered, memory, robust
+from .parts import Split, part_agreement, part_differences
+from .robust import Robust, correlation_time, group_into_clusters, robust_variances
 
 _FEWEST_IN_PART = 5  # stretches
 _NTH = {2: ("first", "second"), 3: ("first", "middle", "last")}
@@ -42,7 +42,7 @@ class Instability:
 
 
 @value_class
-class Trusted:
+class RobustCovariance:
     """What stretches of time say of an estimate's uncertainty.
 
     Attributes
@@ -57,7 +57,7 @@ class Trusted:
     instabilities: tuple[Instability, ...]
 
 
-def trusted(
+def robust_covariance(
     sums: ClusterSums,
     jacobian: Floats,
     names: Sequence[str],
@@ -67,7 +67,7 @@ def trusted(
     widened: bool = True,
     single: ClusterSums | None = None,
     order: Integers | None = None,
-) -> Trusted:
+) -> RobustCovariance:
     """Return the covariance from clusters of time, and how parts of the recording agree.
 
     Halves and thirds that follow each other would show a bias that wanders, which its sigma does not mean to cover: it
@@ -88,18 +88,18 @@ def trusted(
     paths = np.array([name.split("[")[0] for name in names], dtype=object)
     block = np.unique(paths, return_inverse=True)[1]
     estimated = np.diag(ordinary) > 0
-    remembered = memory(sums, jacobian, block)
-    phases, length = clustered(sums, remembered)
-    found = robust(phases, jacobian, block)
+    remembered = correlation_time(sums, jacobian, block)
+    phases, length = group_into_clusters(sums, remembered)
+    found = robust_variances(phases, jacobian, block)
     if not widened:
         found = replace(found, factor=np.ones_like(found.factor))
     covariance = ordinary
     if widened:
         covariance = ordinary + found.covariance - found.from_errors - found.from_prior
     biased = np.isin(paths, list(biases))
-    comparison = Comparison(sums=sums, jacobian=jacobian, found=found, names=names, paths=paths)
+    comparison = PartComparison(sums=sums, jacobian=jacobian, found=found, names=names, paths=paths)
     spacing = float(np.median(np.diff(sums.t_s))) if len(sums) > 1 else 0.0  # one rest, and the rest known beforehand
-    return Trusted(
+    return RobustCovariance(
         covariance=covariance,
         trust=Trust(
             clusters=Clusters(count=found.clusters, length_s=length * spacing, memory_s=remembered * spacing)
@@ -128,7 +128,7 @@ def _ratios(found: Robust, paths: NDArray[np.object_], estimated: Booleans) -> t
 
 
 @value_class
-class Comparison:
+class PartComparison:
     """Parts of a recording, compared: its stretches, and the scalars with the paths (m,) of their blocks."""
 
     sums: ClusterSums
@@ -148,15 +148,17 @@ class Comparison:
             counts=estimated,
         )
         splits = [*self._consecutive(estimated & ~biased), turns]
-        found = differences(self.sums, self.jacobian, self.found, splits)
+        found = part_differences(self.sums, self.jacobian, self.found, splits)
         if not len(found):
             return None
         blocks = {path: np.flatnonzero(self.paths == path) for path in dict.fromkeys(self.paths)}
-        return agreement(found, splits, self.names, blocks)
+        return part_agreement(found, splits, self.names, blocks)
 
     def instability(self, path: str, estimated: Booleans) -> Instability:
         """Compare a bias between halves and thirds."""
-        found = differences(self.sums, self.jacobian, self.found, self._consecutive(estimated & (self.paths == path)))
+        found = part_differences(
+            self.sums, self.jacobian, self.found, self._consecutive(estimated & (self.paths == path))
+        )
         if not len(found):
             return Instability(block=path, size=0.0, sigma=0.0, where="", proven=False)
         z = np.abs(found.value) / found.ordinary_sigma

@@ -86,7 +86,7 @@ def in_clusters(t_s: Floats, length_s: float, phase: float = 0.0) -> Integers:
     return number - number[0]
 
 
-def left_out(sums: ClusterSums) -> Floats:
+def leave_clusters_out(sums: ClusterSums) -> Floats:
     """Return how the estimate moves when each cluster is left out, (c, p)."""
     rest = sums.total - sums.information
     return _solved(rest, -sums.pull)
@@ -94,7 +94,7 @@ def left_out(sums: ClusterSums) -> Floats:
 
 def jackknife_covariance(sums: ClusterSums) -> Floats:
     """Return the covariance (p, p) by leaving out clusters (CR3); what was known beforehand counts as it was stated."""
-    moves, count = left_out(sums), len(sums)
+    moves, count = leave_clusters_out(sums), len(sums)
     total = _inverse(sums.total)
     return (count - 1) / count * moves.T @ moves + total @ sums.prior_information @ total
 

@@ -27,7 +27,7 @@ _TOGETHER = 1_000  # draws
 
 
 @value_class
-class Candidate:
+class CandidateBlock:
     """A block of parameters that a model may have or not.
 
     Attributes
@@ -47,7 +47,7 @@ class Candidate:
 
 
 @value_class
-class Step:
+class CandidateStep:
     """What one candidate brings.
 
     Attributes
@@ -59,7 +59,7 @@ class Step:
     change, sigma : (p,) what it moves among all columns of the sums, and the sigmas of the larger model; nan where held
     """
 
-    candidate: Candidate
+    candidate: CandidateBlock
     gain: float
     gain_sigma: float
     needed: float
@@ -68,7 +68,7 @@ class Step:
     sigma: Floats
 
 
-def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candidate]) -> tuple[Step, ...]:
+def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[CandidateBlock]) -> tuple[CandidateStep, ...]:
     """Return what each candidate brings, in their order.
 
     Those on which the recording decides join the model one by one, the one with the largest gain first, as long as one
@@ -85,14 +85,14 @@ def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candid
     decided = [candidate for candidate in candidates if candidate.forced is not None]
     open_ones = [candidate for candidate in candidates if candidate.forced is None]
     stated = [candidate for candidate in decided if candidate.forced]
-    added: list[Candidate] = []
+    added: list[CandidateBlock] = []
     while rest := [candidate for candidate in open_ones if candidate not in added]:
         trials = [bench.step(candidate, [*stated, *added]) for candidate in rest]
         best = max(trials, key=lambda step: step.gain - step.needed)
         if best.gain <= best.needed:
             break
         added.append(best.candidate)
-    found: dict[str, Step] = {}
+    found: dict[str, CandidateStep] = {}
     for candidate in candidates:
         if candidate.forced is None:
             others = [*stated, *(other for other in added if other is not candidate)]
@@ -107,7 +107,7 @@ def model_steps(sums: ClusterSums, always: Integers, candidates: Sequence[Candid
 class _Bench:
     """Models on trial, each estimated once."""
 
-    def __init__(self, sums: ClusterSums, always: Integers, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, sums: ClusterSums, always: Integers, candidates: Sequence[CandidateBlock]) -> None:
         self._sums, self._always, self._candidates = sums, always, candidates
         self._models: dict[frozenset[str], _Model] = {}
         tries = sum(candidate.forced is None for candidate in candidates)
@@ -118,13 +118,13 @@ class _Bench:
             [rng.integers(0, 2, (_TOGETHER, count)).astype(np.int8) for _ in range(_DRAWS // _TOGETHER)]
         )
 
-    def step(self, candidate: Candidate, kept: Sequence[Candidate]) -> Step:
+    def step(self, candidate: CandidateBlock, kept: Sequence[CandidateBlock]) -> CandidateStep:
         """Return what a candidate brings to a model."""
         without, larger = self._model(kept), self._model([*kept, candidate])
         gains = without.costs - larger.costs
         needed = max(self._by_chance(gains), _LEAST_GAIN, candidate.least)
         gain = float(gains.sum())
-        return Step(
+        return CandidateStep(
             candidate=candidate,
             gain=gain,
             gain_sigma=float(np.sqrt(len(gains)) * np.std(gains, ddof=1)),
@@ -141,7 +141,7 @@ class _Bench:
         sums = [self._signs[k : k + _TOGETHER] @ own for k in range(0, _DRAWS, _TOGETHER)]
         return float(np.quantile(2 * np.concatenate(sums) - own.sum(), self._level))
 
-    def _model(self, kept: Sequence[Candidate]) -> "_Model":
+    def _model(self, kept: Sequence[CandidateBlock]) -> "_Model":
         names = frozenset(candidate.name for candidate in kept)
         if names not in self._models:
             self._models[names] = _Model.of(self._sums, self._always, self._candidates, kept)
@@ -165,7 +165,7 @@ class _Model:
 
     @classmethod
     def of(
-        cls, sums: ClusterSums, always: Integers, candidates: Sequence[Candidate], kept: Sequence[Candidate]
+        cls, sums: ClusterSums, always: Integers, candidates: Sequence[CandidateBlock], kept: Sequence[CandidateBlock]
     ) -> "_Model":
         """Return the model of some columns and the candidates kept, the others held without."""
         estimate, sigma = np.zeros(sums.pull.shape[1]), np.full(sums.pull.shape[1], np.nan)

@@ -71,7 +71,7 @@ class Differences:
         return float((1 - spread + _CHANCE_SIGMA * np.sqrt(spread)) ** 1.5)
 
 
-def differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits: Sequence[Split]) -> Differences:
+def part_differences(sums: ClusterSums, jacobian: Floats, wider: Robust, splits: Sequence[Split]) -> Differences:
     """Compare parts of a recording pair by pair.
 
     Parameters
@@ -122,7 +122,7 @@ def _pairs(sums: ClusterSums, jacobian: Floats, split: Split) -> list[tuple[Inte
     return found
 
 
-def agreement(
+def part_agreement(
     found: Differences, splits: Sequence[Split], names: Sequence[str], blocks: Mapping[str, Integers]
 ) -> Splits:
     """Return how parts agree, block by block.

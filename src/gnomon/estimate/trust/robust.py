@@ -13,7 +13,7 @@ import numpy as np
 
 from ...frozen import value_class
 from ...recording import Floats, Integers
-from .clusters import ClusterSums, left_out, whole_estimate
+from .clusters import ClusterSums, leave_clusters_out, whole_estimate
 
 _BLOCK_COUNTS = 12.0  # degrees of freedom that the other parameters of a block count as
 _ONE_COUNTS = 4.0  # and that independence counts as
@@ -55,7 +55,7 @@ class Robust:
         return blended * np.outer(root, root) + self.from_prior
 
 
-def robust(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
+def robust_variances(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
     """Return by how much the variances of scalars are larger than for independent errors.
 
     Parameters
@@ -118,15 +118,15 @@ def _shrunk(raw: Floats, freedom: Floats, block: Integers) -> Floats:
     return np.asarray(np.maximum((freedom * raw + _BLOCK_COUNTS * of_block) / (freedom + _BLOCK_COUNTS), _LEAST))
 
 
-def memory(sums: ClusterSums, jacobian: Floats, block: Integers) -> int:
+def correlation_time(sums: ClusterSums, jacobian: Floats, block: Integers) -> int:
     """Return over how many stretches of time errors are correlated, by what each stretch moves in a block of scalars.
 
     Parameters
     ----------
     sums : of single stretches
-    jacobian, block : as in `robust`
+    jacobian, block : as in `robust_variances`
     """
-    moves = left_out(sums) @ jacobian.T
+    moves = leave_clusters_out(sums) @ jacobian.T
     size = np.linalg.norm(moves, axis=0)
     moves = moves / np.where(size > 0, size, 1.0)
     longest = 0
@@ -140,7 +140,7 @@ def memory(sums: ClusterSums, jacobian: Floats, block: Integers) -> int:
     return longest
 
 
-def clustered(sums: ClusterSums, memory: int) -> tuple[list[ClusterSums], int]:
+def group_into_clusters(sums: ClusterSums, memory: int) -> tuple[list[ClusterSums], int]:
     """Return sums of clusters that outlast the memory, cut with two sets of borders, and how many stretches they have.
 
     Parameters

@@ -57,7 +57,7 @@ class Between:
     gap_s: float
 
 
-def linked(axes: Floats, rates: Floats, between: list[Between], zero: Floats, noise: Floats) -> Integers:
+def link_parts(axes: Floats, rates: Floats, between: list[Between], zero: Floats, noise: Floats) -> Integers:
     """Return which parts of one recording share an attitude, (n,) numbers that rise.
 
     Between two parts that do, the platter may change its speed, but the rate keeps its axis; a hand does not.

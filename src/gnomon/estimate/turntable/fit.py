@@ -15,7 +15,7 @@ from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ..triads.triad import TriadFit, TriadPoses, TriadPrior, fit_triad
 from ..triads.triad_trust import robust_triad
-from ..trust.cluster_trust import Trusted
+from ..trust.cluster_trust import RobustCovariance
 from .axis import AxisInSensor
 from .drift import drift_at, shown_density
 from .parts import TurntableData
@@ -41,7 +41,7 @@ class AccelerometerInPoses:
 
     poses: TriadPoses
     fit: TriadFit
-    trust: Trusted
+    trust: RobustCovariance
     attitude: Integers
     tilt: float
 
@@ -64,7 +64,7 @@ class TurntableFit:
 
     poses: TriadPoses
     fit: TriadFit
-    trust: Trusted
+    trust: RobustCovariance
     accelerometer: AccelerometerInPoses | None
     covariance: Floats
     sense: Sense | None
@@ -73,7 +73,7 @@ class TurntableFit:
     drifts: bool
 
 
-def fit_accelerometer(
+def fit_platter_accelerometer(
     data: TurntableData, gravity_m_s2: float, gravity_sigma_m_s2: float, prior: TriadPrior | None
 ) -> AccelerometerInPoses:
     """Calibrate the accelerometer by the magnitude of gravity in the attitudes on the platter.
@@ -161,7 +161,7 @@ def fit_turntable(
             drift=drift,
             drifts=drifts,
         )
-    clockwise = senses(data, accelerometer, sense)
+    clockwise = turning_senses(data, accelerometer, sense)
     poses = directed_poses(data, accelerometer, _theta(accelerometer), clockwise, latitude_deg)
     poses, fit, drift, drifts = _fit_with_drift(poses, data, unknown_scale, prior, g_sensitivity=g_sensitivity)
     fit, trust = robust_triad(fit, "imu0.gyroscope", t_s=data.t_s, stretch=data.pose, g_sensitivity=True)
@@ -234,7 +234,7 @@ def directed_poses(
     )
 
 
-def senses(data: TurntableData, accelerometer: AccelerometerInPoses, stated: Sense | None) -> Booleans:
+def turning_senses(data: TurntableData, accelerometer: AccelerometerInPoses, stated: Sense | None) -> Booleans:
     """Return which parts turned clockwise seen from above, (n,), taking both triads for right-handed.
 
     A platter usually turns one way: then the sign of the determinant of what maps axes to readings tells which. Where

@@ -88,7 +88,7 @@ def _size_by_ratios(means: Floats, speeds: Floats, allowed: Booleans, nominal: f
     return float(sizes[np.argmin(costs)]) if costs.min() < costs[-1] - _CLEARLY else nominal
 
 
-def reassign(shown: Floats, speeds: Floats, allowed: Booleans, tolerance: float) -> Integers:
+def reassign_speeds(shown: Floats, speeds: Floats, allowed: Booleans, tolerance: float) -> Integers:
     """Return the speed of each part by its calibrated magnitude (n,) [rad/s]; none beyond a relative tolerance."""
     return _nearest(shown, speeds, allowed, 1 + tolerance)
 

@@ -23,8 +23,8 @@ from ...results.camera_diagnostics import CamerasDiagnostics
 from ...results.result import Result
 from ..shared.baselines import baseline_of
 from ..shared.lenses import without_k3
-from ..shared.losses import Context, remarks
-from ..shared.structured import read_text
+from ..shared.losses import Context, file_remarks
+from ..shared.structured import read_structured_text
 from .camchain import LENS_FILE, CameraInput, lens_chain_text, read_camchain
 from .results import board_lines
 
@@ -51,7 +51,7 @@ def read_cam_results(path: str | PathLike[str], notes: list[str] | None = None) 
         If a file cannot be read, is not laid out as Kalibr does, or the two do not belong together.
     """
     file = Path(path)
-    text = read_text(path)
+    text = read_structured_text(path)
     if not is_kalibr_cam_results(text):
         raise FormatError(f"{path}: expected Kalibr's results-cam.txt, with Camera-system parameters in it.")
     chain = file.with_name(_NAME.sub("camchain", file.name)).with_suffix(".yaml")
@@ -130,7 +130,7 @@ def camera_texts(result: Result, target: Target) -> dict[str, str]:
     """Return the texts of the files by name."""
     calibration, diagnostics = result.calibration, result.diagnostics
     assert isinstance(diagnostics, CamerasDiagnostics)
-    said = Context(remarks=remarks(calibration)).comment()
+    said = Context(remarks=file_remarks(calibration)).comment()
     chain = lens_chain_text(calibration, said, seen_together(diagnostics))
     return {LENS_FILE: chain, RESULTS_FILE: "\n".join(_results(calibration, diagnostics, target)) + "\n"}
 
@@ -166,7 +166,7 @@ def _results(calibration: Calibration, diagnostics: CamerasDiagnostics, target: 
     yield from ("", "", "Added by gnomon", "===============", "")
     yield f"Verdict: {calibration.verdict}; reasons are in calibration.yaml"
     yield "Standard deviations of a baseline: of a small rotation about the axes of the camera before [rad], of t [m]"
-    yield from Context(remarks=remarks(calibration)).lines()
+    yield from Context(remarks=file_remarks(calibration)).lines()
     yield from _unseen(calibration)
 
 

@@ -18,10 +18,10 @@ from ..shared.foreign_yaml import (
     file_name,
     passed_over,
     read_foreign_yaml,
-    required,
-    rigid,
-    sensors,
-    unwrapped,
+    read_sensors,
+    read_transform,
+    required_value,
+    unwrap_rows,
     whole_number,
 )
 from ..shared.lenses import cameras_without_k3, k3_losses
@@ -119,7 +119,7 @@ def cameras_of(root: Node, notes: list[str]) -> dict[str, CameraInput]:
     FormatError
         If a key is missing, or a value makes no camera or no rigid transformation.
     """
-    nodes = sensors(root, "cam", "camera_model", _EXPECTED)
+    nodes = read_sensors(root, "cam", "camera_model", _EXPECTED)
     if root not in nodes.values():
         passed_over((node for node in root.entries() if node.key not in nodes), notes)
     cameras: dict[str, CameraInput] = {}
@@ -155,8 +155,8 @@ def _lens_covariance(node: Node, keys: dict[str, Node], camera: Camera) -> Float
     for name, values in zip(_SIGMAS, (camera.intrinsics, camera.distortion_coeffs), strict=True):
         if name not in keys and not len(values):
             continue
-        stated = required(keys, name, node, f"{len(values)} standard deviations, as there are beside it")
-        found = [item.number() for item in unwrapped(stated).items()]
+        stated = required_value(keys, name, node, f"{len(values)} standard deviations, as there are beside it")
+        found = [item.number() for item in unwrap_rows(stated).items()]
         if len(found) != len(values) or any(value <= 0 for value in found):
             raise stated.fail(f"found {found}, expected {len(values)} standard deviations greater than zero.")
         sigmas += found
@@ -177,13 +177,13 @@ def camera_of(node: Node, keys: dict[str, Node], notes: list[str]) -> Camera:
     FormatError
         If a key is missing, or the values make no camera.
     """
-    projection, also = _projection(required(keys, "camera_model", node, f"one of {', '.join(_INTRINSICS)}"))
+    projection, also = _projection(required_value(keys, "camera_model", node, f"one of {', '.join(_INTRINSICS)}"))
     expected = _INTRINSICS[projection]
-    intrinsics = unwrapped(required(keys, "intrinsics", node, f"{expected} of {projection}"))
+    intrinsics = unwrap_rows(required_value(keys, "intrinsics", node, f"{expected} of {projection}"))
     values = _numbers(intrinsics, expected, projection)
     if (values[-4:-2] <= 0).any():
         raise intrinsics.fail(f"found focal lengths {values[-4]:g} and {values[-3]:g}, expected numbers above zero.")
-    size = list(unwrapped(required(keys, "resolution", node, "[width, height]")).items())
+    size = list(unwrap_rows(required_value(keys, "resolution", node, "[width, height]")).items())
     if len(size) != 2 or min(whole_number(item) for item in size) < 1:
         raise keys["resolution"].fail(f"found {keys['resolution'].value}, expected [width, height] in pixels.")
     width, height = (whole_number(item) for item in size)
@@ -246,7 +246,7 @@ def _distortion(
     if name == "none":
         _refuse_coeffs(keys)
         return name, np.empty(0)
-    coeffs = unwrapped(required(keys, "distortion_coeffs", node, f"{_COEFFS[name]} of {name}"))
+    coeffs = unwrap_rows(required_value(keys, "distortion_coeffs", node, f"{_COEFFS[name]} of {name}"))
     return name, _numbers(_without_zero_tail(coeffs, name, notes), _COEFFS[name], name)
 
 
@@ -254,7 +254,7 @@ def _refuse_coeffs(keys: dict[str, Node]) -> None:
     coeffs = keys.get("distortion_coeffs")
     if coeffs is None or coeffs.value is None:
         return
-    if any(item.number() != 0 for item in unwrapped(coeffs).items()):
+    if any(item.number() != 0 for item in unwrap_rows(coeffs).items()):
         raise coeffs.fail("found coefficients, but distortion_model is none. Which of the two is meant?")
 
 
@@ -295,9 +295,9 @@ def _line_delay(keys: dict[str, Node], height: int) -> float:
 
 def _extrinsics(keys: dict[str, Node]) -> Floats | None:
     """Return T_cam_imu, from T_imu_cam where only that is stated."""
-    found = [rigid(keys["T_cam_imu"])] if "T_cam_imu" in keys else []
+    found = [read_transform(keys["T_cam_imu"])] if "T_cam_imu" in keys else []
     if "T_imu_cam" in keys:
-        found.append(frozen_array(np.linalg.inv(rigid(keys["T_imu_cam"]))))
+        found.append(frozen_array(np.linalg.inv(read_transform(keys["T_imu_cam"]))))
     if len(found) == 2 and _apart(found[0], found[1]) > _CONTRADICTION:
         raise keys["T_imu_cam"].fail("this is not the inverse of T_cam_imu beside it. Keep the one that is right.")
     return found[0] if found else None
@@ -313,7 +313,7 @@ def _chained(camera: CameraInput, node: Node, before: CameraInput | None, notes:
     """Carry the extrinsics of the camera before over T_cn_cnm1, where this camera has none of its own."""
     if "T_cn_cnm1" not in node.value:
         return camera
-    link = rigid(node.child("T_cn_cnm1"))
+    link = read_transform(node.child("T_cn_cnm1"))
     if before is None:
         passed_over([node.child("T_cn_cnm1")], notes)
         return camera
@@ -377,7 +377,7 @@ def lens_chain(
     numbers = {name: int(name.removeprefix("cam")) for name in cameras}
     together: dict[str, list[int]] = {name: [] for name in cameras}
     for (first, before), (second, camera) in pairwise(cameras.items()):
-        document[second]["T_cn_cnm1"] = baseline(before, camera)
+        document[second]["T_cn_cnm1"] = camera_baseline(before, camera)
         together[first].append(numbers[second])
         together[second].append(numbers[first])
     for name, entry in document.items():
@@ -389,11 +389,11 @@ def camera_chain(cameras: Mapping[str, CameraCalibration]) -> dict[str, Any]:
     """Return cameras by Kalibr's keys."""
     document = {name: _camera_entry(camera) for name, camera in cameras_without_k3(cameras).items()}
     for (_, before), (name, camera) in pairwise(cameras.items()):
-        document[name]["T_cn_cnm1"] = baseline(before, camera)
+        document[name]["T_cn_cnm1"] = camera_baseline(before, camera)
     return document
 
 
-def baseline(before: CameraCalibration, camera: CameraCalibration) -> Floats:
+def camera_baseline(before: CameraCalibration, camera: CameraCalibration) -> Floats:
     """Return T_camera_before (4, 4) [m]."""
     rotation = camera.T_cam_body[:3, :3] @ before.T_cam_body[:3, :3].T
     pose = np.eye(4)

@@ -13,11 +13,20 @@ from ...recording import Floats
 from ...results.calibration import AccelerometerCalibration, Calibration, GyroscopeCalibration, ImuCalibration
 from ..foreign import ForeignCalibration, ForeignImu, ideal_imu, recognised_frame
 from ..openvins import OPENVINS_KEYS, openvins_imu
-from ..shared.foreign_yaml import file_name, matrix, passed_over, read_foreign_yaml, required, rigid, rotation, sensors
+from ..shared.foreign_yaml import (
+    file_name,
+    passed_over,
+    read_foreign_yaml,
+    read_matrix,
+    read_rotation,
+    read_sensors,
+    read_transform,
+    required_value,
+)
 from ..shared.lenses import k3_losses
 from ..shared.losses import Context, Export, Loss, StatedImu, into_frame, require_triads, stated_entry, uncertainty_loss
 from ..shared.sensor_losses import Holds, not_representable
-from ..shared.si_units import conversions
+from ..shared.si_units import si_conversions
 from ..shared.structured import Node
 from ..shared.yaml_text import kalibr_yaml
 from .camchain import CAMCHAIN_FILE, LENS_FILE, camchain_text, lens_chain_text
@@ -73,7 +82,7 @@ def read_imu_input(path: str | PathLike[str], notes: list[str] | None = None) ->
     """
     said: list[str] = [] if notes is None else notes
     root = read_foreign_yaml(path, said)
-    imus = sensors(root, "imu", "accelerometer_noise_density", _EXPECTED)
+    imus = read_sensors(root, "imu", "accelerometer_noise_density", _EXPECTED)
     if root not in imus.values():
         passed_over((node for node in root.entries() if node.key not in imus), said)
     return {name: _imu(node, said, is_body=number == 0) for number, (name, node) in enumerate(imus.items())}
@@ -81,7 +90,7 @@ def read_imu_input(path: str | PathLike[str], notes: list[str] | None = None) ->
 
 def _imu(node: Node, notes: list[str], *, is_body: bool) -> ImuInput:
     keys = {child.key: child for child in node.entries()}
-    noise = {name: _positive(required(keys, name, node, f"a number in {unit}")) for name, unit in _UNITS.items()}
+    noise = {name: _positive(required_value(keys, name, node, f"a number in {unit}")) for name, unit in _UNITS.items()}
     model = [key for key in keys if key in _MODEL]
     if model:
         notes.append(
@@ -97,7 +106,7 @@ def _imu(node: Node, notes: list[str], *, is_body: bool) -> ImuInput:
         noise=ImuNoise(**noise),
         update_rate_hz=rate,
         topic=topic,
-        T_imu_body=rigid(keys["T_i_b"]) if placed else None,
+        T_imu_body=read_transform(keys["T_i_b"]) if placed else None,
         time_shift_s=keys["time_offset"].number() if placed and "time_offset" in keys else None,
     )
 
@@ -142,7 +151,7 @@ def imus_of(root: Node, notes: list[str]) -> ForeignCalibration:
     FormatError
         If it is not in Kalibr's layout.
     """
-    nodes = sensors(root, "imu", _NOISE[0], "Kalibr's imu.yaml")
+    nodes = read_sensors(root, "imu", _NOISE[0], "Kalibr's imu.yaml")
     imus: dict[str, ImuCalibration] = {}
     data: dict[str, ForeignImu] = {}
     foreign = "Kalibr"
@@ -180,7 +189,7 @@ def _model(node: Node, keys: dict[str, Node], notes: list[str]) -> ImuCalibratio
             keys["model"].text(_MODELS)
         if word == "calibrated":
             return ideal_imu()
-    M = _lower(required(_parts(node, keys, "accelerometers"), "M", node, "a matrix 3x3"), notes)
+    M = _lower(required_value(_parts(node, keys, "accelerometers"), "M", node, "a matrix 3x3"), notes)
     force_sensitivity, bias = KalibrAccelerometer(M=M, b=np.zeros(3)).to_sensor()
     accelerometer = AccelerometerCalibration(
         sensitivity=force_sensitivity, bias=bias, unit="m/s^2", lever_arms_m=_lever_arms(keys, notes)
@@ -190,9 +199,9 @@ def _model(node: Node, keys: dict[str, Node], notes: list[str]) -> ImuCalibratio
     parts = _parts(node, keys, "gyroscopes")
     passed_over((part for key, part in parts.items() if key not in {"M", "A", "C_gyro_i"}), notes)
     form = KalibrGyroscope(
-        M=_lower(required(parts, "M", keys["gyroscopes"], "a matrix 3x3"), notes),
-        A=matrix(required(parts, "A", keys["gyroscopes"], "a matrix 3x3"), 3, 3),
-        C_gyro_i=rotation(required(parts, "C_gyro_i", keys["gyroscopes"], "a rotation matrix")),
+        M=_lower(required_value(parts, "M", keys["gyroscopes"], "a matrix 3x3"), notes),
+        A=read_matrix(required_value(parts, "A", keys["gyroscopes"], "a matrix 3x3"), 3, 3),
+        C_gyro_i=read_rotation(required_value(parts, "C_gyro_i", keys["gyroscopes"], "a rotation matrix")),
         b=np.zeros(3),
     )
     sensitivity, bias, g_sensitivity = form.to_sensor()
@@ -201,12 +210,12 @@ def _model(node: Node, keys: dict[str, Node], notes: list[str]) -> ImuCalibratio
 
 
 def _parts(node: Node, keys: dict[str, Node], name: str) -> dict[str, Node]:
-    return {part.key: part for part in required(keys, name, node, "M of it").entries()}
+    return {part.key: part for part in required_value(keys, name, node, "M of it").entries()}
 
 
 def _lower(node: Node, notes: list[str]) -> Floats:
     """Return Kalibr's M, which is lower triangular."""
-    M = matrix(node, 3, 3)
+    M = read_matrix(node, 3, 3)
     size = np.abs(M).max()
     if np.linalg.matrix_rank(M) < 3:
         raise node.fail("this matrix is singular: the three axes do not measure three directions.")
@@ -223,7 +232,7 @@ def _data(node: Node, keys: dict[str, Node], notes: list[str]) -> ForeignImu:
         noise=_noise(node, keys, notes),
         update_rate_hz=rate,
         topic=str(keys["rostopic"].value or "") if "rostopic" in keys else "",
-        T_imu_body=rigid(keys["T_i_b"]) if "T_i_b" in keys else None,
+        T_imu_body=read_transform(keys["T_i_b"]) if "T_i_b" in keys else None,
         time_offset_s=keys["time_offset"].number() if "time_offset" in keys else None,
         lever_arms_m=_lever_arms(keys, []),
     )
@@ -245,7 +254,7 @@ def _lever_arms(keys: dict[str, Node], notes: list[str]) -> Floats | None:
     passed_over((part for key, part in parts.items() if key not in {"M", *_LEVER_ARMS}), notes)
     if not any(name in parts for name in _LEVER_ARMS):
         return None
-    return np.vstack([matrix(parts[name], 1, 3) if name in parts else np.zeros((1, 3)) for name in _LEVER_ARMS])
+    return np.vstack([read_matrix(parts[name], 1, 3) if name in parts else np.zeros((1, 3)) for name in _LEVER_ARMS])
 
 
 IMU_FILE = "imu.yaml"
@@ -332,7 +341,7 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
     for name, imu in calibration.imus.items():
         model = kalibr_model(imu)
         names.add(model.name)
-        comments += [f"{name}: {line}" for conversion in conversions(imu) for line in conversion.lines()]
+        comments += [f"{name}: {line}" for conversion in si_conversions(imu) for line in conversion.lines()]
         document[name] = _imu_entry(model, pose_in_kalibr(calibration, name))
         shift = imu.required_accelerometer.time_shift_s
         if shift:
@@ -353,7 +362,7 @@ def imu_text(calibration: Calibration, stated: Mapping[str, StatedImu] | None = 
 def kalibr_model(imu: ImuCalibration) -> KalibrModel:
     """Return an IMU in Kalibr's terms; it must be in body frame accel-x."""
     sensor = imu.required_accelerometer
-    factors = [conversion.factor for conversion in conversions(imu)]
+    factors = [conversion.factor for conversion in si_conversions(imu)]
     M_accel = KalibrAccelerometer.from_sensor(sensor.sensitivity, sensor.bias).M * factors[0]
     arms = sensor.lever_arms_m
     ideal = _is_identity(M_accel)

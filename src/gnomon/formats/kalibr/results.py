@@ -26,11 +26,11 @@ from ...results.calibration import (
 )
 from ..foreign import ForeignCalibration, ForeignImu, Residuals, Statistics, ideal_imu, recognised_frame
 from ..shared.baselines import inverse_pose
-from ..shared.foreign_yaml import rigid, rotation
+from ..shared.foreign_yaml import read_rotation, read_transform
 from ..shared.lenses import without_k3
 from ..shared.losses import StatedImu
-from ..shared.structured import Node, read_text
-from .camchain import baseline, camera_of
+from ..shared.structured import Node, read_structured_text
+from .camchain import camera_baseline, camera_of
 from .imu import KalibrModel, kalibr_model, pose_in_kalibr
 
 _RESIDUAL = re.compile(
@@ -60,7 +60,7 @@ def read_kalibr_results(path: str | PathLike[str]) -> ForeignCalibration:
     FormatError
         If the file cannot be read, or is not laid out as Kalibr does.
     """
-    text = read_text(path)
+    text = read_structured_text(path)
     if not is_kalibr_results(text):
         raise FormatError(f"{path}: expected Kalibr's results-imucam.txt, which begins with Calibration results.")
     page = _Page(str(path), text.split("Added by gnomon")[0].splitlines())
@@ -175,7 +175,7 @@ class _Page:
 
     def camera(self, name: str, notes: list[str]) -> CameraCalibration:
         """Return one camera."""
-        T = rigid(self.T_ci[name])
+        T = read_transform(self.T_ci[name])
         values = self.lenses.get(name, {})
         if not {"camera_model", "focal", "principal"} <= set(values):
             raise FormatError(f"{self.file}: the configuration of {name} is missing (Camera model, Focal length, ...).")
@@ -203,7 +203,7 @@ class _Page:
         )
         if not {"gyroscope M", "gyroscope A", "gyroscope C_gyro_i"} <= set(values):
             return ImuCalibration(accelerometer=accelerometer)
-        C = rotation(Node(file=self.file, path=f"{name}.C_gyro_i", value=values["gyroscope C_gyro_i"].tolist()))
+        C = read_rotation(Node(file=self.file, path=f"{name}.C_gyro_i", value=values["gyroscope C_gyro_i"].tolist()))
         form = KalibrGyroscope(M=values["gyroscope M"], A=values["gyroscope A"], C_gyro_i=C, b=zero)
         S_g, b_g, G = form.to_sensor()
         gyroscope = GyroscopeCalibration(sensitivity=S_g, bias=b_g, g_sensitivity=G, unit="rad/s")
@@ -215,7 +215,7 @@ class _Page:
         return ForeignImu(
             noise=_read_noise(values),
             update_rate_hz=values.get("Update rate"),
-            T_imu_body=rigid(values["T_ib"]) if "T_ib" in values else None,
+            T_imu_body=read_transform(values["T_ib"]) if "T_ib" in values else None,
             time_offset_s=values.get("time offset"),
             lever_arms_m=_lever_arms(values),
         )
@@ -366,7 +366,7 @@ class KalibrResults:
         if len(cameras) > 1:
             yield from ("Baselines:", "----------")
         for (first, before), (second, camera) in pairwise(cameras.items()):
-            pose = baseline(before, camera)
+            pose = camera_baseline(before, camera)
             yield from (f"Baseline ({first} to {second}): ", *_matrix(pose))
             yield from (f"baseline norm:  {float(np.linalg.norm(pose[:3, 3]))} [m]", "")
         yield from ("", "Gravity vector in target coords: [m/s^2]", *_matrix(self.gravity_target), "", "")

@@ -6,7 +6,7 @@ from typing import Any
 
 from ...errors import OptionError
 from ...models.target import Target
-from ..shared.foreign_yaml import file_hint, file_name, passed_over, read_foreign_yaml, required, whole_number
+from ..shared.foreign_yaml import file_hint, file_name, passed_over, read_foreign_yaml, required_value, whole_number
 from ..shared.structured import Node
 from ..shared.yaml_text import yaml_lines
 
@@ -70,7 +70,7 @@ def target_of(root: Node, notes: list[str]) -> Target:
     if kind == "charuco":
         keys = _with_usual_names(keys)
     make, values = _BOARDS[kind]
-    arguments = {name: read(required(keys, key, root, _EXPECTED[read])) for key, (name, read) in values.items()}
+    arguments = {name: read(required_value(keys, key, root, _EXPECTED[read])) for key, (name, read) in values.items()}
     optional: tuple[str, ...] = ()
     if kind == "circlegrid":
         optional = ("asymmetricGrid",)

@@ -31,12 +31,12 @@ from ...results.calibration import (
     ImuCalibration,
     MagnetometerCalibration,
     Provenance,
+    calibration_parameters,
     covariance_names,
-    parameters,
 )
-from ...results.trust import Need, QuantityChange, TrustNote
+from ...results.trust import Need, QuantityChange, UncertaintySummary
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
-from ..shared.structured import Node, read_json, read_text, read_yaml
+from ..shared.structured import Node, read_json, read_structured_text, read_yaml
 
 COMMENT = "comment"
 _SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")
@@ -44,12 +44,12 @@ _SCHEMA = re.compile(r"""(?m)^schema\s*:|"schema"\s*:\s*"gnomon""")
 
 def is_own(path: str | PathLike[str]) -> bool:
     """Return whether a file, or the calibration in the folder of a result, says that it is gnomon's own."""
-    return _SCHEMA.search(read_text(calibration_at(path))) is not None
+    return _SCHEMA.search(read_structured_text(calibration_at(path))) is not None
 
 
 def is_noise(path: str | PathLike[str]) -> bool:
     """Return whether a file says that it is gnomon's own file of noise."""
-    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_text(path)) is not None
+    return re.search(r"(?m)^schema\s*:\s*[\"']?gnomon-noise/", read_structured_text(path)) is not None
 
 
 def read_own(path: str | PathLike[str]) -> Node:
@@ -61,7 +61,7 @@ def read_own(path: str | PathLike[str]) -> Node:
         If the file cannot be read, or is neither YAML nor JSON.
     """
     path = calibration_at(path)
-    if not read_text(path).lstrip().startswith("{"):
+    if not read_structured_text(path).lstrip().startswith("{"):
         return read_yaml(path)
     root = read_json(path)
     if not isinstance(root.value, dict):
@@ -529,7 +529,7 @@ def _check_covariance(matrix: Floats, names: tuple[str, ...], node: Node) -> Non
 
 def _check_sigmas(top: dict[str, Node], calibration: Calibration) -> None:
     """Refuse sigmas that contradict the covariance: which of the two was meant cannot be known."""
-    for path, value in parameters(calibration.imus, calibration.cameras):
+    for path, value in calibration_parameters(calibration.imus, calibration.cameras):
         sensor, _, name = path.partition(".")
         if sensor in calibration.cameras:
             stated, key = top["cameras"].child(sensor), SIGMAS[name]
@@ -568,16 +568,16 @@ def _common_assessment(keys: dict[str, Node]) -> Assessment:
         findings=tuple(finding_entry(item) for item in keys["findings"].items()),
         model=keys["model"].text(),
         held_by_prior=tuple(item.text() for item in keys["held_by_prior"].items()),
-        trust=_trust(keys["trust"]) if "trust" in keys else TrustNote(),
+        trust=_trust(keys["trust"]) if "trust" in keys else UncertaintySummary(),
     )
 
 
-def _trust(node: Node) -> TrustNote:
+def _trust(node: Node) -> UncertaintySummary:
     keys = node.mapping(
         ("covariance", "clusters", "cluster_s", "sigma_ratio", "split_z", "added", "tries", "use", "needs"),
         ("recordings", "between", "changes"),
     )
-    return TrustNote(
+    return UncertaintySummary(
         covariance=keys["covariance"].text(_COVARIANCES),  # pyright: ignore[reportArgumentType]
         clusters=keys["clusters"].integer(),
         cluster_s=keys["cluster_s"].number(),

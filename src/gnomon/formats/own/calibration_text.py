@@ -25,9 +25,9 @@ from ...results.calibration import (
     Covariance,
     ImuCalibration,
     Provenance,
-    parameters,
+    calibration_parameters,
 )
-from ...results.trust import Need, TrustNote
+from ...results.trust import Need, UncertaintySummary
 from ..shared.yaml_text import yaml_lines
 from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
 
@@ -145,7 +145,7 @@ def calibration_text(calibration: Calibration) -> str:
     OutputError
         If a parameter is not a finite number.
     """
-    for name, value in parameters(calibration.imus, calibration.cameras):
+    for name, value in calibration_parameters(calibration.imus, calibration.cameras):
         if not np.isfinite(value).all():
             raise OutputError(f"{name} is not a finite number: this calibration is of no use and was not written.")
     if not calibration.imus:
@@ -228,12 +228,12 @@ def _with_shifted_accelerometer(calibration: Calibration) -> bool:
     return any(sensor is not None and sensor.time_shift_s is not None for sensor in sensors)
 
 
-def _tells_of_occasions(trust: TrustNote) -> bool:
+def _tells_of_occasions(trust: UncertaintySummary) -> bool:
     """Tell whether a note says how a sensor changes from recording to recording."""
     return trust.recordings > 0 or any(need.floor for need in trust.needs)
 
 
-def _tells(trust: TrustNote) -> bool:
+def _tells(trust: UncertaintySummary) -> bool:
     """Tell whether a note says more than that the covariance is the one for independent errors."""
     return trust.covariance != "ordinary" or bool(
         trust.clusters
@@ -257,7 +257,7 @@ def _imus(calibration: Calibration) -> dict[str, Any]:
             result[name]["T_imu_body"] = imu.T_imu_body
         if imu.origin is not None and _says_more(imu):
             result[name]["origin"] = _origin(imu.origin)
-    for path, value in parameters(calibration.imus):
+    for path, value in calibration_parameters(calibration.imus):
         imu, key, sigma_key = imu_keys(path)
         entry = result[imu]
         for triad in key[:-1]:
@@ -326,7 +326,7 @@ def _assessment(assessment: Assessment, minor: int) -> dict[str, Any]:
     }
 
 
-def _trust(trust: TrustNote) -> dict[str, Any]:
+def _trust(trust: UncertaintySummary) -> dict[str, Any]:
     return {
         "covariance": trust.covariance,
         "clusters": int(trust.clusters),

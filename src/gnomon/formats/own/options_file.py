@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 import numpy as np
 
 from ...errors import OptionError
-from ...options.requirements import QUANTITIES, Use, known_use, stated
+from ...options.requirements import QUANTITIES, Use, known_use, parse_sigma
 from ..shared.structured import Node, read_yaml
 from ..shared.yaml_text import yaml_lines
 
@@ -119,6 +119,6 @@ def read_use(use: str | PathLike[str]) -> Use:
 
 def _read_need(node: Node) -> float:
     try:
-        return stated(node.key, str(node.value))
+        return parse_sigma(node.key, str(node.value))
     except OptionError as error:
         raise node.fail(str(error).partition(": ")[2]) from None

@@ -21,14 +21,14 @@ from ...results.calibration import (
     GyroscopeCalibration,
     ImuCalibration,
     MagnetometerCalibration,
+    calibration_parameters,
     element_names,
-    parameters,
 )
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..foreign import ForeignCalibration, recognised_frame
 from ..shared.entries import IMU_EQUATION, camera_equation, element_units
 from ..shared.losses import Context, Export, Loss
-from ..shared.structured import read_text
+from ..shared.structured import read_structured_text
 from .calibration_file import FIELD_UNITS
 from .calibration_text import FRAMES
 
@@ -47,7 +47,7 @@ def read_parameter_csv(path: str | PathLike[str]) -> ForeignCalibration:
     FormatError
         If the file cannot be read, or a row is missing or is not as expected.
     """
-    lines = read_text(path).splitlines()
+    lines = read_structured_text(path).splitlines()
     rows = list(csv.reader(lines))
     if not rows or rows[0] != ["name", "value", "sigma", "unit"]:
         raise FormatError(f"{path}, line 1: expected name,value,sigma,unit. Give a table that gnomon convert made.")
@@ -229,7 +229,9 @@ def export(calibration: Calibration, context: Context) -> Export:
     equation = _EQUATION.format(frame=frame, words=FRAMES.get(frame, FRAMES["user"]))
     rows += [f"comment,{_text(equation)},,"] if calibration.imus else []
     rows += [f"comment,{_text(camera_equation(calibration))},,"] if calibration.cameras else []
-    posed = [path for path, _ in parameters(calibration.imus, calibration.cameras) if path.endswith(".rotation")]
+    posed = [
+        path for path, _ in calibration_parameters(calibration.imus, calibration.cameras) if path.endswith(".rotation")
+    ]
     rows += [f"comment,{_text(_ROTATION)},,"] if posed else []
     placed = any(imu.T_imu_body is not None for imu in calibration.imus.values())
     rows += [f"comment,{_text(IMU_EQUATION)},,"] if placed else []
@@ -239,7 +241,7 @@ def export(calibration: Calibration, context: Context) -> Export:
         rows.append(f"gravity,{float(calibration.gravity.value)!r},{float(calibration.gravity.sigma)!r},m/s^2")
     alone = not calibration.imus
     rows += [row for name, camera in calibration.cameras.items() for row in _camera(name, camera.camera, alone=alone)]
-    for path, value in parameters(calibration.imus, calibration.cameras):
+    for path, value in calibration_parameters(calibration.imus, calibration.cameras):
         numbers = value.ravel().tolist(), calibration.sigma(path).ravel().tolist(), element_units(calibration, path)
         for name, number, sigma, unit in zip(element_names(path, value.shape), *numbers, strict=True):
             rows.append(f'"{name}",{number!r},{sigma!r},{unit}')

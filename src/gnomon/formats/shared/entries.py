@@ -57,14 +57,18 @@ def parameter_unit(calibration: Calibration, path: str) -> str:
     imu = calibration.imus[name]
     if triad == "magnetometer":
         assert imu.magnetometer is not None
-        return imu.magnetometer.unit if parameter == "bias" else per(imu.magnetometer.unit, imu.magnetometer.field_unit)
+        return (
+            imu.magnetometer.unit
+            if parameter == "bias"
+            else unit_ratio(imu.magnetometer.unit, imu.magnetometer.field_unit)
+        )
     if parameter == "lever_arms_m":
         return "m"
     sensor = imu.accelerometer if triad == "accelerometer" else imu.gyroscope
     assert sensor is not None
     if parameter == "bias":
         return sensor.unit
-    return per(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else _SI[triad])
+    return unit_ratio(sensor.unit, "m/s^2" if parameter == "g_sensitivity" else _SI[triad])
 
 
 def element_units(calibration: Calibration, path: str) -> list[str]:
@@ -74,12 +78,12 @@ def element_units(calibration: Calibration, path: str) -> list[str]:
     return ["1"] * (count - 4) + units[-4:] if path.endswith(".intrinsics") else units
 
 
-def per(unit: str, other: str) -> str:
+def unit_ratio(unit: str, other: str) -> str:
     """Return `unit` divided by `other`.
 
     Examples
     --------
-    >>> per("count", "m/s^2"), per("rad/s", "rad/s"), per("m/s^2", "count")
+    >>> unit_ratio("count", "m/s^2"), unit_ratio("rad/s", "rad/s"), unit_ratio("m/s^2", "count")
     ('count/(m/s^2)', '1', '(m/s^2)/count')
     """
     if unit == other:
@@ -92,7 +96,7 @@ _LOWER = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
 
 
 @value_class(eq=True)
-class Entry:
+class FormEntry:
     """One scalar of a form."""
 
     triad: str
@@ -108,32 +112,32 @@ class _Maker:
     triad: str
     si: str
 
-    def one(self, name: str, value: float, unit: str) -> Entry:
-        return Entry(triad=self.triad, name=name, value=float(value), unit=unit)
+    def one(self, name: str, value: float, unit: str) -> FormEntry:
+        return FormEntry(triad=self.triad, name=name, value=float(value), unit=unit)
 
-    def vector(self, name: str, values: Floats, unit: str) -> Iterator[Entry]:
+    def vector(self, name: str, values: Floats, unit: str) -> Iterator[FormEntry]:
         """Name x, y, z."""
         for axis, value in zip("xyz", values.tolist(), strict=True):
             yield self.one(f"{name}_{axis}", value, unit)
 
     def matrix(
         self, name: str, values: Floats, unit: str, places: tuple[tuple[int, int], ...] | None = None
-    ) -> Iterator[Entry]:
+    ) -> Iterator[FormEntry]:
         """Name rows and columns by x, y, z: the sensor axis, then the body axis."""
         for i, j in places or tuple(np.ndindex(3, 3)):
             yield self.one(f"{name}_{'xyz'[i]}{'xyz'[j]}", values[i, j], unit)
 
-    def angles(self, T: Floats, signed: dict[str, tuple[int, int, int]], prefix: str) -> Iterator[Entry]:
+    def angles(self, T: Floats, signed: dict[str, tuple[int, int, int]], prefix: str) -> Iterator[FormEntry]:
         for name, (sign, i, j) in signed.items():
             yield self.one(f"{prefix}{name}", sign * T[i, j], "rad")
 
     def corrected(
         self, form: CorrectedTriad, signed: dict[str, tuple[int, int, int]], prefix: str, letter: str, unit: str
-    ) -> Iterator[Entry]:
+    ) -> Iterator[FormEntry]:
         """Name angles, correction scales with their inverses as data sheets print them, and bias."""
         yield from self.angles(form.T, signed, prefix)
-        yield from self.vector(letter, form.K, per(self.si, unit))
-        yield from self.vector(f"1/{letter}", 1 / form.K, per(unit, self.si))
+        yield from self.vector(letter, form.K, unit_ratio(self.si, unit))
+        yield from self.vector(f"1/{letter}", 1 / form.K, unit_ratio(unit, self.si))
         yield from self.vector("b", form.b, unit)
 
 
@@ -146,99 +150,99 @@ _ANGRISANO_ANGLES = {"z": (1, 0, 1), "y": (1, 0, 2), "x": (1, 1, 2)}
 _KREBS_ANGLES = {"yz": (1, 1, 0), "zy": (1, 2, 0), "zx": (1, 2, 1)}
 
 
-def sensitivity_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+def sensitivity_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[FormEntry]:
     """Name sensitivity and bias."""
-    yield from _ACCELEROMETER.matrix("sensitivity", S, per(unit, _FORCE))
+    yield from _ACCELEROMETER.matrix("sensitivity", S, unit_ratio(unit, _FORCE))
     yield from _ACCELEROMETER.vector("bias", b, unit)
 
 
-def lever_arms(places: Floats) -> Iterator[Entry]:
+def lever_arms(places: Floats) -> Iterator[FormEntry]:
     """Name where the accelerometers sit: the accelerometer, then the body axis."""
     yield from _ACCELEROMETER.matrix("r", places, "m")
 
 
-def time_shift(shift_s: float) -> Iterator[Entry]:
+def time_shift(shift_s: float) -> Iterator[FormEntry]:
     """Name what is added to the timestamps of the accelerometer."""
     yield _ACCELEROMETER.one("time_shift", 1e3 * shift_s, "ms")
 
 
-def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+def sensitivity_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[FormEntry]:
     """Name sensitivity, bias and g-sensitivity."""
-    yield from _GYROSCOPE.matrix("sensitivity", S, per(unit, _RATE))
+    yield from _GYROSCOPE.matrix("sensitivity", S, unit_ratio(unit, _RATE))
     yield from _GYROSCOPE.vector("bias", b, unit)
-    yield from _GYROSCOPE.matrix("g_sensitivity", G, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("g_sensitivity", G, unit_ratio(unit, _FORCE))
 
 
-def tedaldi_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+def tedaldi_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[FormEntry]:
     """Tedaldi, (2.6): angles alpha, scales s, bias b (added)."""
     yield from _ACCELEROMETER.corrected(TedaldiAccelerometer.from_sensor(S, b), _UPPER_ANGLES, "alpha_", "s", unit)
 
 
-def tedaldi_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+def tedaldi_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[FormEntry]:
     """Tedaldi, (2.7): angles gamma, scales s, bias b (added), with Krebs's g-sensitivity."""
     form = TedaldiGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.corrected(form, _ALL_ANGLES, "gamma_", "s", unit)
-    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("B", form.B, unit_ratio(unit, _FORCE))
 
 
-def krebs_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+def krebs_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[FormEntry]:
     """Krebs, chapter 3: misalignments M, scales S, bias b."""
     form = KrebsAccelerometer.from_sensor(S, b)
     yield from _ACCELEROMETER.angles(form.M, _KREBS_ANGLES, "M_")
-    yield from _ACCELEROMETER.vector("S", form.S, per(unit, _FORCE))
+    yield from _ACCELEROMETER.vector("S", form.S, unit_ratio(unit, _FORCE))
     yield from _ACCELEROMETER.vector("b", form.b, unit)
 
 
-def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+def krebs_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[FormEntry]:
     """Krebs: misalignments M, scales S, rotation q_bg, g-sensitivity B (chapter 3) and B' (chapter 4), bias b."""
     form = KrebsGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.angles(form.M, _KREBS_ANGLES, "M_")
-    yield from _GYROSCOPE.vector("S", form.S, per(unit, _RATE))
+    yield from _GYROSCOPE.vector("S", form.S, unit_ratio(unit, _RATE))
     for name, value in zip(("w", "i", "j", "k"), quaternion_from_rotation(form.C_bg).tolist(), strict=True):
         yield _GYROSCOPE.one(f"q_bg_{name}", value, "1")
-    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
-    yield from _GYROSCOPE.matrix("B'", G, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("B", form.B, unit_ratio(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("B'", G, unit_ratio(unit, _FORCE))
     yield from _GYROSCOPE.vector("b", form.b, unit)
 
 
-def angrisano_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+def angrisano_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[FormEntry]:
     """Angrisano, (1), (2): angles a, scales k, bias b (subtracted)."""
     yield from _ACCELEROMETER.corrected(AngrisanoAccelerometer.from_sensor(S, b), _ANGRISANO_ANGLES, "a_", "k", unit)
 
 
-def angrisano_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+def angrisano_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[FormEntry]:
     """Angrisano: as the accelerometer, in a frame of its own, rotated by C_gb and Krebs's g-sensitivity."""
     form = AngrisanoGyroscope.from_sensor(S, b, G)
     yield from _GYROSCOPE.corrected(form, _ANGRISANO_ANGLES, "a_", "k", unit)
     yield from _GYROSCOPE.matrix("C_gb", form.C_gb, "1")
-    yield from _GYROSCOPE.matrix("B", form.B, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("B", form.B, unit_ratio(unit, _FORCE))
 
 
-def kalibr_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[Entry]:
+def kalibr_accelerometer(S: Floats, b: Floats, unit: str) -> Iterator[FormEntry]:
     """Kalibr: M lower triangular, bias."""
     form = KalibrAccelerometer.from_sensor(S, b)
-    yield from _ACCELEROMETER.matrix("M", form.M, per(unit, _FORCE), _LOWER)
+    yield from _ACCELEROMETER.matrix("M", form.M, unit_ratio(unit, _FORCE), _LOWER)
     yield from _ACCELEROMETER.vector("bias", form.b, unit)
 
 
-def kalibr_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[Entry]:
+def kalibr_gyroscope(S: Floats, b: Floats, G: Floats, unit: str) -> Iterator[FormEntry]:
     """Kalibr: M lower triangular, C_gyro_i, A, its product with C_gyro_i that acts on body axes, and bias."""
     form = KalibrGyroscope.from_sensor(S, b, G)
-    yield from _GYROSCOPE.matrix("M", form.M, per(unit, _RATE), _LOWER)
+    yield from _GYROSCOPE.matrix("M", form.M, unit_ratio(unit, _RATE), _LOWER)
     yield from _GYROSCOPE.matrix("C_gyro_i", form.C_gyro_i, "1")
-    yield from _GYROSCOPE.matrix("A", form.A, per(unit, _FORCE))
-    yield from _GYROSCOPE.matrix("AC", G, per(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("A", form.A, unit_ratio(unit, _FORCE))
+    yield from _GYROSCOPE.matrix("AC", G, unit_ratio(unit, _FORCE))
     yield from _GYROSCOPE.vector("bias", form.b, unit)
 
 
-def sensitivity_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
+def sensitivity_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[FormEntry]:
     """Name sensitivity (soft iron) and bias (hard iron)."""
     maker = _Maker(triad="magnetometer", si=field_unit)
-    yield from maker.matrix("sensitivity", S, per(unit, field_unit))
+    yield from maker.matrix("sensitivity", S, unit_ratio(unit, field_unit))
     yield from maker.vector("bias", b, unit)
 
 
-def angrisano_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[Entry]:
+def angrisano_magnetometer(S: Floats, b: Floats, unit: str, field_unit: str) -> Iterator[FormEntry]:
     """Angrisano, (1), (2): as the gyroscope, in a frame of its own, rotated by C_mb."""
     maker = _Maker(triad="magnetometer", si=field_unit)
     upper, C_mb = in_own_axes(S, AngrisanoAccelerometer.frame)
@@ -263,7 +267,7 @@ IMU_EQUATION = (
 )
 """The same of an IMU beside imu0."""
 
-Known = tuple[Entry, float]
+Known = tuple[FormEntry, float]
 
 
 def camera_equation(calibration: Calibration) -> str:
@@ -298,7 +302,7 @@ def imu_entries(calibration: Calibration, name: str) -> Iterator[Known]:
 
 def _block(name: str, entries: list[str], values: Floats, sigmas: Floats, unit: str) -> Iterator[Known]:
     for entry, value, sigma in zip(entries, values.tolist(), sigmas.tolist(), strict=True):
-        yield Entry(triad=name, name=entry, value=value, unit=unit), sigma
+        yield FormEntry(triad=name, name=entry, value=value, unit=unit), sigma
 
 
 def _scaled(calibration: Calibration, name: str, label: str, factor: float, unit: str) -> Iterator[Known]:

@@ -18,8 +18,8 @@ from ...results.calibration import AccelerometerCalibration, Calibration, Gyrosc
 from ..foreign import ForeignCalibration, recognised_frame
 from .losses import Context, Loss
 from .sensor_losses import Holds, not_representable, rest_size, si_sensitivity
-from .si_units import conversions, refuse_counts
-from .structured import read_text
+from .si_units import refuse_counts, si_conversions
+from .structured import read_structured_text
 
 _PX4 = re.compile(r"CAL_(ACC|GYRO)(\d)_([XYZ])(OFF|SCALE)")
 _ARDUPILOT = re.compile(r"INS_(ACC|GYR)(\d?)(OFFS|SCAL)_([XYZ])")
@@ -45,7 +45,7 @@ def read_flight_parameters(path: str | PathLike[str]) -> ForeignCalibration:
     """
     values: dict[Key, Floats] = {}
     format_name = ""
-    for match in _LINE.finditer(read_text(path)):
+    for match in _LINE.finditer(read_structured_text(path)):
         found = _key(match[1])
         if found is None:
             continue
@@ -114,7 +114,7 @@ class FlightImu:
 def flight_imu(imu: ImuCalibration) -> FlightImu:
     """Return an IMU as these projects describe it."""
     found: dict[str, DiagonalTriad] = {}
-    for conversion in conversions(imu):
+    for conversion in si_conversions(imu):
         if conversion.triad == "gyroscope":
             found["gyroscope"] = DiagonalTriad.offset_alone(conversion.bias_si)
         else:
@@ -170,7 +170,7 @@ def flight_losses(calibration: Calibration, whose: str, most: int, context: Cont
     """Yield what these parameters cannot represent."""
     for name, imu in list(calibration.imus.items())[:most]:
         flight = flight_imu(imu)
-        for conversion in conversions(imu):
+        for conversion in si_conversions(imu):
             triad: DiagonalTriad = getattr(flight, conversion.triad)
             rest = triad.rest(si_sensitivity(imu, conversion))
             if np.abs(rest).max() > _NOTHING:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, OptionError
-from ...geometry.quaternion import normalised, rotation_from_quaternion
+from ...geometry.quaternion import normalise_quaternion, rotation_from_quaternion
 from ...models.camera import Camera
 from ...models.distortions import DISTORTIONS
 from ...models.lens_names import DistortionName, ProjectionName
@@ -23,7 +23,7 @@ from ...models.noise import ImuNoise
 from ...recording import Floats, frozen_array
 from ...results.calibration import CameraCalibration
 from .baselines import inverse_pose
-from .structured import Node, parse_yaml, read_text
+from .structured import Node, parse_yaml, read_structured_text
 
 _ROW_WITH_COMMA = re.compile(r"^(\s*(?:-\s|[\w.]+\s*:).*[\]}])\s*,\s*(#.*)?$")
 _TAB_WIDTHS = (2, 4, 8)
@@ -46,7 +46,7 @@ def read_foreign_yaml(path: str | PathLike[str], notes: list[str] | None = None)
     FormatError
         If the file cannot be read, is no YAML even so, or holds a key twice.
     """
-    text = re.sub(r"(?m)^%", "#", read_text(path))
+    text = re.sub(r"(?m)^%", "#", read_structured_text(path))
     try:
         return Node(file=str(path), path="", value=parse_yaml(text, path, any_tag=True))
     except FormatError as error:
@@ -90,7 +90,7 @@ def _without_comma(line: str) -> str:
     return f"{found[1]} {found[2] or ''}"
 
 
-def unwrapped(node: Node) -> Node:
+def unwrap_rows(node: Node) -> Node:
     """Return the rows of a matrix that is written as OpenCV does (rows, cols, dt, data); anything else as it is.
 
     Raises
@@ -111,7 +111,7 @@ def unwrapped(node: Node) -> Node:
     return replace(node, value=table if min(rows, cols) > 1 else values)
 
 
-def matrix(node: Node, rows: int, cols: int) -> Floats:
+def read_matrix(node: Node, rows: int, cols: int) -> Floats:
     """Return a matrix: a list of rows, of all numbers row by row, or a matrix of OpenCV's.
 
     Raises
@@ -119,13 +119,13 @@ def matrix(node: Node, rows: int, cols: int) -> Floats:
     FormatError
         If it is another thing.
     """
-    plain = unwrapped(node)
+    plain = unwrap_rows(node)
     if isinstance(plain.value, list) and len(plain.value) == rows * cols:
         return plain.floats(rows * cols).reshape(rows, cols)
     return plain.floats(rows, cols)
 
 
-def rigid(node: Node) -> Floats:
+def read_transform(node: Node) -> Floats:
     """Return a rigid transformation (4, 4); its rotation is made exact, since numbers in files are rounded.
 
     Raises
@@ -133,7 +133,7 @@ def rigid(node: Node) -> Floats:
     FormatError
         If it is none.
     """
-    T = matrix(node, 4, 4)
+    T = read_matrix(node, 4, 4)
     if np.abs(T[3] - [0, 0, 0, 1]).max() > 1e-6:
         turned = " It seems to be transposed." if np.abs(T[:, 3] - [0, 0, 0, 1]).max() <= 1e-6 else ""
         raise node.fail(f"the last row of the matrix is {T[3].tolist()}, expected [0, 0, 0, 1].{turned}")
@@ -145,7 +145,7 @@ def rigid(node: Node) -> Floats:
     return frozen_array(exact)
 
 
-def rotation(node: Node) -> Floats:
+def read_rotation(node: Node) -> Floats:
     """Return a rotation matrix (3, 3), made exact.
 
     Raises
@@ -153,7 +153,7 @@ def rotation(node: Node) -> Floats:
     FormatError
         If it is none.
     """
-    return frozen_array(_nearest_rotation(matrix(node, 3, 3), node, "this"))
+    return frozen_array(_nearest_rotation(read_matrix(node, 3, 3), node, "this"))
 
 
 def _nearest_rotation(R: Floats, node: Node, what: str) -> Floats:
@@ -174,7 +174,7 @@ def _nearest_rotation(R: Floats, node: Node, what: str) -> Floats:
 _NOISE = "accelerometer_noise_density"
 
 
-def sensors(root: Node, prefix: str, flat_key: str, expected: str) -> dict[str, Node]:
+def read_sensors(root: Node, prefix: str, flat_key: str, expected: str) -> dict[str, Node]:
     """Return the sensors of a file keyed by name, "cam0", "cam1", ..., or the one of a file without such keys.
 
     Parameters
@@ -238,7 +238,7 @@ def whole_number(node: Node) -> int:
     return int(value)
 
 
-def required(keys: dict[str, Node], name: str, parent: Node, expected: str) -> Node:
+def required_value(keys: dict[str, Node], name: str, parent: Node, expected: str) -> Node:
     """Return the value under a key.
 
     Raises
@@ -255,12 +255,12 @@ def required(keys: dict[str, Node], name: str, parent: Node, expected: str) -> N
     return keys[name]
 
 
-def placed(T_imu_cam: Floats, shift_s: float, camera: Camera) -> CameraCalibration:
+def place_camera(T_imu_cam: Floats, shift_s: float, camera: Camera) -> CameraCalibration:
     """Return a camera by its place in the IMU's frame, and t_imu - t_cam."""
     return CameraCalibration(T_cam_body=inverse_pose(T_imu_cam), time_shift_cam_imu=shift_s, camera=camera)
 
 
-def numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats:
+def read_numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats:
     """Return numbers under keys.
 
     Raises
@@ -269,10 +269,10 @@ def numbers(node: Node, names: tuple[str, ...], prefix: str = "") -> Floats:
         If one is missing.
     """
     keys = {child.key: child for child in node.entries()}
-    return np.array([required(keys, f"{prefix}{name}", node, "a number").number() for name in names])
+    return np.array([required_value(keys, f"{prefix}{name}", node, "a number").number() for name in names])
 
 
-def lens(
+def read_lens(
     node: Node,
     *,
     intrinsics: Floats,
@@ -346,4 +346,4 @@ def unit_quaternion(node: Node, q_wxyz: Floats) -> Floats:
     length = float(np.linalg.norm(q_wxyz))
     if not 0.98 < length < 1.02:
         raise node.fail(f"the quaternion (qx, qy, qz, qw) has length {length:.3g}, expected 1.")
-    return rotation_from_quaternion(normalised(q_wxyz))
+    return rotation_from_quaternion(normalise_quaternion(q_wxyz))

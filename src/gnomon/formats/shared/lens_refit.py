@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import InitialisationError, OptionError
-from ...estimate.cameras.first_lens import fitted
-from ...findings import listed
+from ...estimate.cameras.first_lens import fit_lens_model
+from ...findings import join_with_or
 from ...frozen import value_class
 from ...models.camera import Camera
-from ...models.lens_programs import knows, models_of, refit_models
+from ...models.lens_programs import knows_lens, models_of, refit_models
 from ...recording import Floats
 from ...results.calibration import Calibration, Covariance
 from ...results.parameters import covariance_names
@@ -74,7 +74,7 @@ def with_known_lenses(calibration: Calibration, to: str) -> tuple[Calibration, t
     """
     losses: list[Loss] = []
     for name, calibrated in calibration.cameras.items():
-        if not knows(to, calibrated.camera):
+        if not knows_lens(to, calibrated.camera):
             refit = _nearest(calibration, name, to)
             losses.append(_loss(name, calibrated.camera, refit, to))
             calibration = _with_lens(calibration, name, refit)
@@ -114,8 +114,8 @@ def _nearest(calibration: Calibration, name: str, to: str) -> Refit:
                 f"the nearest, {best.camera.model}, is {best.rms_px:.2g} px off (rms), {best.worst_px:.2g} px at worst"
             )
         raise OptionError(
-            f"{name} is {lens.model}, and {to} knows {listed(models_of(to))}: {nearest}. Calibrate the camera with "
-            f"gnomon camera --for {to}, or convert to {listed(formats_of([lens]))}."
+            f"{name} is {lens.model}, and {to} knows {join_with_or(models_of(to))}: {nearest}. Calibrate the "
+            f"camera with gnomon camera --for {to}, or convert to {join_with_or(formats_of([lens]))}."
         )
     return min(found, key=lambda one: one.rms_px)
 
@@ -123,7 +123,7 @@ def _nearest(calibration: Calibration, name: str, to: str) -> Refit:
 def _refit(lens: Camera, model: str, pixels: Floats, rays: Floats, area: float) -> Refit | None:
     """Return the lens of another model that is nearest, None where it cannot see the rays."""
     try:
-        other = fitted(lens, model, pixels)
+        other = fit_lens_model(lens, model, pixels)
     except InitialisationError:
         return None
     image = other.project(rays, point_jacobian=False)
@@ -206,7 +206,7 @@ def _loss(name: str, lens: Camera, refit: Refit, to: str) -> Loss:
     where = "image" if refit.area > _WHOLE else share
     missed = f" It has no pixel for {100 * refit.unseen:.1g} % of that area, the widest rays." if refit.unseen else ""
     refused = f"{to} does not know {lens.model}"
-    if knows(to, lens):
+    if knows_lens(to, lens):
         refused = f"{to} takes no {lens.model} beside a lens of another kind"
     return Loss(
         what=f"lens of {name}",

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from ...errors import OptionError
-from ...findings import listed
+from ...findings import join_with_or
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.frames import Floats, frame_rotation
-from ...models.lens_programs import PROGRAMS, knows
+from ...models.lens_programs import PROGRAMS, knows_lens
 from ...models.noise import ImuNoise
 from ...models.origin import AXES
-from ...results.calibration import Calibration, ImuCalibration, element_names, parameters
+from ...results.calibration import Calibration, ImuCalibration, calibration_parameters, element_names
 from ...units import STANDARD_GRAVITY_M_S2
 from ..foreign import FOREIGN_METHOD
 
@@ -83,7 +83,7 @@ def into_frame(calibration: Calibration, frame: str, whose: str) -> tuple[Calibr
         Loss(
             what=f"body frame of {name}",
             why=f"{whose} frame is {frame}, the calibration's is {calibration.frame}. Turn whatever else is known in "
-            f"the old frame, such as the pose of {another} camera, by R_new_old = {matrix_text(turn)}.",
+            f"the old frame, such as the pose of {another} camera, by R_new_old = {matrix_line(turn)}.",
             size=f"turned by {degrees(rotation_angle(turn)):.3g} deg",
         )
         for name, turn in turns.items()
@@ -115,8 +115,8 @@ def rig_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
         yield Loss(
             what=", ".join(calibration.cameras),
             why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
-            f"Use {listed(formats_of(c.camera for c in calibration.cameras.values()))} to write them too, or keep "
-            "calibration.yaml.",
+            f"Use {join_with_or(formats_of(c.camera for c in calibration.cameras.values()))} to write them too, or "
+            "keep calibration.yaml.",
         )
     for name, imu in calibration.imus.items():
         if imu.T_imu_body is not None:
@@ -156,7 +156,7 @@ def rotation_angle(rotation: Floats) -> float:
     return float(np.arctan2(sine, (np.trace(rotation) - 1) / 2))
 
 
-def matrix_text(matrix: Floats) -> str:
+def matrix_line(matrix: Floats) -> str:
     """Return a matrix (3, 3) as one line."""
     return f"[{'; '.join(' '.join(f'{value:.9g}' for value in row) for row in matrix)}]"
 
@@ -223,12 +223,12 @@ class Context:
         return "".join(f"{mark}{line}\n" for line in self.lines())
 
 
-def remarks(calibration: Calibration, *, cameras: bool = True) -> tuple[str, ...]:
+def file_remarks(calibration: Calibration, *, cameras: bool = True) -> tuple[str, ...]:
     """Return the sentences that every file of a calibration has to carry; see `remark_losses`."""
-    return sentences(remark_losses(calibration, cameras=cameras))
+    return loss_sentences(remark_losses(calibration, cameras=cameras))
 
 
-def sentences(losses: Iterable[Loss]) -> tuple[str, ...]:
+def loss_sentences(losses: Iterable[Loss]) -> tuple[str, ...]:
     """Return losses as sentences for the comments of a file."""
     return tuple(
         f"{loss.what[0].upper()}{loss.what[1:]}: {loss.why}{f' ({loss.size})' if loss.size else ''}" for loss in losses
@@ -242,7 +242,7 @@ def remark_losses(calibration: Calibration, *, cameras: bool = True) -> Iterator
     ----------
     cameras : whether the format holds cameras
     """
-    held = held_names(calibration)
+    held = prior_held_names(calibration)
     if held:
         yield Loss(
             what="held by assumption, not measured",
@@ -281,10 +281,11 @@ def origin_remarks(calibration: Calibration) -> tuple[str, ...]:
     return tuple(found)
 
 
-def held_names(calibration: Calibration) -> tuple[str, ...]:
+def prior_held_names(calibration: Calibration) -> tuple[str, ...]:
     """Return what a prior holds, whole parameters by their path and others number by number."""
     sizes = {
-        path: len(element_names(path, value.shape)) for path, value in parameters(calibration.imus, calibration.cameras)
+        path: len(element_names(path, value.shape))
+        for path, value in calibration_parameters(calibration.imus, calibration.cameras)
     }
     names: list[str] = []
     for path, group in groupby(calibration.assessment.held_by_prior, key=lambda name: name.split("[")[0]):
@@ -309,7 +310,7 @@ _ANY = ("json", "csv")
 def formats_of(cameras: Iterable[Camera]) -> tuple[str, ...]:
     """Return the formats that hold all of these lenses, json and csv where none of an estimator does."""
     lenses = tuple(cameras)
-    return tuple(name for name in PROGRAMS if all(knows(name, lens) for lens in lenses)) or _ANY
+    return tuple(name for name in PROGRAMS if all(knows_lens(name, lens) for lens in lenses)) or _ANY
 
 
 def unknown_lens(name: str, camera: Camera, known: str) -> OptionError:
@@ -320,7 +321,7 @@ def unknown_lens(name: str, camera: Camera, known: str) -> OptionError:
     name : of the camera
     known : who knows what, such as "OKVIS knows pinhole with radtan"
     """
-    others = listed(formats_of([camera]))
+    others = join_with_or(formats_of([camera]))
     return OptionError(
         f"{name} is {camera.model}, and {known}. Calibrate the camera with one of these, or convert to {others}."
     )

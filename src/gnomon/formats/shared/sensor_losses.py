@@ -23,7 +23,7 @@ from .losses import (
     rig_losses,
     uncertainty_loss,
 )
-from .si_units import Conversion, conversions, count_losses
+from .si_units import Conversion, count_losses, si_conversions
 
 _NOTHING = 1e-12
 _SIGNIFICANT = 3.0  # sigmas; lever arms that a model holds may be no more than its noise
@@ -188,7 +188,7 @@ def _line_delay_losses(calibration: Calibration, whose: str) -> Iterator[Loss]:
 
 def _bias_losses(name: str, imu: ImuCalibration, whose: str) -> Iterator[Loss]:
     """Say that a program estimates the biases and has no key for them."""
-    for conversion in conversions(imu):
+    for conversion in si_conversions(imu):
         if conversion.unit != "count" and conversion.bias_si.any():
             yield Loss(
                 what=f"{conversion.triad} bias of {name}",
@@ -242,7 +242,7 @@ def _noise_losses(stated: StatedImu, holds: Holds) -> Iterator[Loss]:
 
 def _ideal_losses(name: str, imu: ImuCalibration, whose: str) -> Iterator[Loss]:
     """Say what a program leaves uncorrected that takes an IMU for ideal but for its biases."""
-    for conversion in conversions(imu):
+    for conversion in si_conversions(imu):
         rest = si_sensitivity(imu, conversion) - np.eye(3)
         if np.abs(rest).max() > _NOTHING:
             yield Loss(

@@ -59,7 +59,7 @@ class Conversion:
         yield f"{self.triad} bias [{self.si}] = ({numbers_text(self.bias_si, ', ')})"
 
 
-def conversions(imu: ImuCalibration) -> list[Conversion]:
+def si_conversions(imu: ImuCalibration) -> list[Conversion]:
     """Return the conversions of accelerometer and gyroscope, as far as there are such, in this order."""
     return [_conversion(triad) for triad in (imu.accelerometer, imu.gyroscope) if triad is not None]
 
@@ -88,7 +88,7 @@ def si_imu(imu: ImuCalibration) -> ImuCalibration:
         If there is no accelerometer.
     """
     sensor = imu.required_accelerometer
-    acc, *others = conversions(imu)
+    acc, *others = si_conversions(imu)
     accelerometer = AccelerometerCalibration(sensitivity=sensor.sensitivity * acc.factor, bias=acc.bias_si, unit=acc.si)
     if imu.gyroscope is None:
         return ImuCalibration(accelerometer=accelerometer)
@@ -104,7 +104,7 @@ def si_imu(imu: ImuCalibration) -> ImuCalibration:
 
 def count_losses(name: str, imu: ImuCalibration, whose: str) -> Iterator[Loss]:
     """Say which counts a project's file takes."""
-    for conversion in conversions(imu):
+    for conversion in si_conversions(imu):
         if conversion.unit == "count":
             yield Loss(
                 what=f"{conversion.triad} counts of {name}",

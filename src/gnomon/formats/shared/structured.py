@@ -166,8 +166,8 @@ class Node:
 
     def fail(self, problem: str) -> FormatError:
         """Return an error that says where this value is."""
-        place = f"{self.file}: {shortened(self.path)}" if self.path else self.file
-        return FormatError(f"{place}: {shortened(problem, 4 * _LONGEST)}")
+        place = f"{self.file}: {shorten_text(self.path)}" if self.path else self.file
+        return FormatError(f"{place}: {shorten_text(problem, 4 * _LONGEST)}")
 
     def child(self, key: str) -> "Node":
         """Return the value under a key that is known to be there."""
@@ -230,7 +230,7 @@ class Node:
         if not isinstance(self.value, str):
             raise self.fail(f"found {_kind(self.value)}, expected text.")
         if choices and self.value not in choices:
-            raise self.fail(f'found "{shortened(self.value)}". {_nearest(self.value, choices)}')
+            raise self.fail(f'found "{shorten_text(self.value)}". {_nearest(self.value, choices)}')
         return self.value
 
     def integer(self) -> int:
@@ -258,7 +258,7 @@ class Node:
             try:
                 value = float(value)
             except ValueError:
-                raise self.fail(f'found the text "{shortened(value)}", expected a number.') from None
+                raise self.fail(f'found the text "{shorten_text(value)}", expected a number.') from None
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise self.fail(f"found {_kind(value)}, expected a number.")
         try:
@@ -295,7 +295,7 @@ def read_yaml(path: str | PathLike[str]) -> Node:
     FormatError
         If the file cannot be read, is no YAML, or holds a key twice.
     """
-    text = read_text(path)
+    text = read_structured_text(path)
     return Node(file=str(path), path="", value=parse_yaml("#" + text if text.startswith("%YAML:") else text, path))
 
 
@@ -320,7 +320,7 @@ def parse_yaml(text: str, path: str | PathLike[str], *, any_tag: bool = False) -
     try:
         loader = (_without_tags(safe) if any_tag else safe)(text)
     except (yaml.YAMLError, ValueError) as error:  # a character that YAML does not know
-        raise FormatError(f"{path}: this is not YAML ({shortened(str(error))}).") from error
+        raise FormatError(f"{path}: this is not YAML ({shorten_text(str(error))}).") from error
     try:
         root = loader.get_single_node()
         refuse_bombs(root, path)
@@ -329,11 +329,11 @@ def parse_yaml(text: str, path: str | PathLike[str], *, any_tag: bool = False) -
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         line = f", line {mark.line + 1}" if mark is not None else ""
-        raise FormatError(f"{path}{line}: this is not YAML ({shortened(str(error.problem))}).") from error
+        raise FormatError(f"{path}{line}: this is not YAML ({shorten_text(str(error.problem))}).") from error
     except FormatError:
         raise
     except Exception as error:  # what a tag promises and its value does not keep ends in errors of many kinds
-        raise FormatError(f"{path}: this is not YAML ({shortened(str(error))}).") from error
+        raise FormatError(f"{path}: this is not YAML ({shorten_text(str(error))}).") from error
     finally:
         loader.dispose()
 
@@ -363,7 +363,7 @@ def read_json(path: str | PathLike[str]) -> Node:
     FormatError
         If the file cannot be read, or is no JSON.
     """
-    text = read_text(path)
+    text = read_structured_text(path)
     refuse_large(len(text), path)
     refuse_deep(text, path, block=False)
     try:
@@ -371,11 +371,11 @@ def read_json(path: str | PathLike[str]) -> Node:
     except json.JSONDecodeError as error:
         raise FormatError(f"{path}, line {error.lineno}: this is not JSON ({error.msg}).") from error
     except ValueError as error:  # a number of thousands of digits
-        raise FormatError(f"{path}: this is not JSON that can be read ({shortened(str(error))}).") from error
+        raise FormatError(f"{path}: this is not JSON that can be read ({shorten_text(str(error))}).") from error
     return Node(file=str(path), path="", value=value)
 
 
-def read_text(path: str | PathLike[str]) -> str:
+def read_structured_text(path: str | PathLike[str]) -> str:
     """Return the text of a file.
 
     Raises
@@ -447,7 +447,7 @@ def _refuse_duplicates(path: str | PathLike[str], root: Any) -> None:
                 todo.append(value)
 
 
-def shortened(text: str, most: int = _LONGEST) -> str:
+def shorten_text(text: str, most: int = _LONGEST) -> str:
     """Return a text for a message: its beginning, where it is too long to be read."""
     return text if len(text) <= most else f"{text[:most]}... ({len(text)} characters)"
 
@@ -456,7 +456,7 @@ def _shown(value: object) -> str:
     """Return a value for a message."""
     if isinstance(value, int) and value.bit_length() > 1000:
         return f"a whole number of {value.bit_length()} bits"
-    return shortened(repr(value))
+    return shorten_text(repr(value))
 
 
 def _nearest(word: str, known: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ _WORDS_OF_YAML = {"true", "false", "yes", "no", "on", "off", "null", "y", "n"}
 def yaml_lines(node: Mapping[str, Any], indent: str = "", *, flush: bool = False) -> Iterator[str]:
     """Yield the lines of a mapping of mappings, lists, arrays and scalars; `flush` sets lists right below their key."""
     for key, value in node.items():
-        yield from _entry(f"{indent}{quoted(key)}:", value, indent, flush=flush)
+        yield from _entry(f"{indent}{yaml_quoted(key)}:", value, indent, flush=flush)
 
 
 def _entry(head: str, value: Any, indent: str, *, flush: bool) -> Iterator[str]:
@@ -40,16 +40,16 @@ def _entry(head: str, value: Any, indent: str, *, flush: bool) -> Iterator[str]:
                 yield f"{place}- {first}"
                 yield from (f"{place}  {line}" for line in others)
             else:
-                yield f"{place}- {_flow(item) if isinstance(item, np.ndarray) else scalar(item)}"
+                yield f"{place}- {_flow(item) if isinstance(item, np.ndarray) else yaml_scalar(item)}"
     else:
-        yield f"{head} {scalar(value)}"
+        yield f"{head} {yaml_scalar(value)}"
 
 
 def _flow(values: Floats) -> str:
-    return f"[{', '.join(map(scalar, values.tolist()))}]"
+    return f"[{', '.join(map(yaml_scalar, values.tolist()))}]"
 
 
-def scalar(value: Any) -> str:
+def yaml_scalar(value: Any) -> str:
     """Return the YAML text of a scalar, or of an empty mapping or list; numbers read back bit by bit."""
     if isinstance(value, float):
         if not math.isfinite(value):
@@ -58,7 +58,7 @@ def scalar(value: Any) -> str:
         # YAML 1.1 takes a number for text where the dot is missing before the exponent.
         return text if "e" not in text or "." in text else text.replace("e", ".0e")
     if isinstance(value, str):
-        return quoted(value)
+        return yaml_quoted(value)
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -66,7 +66,7 @@ def scalar(value: Any) -> str:
     return str(value)
 
 
-def quoted(text: str) -> str:
+def yaml_quoted(text: str) -> str:
     """Return a text for YAML: as it is where that is plain, else between double quotes with escapes."""
     if _PLAIN.fullmatch(text) and text.lower() not in _WORDS_OF_YAML:
         return text
@@ -115,11 +115,11 @@ def opencv_lines(document: Mapping[str, Any], indent: str = "") -> Iterator[str]
                 yield f"{indent}   - {first}"
                 yield from (f"{indent}     {line}" for line in others)
         elif isinstance(value, np.ndarray):
-            yield f"{head} {flow(value)}"
+            yield f"{head} {yaml_flow(value)}"
         elif isinstance(value, str):
             yield f"{head} {in_quotes(value)}"
         else:
-            yield f"{head} {scalar(value)}"
+            yield f"{head} {yaml_scalar(value)}"
 
 
 def opencv_matrix(key: str, matrix: Floats, kind: str) -> Iterator[str]:
@@ -134,10 +134,10 @@ def opencv_matrix(key: str, matrix: Floats, kind: str) -> Iterator[str]:
     yield f"{key}: !!opencv-matrix"
     yield from (f"   rows: {rows}", f"   cols: {cols}", f"   dt: {kind}")
     for i, row in enumerate(matrix.tolist()):
-        numbers = ", ".join(map(scalar, row))
+        numbers = ", ".join(map(yaml_scalar, row))
         yield f"   {'data: [' if i == 0 else '       '}{numbers}{']' if i == rows - 1 else ','}"
 
 
-def flow(values: Floats) -> str:
+def yaml_flow(values: Floats) -> str:
     """Return numbers (n,) or (r, c), row by row, between brackets."""
-    return f"[{', '.join(map(scalar, values.ravel().tolist()))}]"
+    return f"[{', '.join(map(yaml_scalar, values.ravel().tolist()))}]"

@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import ImuSamples, Source, TriadSamples, measurable
+from ...recording import ImuSamples, Source, TriadSamples, measurable_numbers
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..files import file_source
@@ -23,9 +23,9 @@ from ..images.image_pixels import compressed_image, grey_image
 from ..rig.imu_stream import in_order
 from ..samples.recognise import IN_MOTION
 from .messages import COMPRESSED_IMAGE, Wire, compressed_message, image_message, stamp_ns
-from .storage import Bag, BrokenBagError, Topic, bag_parts, indexed, sequential
-from .storage import is_bag as _is_bag
-from .survey import ImageTrack, ImuTrack, imu_samples, settle_times, survey
+from .storage import Bag, BrokenBagError, Topic, bag_parts, open_indexed, open_sequential
+from .storage import looks_like_bag as _is_bag
+from .survey import ImageTrack, ImuTrack, imu_samples, settle_times, survey_topics
 from .topics import (
     Pair,
     Triads,
@@ -34,14 +34,14 @@ from .topics import (
     common_topic,
     imu_candidates,
     imu_topics,
-    listing,
+    list_topics,
 )
 
 _NONE: Mapping[str, str] = MappingProxyType({})
 _AS_DEFINED = {"accelerometer": "m/s^2", "gyroscope": "rad/s"}
 
 
-def is_bag(path: str | PathLike[str]) -> bool:
+def is_bag_path(path: str | PathLike[str]) -> bool:
     """Return whether a path is a bag.
 
     A file is one by its first bytes (ROS 1, MCAP, SQLite) or its name (.bag, .mcap, .db3), a folder where its
@@ -93,9 +93,9 @@ def open_bag(
 
         try:
             try:
-                return _recording(indexed(parts), order, hashing, [*notes])
+                return _recording(open_indexed(parts), order, hashing, [*notes])
             except BrokenBagError:
-                return _recording(sequential(parts, notes), order, hashing, notes)
+                return _recording(open_sequential(parts, notes), order, hashing, notes)
         except BrokenBagError as error:
             raise RecordingError(f"{path}: cannot be read ({error}). Copy it again.") from None
         except OSError as error:
@@ -105,7 +105,7 @@ def open_bag(
 def bag_holds_imu(path: str | PathLike[str]) -> bool:
     """Tell by its list of topics whether a bag has samples of an IMU; False for one that has lost its list."""
     try:
-        return bool(imu_candidates(indexed(bag_parts(Path(path), [])), {}))
+        return bool(imu_candidates(open_indexed(bag_parts(Path(path), [])), {}))
     except BrokenBagError:
         return False
 
@@ -128,10 +128,10 @@ def _recording(
     if not candidates and order.need_imu:
         raise RecordingError(
             f"{bag.name}: no topic holds samples of an IMU (sensor_msgs/Imu). Record them in the same bag, or give a "
-            f"table of them. It holds:\n{listing(bag)}"
+            f"table of them. It holds:\n{list_topics(bag)}"
         )
     hashed = hashing()  # from here on the whole bag is read anyhow
-    images, samples = survey(bag, cameras, candidates)
+    images, samples = survey_topics(bag, cameras, candidates)
     _check_complete([*images.values(), *samples.values()])
     triads = {name: track.triads() for name, track in samples.items()}
     pairs = _imu_pairs(bag, triads, order, notes) if triads else {}
@@ -194,7 +194,7 @@ def _si(samples: TriadSamples, sensor: str, name: str, units: Units, notes: list
             )
         notes.append(f"{name}: the {sensor} was converted from {stated} to {samples.unit}.")
         return TriadSamples(t_ns=samples.t_ns, values=samples.values * factor, unit=samples.unit)
-    sound = measurable(samples.values).all(axis=1)
+    sound = measurable_numbers(samples.values).all(axis=1)
     if stated is None and np.count_nonzero(sound) > 1:
         if sensor == "accelerometer":
             unit = IN_MOTION.accelerometer(samples.values[sound])

@@ -16,7 +16,7 @@ from typing import BinaryIO, NamedTuple
 
 from ...errors import RecordingError
 from .messages import Wire
-from .unpacking import unpack
+from .unpacking import unpack_bytes
 
 ROS1_MAGIC, MCAP_MAGIC, SQLITE_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ROS1_MESSAGE, _ROS1_HEADER, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 3, 5, 7
@@ -98,7 +98,7 @@ def kind_of_type(name: str) -> str:
     return name.replace("/msg/", "/")
 
 
-def records(path: Path, wanted: Collection[str] | None, outcome: Outcome) -> Iterator[Record]:
+def read_records(path: Path, wanted: Collection[str] | None, outcome: Outcome) -> Iterator[Record]:
     """Yield the messages of a file in its order; of topics that are not wanted, without their bytes.
 
     Parameters
@@ -280,16 +280,16 @@ def _decompressor(name: str, where: str) -> Callable[[bytes], bytes]:
     if name == "":
         return bytes
     if name in {"bz2", "lz4", "zstd"}:
-        return partial(unpack, name)
+        return partial(unpack_bytes, name)
     raise RecordingError(
         f'{where}: its chunks are compressed with "{name}", which gnomon does not know; it reads bz2, lz4, zstd and '
         "uncompressed ones. Unpack it with the tool that packed it (rosbag decompress, mcap convert)."
     )
 
 
-def unzstd(data: bytes) -> bytes:
+def unpack_zstd(data: bytes) -> bytes:
     """Unpack what was compressed with zstd."""
-    return unpack("zstd", data)
+    return unpack_bytes("zstd", data)
 
 
 def _sqlite(path: Path, wanted: frozenset[str], outcome: Outcome) -> Iterator[Record]:

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import FormatError, RecordingError
-from ...formats.shared.structured import parse_yaml, read_text
+from ...formats.shared.structured import parse_yaml, read_structured_text
 from ..files import first_bytes
 from .messages import Wire
 from .salvage import (
@@ -20,8 +20,8 @@ from .salvage import (
     Outcome,
     Record,
     kind_of_type,
-    records,
-    unzstd,
+    read_records,
+    unpack_zstd,
 )
 from .unpacking import bound_rosbags
 
@@ -78,7 +78,7 @@ class Bag:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Parts:
+class BagParts:
     """The files of a bag, and the folder whose metadata.yaml describes them."""
 
     path: Path
@@ -99,7 +99,7 @@ def form_of(path: Path) -> Form | None:
     return next((form for magic, form in _MAGIC.items() if head.startswith(magic)), None)
 
 
-def is_bag(path: Path) -> bool:
+def looks_like_bag(path: Path) -> bool:
     """Return whether a path is a bag: a file by its first bytes, a folder by metadata.yaml or if all in it are bags.
 
     A file that has the name of a bag is one too, so that `bag_parts` can tell what is wrong with it.
@@ -113,7 +113,7 @@ def is_bag(path: Path) -> bool:
         return False
 
 
-def bag_parts(path: Path, notes: list[str]) -> Parts:
+def bag_parts(path: Path, notes: list[str]) -> BagParts:
     """Return the files that make up a bag.
 
     Raises
@@ -130,7 +130,7 @@ def bag_parts(path: Path, notes: list[str]) -> Parts:
             )
         if form == "zstd":
             raise RecordingError(f"{path}: this file is compressed with zstd. Unpack it first: zstd -d {path.name}")
-        return Parts(path=path, form=form, files=(path,))
+        return BagParts(path=path, form=form, files=(path,))
     information = _information(path)
     if information is not None:
         _check_compression(path, information)
@@ -143,7 +143,7 @@ def bag_parts(path: Path, notes: list[str]) -> Parts:
                 "folder."
             )
         files = tuple(path / name for name in names)
-        return Parts(path=path, form=form_of(files[0]) or "sqlite", files=files, described=True)
+        return BagParts(path=path, form=form_of(files[0]) or "sqlite", files=files, described=True)
     found = _bags_in(path)
     if not found:
         raise RecordingError(
@@ -158,7 +158,7 @@ def bag_parts(path: Path, notes: list[str]) -> Parts:
         )
     if form != "ros1":
         notes.append(f"{path.name}: there is no {METADATA}; the recorder was probably stopped before it wrote it.")
-    return Parts(path=path, form=form, files=files)
+    return BagParts(path=path, form=form, files=files)
 
 
 def _information(folder: Path) -> dict[str, Any] | None:
@@ -166,7 +166,7 @@ def _information(folder: Path) -> dict[str, Any] | None:
     if not (folder / METADATA).is_file():
         return None
     try:
-        found = parse_yaml(read_text(folder / METADATA), folder / METADATA)
+        found = parse_yaml(read_structured_text(folder / METADATA), folder / METADATA)
     except FormatError:
         return None
     information = found.get(_INFORMATION) if isinstance(found, dict) else None
@@ -197,7 +197,7 @@ def _by_number(file: Path) -> tuple[int, str]:
     return int(number[1]) if number else -1, file.name
 
 
-def indexed(parts: Parts) -> Bag:
+def open_indexed(parts: BagParts) -> Bag:
     """Return a bag that rosbags reads by its index.
 
     Raises
@@ -280,7 +280,7 @@ class _Tally:
         self.last_ns = max(self.last_ns, record.received_ns)
 
 
-def sequential(parts: Parts, notes: list[str]) -> Bag:
+def open_sequential(parts: BagParts, notes: list[str]) -> Bag:
     """Return a bag that is read record by record, as far as it goes; a sentence says where it ends early.
 
     Raises
@@ -293,7 +293,7 @@ def sequential(parts: Parts, notes: list[str]) -> Bag:
         if form_of(file) == "zstd":
             raise RecordingError(f"{file}: cannot be unpacked; the file is damaged. Copy it again.")
         outcome, before = Outcome(), sum(count.messages for count in tally.topics.values())
-        for record in records(file, None, outcome):
+        for record in read_records(file, None, outcome):
             tally.add(record)
         found = sum(count.messages for count in tally.topics.values()) - before
         notes.extend(_sentences(file, found, outcome))
@@ -302,7 +302,7 @@ def sequential(parts: Parts, notes: list[str]) -> Bag:
 
     def messages(wanted: Collection[str]) -> Iterator[Record]:
         for file in parts.files:
-            for record in records(file, wanted, Outcome()):
+            for record in read_records(file, wanted, Outcome()):
                 if record.channel.wire == "cdr" and record.data.startswith(_ZSTD):
                     yield record._replace(data=_unpacked(record.data))
                 elif record.channel.topic in wanted:
@@ -322,7 +322,7 @@ def sequential(parts: Parts, notes: list[str]) -> Bag:
 
 def _unpacked(data: bytes) -> bytes:
     try:
-        return unzstd(data)
+        return unpack_zstd(data)
     except Exception as error:
         raise BrokenBagError(str(error)) from error
 

@@ -166,7 +166,7 @@ def imu_samples(accelerometer: ImuTrack, gyroscope: ImuTrack, topic: str) -> Imu
     )
 
 
-def survey(
+def survey_topics(
     bag: Bag, cameras: Mapping[str, Topic], imus: list[Topic]
 ) -> tuple[dict[str, ImageTrack], dict[str, ImuTrack]]:
     """Pass once over a bag, and return what was found of each topic, by its name.

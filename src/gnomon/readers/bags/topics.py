@@ -29,7 +29,7 @@ def check_stated(topics: Mapping[str, str]) -> None:
             raise OptionError(f'topics: "{name}" is neither a camera nor an IMU. {_HELP}.')
 
 
-def listing(bag: Bag) -> str:
+def list_topics(bag: Bag) -> str:
     """Return what a bag holds, one line a topic, cameras and IMUs first."""
     order = sorted(
         bag.topics.values(), key=lambda topic: (topic.kind not in {IMAGE, COMPRESSED_IMAGE, IMU}, topic.name)
@@ -43,7 +43,7 @@ def listing(bag: Bag) -> str:
     return "\n".join(lines + more) if order else "  no topic at all"
 
 
-def held(bag: Bag, name: str) -> Topic | None:
+def find_topic(bag: Bag, name: str) -> Topic | None:
     """Return a topic by its name, with or without its first slash; None where the bag does not hold it."""
     plain = name.strip().strip("/")
     return next((topic for key, topic in bag.topics.items() if key.strip("/") == plain), None)
@@ -57,7 +57,7 @@ def stated_topic(bag: Bag, sensor: str, name: str, kinds: Sequence[str]) -> Topi
     RecordingError
         If it is not there, has another type or no messages.
     """
-    topic = held(bag, name)
+    topic = find_topic(bag, name)
     if topic is None:
         problem = "is not in this bag"
     elif topic.kind not in kinds or topic.wire is None:
@@ -66,10 +66,12 @@ def stated_topic(bag: Bag, sensor: str, name: str, kinds: Sequence[str]) -> Topi
         problem = "has no messages"
     else:
         return topic
-    raise RecordingError(f"{bag.name}: {name}, which is stated to be {sensor}, {problem}. It holds:\n{listing(bag)}")
+    raise RecordingError(
+        f"{bag.name}: {name}, which is stated to be {sensor}, {problem}. It holds:\n{list_topics(bag)}"
+    )
 
 
-def usable(bag: Bag, kinds: Sequence[str]) -> list[Topic]:
+def usable_topics(bag: Bag, kinds: Sequence[str]) -> list[Topic]:
     """Return the topics of some types that have messages, in the order of their names."""
     found = [topic for topic in bag.topics.values() if topic.kind in kinds and topic.count and topic.wire is not None]
     return sorted(found, key=lambda topic: topic.name)
@@ -89,14 +91,14 @@ def camera_topics(
     named = {name: stated_topic(bag, name, topic, kinds) for name, topic in stated.items() if name.startswith("cam")}
     if named:
         return dict(sorted(named.items()))
-    images = usable(bag, kinds)
+    images = usable_topics(bag, kinds)
     if not images:
-        raise RecordingError(f"{bag.name}: no topic holds images ({' or '.join(kinds)}). It holds:\n{listing(bag)}")
+        raise RecordingError(f"{bag.name}: no topic holds images ({' or '.join(kinds)}). It holds:\n{list_topics(bag)}")
     wishes = {name: topic for name, topic in suggested.items() if name.startswith("cam")}
     for name, wish in sorted(wishes.items()):
-        topic = held(bag, wish)
+        topic = find_topic(bag, wish)
         if topic is None or topic not in images:  # the same camera, compressed or not
-            topic = held(bag, f"{wish}/compressed") or held(bag, _COMPRESSED.sub("", wish))
+            topic = find_topic(bag, f"{wish}/compressed") or find_topic(bag, _COMPRESSED.sub("", wish))
             if topic in images:
                 notes.append(f"{name}: {wish} has no images in this bag; {topic.name if topic else ''} was read.")
         if topic is not None and topic in images:
@@ -125,11 +127,11 @@ def _guessed_cameras(bag: Bag, images: list[Topic], wishes: Mapping[str, str], n
         missed = f" ({wishes[name]} is not in this bag)" if name in wishes else ""
         notes.append(f"{name} is {cameras[0].name}, the only camera{missed}.")
         return {name: cameras[0]}
-    ordered = numbered(cameras, r"cam(?:era)?[_-]?(\d+)") or _sides(cameras)
+    ordered = sort_by_number(cameras, r"cam(?:era)?[_-]?(\d+)") or _sides(cameras)
     if ordered is None:
         raise RecordingError(
             f"{bag.name}: {len(cameras)} topics hold images, and their names do not tell which camera is cam0. "
-            f"{_HELP}. It holds:\n{listing(bag)}"
+            f"{_HELP}. It holds:\n{list_topics(bag)}"
         )
     notes.extend(f"cam{i} is {topic.name}, by its name." for i, topic in enumerate(ordered))
     return {f"cam{i}": topic for i, topic in enumerate(ordered)}
@@ -155,7 +157,7 @@ def _preference(topic: Topic) -> tuple[int, bool]:
     return place, topic.kind == COMPRESSED_IMAGE
 
 
-def numbered(topics: list[Topic], pattern: str) -> list[Topic] | None:
+def sort_by_number(topics: list[Topic], pattern: str) -> list[Topic] | None:
     """Return topics in the order of the number in their names; None where one has none, or two have the same."""
     found = [re.search(pattern, topic.name, re.IGNORECASE) for topic in topics]
     numbers = [int(match[1]) for match in found if match]
@@ -181,7 +183,7 @@ def imu_candidates(bag: Bag, stated: Mapping[str, str]) -> list[Topic]:
         if name.startswith("imu"):
             for topic in topics.split(","):
                 stated_topic(bag, name, topic, (IMU,))
-    return usable(bag, (IMU,))
+    return usable_topics(bag, (IMU,))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -289,7 +291,7 @@ def _guessed_imus(bag: Bag, pairs: list[Pair], notes: list[str]) -> dict[str, Pa
     if ordered is None:
         raise RecordingError(
             f"{bag.name}: {len(pairs)} topics may be the IMU, and their names do not tell which one is. {_HELP}. "
-            f"It holds:\n{listing(bag)}"
+            f"It holds:\n{list_topics(bag)}"
         )
     notes.extend(
         f"imu{i} is {a.name}." if a == g else f"imu{i} is {a.name} (accelerometer) and {g.name} (gyroscope)."
@@ -301,7 +303,7 @@ def _guessed_imus(bag: Bag, pairs: list[Pair], notes: list[str]) -> dict[str, Pa
 def _by_number(pairs: list[Pair]) -> list[Pair] | None:
     if len(pairs) < 2:
         return pairs
-    ordered = numbered([gyroscope for _, gyroscope in pairs], r"imu[_-]?(\d+)")
+    ordered = sort_by_number([gyroscope for _, gyroscope in pairs], r"imu[_-]?(\d+)")
     return None if ordered is None else sorted(pairs, key=lambda pair: ordered.index(pair[1]))
 
 

@@ -14,7 +14,7 @@ class TooLargeError(Exception):
     """What is packed would become absurdly large."""
 
 
-def unpack(name: str, data: bytes) -> bytes:
+def unpack_bytes(name: str, data: bytes) -> bytes:
     """Return what was packed with "bz2", "lz4" or "zstd".
 
     Raises
@@ -55,8 +55,8 @@ def _decompressor(name: str) -> Any:
 def bound_rosbags() -> None:
     """Put these functions in the place of those of rosbags, which unpack without a bound."""
     places = (
-        ("rosbags.rosbag1.reader", "decompressors", lambda name: lambda data: unpack(name, data)),
-        ("rosbags.rosbag2.storage_mcap", "DECOMPRESSORS", lambda name: lambda data, _: unpack(name, data)),
+        ("rosbags.rosbag1.reader", "decompressors", lambda name: lambda data: unpack_bytes(name, data)),
+        ("rosbags.rosbag2.storage_mcap", "DECOMPRESSORS", lambda name: lambda data, _: unpack_bytes(name, data)),
     )
     for module, table, made in places:
         known: dict[str, Callable[..., bytes]] = getattr(import_module(module), table, {})

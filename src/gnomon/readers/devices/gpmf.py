@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording import Source, measurable
+from ...recording import Source, measurable_numbers
 from ..files import file_source, is_mp4_head
 from ..samples.column_names import unit_of
 from ..samples.table import Triad
 from .device_log import DeviceLog, StampedTriad
 from .gpmf_clock import NOMINAL_PAYLOAD_S, PayloadTimes, notes_on_clock, notes_on_video, sample_clock
-from .gpmf_streams import Block, Device, Telemetry, in_camera_axes
+from .gpmf_streams import Device, PayloadBlock, Telemetry, in_camera_axes
 
 _MAGIC = b"DEVC"
 _LARGEST_BYTES = 1 << 30
@@ -211,7 +211,7 @@ class _Reading:
         else:
             self.notes += notes_on_clock(clock, blocks, sensor, self.name, timed=self.times is not None)
             values = in_camera_axes(values, self._orientation) if self._orientation else values
-        good = measurable(values).all(axis=1)
+        good = measurable_numbers(values).all(axis=1)
         if not good.all():
             self.note(f"{int((~good).sum())} samples of the {sensor} are no numbers and were left out.")
         if int(good.sum()) < 2:
@@ -219,7 +219,7 @@ class _Reading:
         unit = self._unit(blocks, sensor)
         return clock.t_ns[good], Triad(quantity=sensor, values=values[good], unit=unit)
 
-    def _unit(self, blocks: tuple[Block, ...], sensor: str) -> str | None:
+    def _unit(self, blocks: tuple[PayloadBlock, ...], sensor: str) -> str | None:
         """Return the unit as the file states it, or None."""
         written = {block.unit for block in blocks}
         units = {unit_of(text, sensor) for text in written}

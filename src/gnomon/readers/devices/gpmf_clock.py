@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import Floats, Integers
-from .gpmf_streams import Block, Device
+from .gpmf_streams import Device, PayloadBlock
 
 NOMINAL_PAYLOAD_S = 1.001  # of 30, 60, ... frames at 29.97 frames/s
 _KNOT_S = 60.0
@@ -53,7 +53,7 @@ class Clock:
     lost: int
 
 
-def sample_clock(blocks: tuple[Block, ...], times: PayloadTimes | None, origin_s: float) -> Clock:
+def sample_clock(blocks: tuple[PayloadBlock, ...], times: PayloadTimes | None, origin_s: float) -> Clock:
     """Fit the clock of a stream.
 
     Parameters
@@ -95,7 +95,7 @@ def sample_clock(blocks: tuple[Block, ...], times: PayloadTimes | None, origin_s
     )
 
 
-def _first_samples(blocks: tuple[Block, ...], counts: Integers) -> tuple[Integers, int]:
+def _first_samples(blocks: tuple[PayloadBlock, ...], counts: Integers) -> tuple[Integers, int]:
     """Return the number of the first sample of each block, and how many samples are missing between blocks.
 
     The camera's count is taken where it fits: blocks do not overlap in it.
@@ -111,7 +111,7 @@ def _first_samples(blocks: tuple[Block, ...], counts: Integers) -> tuple[Integer
     return counted - counted[0], int(missing.sum())
 
 
-def _last_s(blocks: tuple[Block, ...], times: PayloadTimes | None) -> float:
+def _last_s(blocks: tuple[PayloadBlock, ...], times: PayloadTimes | None) -> float:
     """Return how long the last payload lasts [s]."""
     duration = NOMINAL_PAYLOAD_S if times is None else float(times.duration_s[blocks[-1].payload])
     return duration if duration > 0 else NOMINAL_PAYLOAD_S
@@ -161,7 +161,7 @@ def _hats(index: Floats, knots: Floats) -> Floats:
 _STABILISED_RAD = np.radians(0.2)
 
 
-def notes_on_clock(clock: Clock, blocks: tuple[Block, ...], sensor: str, name: str, *, timed: bool) -> list[str]:
+def notes_on_clock(clock: Clock, blocks: tuple[PayloadBlock, ...], sensor: str, name: str, *, timed: bool) -> list[str]:
     """Say where the timestamps of a triad come from, how well they are known, and how warm the sensor was.
 
     Parameters

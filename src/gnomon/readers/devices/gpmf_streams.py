@@ -36,7 +36,7 @@ _FRACTION = {"q": 2.0**-16, "Q": 2.0**-32}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class GpmfEntry:
     """One entry of GPMF.
 
     Attributes
@@ -92,12 +92,12 @@ class Entry:
         return int(np.frombuffer(self.data[:width], _NUMBERS[self.kind])[0])
 
 
-def entries(data: bytes) -> tuple[list[Entry], bool]:
+def gpmf_entries(data: bytes) -> tuple[list[GpmfEntry], bool]:
     """Return the entries of one level, and whether they are all there; what one of them holds is again such bytes.
 
     They end before the first one that is longer than what is there, or whose key is none.
     """
-    found: list[Entry] = []
+    found: list[GpmfEntry] = []
     at, end = 0, len(data)
     while at + _HEAD <= end:
         key = data[at : at + 4]
@@ -108,7 +108,7 @@ def entries(data: bytes) -> tuple[list[Entry], bool]:
         if first + length > end or not all(32 <= character < 127 for character in key):
             return found, False
         values = data[first : first + length]
-        found.append(Entry(key=key.decode("ascii"), kind=chr(data[at + 4]), size=size, count=count, data=values))
+        found.append(GpmfEntry(key=key.decode("ascii"), kind=chr(data[at + 4]), size=size, count=count, data=values))
         at = first + (length + 3) // 4 * 4
     return found, not data[at:].strip(b"\0")
 
@@ -123,7 +123,7 @@ _WANTED = _NEEDED | {"MAGN", "IORI", "CORI", "SHUT", "SROT"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Block:
+class PayloadBlock:
     """Values of one stream in one payload, which is about a second.
 
     Attributes
@@ -160,10 +160,10 @@ class Device:
     """
 
     name: str
-    blocks: tuple[Block, ...]
+    blocks: tuple[PayloadBlock, ...]
     payloads: int
 
-    def of(self, key: str) -> tuple[Block, ...]:
+    def of(self, key: str) -> tuple[PayloadBlock, ...]:
         """Return the blocks of one stream that hold values."""
         return tuple(block for block in self.blocks if block.key == key and len(block.values))
 
@@ -173,7 +173,7 @@ class Telemetry:
 
     def __init__(self) -> None:
         self._names: dict[int, str] = {}
-        self._blocks: dict[int, list[Block]] = {}
+        self._blocks: dict[int, list[PayloadBlock]] = {}
         self._payloads: dict[int, list[int]] = {}
         self.cut = False
         """Whether something was cut off or damaged."""
@@ -184,12 +184,12 @@ class Telemetry:
             if entry.key == "DEVC" and entry.kind == NESTED:
                 self._add_device(self._entries(entry.data), payload)
 
-    def _entries(self, data: bytes) -> list[Entry]:
-        found, whole = entries(data)
+    def _entries(self, data: bytes) -> list[GpmfEntry]:
+        found, whole = gpmf_entries(data)
         self.cut |= not whole
         return found
 
-    def _add_device(self, inside: list[Entry], payload: int | None) -> None:
+    def _add_device(self, inside: list[GpmfEntry], payload: int | None) -> None:
         said = {entry.key: entry for entry in inside}
         identity = int.from_bytes(said["DVID"].data[:4], "big") if "DVID" in said else 0
         name = said["DVNM"].text if "DVNM" in said else ""
@@ -209,9 +209,9 @@ class Telemetry:
         )
 
 
-def _blocks_of(stream: list[Entry], payload: int, device: str) -> Iterator[Block]:
+def _blocks_of(stream: list[GpmfEntry], payload: int, device: str) -> Iterator[PayloadBlock]:
     """Yield the values of a stream; what is said of them stands before them."""
-    said: dict[str, Entry] = {}
+    said: dict[str, GpmfEntry] = {}
     for entry in stream:
         if entry.key not in _WANTED or entry.kind == NESTED or not entry.count:
             said[entry.key] = entry
@@ -220,7 +220,7 @@ def _blocks_of(stream: list[Entry], payload: int, device: str) -> Iterator[Block
             yield _block(entry, said, payload, device)
 
 
-def _block(entry: Entry, said: dict[str, Entry], payload: int, device: str) -> Block:
+def _block(entry: GpmfEntry, said: dict[str, GpmfEntry], payload: int, device: str) -> PayloadBlock:
     if entry.kind == "#":
         raise RecordingError(f"{entry.key}: its values are compressed, which gnomon does not read.")
     values = entry.numbers()
@@ -231,7 +231,7 @@ def _block(entry: Entry, said: dict[str, Entry], payload: int, device: str) -> B
     unit = next((said[key].text for key in ("SIUN", "UNIT") if key in said), "")
     with np.errstate(all="ignore"):
         values /= scale
-    return Block(
+    return PayloadBlock(
         key=entry.key,
         payload=payload,
         values=values,
@@ -243,7 +243,7 @@ def _block(entry: Entry, said: dict[str, Entry], payload: int, device: str) -> B
     )
 
 
-def _orientation(said: dict[str, Entry], device: str) -> str:
+def _orientation(said: dict[str, GpmfEntry], device: str) -> str:
     """Return the axis of each component: stated, else documented for the model, else as the stream is called."""
     if "ORIN" in said and _is_orientation(said["ORIN"].text):
         return said["ORIN"].text

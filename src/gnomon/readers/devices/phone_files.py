@@ -8,9 +8,9 @@ from pathlib import Path, PurePosixPath
 from typing import IO
 
 from ...errors import RecordingError
-from ...formats.shared.structured import shortened
+from ...formats.shared.structured import shorten_text
 from ...recording import Source
-from ..files import NPZ_MAGIC, TextFile, file_source, first_bytes, plain_text, read_text
+from ..files import NPZ_MAGIC, TextFile, file_source, first_bytes, plain_text, read_text_file
 from ..zips import ZIP_DAMAGE, refuse_zip_bomb
 
 _MOST_MEMBERS = 10_000
@@ -67,7 +67,7 @@ class LogFiles:
             If it is too large, damaged or no text.
         """
         if not zipfile_at(self.path):
-            return read_text(self._place(name))
+            return read_text_file(self._place(name))
         with self._opened(name) as data:
             packed = data.read()
         label = PurePosixPath(name).name
@@ -89,7 +89,7 @@ class LogFiles:
             with self._place(name).open("rb") as file:
                 yield file
             return
-        with unzipping(self.path, name), zipfile.ZipFile(self.path) as archive, archive.open(name) as member:
+        with zip_errors(self.path, name), zipfile.ZipFile(self.path) as archive, archive.open(name) as member:
             yield member
 
 
@@ -106,7 +106,7 @@ def log_files(path: Path) -> LogFiles | None:
         inside = [entry for folder in folders for entry in sorted(folder.iterdir()) if _is_table(entry.name)]
         names = [entry.relative_to(path).as_posix() for entry in inside if entry.is_file()]
     elif zipfile_at(path):
-        with unzipping(path), zipfile.ZipFile(path) as archive:
+        with zip_errors(path), zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             if len(members) > _MOST_MEMBERS:
                 raise RecordingError(f"{path.name}: {len(members)} files in one zip; the log of a phone has a few.")
@@ -131,18 +131,18 @@ def zipfile_at(path: Path) -> bool:
 
 
 @contextmanager
-def unzipping(path: Path, name: str = "") -> Generator[None]:
+def zip_errors(path: Path, name: str = "") -> Generator[None]:
     """Turn what goes wrong with a zip into one message."""
     where = f"{path.name}, {PurePosixPath(name).name}" if name else path.name
     try:
         yield
     except RuntimeError as error:  # also of a method of packing that is not known
         raise RecordingError(
-            f"{where}: cannot be unpacked ({shortened(str(error))}). Unpack it yourself and give the folder."
+            f"{where}: cannot be unpacked ({shorten_text(str(error))}). Unpack it yourself and give the folder."
         ) from None
     except ZIP_DAMAGE as error:
         raise RecordingError(
-            f"{where}: the zip is cut off or damaged ({shortened(str(error))}). Copy it again."
+            f"{where}: the zip is cut off or damaged ({shorten_text(str(error))}). Copy it again."
         ) from None
 
 

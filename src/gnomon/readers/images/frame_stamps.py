@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...recording import Integers, Source
 from ...units import TIME_UNITS_NS
-from ..files import TextFile, read_text
+from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
-from ..samples.stamps import TYPICAL_FRAMES_HZ, guess_time_unit, stamp_kind, strayed, to_ns
-from ..samples.text_table import Layout, is_number, numbered_rows, sniff
+from ..samples.stamps import TYPICAL_FRAMES_HZ, guess_time_unit, stamp_kind, stray_timestamp, to_ns
+from ..samples.text_table import TextLayout, is_number, numbered_rows, sniff_layout
 
 _ROW = "time of a frame, name of its file"
 _SPLIT = re.compile(r"(?<!\d)(\d{9,10})[-_](\d{9}|\d{6})$")  # seconds and a fraction with all its zeros
@@ -61,8 +61,8 @@ def read_frame_table(path: Path, files: Sequence[str] = (), time_unit: str | Non
     RecordingError
         If the file cannot be read, no column holds the time, or a timestamp is damaged.
     """
-    file = read_text(path)
-    layout = sniff(file, _ROW)
+    file = read_text_file(path)
+    layout = sniff_layout(file, _ROW)
     named = _name_column(layout, files)
     stamp, unit = _stamp_column(layout, named, file.name)
     texts, names, cut = _columns(file, layout, stamp, named)
@@ -79,7 +79,7 @@ def read_frame_table(path: Path, files: Sequence[str] = (), time_unit: str | Non
 def is_frame_table(path: Path) -> bool:
     """Tell whether a file can be a table of timestamps: few columns, one of them the time, and no samples of an IMU."""
     try:
-        layout = sniff(read_text(path), _ROW)
+        layout = sniff_layout(read_text_file(path), _ROW)
     except RecordingError:
         return False
     if not layout.header:
@@ -162,7 +162,7 @@ def refuse_strayed(t_ns: Integers, where: str, places: Sequence[str]) -> None:
     RecordingError
         If there is such a timestamp; the message names its place.
     """
-    far = strayed(t_ns)
+    far = stray_timestamp(t_ns)
     if far is not None:
         raise RecordingError(
             f"{where}, {places[far]}: the timestamp {t_ns[far]} ns is more than half a day from the middle of the "
@@ -182,7 +182,7 @@ def _mostly_even(steps: NDArray[np.float64]) -> bool:
     return least > 0 and bool((np.mod(steps, least) == 0).all())
 
 
-def _name_column(layout: Layout, files: Sequence[str]) -> int | None:
+def _name_column(layout: TextLayout, files: Sequence[str]) -> int | None:
     """Return the column whose entries are files that are there, or look like names of images; None if none does."""
     whole, stems = set(files), {stem_of(file) for file in files}
     share: list[float] = []
@@ -201,7 +201,7 @@ def _like_a_file(token: str) -> bool:
     return re.fullmatch(r'.*\.[A-Za-z]\w{1,4}"?', token) is not None
 
 
-def _stamp_column(layout: Layout, named: int | None, where: str) -> tuple[int, str | None]:
+def _stamp_column(layout: TextLayout, named: int | None, where: str) -> tuple[int, str | None]:
     """Return the column of the timestamps and its unit, where the header tells it."""
     row = layout.sample[0]
     if layout.header:
@@ -220,7 +220,7 @@ def _stamp_column(layout: Layout, named: int | None, where: str) -> tuple[int, s
     )
 
 
-def _columns(file: TextFile, layout: Layout, stamp: int, named: int | None) -> tuple[list[str], list[str], str]:
+def _columns(file: TextFile, layout: TextLayout, stamp: int, named: int | None) -> tuple[list[str], list[str], str]:
     """Return the timestamps as text, the names of files, and a sentence on a last line that was cut off."""
     texts: list[str] = []
     names: list[str] = []

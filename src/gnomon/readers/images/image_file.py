@@ -8,7 +8,7 @@ from pathlib import Path
 from ...errors import RecordingError
 from ...formats.shared.structured import refuse_special
 from ...recording.images import Grey
-from .image_pixels import bit_depth, largest_in_picture, picture
+from .image_pixels import bit_depth, decode_picture, largest_in_picture
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 _HASHING = 2  # threads: reading and hashing overlap, and more of them would only fight for the disk
@@ -38,7 +38,7 @@ def read_grey(path: Path, where: str, bits: int | None = None) -> Grey:
     RecordingError
         If the file cannot be read, is empty or damaged, or holds no image.
     """
-    return picture(_content(path, where), where, bits)
+    return decode_picture(_content(path, where), where, bits)
 
 
 def used_bits(files: Sequence[tuple[Path, str]]) -> int | None:

@@ -199,7 +199,7 @@ def compressed_image(data: Buffer, form: str, where: str, bits: int | None = Non
         If the format is not read, or the picture is damaged.
     """
     check_compression(form, where)
-    grey = picture(data, where, bits)
+    grey = decode_picture(data, where, bits)
     name = form.partition(";")[0].strip()
     if not name.startswith("bayer_") or "bgr8" in form or "rgb8" in form:
         return grey
@@ -209,7 +209,7 @@ def compressed_image(data: Buffer, form: str, where: str, bits: int | None = Non
     return grey_image(pattern, where)
 
 
-def picture(data: Buffer, where: str, bits: int | None = None) -> Grey:
+def decode_picture(data: Buffer, where: str, bits: int | None = None) -> Grey:
     """Return a picture file in memory (PNG, JPEG, ...) in 8 bits of grey, (height, width).
 
     Parameters

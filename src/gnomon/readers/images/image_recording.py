@@ -15,8 +15,8 @@ from ..devices.gpmf import has_gpmf
 from ..files import first_bytes
 from ..recordings import ReadLog
 from ..rig.camera_folder import EXPECTED as EXPECTED_IMU
+from ..rig.camera_folder import folder_holds_imu as corners_with_imu
 from ..rig.camera_folder import holds_corners, imu_tables, imu_tables_beside
-from ..rig.camera_folder import holds_imu as corners_with_imu
 from ..rig.imu_stream import read_imu
 from ..rig.sensor_yaml import SensorInput, T_sensor_imu, read_sensor
 from .camera_places import EXPECTED, CameraPlace, camera_places, has_cameras, image_names, video_place
@@ -42,7 +42,7 @@ def holds_images(path: str | PathLike[str]) -> bool:
         return False
 
 
-def holds_imu(path: str | PathLike[str]) -> bool:
+def recording_holds_imu(path: str | PathLike[str]) -> bool:
     """Tell whether a recording of cameras, images or corners, has samples of an IMU, too, without reading them."""
     place = Path(path)
     try:
@@ -283,13 +283,13 @@ def _root(folder: Path) -> Path:
 
 def _bag_of(path: Path) -> Path | None:
     """Return the bag that is meant: the path itself, or the only bag in a folder without images; None without one."""
-    from ..bags.bag import is_bag  # rosbags takes its time
+    from ..bags.bag import is_bag_path  # rosbags takes its time
 
-    if is_bag(path):
+    if is_bag_path(path):
         return path
     if not path.is_dir() or has_cameras(_root(path)):
         return None
-    bags = [inner for inner in sorted(path.iterdir()) if not inner.name.startswith(".") and is_bag(inner)]
+    bags = [inner for inner in sorted(path.iterdir()) if not inner.name.startswith(".") and is_bag_path(inner)]
     if len(bags) > 1:
         listed = ", ".join(bag.name for bag in bags[:6]) + (", ..." if len(bags) > 6 else "")
         raise RecordingError(f"{path}: there are {len(bags)} bags in this folder ({listed}). Give the one to read.")

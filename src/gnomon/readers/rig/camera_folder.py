@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import RecordingError
-from ..files import NPZ_MAGIC, first_bytes, read_text
-from ..samples.column_names import roles
-from ..samples.text_table import sniff
+from ..files import NPZ_MAGIC, first_bytes, read_text_file
+from ..samples.column_names import column_roles
+from ..samples.text_table import sniff_layout
 
 _TABLE = r"\.(csv|txt|tsv|dat)(\.gz)?"
 _CORNERS = re.compile(rf"(cam\d+)[-_/]corners{_TABLE}", re.IGNORECASE)
@@ -68,7 +68,7 @@ def imu_files(folder: Path) -> dict[str, tuple[Path, ...]]:
     return found
 
 
-def holds_imu(folder: Path) -> bool:
+def folder_holds_imu(folder: Path) -> bool:
     """Tell whether a folder of corners holds samples of an IMU, too."""
     return bool(_imu_files(folder))
 
@@ -192,8 +192,8 @@ def _triads(path: Path) -> int:
     try:
         if first_bytes(path).startswith(NPZ_MAGIC):
             return 2 if "imu" in path.name.lower() else 0
-        file = read_text(path)
-        found = roles(sniff(file), None, file.name)
+        file = read_text_file(path)
+        found = column_roles(sniff_layout(file), None, file.name)
     except RecordingError:
         return 0
     return sum(triad.quantity != "magnetometer" for triad in found.triads) if found.time else 0

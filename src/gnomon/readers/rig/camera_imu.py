@@ -68,12 +68,12 @@ def read_corner_recording(
         for name in noise
         if name not in imus
     )
-    cameras = corners_of(folder, known, Path(cam).name, board, log)
+    cameras = folder_corners(folder, known, Path(cam).name, board, log)
     recording = Recording(imus=imus, cameras=cameras, sources=tuple(log.sources), assumptions=tuple(log.notes))
     return recording, board
 
 
-def corners_of(
+def folder_corners(
     folder: Path, known: Mapping[str, CameraInput], cam: str, target: Target, log: ReadLog
 ) -> dict[str, CameraFrames]:
     """Return the cameras of a folder of tables of corners.

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...recording import Floats, Integers, Source
-from ..files import TextFile, read_text
+from ..files import TextFile, read_text_file
 from ..samples.column_names import column_name, time_columns
-from ..samples.stamps import guess_time_unit, stamp_kind, strayed, to_ns
-from ..samples.text_table import Column, Layout, is_number, line_number, parse, sniff
+from ..samples.stamps import guess_time_unit, stamp_kind, stray_timestamp, to_ns
+from ..samples.text_table import Column, TextLayout, is_number, line_number, parse_columns, sniff_layout
 
 _HEADERS = '"ts_ns,tag_id,corner_idx,u_px,v_px" or "ts_ns,corner_id,u_px,v_px"'
 _ROWS = "time, number of the tag, number of its corner, u, v (or time, number of the corner, u, v)"
@@ -64,7 +64,7 @@ class CornerTable:
     """
 
     file: TextFile
-    layout: Layout
+    layout: TextLayout
     t_ns: Integers
     tag: Integers | None
     corner: Integers
@@ -89,9 +89,9 @@ def read_corner_table(path: Path, time_unit: str | None = None) -> CornerTable:
     RecordingError
         If the file cannot be read, is no such table, or a row of it is damaged.
     """
-    file = read_text(path)
+    file = read_text_file(path)
     try:
-        layout = sniff(file, _ROWS)
+        layout = sniff_layout(file, _ROWS)
     except RecordingError as error:
         raise RecordingError(
             f"{error} If {path.name.partition('_')[0]} never saw the board, leave its file out."
@@ -125,8 +125,8 @@ def read_frame_stamps(path: Path, time_unit: str | None = None) -> tuple[Integer
     RecordingError
         If the file cannot be read, or no column holds the time.
     """
-    file = read_text(path)
-    layout = sniff(file, "time of a frame, number of corners in it")
+    file = read_text_file(path)
+    layout = sniff_layout(file, "time of a frame, number of corners in it")
     names = [column_name(text) for text in layout.header]
     time = time_columns(names, layout) if names else ((0, None),)
     if not time:
@@ -139,7 +139,7 @@ def read_frame_stamps(path: Path, time_unit: str | None = None) -> tuple[Integer
     return t_ns, file.source, note
 
 
-def corner_columns(layout: Layout, where: str) -> CornerColumns:
+def corner_columns(layout: TextLayout, where: str) -> CornerColumns:
     """Decide what the columns of a table of corners are, by the header, else by what is in them.
 
     Raises
@@ -187,7 +187,7 @@ def _role(words: list[str]) -> str:
     return "number" if _NUMBER_WORDS.intersection(words) else "other"
 
 
-def _by_content(layout: Layout, where: str) -> CornerColumns:
+def _by_content(layout: TextLayout, where: str) -> CornerColumns:
     """Tell the columns of a table without header: time does not fall, numbers are whole, coordinates are not."""
     count = layout.columns
     rows = [[token.strip('"') for token in row] for row in layout.sample]
@@ -211,7 +211,7 @@ def _by_content(layout: Layout, where: str) -> CornerColumns:
 
 
 def _parse(
-    file: TextFile, layout: Layout, stamps: list[int], numbers: list[int], coordinates: list[int]
+    file: TextFile, layout: TextLayout, stamps: list[int], numbers: list[int], coordinates: list[int]
 ) -> tuple[list[Column], str | None]:
     kinds = [""] * layout.columns
     for i in stamps:
@@ -221,11 +221,11 @@ def _parse(
     for i in coordinates:
         kinds[i] = "f8"
     try:
-        return parse(file, layout, kinds, may_be_lost=True)
+        return parse_columns(file, layout, kinds, may_be_lost=True)
     except RecordingError:
         # What begins as whole numbers need not stay so.
         wider = [("S40" if i in stamps else "f8") if kind == "i8" else kind for i, kind in enumerate(kinds)]
-        return parse(file, layout, wider, may_be_lost=True)
+        return parse_columns(file, layout, wider, may_be_lost=True)
 
 
 def _stamps(
@@ -247,8 +247,8 @@ def _stamps(
     return to_ns(values, unit, where), f"{where}: time in {unit} ({reason})."
 
 
-def _refuse_strayed(t_ns: Integers, file: TextFile, layout: Layout) -> None:
-    row = strayed(t_ns)
+def _refuse_strayed(t_ns: Integers, file: TextFile, layout: TextLayout) -> None:
+    row = stray_timestamp(t_ns)
     if row is not None:
         raise RecordingError(
             f"{file.name}, line {line_number(file, layout, row)}: the timestamp {t_ns[row]} ns is more than half a day "
@@ -256,7 +256,7 @@ def _refuse_strayed(t_ns: Integers, file: TextFile, layout: Layout) -> None:
         )
 
 
-def _whole(values: Column, file: TextFile, layout: Layout) -> Integers:
+def _whole(values: Column, file: TextFile, layout: TextLayout) -> Integers:
     """Return the numbers of tags or corners as integers."""
     if values.dtype.kind == "i":
         return values

@@ -12,7 +12,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..recordings import read_recognising
 from ..samples.column_names import HELP
 from ..samples.recognise import IN_MOTION
-from ..samples.stamps import strayed
+from ..samples.stamps import stray_timestamp
 from ..samples.table import RATE_HELP
 
 _RATE_TOLERANCE = 0.05
@@ -120,7 +120,7 @@ def in_order(samples: TriadSamples, name: str, notes: list[str]) -> TriadSamples
     RecordingError
         If a timestamp is far from all others, or the clock was set anew.
     """
-    far = strayed(samples.t_ns)
+    far = stray_timestamp(samples.t_ns)
     if far is not None:
         raise RecordingError(
             f"{name}: the timestamp of sample {far}, {samples.t_ns[far]} ns, is more than half a day from the middle "

@@ -11,7 +11,7 @@ from ...errors import FormatError, OptionError
 from ...formats.kalibr.camchain import camera_of
 from ...formats.kalibr.imu import ImuInput
 from ...formats.shared.baselines import inverse_pose
-from ...formats.shared.foreign_yaml import read_foreign_yaml, rigid
+from ...formats.shared.foreign_yaml import read_foreign_yaml, read_transform
 from ...formats.shared.structured import Node
 from ...models.camera import Camera
 from ...models.noise import ImuNoise
@@ -84,7 +84,7 @@ def _pose(keys: dict[str, Node], notes: list[str]) -> Floats | None:
     if node is None:
         return None
     try:
-        return rigid(node)
+        return read_transform(node)
     except FormatError as error:
         notes.append(f"The place on the body was not taken from {error}")
         return None

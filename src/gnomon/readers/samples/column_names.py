@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from ...errors import OptionError, RecordingError
-from .text_table import Layout, is_number
+from .text_table import TextLayout, is_number
 
 Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "unnamed", "other"]
 
@@ -197,7 +197,7 @@ class Roles:
     notes: tuple[str, ...] = ()
 
 
-def roles(layout: Layout, stated: str | None, where: str) -> Roles:
+def column_roles(layout: TextLayout, stated: str | None, where: str) -> Roles:
     """Decide which columns are used.
 
     Parameters
@@ -226,7 +226,7 @@ def roles(layout: Layout, stated: str | None, where: str) -> Roles:
     return _by_number(layout, where)
 
 
-def _stated(layout: Layout, stated: str, where: str) -> Roles:
+def _stated(layout: TextLayout, stated: str, where: str) -> Roles:
     words = stated.replace(",", " ").split()
     if len(words) != layout.columns:
         raise OptionError(
@@ -243,7 +243,7 @@ def _stated(layout: Layout, stated: str, where: str) -> Roles:
     return _named(names, layout, where, "--columns")
 
 
-def _named(names: list[ColumnName], layout: Layout, where: str, origin: str) -> Roles:
+def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str) -> Roles:
     triads: list[TriadColumns] = []
     for quantity in ("accelerometer", "gyroscope", "unnamed", "magnetometer"):
         axes = {axis: [i for i, n in enumerate(names) if (n.quantity, n.axis) == (quantity, axis)] for axis in range(3)}
@@ -279,7 +279,7 @@ def _with_gravity(columns: list[int], header: tuple[str, ...]) -> list[int]:
     return in_g or [i for i in columns if "linear" not in header[i].lower()] or columns
 
 
-def time_columns(names: list[ColumnName], layout: Layout) -> tuple[tuple[int, str | None], ...]:
+def time_columns(names: list[ColumnName], layout: TextLayout) -> tuple[tuple[int, str | None], ...]:
     """Choose among the columns that may be stamps those that hold numbers; a header stamp beats the time of arrival."""
     row = layout.sample[0]
     found = [i for i, name in enumerate(names) if name.quantity == "time" and is_number(row[i], layout.decimal_comma)]
@@ -298,7 +298,7 @@ def time_columns(names: list[ColumnName], layout: Layout) -> tuple[tuple[int, st
     return ((best, names[best].unit),)
 
 
-def _by_number(layout: Layout, where: str) -> Roles:
+def _by_number(layout: TextLayout, where: str) -> Roles:
     """Two triads, with time in front or without time; or one triad (of a pair of files)."""
     count = layout.columns
     if count in {3, 6}:
@@ -327,7 +327,7 @@ def _triads(first: int, count: int) -> tuple[TriadColumns, ...]:
     return tuple(TriadColumns(quantity="unnamed", columns=(i, i + 1, i + 2)) for i in range(first, count, 3))
 
 
-def _rises(layout: Layout, column: int = 0) -> bool:
+def _rises(layout: TextLayout, column: int = 0) -> bool:
     """Tell whether a column mostly rises: stamps may stand still or jump back, samples go up and down."""
     tokens = [row[column].strip('"') for row in layout.sample if is_number(row[column], layout.decimal_comma)]
     numbers = np.array([float(token.replace(",", ".")) for token in tokens])

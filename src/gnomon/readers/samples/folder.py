@@ -42,7 +42,7 @@ def _recording_in(folder: Path) -> tuple[Path, ...]:
     known = known_layout(folder)
     if known is not None:
         return (known,)
-    files = candidates(folder)
+    files = sample_files(folder)
     pair = accelerometer_and_gyroscope(files)
     if pair is not None:
         return pair
@@ -63,7 +63,7 @@ def known_layout(folder: Path) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def candidates(folder: Path) -> list[Path]:
+def sample_files(folder: Path) -> list[Path]:
     """Return the files in a folder that may hold samples, by name."""
     return sorted(path for path in folder.iterdir() if path.is_file() and _is_candidate(path))
 

@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...formats.shared.structured import shortened
-from ...recording import Floats, Integers, measurable
+from ...formats.shared.structured import shorten_text
+from ...recording import Floats, Integers, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..zips import ZIP_DAMAGE, refuse_false_arrays
 from .column_names import column_name
 from .stamps import guess_time_unit, to_ns
-from .table import Table, Triad, uniform_stamps
+from .table import SampleTable, Triad, uniform_stamps
 
 _STAMPS = ("t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "ts")
 _PREFIXES = ("t", "time", "timestamp", "ts")
@@ -82,7 +82,7 @@ _UNITS = {
 }
 
 
-def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
+def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[SampleTable]]:
     """Read the IMUs of an NPZ file, each as tables of one triad.
 
     Raises
@@ -107,7 +107,7 @@ def read_npz(path: Path, rate_hz: float | None) -> dict[str, list[Table]]:
             return {name: _read_imu(archive, name, path.name, rate_hz) for name in names}
     except ZIP_DAMAGE as error:
         raise RecordingError(
-            f"{path.name}: the NPZ file is damaged or holds Python objects ({shortened(str(error))})."
+            f"{path.name}: the NPZ file is damaged or holds Python objects ({shorten_text(str(error))})."
         ) from None
 
 
@@ -117,7 +117,7 @@ def _imu(key: str) -> str:
 
 def _read_named(
     archive: Mapping[str, Any], quantity: str, array: SensorArray, where: str, rate_hz: float | None
-) -> Table:
+) -> SampleTable:
     """Read an array of somebody else's file that names its sensor."""
     values = _values(archive[array.key], f"{where}, {array.key}")
     note = f"{where}: {array.key} is the {quantity} (by its name"
@@ -137,16 +137,16 @@ def _read_named(
         t_ns = to_ns(stamps, unit, where)
         note += f"), with the timestamps {array.stamps} in {unit} ({reason})."
     t_ns.flags.writeable = False
-    return Table(t_ns=t_ns, triads=(Triad(quantity=quantity, values=values, unit=array.unit),), notes=(note,))
+    return SampleTable(t_ns=t_ns, triads=(Triad(quantity=quantity, values=values, unit=array.unit),), notes=(note,))
 
 
-def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float | None) -> list[Table]:
+def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float | None) -> list[SampleTable]:
     def get(name: str) -> NDArray[Any] | None:
         plain = archive.get(name) if imu == "imu0" else None
         return archive.get(f"{imu}.{name}", plain)
 
     shared: dict[int, Integers] = {}
-    tables: list[Table] = []
+    tables: list[SampleTable] = []
     for quantity, units in _UNITS.items():
         raw = get(quantity)
         if raw is None:
@@ -176,7 +176,7 @@ def _read_imu(archive: Mapping[str, Any], imu: str, where: str, rate_hz: float |
         t_ns.flags.writeable = False
         shared[len(values)] = t_ns
         triad = Triad(quantity=quantity, values=values, unit=None if unit is None else str(unit))
-        tables.append(Table(t_ns=t_ns, triads=(triad,), notes=tuple(notes)))
+        tables.append(SampleTable(t_ns=t_ns, triads=(triad,), notes=tuple(notes)))
     return tables
 
 
@@ -186,7 +186,7 @@ def _values(raw: NDArray[Any], where: str) -> Floats:
     if len(raw) < 2:
         raise RecordingError(f"{where}: found {len(raw)} samples; a recording has many.")
     values: Floats = np.ascontiguousarray(raw, dtype=np.float64)
-    good: NDArray[np.bool_] = measurable(values).all(axis=1)  # pyright: ignore[reportAssignmentType]
+    good: NDArray[np.bool_] = measurable_numbers(values).all(axis=1)  # pyright: ignore[reportAssignmentType]
     if not good.all():
         raise RecordingError(
             f"{where}: sample {int(np.argmin(good))} is NaN or infinite ({int((~good).sum())} of {len(good)} are). "

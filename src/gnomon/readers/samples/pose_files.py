@@ -9,8 +9,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import Integers, Piece
-from .folder import accelerometer_and_gyroscope, candidates, known_layout
-from .table import Table, Triad
+from .folder import accelerometer_and_gyroscope, known_layout, sample_files
+from .table import SampleTable, Triad
 
 FEWEST_FILES = 3
 _BETWEEN_NS = 1_000_000_000  # between files whose clocks start anew
@@ -24,7 +24,7 @@ def pose_files(paths: Sequence[str | Path]) -> list[Path] | None:
     """
     files = [Path(path) for path in paths]
     if len(files) == 1 and files[0].is_dir() and known_layout(files[0]) is None:
-        found = candidates(files[0])
+        found = sample_files(files[0])
         if len(found) >= FEWEST_FILES and accelerometer_and_gyroscope(found) is None:
             return sorted(found, key=_by_number)
     return files if len(files) >= FEWEST_FILES else None
@@ -34,7 +34,7 @@ def _by_number(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.name.lower())]
 
 
-def joined(tables: list[Table], names: list[str]) -> tuple[Table, tuple[Piece, ...], list[str]]:
+def join_pose_tables(tables: list[SampleTable], names: list[str]) -> tuple[SampleTable, tuple[Piece, ...], list[str]]:
     """Return one table of all files, where each of them is in it, and what was assumed.
 
     Raises
@@ -64,10 +64,10 @@ def joined(tables: list[Table], names: list[str]) -> tuple[Table, tuple[Piece, .
     pieces = tuple(
         Piece(name=name, start=int(a), stop=int(b)) for name, a, b in zip(names, edges[:-1], edges[1:], strict=True)
     )
-    return Table(t_ns=t_ns, triads=triads, notes=()), pieces, [*notes, note]
+    return SampleTable(t_ns=t_ns, triads=triads, notes=()), pieces, [*notes, note]
 
 
-def _kinds(table: Table) -> tuple[tuple[str, str | None], ...]:
+def _kinds(table: SampleTable) -> tuple[tuple[str, str | None], ...]:
     return tuple((triad.quantity, triad.unit) for triad in table.triads)
 
 
@@ -75,7 +75,7 @@ def _listed(kinds: tuple[tuple[str, str | None], ...]) -> str:
     return " and ".join(f"{quantity} in {unit}" if unit else quantity for quantity, unit in kinds)
 
 
-def _notes(tables: list[Table], names: list[str]) -> list[str]:
+def _notes(tables: list[SampleTable], names: list[str]) -> list[str]:
     """Return each note once, however many files it is of."""
     counts: dict[str, list[str]] = {}
     for table, name in zip(tables, names, strict=True):

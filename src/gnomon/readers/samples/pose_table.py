@@ -24,7 +24,7 @@ from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2, TIME_UNITS
 from ..files import TextFile
 from .column_names import column_name, unit_of
 from .table import RATE_HELP, preamble_rate
-from .text_table import Column, Layout, numbered_rows, parse, sniff
+from .text_table import Column, TextLayout, numbered_rows, parse_columns, sniff_layout
 
 POSE_HELP = (
     "If its rows are averaged poses, name the columns in a header: ax ay az, and where they are known gx gy gz, "
@@ -104,7 +104,7 @@ def read_pose_table(file: TextFile, columns: str | None, units: Units) -> Record
     RecordingError
         If it is a table of poses that cannot be used; the message says where.
     """
-    layout = sniff(file)
+    layout = sniff_layout(file)
     names = columns.replace(",", " ").split() if columns is not None else list(layout.header)
     if not names and layout.columns in (3, 6) and _is_short(layout, file) and preamble_rate(layout.preamble) is None:
         raise RecordingError(
@@ -115,13 +115,13 @@ def read_pose_table(file: TextFile, columns: str | None, units: Units) -> Record
     found = [PoseColumn(kind="") if name == "_" else pose_column(name) for name in names]
     if not _is_of_poses(found, layout, file):
         return None
-    data, cut = parse(file, layout, [_dtype(column) for column in found])
+    data, cut = parse_columns(file, layout, [_dtype(column) for column in found])
     poses, notes = _poses(found, data, units, file.name)
     _check(poses, file, layout)
     return Recording(imus={}, sources=(file.source,), assumptions=(*notes, *([cut] if cut else [])), poses=poses)
 
 
-def _is_of_poses(columns: list[PoseColumn], layout: Layout, file: TextFile) -> bool:
+def _is_of_poses(columns: list[PoseColumn], layout: TextLayout, file: TextFile) -> bool:
     kinds = {column.kind for column in columns}
     if "accelerometer" not in kinds or not _is_short(layout, file):
         return False
@@ -129,7 +129,7 @@ def _is_of_poses(columns: list[PoseColumn], layout: Layout, file: TextFile) -> b
     return bool(kinds & _WHOLE_POSES) if sampled else True
 
 
-def _is_short(layout: Layout, file: TextFile) -> bool:
+def _is_short(layout: TextLayout, file: TextFile) -> bool:
     return file.data.count(b"\n") - layout.first_line < _MOST_POSES
 
 
@@ -244,7 +244,7 @@ def _reference(values: Floats | None, named: str | None) -> tuple[Floats | None,
     return values * factor, [f"known components of the specific force in {unit} ({reason})."]
 
 
-def _check(poses: Poses, file: TextFile, layout: Layout) -> None:
+def _check(poses: Poses, file: TextFile, layout: TextLayout) -> None:
     """Refuse what no pose can be: a sigma or a count below zero, known components without length."""
     lines = [number for number, _ in numbered_rows(layout, file.data)]
 

@@ -57,7 +57,7 @@ def guess_time_unit(stamps: NDArray[Any], typical_hz: float = _TYPICAL_RATE_HZ) 
     return unit, f"the rate is then {rates[unit]:.4g} Hz"
 
 
-def strayed(t_ns: Integers) -> int | None:
+def stray_timestamp(t_ns: Integers) -> int | None:
     """Return the index of the first timestamp (n,) [ns] more than half a day from the middle one; None if none is.
 
     No recording is so long; a timestamp that was written wrong would make it last for years.

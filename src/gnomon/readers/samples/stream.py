@@ -73,7 +73,7 @@ def open_stream(
     return open_text(files, choice, columns, rate_hz, triads=triads, block_bytes=block_bytes)
 
 
-class Rows:
+class BlockRows:
     """The rows of an iterator of blocks, taken in pieces of any length.
 
     Parameters

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...formats.shared.structured import shortened
-from ...recording import TriadSamples, measurable
+from ...formats.shared.structured import shorten_text
+from ...recording import TriadSamples, measurable_numbers
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, MAGNETOMETER_UNITS_UT
 from ..zips import ZIP_DAMAGE, array_header, refuse_false_arrays
 from .npz import SensorArray, sensor_arrays
@@ -134,7 +134,7 @@ class _Triad:
         done = 0
         for raw in _array(archive, self.key, self.rows):
             values = np.ascontiguousarray(raw, dtype=np.float64)
-            good = measurable(values).all(axis=1)
+            good = measurable_numbers(values).all(axis=1)
             if not good.all():
                 raise RecordingError(
                     f"{self.path.name}, {self.key}: sample {done + int(np.argmin(good))} is NaN or infinite. "
@@ -213,4 +213,4 @@ def _clock(keys: set[str], imu: str, quantity: str, *, shared: bool = True) -> s
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:
-    return RecordingError(f"{path.name}: the NPZ file is damaged or holds Python objects ({shortened(str(error))}).")
+    return RecordingError(f"{path.name}: the NPZ file is damaged or holds Python objects ({shorten_text(str(error))}).")

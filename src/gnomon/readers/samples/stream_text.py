@@ -13,13 +13,13 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording import Integers, Source, TriadSamples
-from ..files import TextFile, bomb, first_bytes, largest_unpacked, refuse_binary
+from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_binary
 from ..recordings import inertial_streams, without_magnetometer
-from .column_names import Roles, roles
+from .column_names import Roles, column_roles
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
 from .stamps import guess_time_unit, stamp_kind, to_ns
 from .table import Triad, preamble_rate, read_table, uniform_stamps
-from .text_table import Column, Layout, parse, sniff
+from .text_table import Column, TextLayout, parse_columns, sniff_layout
 
 _HEAD_BYTES = 8 << 20
 _LONGEST_LINE = 1 << 20
@@ -45,7 +45,7 @@ class _Plan:
     """
 
     path: Path
-    layout: Layout
+    layout: TextLayout
     used: Roles
     triads: list[int | None]
     units: tuple[str, str, str]
@@ -120,8 +120,8 @@ def _plan(
     triads: list[int | None],
     units: tuple[str, str, str],
 ) -> _Plan:
-    layout = sniff(head)
-    used = roles(layout, columns, head.name)
+    layout = sniff_layout(head)
+    used = column_roles(layout, columns, head.name)
     unit = None
     if not used.time:
         rate_hz = rate_hz if rate_hz is not None else preamble_rate(layout.preamble)
@@ -150,17 +150,17 @@ def _blocks(plan: _Plan, block_bytes: int, held: list[int]) -> Iterator[list[Tri
         count += len(data[0])
 
 
-def _parsed(file: TextFile, layout: Layout, stamps: list[int], values: list[int]) -> list[Column]:
+def _parsed(file: TextFile, layout: TextLayout, stamps: list[int], values: list[int]) -> list[Column]:
     kinds = ["f8" if i in values else "" for i in range(layout.columns)]
     for i in stamps:
         kinds[i] = stamp_kind([row[i] for row in layout.sample])
     try:
-        return parse(file, layout, kinds)[0]
+        return parse_columns(file, layout, kinds)[0]
     except RecordingError:
         if not any(kinds[i] == "i8" for i in stamps):
             raise
         # Timestamps that begin as whole numbers need not stay so.
-        return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
+        return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
 
 
 def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
@@ -185,7 +185,7 @@ def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
             ahead = stream.read(block_bytes)
             count += len(ahead)
             if count > max(largest_unpacked(size), 2 * size):  # UTF-16 becomes half as long again at most
-                raise bomb(str(plan.path), size)
+                raise bomb_error(str(plan.path), size)
             if len(carry) > max(_LONGEST_LINE, 4 * block_bytes):
                 raise RecordingError(f"{plan.path.name}, line {line}: it is longer than {_LONGEST_LINE} bytes.")
             if ahead and len(ahead) < block_bytes:  # a short rest goes along, so that a cut last line is not alone

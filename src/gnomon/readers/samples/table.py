@@ -10,9 +10,9 @@ from ...options import option_range
 from ...recording import Floats, Integers
 from ...units import Units
 from ..files import TextFile
-from .column_names import HELP, Roles, roles, unit_of
+from .column_names import HELP, Roles, column_roles, unit_of
 from .stamps import guess_time_unit, stamp_kind, to_ns
-from .text_table import Column, Layout, parse, sniff
+from .text_table import Column, TextLayout, parse_columns, sniff_layout
 
 
 def _words(text: str) -> frozenset[str]:
@@ -52,7 +52,7 @@ class Triad:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class SampleTable:
     """What is in a table: timestamps (n,) [ns], its triads (see `Roles.triads`), and what was assumed."""
 
     t_ns: Integers
@@ -60,7 +60,7 @@ class Table:
     notes: tuple[str, ...]
 
 
-def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units: Units) -> Table:
+def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units: Units) -> SampleTable:
     """Read a text table.
 
     Raises
@@ -70,8 +70,8 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
     OptionError
         If `columns` does not fit the table.
     """
-    layout = sniff(file)
-    used = roles(layout, columns, file.name)
+    layout = sniff_layout(file)
+    used = column_roles(layout, columns, file.name)
     data, cut = _parse(file, layout, used)
     count = len(data[0])
     if count < 2:
@@ -89,10 +89,10 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
             values[:, axis] = data[i]
         values.flags.writeable = False  # so that it is kept without a copy
         triads.append(Triad(quantity=triad.quantity, values=values, unit=triad.unit))
-    return Table(t_ns=t_ns, triads=tuple(triads), notes=(*used.notes, *(n for n in (note, cut) if n)))
+    return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=(*used.notes, *(n for n in (note, cut) if n)))
 
 
-def _parse(file: TextFile, layout: Layout, used: Roles) -> tuple[list[Column], str | None]:
+def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column], str | None]:
     kinds = [""] * layout.columns
     for triad in used.triads:
         for i in triad.columns:
@@ -101,15 +101,15 @@ def _parse(file: TextFile, layout: Layout, used: Roles) -> tuple[list[Column], s
     for i in stamps:
         kinds[i] = stamp_kind([row[i] for row in layout.sample])
     try:
-        return parse(file, layout, kinds)
+        return parse_columns(file, layout, kinds)
     except RecordingError:
         if not any(kinds[i] == "i8" for i in stamps):
             raise
         # Timestamps that begin as whole numbers need not stay so.
-        return parse(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])
+        return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])
 
 
-def _made_stamps(file: TextFile, layout: Layout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
+def _made_stamps(file: TextFile, layout: TextLayout, count: int, rate_hz: float | None) -> tuple[Integers, str]:
     """Return timestamps at a stated rate [ns], and what was assumed."""
     origin = "as stated"
     if rate_hz is None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
-from ...recording import measurable
+from ...recording import measurable_numbers
 from ..files import TextFile
 
 _HEAD_BYTES = 65_536
@@ -26,7 +26,7 @@ Column = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class TextLayout:
     """How a table is written.
 
     Attributes
@@ -68,7 +68,7 @@ def split_line(line: str, delimiter: str | None) -> list[str]:
 SAMPLE_ROWS = "time, three accelerations, three angular rates"
 
 
-def sniff(file: TextFile, expected: str = SAMPLE_ROWS) -> Layout:
+def sniff_layout(file: TextFile, expected: str = SAMPLE_ROWS) -> TextLayout:
     """Find out how a table is written, from its first lines.
 
     Parameters
@@ -101,7 +101,7 @@ def sniff(file: TextFile, expected: str = SAMPLE_ROWS) -> Layout:
     first = _first_row(rows, masks, columns)
     header, preamble = _header(lines[:first], delimiter, columns)
     sample = tuple(tuple(row) for row in rows[first:] if len(row) == columns)
-    return Layout(
+    return TextLayout(
         delimiter=delimiter,
         decimal_comma=comma,
         columns=columns,
@@ -151,8 +151,8 @@ def _header_tokens(line: str, delimiter: str | None) -> list[str]:
     return [token.strip('"').strip() for token in split_line(line, delimiter)]
 
 
-def parse(
-    file: TextFile, layout: Layout, kinds: list[str], *, may_be_lost: bool = False
+def parse_columns(
+    file: TextFile, layout: TextLayout, kinds: list[str], *, may_be_lost: bool = False
 ) -> tuple[list[Column], str | None]:
     """Return the columns of a table.
 
@@ -191,14 +191,14 @@ def parse(
         raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(f"{file.name}: {error}") from None
     columns = [table[name] for name, _ in fields]
     numbers = [column for column, kind in zip(columns, kinds, strict=True) if kind == "f8" and not may_be_lost]
-    if not all(measurable(column).all() for column in numbers):
+    if not all(measurable_numbers(column).all() for column in numbers):
         raise _located(file, layout, kinds, data, may_be_lost) or RecordingError(
             f"{file.name}: NaN or infinity in the table."
         )
     return columns, note
 
 
-def _without_cut_line(file: TextFile, layout: Layout) -> tuple[bytes, str | None]:
+def _without_cut_line(file: TextFile, layout: TextLayout) -> tuple[bytes, str | None]:
     data = file.data
     if data.endswith((b"\n", b"\r")):
         return data, None
@@ -209,7 +209,7 @@ def _without_cut_line(file: TextFile, layout: Layout) -> tuple[bytes, str | None
     return data[:begin], f"{file.name}: the last line is cut off and was left out."
 
 
-def numbered_rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]]:
+def numbered_rows(layout: TextLayout, data: bytes) -> Iterator[tuple[int, list[str]]]:
     """Yield (line number, tokens) of every row of data."""
     stream = io.BytesIO(data)
     stream.seek(layout.offset)
@@ -220,12 +220,14 @@ def numbered_rows(layout: Layout, data: bytes) -> Iterator[tuple[int, list[str]]
             yield number, row
 
 
-def line_number(file: TextFile, layout: Layout, row: int) -> int:
+def line_number(file: TextFile, layout: TextLayout, row: int) -> int:
     """Return the number of the line, from 1, that holds a row of data, from 0; slow, for messages."""
     return next(number for i, (number, _) in enumerate(numbered_rows(layout, file.data)) if i == row)
 
 
-def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes, may_be_lost: bool) -> RecordingError | None:
+def _located(
+    file: TextFile, layout: TextLayout, kinds: list[str], data: bytes, may_be_lost: bool
+) -> RecordingError | None:
     """Say where a table is not as it should be; slow, and only called once it is known to be wrong."""
     for number, row in numbered_rows(layout, data):
         where = f"{file.name}, line {number}"
@@ -239,7 +241,7 @@ def _located(file: TextFile, layout: Layout, kinds: list[str], data: bytes, may_
             if kind and not is_number(token):
                 found = f'"{token[:40]}"' if token else "nothing"
                 return RecordingError(f"{where}, {name}: found {found}, expected a number. Mend or remove this line.")
-            if kind and not may_be_lost and not measurable(np.array(float(token.strip('"')))):
+            if kind and not may_be_lost and not measurable_numbers(np.array(float(token.strip('"')))):
                 return RecordingError(
                     f"{where}, {name}: found {token[:40]}, expected a finite number that a sensor can read. "
                     "Remove this line if the sample is lost; gnomon treats the gap as such."

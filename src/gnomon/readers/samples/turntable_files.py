@@ -8,9 +8,9 @@ import numpy as np
 from ...errors import OptionError, RecordingError
 from ...recording import ImuSamples, Recording, TriadSamples
 from ...units import Units
-from ..files import NPZ_MAGIC, first_bytes, read_text
+from ..files import NPZ_MAGIC, first_bytes, read_text_file
 from ..recordings import read_recognising, without_magnetometer
-from .folder import accelerometer_and_gyroscope, candidates, known_layout, recording_files
+from .folder import accelerometer_and_gyroscope, known_layout, recording_files, sample_files
 from .pose_files import pose_files
 from .recognise import WITH_RESTS
 from .table import RATE_HELP, read_table
@@ -34,7 +34,7 @@ def turntable_files(paths: Sequence[str | Path]) -> tuple[tuple[Path, ...], ...]
             raise RecordingError(f"{path}: there is no such file or folder. Check the path.")
     several = pose_files(files)
     if several is None and len(files) == 1 and files[0].is_dir():
-        several = candidates(files[0]) if known_layout(files[0]) is None else None
+        several = sample_files(files[0]) if known_layout(files[0]) is None else None
     several = files if several is None else several
     if len(several) == 1:
         return (tuple(recording_files(several)),)
@@ -86,7 +86,7 @@ def _gyroscope_alone(
     stated = Units() if units is None else Units.parse(units) if isinstance(units, str) else units
     if rate_hz is not None and not (rate_hz > 0 and np.isfinite(rate_hz)):
         raise OptionError(f"sample rate {rate_hz:g} Hz must be greater than zero.")
-    text = read_text(path)
+    text = read_text_file(path)
     table = read_table(text, columns, rate_hz, stated)
     tables, _, _ = without_magnetometer([table], [path])
     if not tables or len(tables[0].triads) != 1 or tables[0].triads[0].quantity == "accelerometer":

@@ -8,7 +8,7 @@ one report as the calibration itself: 0.8 s to load, 0.15 s a figure; this takes
 import numpy as np
 
 from ...recording import Floats
-from ..numbers import finite, positive
+from ..numbers import finite_values, positive_or
 from . import svg
 from .panel import DASHED, Panel
 
@@ -67,14 +67,14 @@ class Sheet:
         return f'<svg class="plot" {frame}>{"".join([*panels, *self._texts])}</svg>'
 
 
-def zigzag(panel: Panel, t: Floats, low: Floats, high: Floats, color: str) -> None:
+def draw_envelope(panel: Panel, t: Floats, low: Floats, high: Floats, color: str) -> None:
     """Draw an envelope (k,) as one line that visits the minimum and the maximum of every bin; nan interrupts it."""
     pairs = np.stack([low, high], axis=1)
     pairs[1::2] = pairs[1::2, ::-1]
     panel.line(np.repeat(t, 2), pairs.ravel(), color, width=0.9)
 
 
-def coarser(t: Floats, low: Floats, high: Floats, bins: int = 900) -> tuple[Floats, Floats, Floats]:
+def coarsen_envelope(t: Floats, low: Floats, high: Floats, bins: int = 900) -> tuple[Floats, Floats, Floats]:
     """Return an envelope (k, ...) in at most so many bins; its extremes are kept, bins without a value are nan."""
     step = -(-len(t) // bins)
     if step <= 1:
@@ -85,14 +85,14 @@ def coarser(t: Floats, low: Floats, high: Floats, bins: int = 900) -> tuple[Floa
         return (t[starts] + t[ends]) / 2, np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
-def dots(panel: Panel, x: Floats, y: Floats, color: str, *, size: float = 7.0, ring: bool = False) -> None:
+def draw_dots(panel: Panel, x: Floats, y: Floats, color: str, *, size: float = 7.0, ring: bool = False) -> None:
     """Draw points; `ring` hollows them."""
     panel.dots(x, y, color, size)
     if ring:
         panel.dots(x, y, "paper", size - 3.2)
 
 
-def thinned(x: Floats, y: Floats, bins: int = 300) -> tuple[Floats, Floats]:
+def thin_points(x: Floats, y: Floats, bins: int = 300) -> tuple[Floats, Floats]:
     """Return points (n,) such that each of so many equal groups keeps its smallest and its largest y."""
     step = -(-len(x) // bins)
     if step <= 2:
@@ -107,7 +107,7 @@ def thinned(x: Floats, y: Floats, bins: int = 300) -> tuple[Floats, Floats]:
 
 def log_limits(panel: Panel, *series: Floats) -> None:
     """Make the y scale logarithmic over whole decades that hold all positive values, with a little room."""
-    values = np.concatenate([finite(s) for s in series])
+    values = np.concatenate([finite_values(s) for s in series])
     values = values[values > 0]
     low, high = (float(values.min()), float(values.max())) if values.size else (1.0, 10.0)
     bottom, top = np.floor(np.log10(low)), np.ceil(np.log10(high))
@@ -117,9 +117,9 @@ def log_limits(panel: Panel, *series: Floats) -> None:
     panel.y.span(10.0 ** (bottom - room), 10.0 ** (top + room))
 
 
-def limits(panel: Panel, *series: Floats, symmetric: bool = False) -> None:
+def set_y_limits(panel: Panel, *series: Floats, symmetric: bool = False) -> None:
     """Give the y axis a little room around all finite values."""
-    values = np.concatenate([finite(s) for s in series])
+    values = np.concatenate([finite_values(s) for s in series])
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     if symmetric:
         low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
@@ -137,8 +137,8 @@ SPHERE_HEIGHT = 390.0
 """Height of a figure of two hemispheres in figure units."""
 
 
-def hemisphere(sheet: Sheet, side: float) -> Panel:
-    """Return the panel of the upper (side +1, left) or lower (side -1, right) hemisphere; points as of `lambert`."""
+def hemisphere_panel(sheet: Sheet, side: float) -> Panel:
+    """Return the panel of the upper (side +1, left) or lower (side -1, right) hemisphere of `lambert_projection`."""
     size, margin, top = 296.0, 42.0, 62.0
     left = 0.0 if side > 0 else WIDTH / 2
     panel = sheet.bare_panel(left=left + margin, top=top, width=size, height=size)
@@ -161,7 +161,7 @@ def hemisphere(sheet: Sheet, side: float) -> Panel:
     return panel
 
 
-def lambert(directions: Floats, side: float) -> Floats:
+def lambert_projection(directions: Floats, side: float) -> Floats:
     """Project unit vectors (n, 3) of one hemisphere, seen from outside, to the plane (n, 2); its rim is at √2."""
     with np.errstate(invalid="ignore"):
         stretch = np.sqrt(2 / (1 + np.clip(side * directions[:, 2], 0, 1)))
@@ -232,14 +232,14 @@ def half_panel(sheet: Sheet, title: str, place: int, *, top: float, height: floa
     return panel
 
 
-def histograms(
+def draw_histograms(
     panel: Panel, series: list[tuple[Floats, str]], *, reach: float, sigma: float = 0.0, bins: int = 60
 ) -> None:
     """Draw the densities of values as steps within ±reach, and that of a normal distribution of this sigma, if any."""
     edges = np.linspace(-reach, reach, bins + 1)
     top = 0.0
     for values, color in series:
-        kept = finite(values)
+        kept = finite_values(values)
         density = np.histogram(kept, edges)[0] / max(len(kept), 1) / (edges[1] - edges[0])
         panel.steps(density, edges, color)
         top = max(top, float(density.max()))
@@ -249,7 +249,7 @@ def histograms(
         panel.line(x, density, "ink", width=1.4, dash=DASHED)
         top = max(top, float(density.max()))
     panel.x.span(-reach, reach)
-    panel.y.span(0, 1.05 * positive(top))
+    panel.y.span(0, 1.05 * positive_or(top))
 
 
 def fit_to_scale(panel: Panel, drawn: Floats, height: float, room: tuple[float, float]) -> None:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ...recording import Floats
-from ..numbers import number, power_of_ten
+from ..numbers import number_text, power_of_ten
 from . import svg
 
 _STEPS = (1.0, 2.0, 2.5, 5.0)
@@ -58,15 +58,17 @@ class Scale:
         low, high = sorted((self.low, self.high))
         ticks = self.ticks
         if ticks is None:
-            ticks = decades(low, high) if self.logarithmic else round_numbers(low, high, self.most, whole=self.whole)
+            ticks = (
+                decade_ticks(low, high) if self.logarithmic else round_numbers(low, high, self.most, whole=self.whole)
+            )
         margin = 1e-9 * (high - low)
         inside = np.array([tick for tick in ticks if low - margin <= tick <= high + margin])
         return list(zip(self.places(inside).tolist(), map(self._label, inside.tolist()), strict=True))
 
     def _label(self, tick: float) -> str:
         if not self.logarithmic:
-            return number(tick, 6)
-        return number(tick, 3) if 1e-4 < tick < 1e4 else power_of_ten(round(log10(tick)))
+            return number_text(tick, 6)
+        return number_text(tick, 3) if 1e-4 < tick < 1e4 else power_of_ten(round(log10(tick)))
 
 
 def round_numbers(low: float, high: float, most: int, *, whole: bool = False) -> Sequence[float]:
@@ -91,7 +93,7 @@ def round_numbers(low: float, high: float, most: int, *, whole: bool = False) ->
     return ticks
 
 
-def decades(low: float, high: float, most: int = 6) -> Sequence[float]:
+def decade_ticks(low: float, high: float, most: int = 6) -> Sequence[float]:
     """Return the powers of ten of a span, or so many of them at equal distances."""
     first, last = ceil(log10(low) - 1e-9), floor(log10(high) + 1e-9)
     return [10.0**k for k in range(first, last + 1, max(1, -(-(last - first) // (most - 1))))]
@@ -166,29 +168,29 @@ class Panel:
         clip: bool = True,
     ) -> None:
         """Draw a line through points (n,); nan interrupts it."""
-        style = svg.stroke(color, width, dash=dash, alpha=alpha, ends=ends)
+        style = svg.stroke_style(color, width, dash=dash, alpha=alpha, ends=ends)
         self._lines.append(_Shape(x=x, y=y, path=svg.line_path, style=style, clip=clip))
 
     def across(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
         """Draw a line from the left edge to the right one at a number of the y scale."""
-        style = svg.stroke(color, width, dash=dash)
+        style = svg.stroke_style(color, width, dash=dash)
         ends = np.array([0.0, 1.0])
         self._lines.append(_Shape(x=ends, y=np.full(2, value), path=svg.line_path, style=style, shares="x"))
 
     def upright(self, value: float, color: str, *, width: float = 1.0, dash: Sequence[float] = ()) -> None:
         """Draw a line from the bottom to the top at a number of the x scale."""
-        style = svg.stroke(color, width, dash=dash)
+        style = svg.stroke_style(color, width, dash=dash)
         ends = np.array([0.0, 1.0])
         self._lines.append(_Shape(x=np.full(2, value), y=ends, path=svg.line_path, style=style, shares="y"))
 
     def wave(self, x: Floats, share: Floats, color: str, *, width: float, alpha: float) -> None:
         """Draw a line through points (n,) whose heights are shares of the panel; nan interrupts it."""
-        style = svg.stroke(color, width, alpha=alpha)
+        style = svg.stroke_style(color, width, alpha=alpha)
         self._lines.append(_Shape(x=x, y=share, path=svg.line_path, style=style, shares="y"))
 
     def steps(self, height: Floats, edges: Floats, color: str) -> None:
         """Draw heights (n,) between edges (n + 1,)."""
-        style = svg.stroke(color, 1.5, ends="butt") + ";stroke-linejoin:miter"
+        style = svg.stroke_style(color, 1.5, ends="butt") + ";stroke-linejoin:miter"
         x, y = np.repeat(edges, 2)[1:-1], np.repeat(height, 2)
         self._areas.append(_Shape(x=x, y=y, path=svg.line_path, style=style))
 
@@ -199,7 +201,7 @@ class Panel:
 
     def strip(self, low: float, high: float, color: str, *, alpha: float) -> None:
         """Fill between two numbers of the y scale, from the left edge to the right one."""
-        x, y, style = np.array([[0.0, 1.0]]), np.array([[low, high]]), svg.fill(color, alpha=alpha)
+        x, y, style = np.array([[0.0, 1.0]]), np.array([[low, high]]), svg.fill_style(color, alpha=alpha)
         self._areas.append(_Shape(x=x, y=y, path=svg.box_path, style=style, shares="x"))
 
     def band(self, x: Floats, low: Floats, high: Floats, color: str, *, alpha: float = 1.0, edge: float = 0.0) -> None:
@@ -212,7 +214,7 @@ class Panel:
         ]
         gap = np.full((2, 1), np.nan)
         outline = np.concatenate([part for piece in pieces for part in (piece, gap)], axis=1) if pieces else gap
-        style = svg.fill(color, alpha=alpha, edge=edge)
+        style = svg.fill_style(color, alpha=alpha, edge=edge)
         self._areas.append(_Shape(x=outline[0], y=outline[1], path=svg.area_path, style=style))
 
     def cells(self, corners: Floats, size: tuple[float, float], *, level: Floats, color: str) -> None:
@@ -233,7 +235,7 @@ class Panel:
             chosen = corners[strength == step]
             if len(chosen):
                 x, y = (np.stack([chosen[:, i], chosen[:, i] + size[i]], axis=1) for i in range(2))
-                style = svg.fill(color, alpha=step / steps)
+                style = svg.fill_style(color, alpha=step / steps)
                 self._areas.append(_Shape(x=x, y=y, path=svg.box_path, style=style, group="cells"))
 
     def text(
@@ -260,10 +262,10 @@ class Panel:
     def _clip(self) -> str:
         if self.rim is None:
             box = (self._left, self._top, self._width, self._height)
-            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(svg.short, box))
+            return '<rect x="{}" y="{}" width="{}" height="{}"/>'.format(*map(svg.short_number, box))
         x, y = (float(scale.places(np.zeros(()))) for scale in (self.x, self.y))
         reach = float(self.x.places(np.array(self.rim))) - x
-        return f'<circle cx="{svg.short(x)}" cy="{svg.short(y)}" r="{svg.short(reach)}"/>'
+        return f'<circle cx="{svg.short_number(x)}" cy="{svg.short_number(y)}" r="{svg.short_number(reach)}"/>'
 
     def _drawn(self, shape: _Shape, name: str) -> str:
         x, y = (
@@ -279,14 +281,14 @@ class Panel:
 
     def _grid(self) -> str:
         left, right, top, bottom = self._edges()
-        lines = [f"M{svg.short(x)} {bottom}V{top}" for x, _ in self.x.marks()] if self.x.grid else []
-        lines += [f"M{left} {svg.short(y)}H{right}" for y, _ in self.y.marks()] if self.y.grid else []
-        return f'<path d="{"".join(lines)}" style="{svg.stroke("grid", 1, ends="butt")}"/>' if lines else ""
+        lines = [f"M{svg.short_number(x)} {bottom}V{top}" for x, _ in self.x.marks()] if self.x.grid else []
+        lines += [f"M{left} {svg.short_number(y)}H{right}" for y, _ in self.y.marks()] if self.y.grid else []
+        return f'<path d="{"".join(lines)}" style="{svg.stroke_style("grid", 1, ends="butt")}"/>' if lines else ""
 
     def _edges(self) -> tuple[str, str, str, str]:
         """Return left, right, top and bottom."""
         edges = (self._left, self._left + self._width, self._top, self._top + self._height)
-        left, right, top, bottom = map(svg.short, edges)
+        left, right, top, bottom = map(svg.short_number, edges)
         return left, right, top, bottom
 
     def _frame(self) -> str:
@@ -294,7 +296,7 @@ class Panel:
         sides = {"left": f"M{left} {bottom}V{top}", "right": f"M{right} {bottom}V{top}",
                  "bottom": f"M{left} {bottom}H{right}", "top": f"M{left} {top}H{right}"}  # fmt: skip
         path = "".join(sides[side] for side in self.frame)
-        return f'<path d="{path}" style="{svg.stroke("muted", 1)}"/>' if path else ""
+        return f'<path d="{path}" style="{svg.stroke_style("muted", 1)}"/>' if path else ""
 
     def _labels(self) -> list[str]:
         """Return the labels of both scales."""

@@ -7,7 +7,7 @@ import numpy as np
 from ...geometry.rotation_vector import rotation_from_rotvec
 from ...recording import Floats
 from ...results.calibration import Calibration
-from ..numbers import number
+from ..numbers import number_text
 from ..page import Figure, Legend
 from . import svg
 from .figures import AXES, TEXT, WIDTH, LabelPlaces, Sheet, fit_to_scale, half_size
@@ -102,7 +102,7 @@ def _label(panel: Panel, bodies: list[_Body], links: list[Floats], lines: Floats
         start, stop = _on_page(panel, _flat(link))
         if not np.linalg.norm(np.diff(_flat(link), axis=0)) > 1.5 * length:
             continue
-        far = f"{number(1e3 * float(np.linalg.norm(link[1] - link[0])), 3)} mm"
+        far = f"{number_text(1e3 * float(np.linalg.norm(link[1] - link[0])), 3)} mm"
         aside = np.array([stop[1] - start[1], start[0] - stop[0]]) / np.linalg.norm(stop - start)
         aside *= float(np.abs(aside) @ half_size(far)) + 2.0
         middles = [start + share * (stop - start) for share in (0.5, 0.6, 0.4, 0.7, 0.3, 0.8, 0.2)]
@@ -148,7 +148,7 @@ def origin_figure(calibration: Calibration, name: str) -> Figure | None:
     where = "a point between them" if imu.origin is None else imu.origin.words
     camera, T = next((name, entry.T_cam_imu) for name, entry in calibration.cameras.items())
     sigma = 1e3 * calibration.sigma(f"{name}.accelerometer.lever_arms_m")
-    far = number(1e3 * float(np.linalg.norm(T[:3, 3])), 4)
+    far = number_text(1e3 * float(np.linalg.norm(T[:3, 3])), 4)
     return Figure(
         f"The accelerometers of {name}, and its origin",
         _drawing(1e3 * arms, sigma, T[:3, :3], T[:3, 3], camera),

@@ -12,12 +12,12 @@ MIDDLE = 0.26
 """Height of the middle of a line of text above its baseline, in sizes of the font."""
 
 
-def ink(name: str) -> str:
+def color_variable(name: str) -> str:
     """Return a colour that page.css defines as --plot-NAME, so that one figure serves light, dark and paper."""
     return f"var(--plot-{name})"
 
 
-def short(value: float) -> str:
+def short_number(value: float) -> str:
     """Return a number of figure units with two decimals at most."""
     return f"{round(value, 2) + 0.0:.7g}"
 
@@ -60,31 +60,36 @@ def _rounded(*columns: Floats) -> tuple[float, ...]:
     return tuple(places.ravel().tolist())
 
 
-def stroke(color: str, width: float, *, dash: Sequence[float] = (), alpha: float = 1.0, ends: str = "square") -> str:
+def stroke_style(
+    color: str, width: float, *, dash: Sequence[float] = (), alpha: float = 1.0, ends: str = "square"
+) -> str:
     """Return the style of a line; dashes and gaps are in widths of the line, and dashes end where they end."""
-    style = f"fill:none;stroke:{ink(color)}"
+    style = f"fill:none;stroke:{color_variable(color)}"
     style += "" if width == 1 else f";stroke-width:{width:g}"
     style += f";stroke-opacity:{alpha:g}" if alpha < 1 else ""
     if dash:
-        return f"{style};stroke-dasharray:{' '.join(short(width * part) for part in dash)}"
+        return f"{style};stroke-dasharray:{' '.join(short_number(width * part) for part in dash)}"
     return style if ends == "butt" else f"{style};stroke-linecap:{ends}"
 
 
 def dot_stroke(color: str, size: float) -> str:
     """Return the style of dots; they keep their size on the screen when a figure is zoomed, so that they come apart."""
-    return f"fill:none;stroke:{ink(color)};stroke-width:calc({size:g}px / var(--plot-zoom, 1));stroke-linecap:round"
+    return (
+        f"fill:none;stroke:{color_variable(color)};stroke-width:calc({size:g}px / var(--plot-zoom, 1));"
+        "stroke-linecap:round"
+    )
 
 
-def fill(color: str, *, alpha: float = 1.0, edge: float = 0.0) -> str:
+def fill_style(color: str, *, alpha: float = 1.0, edge: float = 0.0) -> str:
     """Return the style of an area, with an outline of this width in its colour."""
-    style = f"fill:{ink(color)}" + (f";fill-opacity:{alpha:g}" if alpha < 1 else "")
-    return style + (f";stroke:{ink(color)};stroke-width:{edge:g}" if edge else "")
+    style = f"fill:{color_variable(color)}" + (f";fill-opacity:{alpha:g}" if alpha < 1 else "")
+    return style + (f";stroke:{color_variable(color)};stroke-width:{edge:g}" if edge else "")
 
 
 def text_style(color: str, size: float, align: str, *, bold: bool = False) -> str:
     """Return the style of a text; page.css multiplies its size by --plot-text, which it raises on small screens."""
     anchor = {"left": "", "center": ";text-anchor:middle", "right": ";text-anchor:end"}[align]
-    return f"--size:{size:g}px{anchor};fill:{ink(color)}{';font-weight:600' if bold else ''}"
+    return f"--size:{size:g}px{anchor};fill:{color_variable(color)}{';font-weight:600' if bold else ''}"
 
 
 def text_element(text: str, x: float, y: float, style: str = "") -> str:
@@ -93,4 +98,4 @@ def text_element(text: str, x: float, y: float, style: str = "") -> str:
 
     drawable = text.encode("utf-8", "backslashreplace").decode()  # bytes that were no text, shown as escapes
     styled = f' style="{style}"' if style else ""
-    return f'<text{styled} x="{short(x)}" y="{short(y)}">{escape(drawable)}</text>'
+    return f'<text{styled} x="{short_number(x)}" y="{short_number(y)}">{escape(drawable)}</text>'

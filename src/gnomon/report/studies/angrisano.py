@@ -6,13 +6,13 @@ import numpy as np
 
 from ...recording import Floats
 from ...results.intervals import Booleans
-from ...study.angrisano import NAMES, AngrisanoStudy, Sample, claims, group_rms
+from ...study.angrisano import NAMES, AngrisanoSample, AngrisanoStudy, angrisano_claims, angrisano_group_rms
 from ...study.angrisano_trial import GROUPS, TABLE_2, TRUTH, Basin, Journey
 from ..drawing import svg
-from ..drawing.figures import LEFT, Sheet, dots, limits
+from ..drawing.figures import LEFT, Sheet, draw_dots, set_y_limits
 from ..drawing.panel import Panel
-from ..numbers import fixed, number
-from ..page import Figure, KeyNumber, Legend, Page, Prose, Section, Table
+from ..numbers import fixed_text, number_text
+from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
 from .page import study_page
 
 _AXES = ("x", "y", "z")
@@ -33,12 +33,12 @@ _SETUP = (
 )
 
 
-def angrisano_page(study: AngrisanoStudy) -> Page:
+def angrisano_page(study: AngrisanoStudy) -> ReportPage:
     """Return the page of the study."""
     return study_page(
         "Study of Angrisano",
         f"Angrisano et al.: {study.runs} runs of each of {len(study.samples)} settings, seed {study.seed}",
-        tuple(claims(study)),
+        tuple(angrisano_claims(study)),
         _key_numbers(study),
         (_sigmas(study), _starts(study), _iterations(study), _setup()),
     )
@@ -55,19 +55,19 @@ def _key_numbers(study: AngrisanoStudy) -> tuple[KeyNumber, ...]:
         KeyNumber(
             "Iterations from the datasheet",
             f"{fewest}" if fewest == most else f"{fewest} to {most}",
-            f"{usual} in {number(100 * times / study.runs, 3)} % of the runs; Angrisano: 4 to 5",
+            f"{usual} in {number_text(100 * times / study.runs, 3)} % of the runs; Angrisano: 4 to 5",
         ),
         KeyNumber(
             "Poor starts, Angrisano's iteration",
-            f"{number(100 * theirs, 3)} %",
+            f"{number_text(100 * theirs, 3)} %",
             "end in the right minimum; drawn in Table 2's intervals widened threefold",
         ),
-        KeyNumber("Poor starts, gnomon", f"{number(100 * ours, 4)} %", "end in the same minimum as without"),
+        KeyNumber("Poor starts, gnomon", f"{number_text(100 * ours, 4)} %", "end in the same minimum as without"),
     )
 
 
 def _sigmas(study: AngrisanoStudy) -> Section:
-    single = Table(
+    single = ReportTable(
         f"Each parameter: {study.samples[0].setting.name}",
         ("", "truth", "σ, Angrisano", "scatter", "ratio", "σ, gnomon", "scatter", "ratio"),
         tuple(_parameter_row(study.samples[0], k) for k in range(9)),
@@ -83,31 +83,31 @@ def _sigmas(study: AngrisanoStudy) -> Section:
     )
 
 
-def _group_table(sample: Sample) -> Table:
+def _group_table(sample: AngrisanoSample) -> ReportTable:
     shown = np.array([degrees(1) * 60, 1.0, 1e7])
     rows = {
-        "σ, Angrisano's method": group_rms(sample.sigma("paper")),
-        "its scatter": group_rms(sample.scatter("paper")),
-        "σ, gnomon": group_rms(sample.sigma("ours")),
-        "scatter of gnomon": group_rms(sample.scatter("ours")),
-        "scatter of components, Eq. (4)": group_rms(sample.scatter("components")),
+        "σ, Angrisano's method": angrisano_group_rms(sample.sigma("paper")),
+        "its scatter": angrisano_group_rms(sample.scatter("paper")),
+        "σ, gnomon": angrisano_group_rms(sample.sigma("ours")),
+        "scatter of gnomon": angrisano_group_rms(sample.scatter("ours")),
+        "scatter of components, Eq. (4)": angrisano_group_rms(sample.scatter("components")),
     }
     if sample.setting.table_1 is not None:
         rows = {"σ in Table 1": np.array(sample.setting.table_1), **rows}
     noise = 1e3 * sample.setting.scenario.accelerometer_noise_density
-    return Table(
-        f"{sample.setting.name[:1].upper()}{sample.setting.name[1:]}; noise of a mean {number(noise)} mm/s²",
+    return ReportTable(
+        f"{sample.setting.name[:1].upper()}{sample.setting.name[1:]}; noise of a mean {number_text(noise)} mm/s²",
         ("rms over the three axes", "angles [′]", "biases [count]", "scale factors [10⁻⁷]"),
-        tuple((name, *(number(v, 3) for v in shown * values)) for name, values in rows.items()),
+        tuple((name, *(number_text(v, 3) for v in shown * values)) for name, values in rows.items()),
         marked=0 if sample.setting.table_1 is not None else None,
     )
 
 
-def _parameter_row(sample: Sample, k: int) -> tuple[str, ...]:
-    cells = [NAMES[k], number(float(TRUTH[k]), 6)]
+def _parameter_row(sample: AngrisanoSample, k: int) -> tuple[str, ...]:
+    cells = [NAMES[k], number_text(float(TRUTH[k]), 6)]
     for method in ("paper", "ours"):
         sigma, scatter = float(sample.sigma(method)[k]), float(sample.scatter(method)[k])
-        cells += [number(sigma, 3), number(scatter, 3), fixed(sigma / scatter, 3)]
+        cells += [number_text(sigma, 3), number_text(scatter, 3), fixed_text(sigma / scatter, 3)]
     return tuple(cells)
 
 
@@ -139,7 +139,7 @@ def _starts(study: AngrisanoStudy) -> Section:
                 "One experiment. Below zero and above it the steps differ: each side reaches three times as "
                 "far as Table 2. Gaps are starts that led elsewhere.",
             ),
-            Table(
+            ReportTable(
                 f"Intervals, median over {len(study.basins)} of the experiments",
                 ("", "Table 2", "iteration", "as printed", "gnomon"),
                 rows,
@@ -150,7 +150,7 @@ def _starts(study: AngrisanoStudy) -> Section:
 
 
 def _interval(ends: Floats) -> str:
-    return f"{number(float(ends[0]), 3)} to +{number(float(ends[1]), 3)}"
+    return f"{number_text(float(ends[0]), 3)} to +{number_text(float(ends[1]), 3)}"
 
 
 def _basins(basins: tuple[Basin, ...]) -> str:
@@ -178,7 +178,7 @@ def _basin(panel: Panel, basin: Basin, group: int) -> None:
         _strip(panel, tried, found, row, color)
         panel.text(name, float(place[0]), row, svg.text_style("muted", 12, "right"), offset=(-8.0, 4.0))
     for at in range(round(place[0]), round(place[-1]) + 1):
-        label = number(float(_SHOWN[group] * (at * high if at > 0 else -at * low)), 3)
+        label = number_text(float(_SHOWN[group] * (at * high if at > 0 else -at * low)), 3)
         panel.text(label, float(at), -0.6, svg.text_style("muted", 12, "center"), offset=(0.0, 18.0))
     panel.upright(0.0, "muted")
 
@@ -236,11 +236,11 @@ def _journey(name: str, journey: Journey) -> str:
         for k, axis in enumerate(_AXES):
             panel.across(float(shown * TRUTH[first + k]), "muted", dash=(4.0, 4.0))
             panel.line(steps, values[:, k], axis, width=1.6)
-        dots(panel, np.full(3, steps[-1] + 0.6), ours, "ink", ring=True)
+        draw_dots(panel, np.full(3, steps[-1] + 0.6), ours, "ink", ring=True)
         near = values if journey.fit.converged else _near(values, ours)
-        limits(panel, near, ours)
+        set_y_limits(panel, near, ours)
         for k, axis in enumerate(_AXES):
-            dots(panel, steps, near[:, k], axis, size=5.0)
+            draw_dots(panel, steps, near[:, k], axis, size=5.0)
         panel.x.span(-0.2, steps[-1] + 0.9)
         panel.x.whole, panel.x.labelled = True, last
         top += 186

@@ -3,13 +3,13 @@
 import numpy as np
 
 from ...recording import Floats
-from ...study.krebs import KrebsStudy, Sample, group_mean, group_rms, reduction
-from ...study.krebs_claims import claims
+from ...study.krebs import KrebsSample, KrebsStudy, group_mean, krebs_group_rms, scatter_reduction
+from ...study.krebs_claims import krebs_claims
 from ...study.krebs_run import CHANGES, PIXEL_NOISE_PX, SCENARIO
-from ...study.krebs_thesis import GROUPS, NAMES, UNITS, Group, columns, stated_mean, stated_sigma
-from ..numbers import finite, fixed, number
-from ..page import Figure, KeyNumber, Legend, Page, Prose, Section, Table
-from .krebs_figures import LEVELS, neglect, noise_levels, scale, translation
+from ...study.krebs_thesis import GROUPS, NAMES, UNITS, Group, group_columns, stated_mean, stated_sigma
+from ..numbers import finite_values, fixed_text, number_text
+from ..page import Figure, KeyNumber, Legend, Prose, ReportPage, ReportTable, Section
+from .krebs_figures import LEVELS, draw_model_neglect, draw_scale_errors, draw_translation, noise_levels
 from .page import study_page
 
 _SHOWN = {"m": "mm", "s": "ms", "rad": "mrad", "-": "10⁻³", "rad/s per m/s^2": "mrad/s per m/s²", "m/s^2": "mm/s²"}
@@ -44,12 +44,12 @@ _DOUBTS = (
 )
 
 
-def krebs_page(study: KrebsStudy) -> Page:
+def krebs_page(study: KrebsStudy) -> ReportPage:
     """Return the page of the study."""
     return study_page(
         "Study of Krebs",
         f"Krebs: {study.runs} simulated recordings of each of {len(study.samples)} series, seed {study.seed}",
-        tuple(claims(study)),
+        tuple(krebs_claims(study)),
         _key_numbers(study),
         (_translation(study), _every(study), _levels(study), _neglect(study), _independent(study), _setup(study)),
     )
@@ -57,18 +57,18 @@ def krebs_page(study: KrebsStudy) -> Page:
 
 def _key_numbers(study: KrebsStudy) -> tuple[KeyNumber, ...]:
     first = study.samples[0]
-    place = columns("p_cb")
-    step = np.exp(np.mean(np.log(reduction(study.noise_levels)), axis=1))
+    place = group_columns("p_cb")
+    step = np.exp(np.mean(np.log(scatter_reduction(study.noise_levels)), axis=1))
     return (
         KeyNumber("σ of p_cb, S1", f"{_row(1e3 * first.scatter[place], 3)} mm", "x, y, z; Krebs: 1.71, 3.91, 6.86 mm"),
         KeyNumber(
             "Squared error over covariance",
-            ", ".join(fixed(sample.nees, 1) for sample in study.noise_levels),
+            ", ".join(fixed_text(sample.nees, 1) for sample in study.noise_levels),
             f"S1, S2, S3; {len(NAMES)} where the stated covariance is true",
         ),
         KeyNumber(
             "A tenth of the noise",
-            f"σ / {number(step[0], 3)}, / {number(step[1], 3)}",
+            f"σ / {number_text(step[0], 3)}, / {number_text(step[1], 3)}",
             "of p_cb, mean of the axes; Krebs: 2 to 4",
         ),
         KeyNumber(
@@ -80,18 +80,18 @@ def _key_numbers(study: KrebsStudy) -> tuple[KeyNumber, ...]:
 
 
 def _row(values: Floats, digits: int) -> str:
-    return ", ".join(number(float(value), digits) for value in values)
+    return ", ".join(number_text(float(value), digits) for value in values)
 
 
 def _translation(study: KrebsStudy) -> Section:
-    group, place = GROUPS[0], columns("p_cb")
+    group, place = GROUPS[0], group_columns("p_cb")
     rows = [
         cells
         for k, sample in enumerate(study.noise_levels)
         for cells in (
-            (f"{sample.series.name}, Table 5.2", *(number(1e3 * s, 4) for s in group.sigma[k])),
-            (f"{sample.series.name}, here", *(number(1e3 * float(s), 4) for s in sample.scatter[place])),
-            (f"{sample.series.name}, stated by gnomon", *(number(1e3 * float(s), 4) for s in sample.sigma[place])),
+            (f"{sample.series.name}, Table 5.2", *(number_text(1e3 * s, 4) for s in group.sigma[k])),
+            (f"{sample.series.name}, here", *(number_text(1e3 * float(s), 4) for s in sample.scatter[place])),
+            (f"{sample.series.name}, stated by gnomon", *(number_text(1e3 * float(s), 4) for s in sample.sigma[place])),
         )
     ]
     return Section(
@@ -99,10 +99,10 @@ def _translation(study: KrebsStudy) -> Section:
         "Translation from camera to IMU (Table 5.2, Figs. 5.2 and B.1)",
         "The truth is (103, -15, -10) mm.".replace("-", "−"),
         (
-            Table("σ of p_cb [mm]", ("", "x", "y", "z"), rows, dense=True),
+            ReportTable("σ of p_cb [mm]", ("", "x", "y", "z"), rows, dense=True),
             Figure(
                 "Estimates of p_cb",
-                translation(study),
+                draw_translation(study),
                 (
                     *(Legend("band", axis, axis) for axis in ("x", "y", "z")),
                     Legend("line", "ink", "fitted normal distribution"),
@@ -127,7 +127,7 @@ def _every(study: KrebsStudy) -> Section:
             *blocks,
             Figure(
                 "Errors of S_a (Fig. B.2)",
-                scale(study),
+                draw_scale_errors(study),
                 (
                     *(Legend("band", axis, axis) for axis in ("x", "y", "z")),
                     Legend("line", "ink", "fitted normal distribution"),
@@ -138,18 +138,18 @@ def _every(study: KrebsStudy) -> Section:
     )
 
 
-def _table_5_3(study: KrebsStudy) -> Table:
+def _table_5_3(study: KrebsStudy) -> ReportTable:
     ours, tabled = group_mean(study.samples[0].scatter), group_mean(stated_sigma(0))
-    return Table(
+    return ReportTable(
         "Table 5.3: σ of one recording of 90 s, S1, mean of the elements",
         ("", "unit", "Table 5.3", "mean of B.1, B.2", "here"),
         tuple(
             (
                 f"{group.symbol}, {group.name}",
                 _SHOWN[group.unit],
-                number(1e3 * group.table_5_3, 4),
-                number(1e3 * tabled[group.symbol], 4),
-                number(1e3 * ours[group.symbol], 4),
+                number_text(1e3 * group.table_5_3, 4),
+                number_text(1e3 * tabled[group.symbol], 4),
+                number_text(1e3 * ours[group.symbol], 4),
             )
             for group in GROUPS
         ),
@@ -158,35 +158,35 @@ def _table_5_3(study: KrebsStudy) -> Table:
     )
 
 
-def _group_table(study: KrebsStudy) -> Table:
+def _group_table(study: KrebsStudy) -> ReportTable:
     rows: list[tuple[str, ...]] = []
     for group in GROUPS:
         cells = [group.symbol, _SHOWN[group.unit]]
         for k, sample in enumerate(study.noise_levels):
-            ours = group_rms(sample.scatter)[group.symbol]
-            theirs = group_rms(stated_sigma(k))[group.symbol]
-            cells += [number(1e3 * theirs, 3), number(1e3 * ours, 3), fixed(ours / theirs, 2)]
+            ours = krebs_group_rms(sample.scatter)[group.symbol]
+            theirs = krebs_group_rms(stated_sigma(k))[group.symbol]
+            cells += [number_text(1e3 * theirs, 3), number_text(1e3 * ours, 3), fixed_text(ours / theirs, 2)]
         rows.append(tuple(cells))
     head = [f"{sample.series.name} {what}" for sample in study.noise_levels for what in ("B.1, B.2", "here", "ratio")]
-    return Table("σ of each group, rms over its elements", ("", "unit", *head), rows, dense=True)
+    return ReportTable("σ of each group, rms over its elements", ("", "unit", *head), rows, dense=True)
 
 
-def _parameter_table(sample: Sample, k: int) -> Table:
+def _parameter_table(sample: KrebsSample, k: int) -> ReportTable:
     stated, means = stated_sigma(k), stated_mean(k)
     z = np.sqrt(np.mean((sample.errors / np.array([run.sigma for run in sample.found])) ** 2, axis=0))
-    return Table(
+    return ReportTable(
         f"{sample.series.name}: every element",
         ("", "unit", "mean error, B.1", "here", "σ, B.1 and B.2", "here", "σ of gnomon", "z"),
         tuple(
             (
                 name,
                 _SHOWN[unit],
-                number(1e3 * float(means[i]), 3),
-                number(1e3 * float(sample.mean[i]), 2),
-                number(1e3 * float(stated[i]), 3),
-                number(1e3 * float(sample.scatter[i]), 3),
-                number(1e3 * float(sample.sigma[i]), 3),
-                fixed(float(z[i]), 2),
+                number_text(1e3 * float(means[i]), 3),
+                number_text(1e3 * float(sample.mean[i]), 2),
+                number_text(1e3 * float(stated[i]), 3),
+                number_text(1e3 * float(sample.scatter[i]), 3),
+                number_text(1e3 * float(sample.sigma[i]), 3),
+                fixed_text(float(z[i]), 2),
             )
             for i, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True))
         ),
@@ -198,10 +198,10 @@ def _levels(study: KrebsStudy) -> Section:
     rows: list[tuple[str, ...]] = []
     stated = [np.array(sigma) for sigma in GROUPS[0].sigma]
     rows.append(("Krebs, Table 5.2", *_steps(np.array([stated[0] / stated[1], stated[1] / stated[2]]))))
-    rows.append((f"here, {PIXEL_NOISE_PX:g} px", *_steps(reduction(study.noise_levels))))
-    rows.append(("here, without pixel noise", *_steps(reduction(study.without_pixel_noise))))
+    rows.append((f"here, {PIXEL_NOISE_PX:g} px", *_steps(scatter_reduction(study.noise_levels))))
+    rows.append(("here, without pixel noise", *_steps(scatter_reduction(study.without_pixel_noise))))
     sigmas = [
-        (sample.series.name, *(number(1e3 * float(s), 3) for s in sample.scatter[columns("p_cb")]))
+        (sample.series.name, *(number_text(1e3 * float(s), 3) for s in sample.scatter[group_columns("p_cb")]))
         for sample in (*study.noise_levels, *study.without_pixel_noise)
     ]
     return Section(
@@ -210,12 +210,12 @@ def _levels(study: KrebsStudy) -> Section:
         "The pixel noise stays where it is while the IMU's falls: p_cb then improves by less than the noise. "
         "Without pixel noise it follows the noise.",
         (
-            Table(
+            ReportTable(
                 "By what σ of p_cb falls when the IMU's noise falls to a tenth",
                 ("", "S1 to S2: x", "y", "z", "S2 to S3: x", "y", "z"),
                 rows,
             ),
-            Table("σ of p_cb [mm]", ("", "x", "y", "z"), tuple(sigmas), dense=True),
+            ReportTable("σ of p_cb [mm]", ("", "x", "y", "z"), tuple(sigmas), dense=True),
             Figure(
                 "Fitted distributions of the error of p_cb",
                 noise_levels(study),
@@ -233,17 +233,17 @@ def _levels(study: KrebsStudy) -> Section:
 
 
 def _steps(values: Floats) -> tuple[str, ...]:
-    return tuple(number(float(value), 3) for value in values.ravel())
+    return tuple(number_text(float(value), 3) for value in values.ravel())
 
 
 def _neglect(study: KrebsStudy) -> Section:
-    place = columns("p_cb")
+    place = group_columns("p_cb")
     rows = [
         (
             name,
-            *(number(1e3 * float(v), 3) for v in sample.mean[place]),
-            *(number(1e3 * float(v), 3) for v in sample.scatter[place]),
-            *(number(1e3 * float(v), 3) for v in sample.sigma[place]),
+            *(number_text(1e3 * float(v), 3) for v in sample.mean[place]),
+            *(number_text(1e3 * float(v), 3) for v in sample.scatter[place]),
+            *(number_text(1e3 * float(v), 3) for v in sample.sigma[place]),
         )
         for name, sample in (("extended", study.samples[0]), ("basic", study.basic))
     ]
@@ -252,7 +252,7 @@ def _neglect(study: KrebsStudy) -> Section:
         "Neglecting the influences between the axes (Fig. 5.4)",
         "The same recordings of S1, calibrated with the extended and with the basic model.",
         (
-            Table(
+            ReportTable(
                 "p_cb [mm]",
                 ("", "mean error x", "y", "z", "σ x", "y", "z", "stated σ x", "y", "z"),
                 rows,
@@ -260,7 +260,7 @@ def _neglect(study: KrebsStudy) -> Section:
             ),
             Figure(
                 "Error of p_cb",
-                neglect(study),
+                draw_model_neglect(study),
                 (
                     Legend("band", "x", "extended model"),
                     Legend("band", "z", "basic model"),
@@ -277,9 +277,9 @@ def _independent(study: KrebsStudy) -> Section:
         (
             name,
             _SHOWN[unit],
-            number(1e3 * CHANGES[name.split(maxsplit=1)[0]], 3),
-            number(1e3 * (CHANGES[name.split(maxsplit=1)[0]] + float(found.moved[k, k])), 6),
-            number(float(found.of_others[k]), 2),
+            number_text(1e3 * CHANGES[name.split(maxsplit=1)[0]], 3),
+            number_text(1e3 * (CHANGES[name.split(maxsplit=1)[0]] + float(found.moved[k, k])), 6),
+            number_text(float(found.of_others[k]), 2),
             found.moved_most(k),
         )
         for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True))
@@ -290,7 +290,7 @@ def _independent(study: KrebsStudy) -> Section:
         "Recordings without noise. One parameter of the rig is changed; its estimate has to move by as much, and "
         "no other one.",
         (
-            Table(
+            ReportTable(
                 "What a change does to the estimates",
                 ("changed", "unit", "by", "its estimate moved by", "largest other move [σ of S1]", "of"),
                 rows,
@@ -312,7 +312,7 @@ def _setup(study: KrebsStudy) -> Section:
         blocks=(
             Prose(_SETUP),
             Prose(tuple(_fine(line) for line in _DOUBTS), points=True),
-            Table(
+            ReportTable(
                 "σ over that of S1 in Tables B.1 and B.2, rms over each group, one recording each",
                 ("", *(group.symbol for group in GROUPS if group.sigma)),
                 rows,
@@ -323,9 +323,11 @@ def _setup(study: KrebsStudy) -> Section:
 
 
 def _ratio(sigma: Floats, group: Group) -> str:
-    theirs = group_rms(stated_sigma(0))[group.symbol]
-    ours = group_rms(sigma)[group.symbol] if finite(sigma[columns(group.symbol)]).size else float("nan")
-    return fixed(ours / theirs, 2)
+    theirs = krebs_group_rms(stated_sigma(0))[group.symbol]
+    ours = (
+        krebs_group_rms(sigma)[group.symbol] if finite_values(sigma[group_columns(group.symbol)]).size else float("nan")
+    )
+    return fixed_text(ours / theirs, 2)
 
 
 def _fine(text: str) -> str:

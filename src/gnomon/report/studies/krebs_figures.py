@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...recording import Floats
-from ...study.krebs import KrebsStudy, Sample
-from ...study.krebs_thesis import KrebsRig, columns
+from ...study.krebs import KrebsSample, KrebsStudy
+from ...study.krebs_thesis import KrebsRig, group_columns
 from ..drawing.figures import WIDTH, Sheet
 from ..drawing.panel import Panel
-from ..numbers import finite, positive
+from ..numbers import finite_values, positive_or
 
 AXES = ("x", "y", "z")
 LEVELS = ("t1", "t3", "t5")
@@ -19,7 +19,9 @@ _GAP, _TOP, _HEIGHT = 32.0, 40.0, 118.0
 _PITCH = _HEIGHT + 84
 
 
-def _histograms(name: str, samples: Sequence[Sample], symbol: str, *, factor: float, unit: str, truth: Floats) -> str:
+def _histograms(
+    name: str, samples: Sequence[KrebsSample], symbol: str, *, factor: float, unit: str, truth: Floats
+) -> str:
     """Draw histograms of the estimates of a vector, a row for each series, with fitted normal distributions.
 
     Parameters
@@ -27,7 +29,7 @@ def _histograms(name: str, samples: Sequence[Sample], symbol: str, *, factor: fl
     factor, unit : of what is shown
     truth : (3,), marked by a line; the errors count from there
     """
-    place = columns(symbol)
+    place = group_columns(symbol)
 
     sheet = Sheet()
     for row, sample in enumerate(samples):
@@ -49,20 +51,20 @@ def noise_levels(study: KrebsStudy) -> str:
     ):
         for k, axis in enumerate(AXES):
             panel = _third(sheet, f"{axis} [mm], {title}", row, k)
-            reach = 3.5e3 * max(float(sample.scatter[columns("p_cb").start + k]) for sample in study.noise_levels)
+            reach = 3.5e3 * max(float(sample.scatter[group_columns("p_cb").start + k]) for sample in study.noise_levels)
             for sample, color in zip(samples, LEVELS, strict=True):
-                _normal(panel, 1e3 * sample.errors[:, columns("p_cb").start + k], color, peak=1.0)
+                _normal(panel, 1e3 * sample.errors[:, group_columns("p_cb").start + k], color, peak=1.0)
             panel.upright(0.0, "accent", width=1.6, dash=_DASHED)
             panel.x.span(-reach, reach)
             panel.y.span(0.0, 1.08)
     return sheet.draw("levels", 2 * _PITCH, "Normal distributions of the error of p_cb at three noise levels.")
 
 
-def neglect(study: KrebsStudy) -> str:
+def draw_model_neglect(study: KrebsStudy) -> str:
     """Draw the histograms of p_cb's error with the extended and with the basic model (Fig. 5.4)."""
     sheet = Sheet()
     for k, axis in enumerate(AXES):
-        at = columns("p_cb").start + k
+        at = group_columns("p_cb").start + k
         panel = _third(sheet, f"{axis} [mm]", 0, k)
         both = [1e3 * sample.errors[:, at] for sample in (study.samples[0], study.basic)]
         edges = _edges(np.concatenate(both))
@@ -84,7 +86,7 @@ def _third(sheet: Sheet, title: str, row: int, k: int) -> Panel:
 
 
 def _edges(values: Floats) -> Floats:
-    kept = finite(values)
+    kept = finite_values(values)
     low, high = (float(kept.min()), float(kept.max())) if kept.size else (0.0, 1.0)
     room = 0.06 * (high - low) or 0.5
     return np.linspace(low - room, high + room, 6 + round(2 * np.sqrt(max(len(kept), 1))))
@@ -93,7 +95,7 @@ def _edges(values: Floats) -> Floats:
 def _histogram(panel: Panel, values: Floats, color: str, edges: Floats | None = None) -> None:
     """Fill the density of values; the panel grows with it."""
     edges = _edges(values) if edges is None else edges
-    kept = finite(values)
+    kept = finite_values(values)
     density = np.histogram(kept, edges)[0] / max(len(kept), 1) / (edges[1] - edges[0])
     panel.band(np.repeat(edges, 2)[1:-1], np.zeros(2 * len(density)), np.repeat(density, 2), color, alpha=0.4)
     _hold(panel, edges[0], edges[-1], float(density.max()))
@@ -101,8 +103,8 @@ def _histogram(panel: Panel, values: Floats, color: str, edges: Floats | None = 
 
 def _normal(panel: Panel, values: Floats, color: str, *, peak: float | None = None) -> None:
     """Draw the normal distribution that is fitted to values, with its density or with a peak of this height."""
-    kept = finite(values)
-    middle, sigma = float(kept.mean()), positive(float(kept.std(ddof=1)))
+    kept = finite_values(values)
+    middle, sigma = float(kept.mean()), positive_or(float(kept.std(ddof=1)))
     x = middle + sigma * np.linspace(-4, 4, 161)
     height = 1 / (sigma * np.sqrt(2 * np.pi)) if peak is None else peak
     panel.line(x, height * np.exp(-0.5 * ((x - middle) / sigma) ** 2), color, width=1.5)
@@ -117,11 +119,11 @@ def _hold(panel: Panel, low: float, high: float, top: float) -> None:
     panel.y.span(0.0, 1.06 * top if fresh else max(1.06 * top, panel.y.high))
 
 
-def translation(study: KrebsStudy) -> str:
+def draw_translation(study: KrebsStudy) -> str:
     """Draw p_cb at each noise level (Figs. 5.2 and B.1)."""
     return _histograms("p-cb", study.noise_levels, "p_cb", factor=1e3, unit="mm", truth=KrebsRig().T_cam_imu[:3, 3])
 
 
-def scale(study: KrebsStudy) -> str:
+def draw_scale_errors(study: KrebsStudy) -> str:
     """Draw the errors of S_a at each noise level (Fig. B.2)."""
     return _histograms("s-a", study.noise_levels, "S_a", factor=1e3, unit="10⁻³", truth=np.zeros(3))

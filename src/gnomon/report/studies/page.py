@@ -4,24 +4,24 @@ from collections.abc import Sequence
 
 from ..._version import __version__
 from ...study.tables import Claim
-from ..page import KeyNumber, Page, Section, Table
+from ..page import KeyNumber, ReportPage, ReportTable, Section
 
 _WORDS = {True: "yes", False: "no", None: "too few runs"}
 
 
 def study_page(
     title: str, subject: str, claims: Sequence[Claim], key_numbers: tuple[KeyNumber, ...], sections: Sequence[Section]
-) -> Page:
+) -> ReportPage:
     """Return the page of a study; its verdict says whether all claims hold."""
     whole = all(claim.holds for claim in claims)
-    table = Table(
+    table = ReportTable(
         "Expected and found",
         ("Holds", "Claim", "Expected", "Found"),
         tuple((_WORDS[c.holds], *map(_fine, (c.claim, c.expected, c.found))) for c in claims),
         prose=True,
         stacked=True,
     )
-    return Page(
+    return ReportPage(
         title=title,
         subject=subject,
         verdict="pass" if whole else "warn",

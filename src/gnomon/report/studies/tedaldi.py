@@ -12,14 +12,14 @@ from ...study.tedaldi_claims import (
     ROTATION,
     SIGNAL_ERROR,
     SPREAD,
-    claims,
     group_errors,
     noise_alone,
     sigma_over_scatter,
+    tedaldi_claims,
 )
 from ...study.tedaldi_trial import METHODS, SCENARIO, Method
-from ..numbers import fixed, number
-from ..page import KeyNumber, Page, Prose, Section, Table
+from ..numbers import fixed_text, number_text
+from ..page import KeyNumber, Prose, ReportPage, ReportTable, Section
 from . import tedaldi_figures as figures
 from .page import study_page
 
@@ -44,12 +44,12 @@ _SETUP = (
 )
 
 
-def tedaldi_page(study: TedaldiStudy) -> Page:
+def tedaldi_page(study: TedaldiStudy) -> ReportPage:
     """Return the page of the study."""
     return study_page(
         "Study of Tedaldi",
         f"Tedaldi: {len(study.outcomes)} parameter sets, {study.runs} recordings of each, seed {study.seed}",
-        tuple(claims(study)),
+        tuple(tedaldi_claims(study)),
         _key_numbers(study),
         (_parameters(study), _signals(study), _gravity(study), _rotations(study), *_figures(study), _setup()),
     )
@@ -61,18 +61,18 @@ def _key_numbers(study: TedaldiStudy) -> tuple[KeyNumber, ...]:
     return (
         KeyNumber(
             "Accelerometer errors over Tedaldi's",
-            f"{fixed(float(ratio[:3].min()), 2)} to {fixed(float(ratio[:3].max()), 2)}",
+            f"{fixed_text(float(ratio[:3].min()), 2)} to {fixed_text(float(ratio[:3].max()), 2)}",
             "misalignment, scale, bias; mean absolute errors over all sets",
         ),
         KeyNumber(
             "Gyroscope errors over Tedaldi's",
-            f"{fixed(float(ratio[3:].min()), 2)} to {fixed(float(ratio[3:].max()), 2)}",
+            f"{fixed_text(float(ratio[3:].min()), 2)} to {fixed_text(float(ratio[3:].max()), 2)}",
             "misalignment, scale; its motion is not known",
         ),
         KeyNumber(
             "Gravity carried through the recording",
-            f"{number(1e3 * drift, 3)} mrad",
-            f"mean angle; Table 4.5: {number(1e3 * ROTATION['calibrated'][1][0], 3)} mrad",
+            f"{number_text(1e3 * drift, 3)} mrad",
+            f"mean angle; Table 4.5: {number_text(1e3 * ROTATION['calibrated'][1][0], 3)} mrad",
         ),
     )
 
@@ -81,18 +81,18 @@ def _parameters(study: TedaldiStudy) -> Section:
     rows = [
         (
             NAMES[k],
-            fixed(float(study.truth[0, k]), 4),
+            fixed_text(float(study.truth[0, k]), 4),
             *(
-                fixed(1e3 * float(value), 4)
+                fixed_text(1e3 * float(value), 4)
                 for method in METHODS[:2]
                 for value in (study.spread(method)[0, k], study.mean_error(method)[0, k])
             ),
-            fixed(1e3 * float(SPREAD[k]), 4),
-            fixed(1e3 * float(MEAN_ERROR[k]), 4),
+            fixed_text(1e3 * float(SPREAD[k]), 4),
+            fixed_text(1e3 * float(MEAN_ERROR[k]), 4),
         )
         for k in range(18)
     ]
-    first = Table(
+    first = ReportTable(
         "The first set (Tables 4.1 and 4.2)",
         ("", "truth", "gnomon: spread", "error", "as printed: spread", "error", "Tedaldi: spread", "error"),
         rows,
@@ -108,16 +108,16 @@ def _parameters(study: TedaldiStudy) -> Section:
     )
 
 
-def _groups(study: TedaldiStudy) -> Table:
+def _groups(study: TedaldiStudy) -> ReportTable:
     theirs = np.array([error for _, error in GROUPS.values()])
-    rows = [("Tedaldi, its 40 sets", *(fixed(1e3 * error, 4) for error in theirs))]
+    rows = [("Tedaldi, its 40 sets", *(fixed_text(1e3 * error, 4) for error in theirs))]
     for method in METHODS:
         errors = group_errors(study, method)
-        rows.append((f"{_CALLED[method]}: mean", *(fixed(1e3 * float(error), 4) for error in errors)))
+        rows.append((f"{_CALLED[method]}: mean", *(fixed_text(1e3 * float(error), 4) for error in errors)))
         rows.append(
-            (f"{_CALLED[method]}: median", *(fixed(1e3 * float(error), 4) for error in _medians(study, method)))
+            (f"{_CALLED[method]}: median", *(fixed_text(1e3 * float(error), 4) for error in _medians(study, method)))
         )
-    return Table(
+    return ReportTable(
         f"Mean absolute errors over all {len(study.outcomes)} sets, in 10⁻³",
         ("", *(name.replace("accelerometer", "acc.").replace("gyroscope", "gyro.") for name in GROUPS)),
         rows,
@@ -132,12 +132,12 @@ def _medians(study: TedaldiStudy, method: Method) -> Floats:
     return np.array([np.nanmedian(errors[..., where]) for where, _ in GROUPS.values()])
 
 
-def _sigma_table(study: TedaldiStudy) -> Table:
+def _sigma_table(study: TedaldiStudy) -> ReportTable:
     ratios = {method: sigma_over_scatter(study, method) for method in METHODS}
-    return Table(
+    return ReportTable(
         "Stated sigma over scatter",
         ("", *(_CALLED[method] for method in METHODS)),
-        tuple((name, *(fixed(float(ratios[m][k]), 2) for m in METHODS)) for k, name in enumerate(NAMES)),
+        tuple((name, *(fixed_text(float(ratios[m][k]), 2) for m in METHODS)) for k, name in enumerate(NAMES)),
         "1 over the rms of error over sigma, all recordings. The published forms count neighbouring rotations "
         "as independent, and the samples of one rest too.",
         dense=True,
@@ -164,7 +164,7 @@ def _signals(study: TedaldiStudy) -> Section:
         "Signals (Table 4.3)",
         "Mean absolute difference between the signals and those without noise and errors, over whole recordings.",
         (
-            Table(
+            ReportTable(
                 "Mean absolute error along each axis",
                 ("", "x", "y", "z"),
                 rows,
@@ -175,7 +175,7 @@ def _signals(study: TedaldiStudy) -> Section:
 
 
 def _cells(values: Floats) -> tuple[str, ...]:
-    return tuple(fixed(float(value), 4) for value in values)
+    return tuple(fixed_text(float(value), 4) for value in values)
 
 
 def _gravity(study: TedaldiStudy) -> Section:
@@ -196,7 +196,7 @@ def _gravity(study: TedaldiStudy) -> Section:
         "Length of the acceleration sensed at rest against gravity, sample by sample; and the tilt that it would "
         "be if all of it were along a level axis.",
         (
-            Table(
+            ReportTable(
                 "Divergence of the accelerometer at rest",
                 ("", "mean [m/s²]", "largest", "worst: mean", "largest", "mean [rad]", "largest", "worst: mean",
                       "largest"),
@@ -221,7 +221,7 @@ def _with_worst(values: Floats, worst: tuple[int, int]) -> Floats:
 
 
 def _rotations(study: TedaldiStudy) -> Section:
-    blocks: list[Table] = []
+    blocks: list[ReportTable] = []
     for title, name, compared in (
         ("Carried from the first rest through the whole recording", "drift", True),
         ("Carried from each rest to the next", "rotation", False),
@@ -240,7 +240,7 @@ def _rotations(study: TedaldiStudy) -> Section:
                     *_cells(_with_worst(study.signals(method, f"{name}_angle"), worst)),
                 ))  # fmt: skip
         blocks.append(
-            Table(
+            ReportTable(
                 title,
                 ("", "mean [m/s²]", "largest", "worst: mean", "largest", "mean [rad]", "largest", "worst: mean",
                       "largest"),
@@ -266,14 +266,14 @@ def _figures(study: TedaldiStudy) -> tuple[Section, ...]:
             "Signals that were simulated (Figs. 4.1 to 4.9)",
             f"The first recordings of {len(study.examples)} parameter sets, each at "
             f"{SCENARIO.rate_hz:g} Hz, as recorded.",
-            (*figures.examples(study), figures.detector(study)),
+            (*figures.example_figures(study), figures.detector_figure(study)),
         ),
         Section(
             "improvement",
             "Before and after (Figs. 4.10 to 4.15)",
             "One motion of the first recording for each axis: as recorded, calibrated by gnomon, and without "
             "noise and errors.",
-            figures.improvement(study),
+            figures.improvement_figures(study),
         ),
     )
 

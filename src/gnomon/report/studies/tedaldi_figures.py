@@ -8,7 +8,7 @@ from ...recording import Floats
 from ...study.tedaldi import Example, TedaldiStudy
 from ...study.tedaldi_claims import GROUPS
 from ...study.tedaldi_trial import METHODS
-from ..drawing.figures import Sheet, dots, limits, log_limits, zigzag
+from ..drawing.figures import Sheet, draw_dots, draw_envelope, log_limits, set_y_limits
 from ..page import Figure, Legend
 
 _AXES = ("x", "y", "z")
@@ -33,7 +33,7 @@ def set_errors(study: TedaldiStudy, called: Mapping[str, str]) -> Figure:
         log_limits(panel, *errors, np.array([1e3 * theirs]))
         panel.across(1e3 * theirs, "muted", width=1.4, dash=(5.0, 3.0))
         for values, color in zip(reversed(errors), reversed(_COLORS), strict=True):
-            dots(panel, number, values, color, size=6)
+            draw_dots(panel, number, values, color, size=6)
         panel.x.span(0.2, len(number) + 0.8)
         panel.x.whole, panel.x.labelled = True, last
     alt = "Mean absolute errors of the parameters of each set by three methods, and the mean of Tedaldi."
@@ -47,7 +47,7 @@ def set_errors(study: TedaldiStudy, called: Mapping[str, str]) -> Figure:
     )
 
 
-def examples(study: TedaldiStudy) -> tuple[Figure, ...]:
+def example_figures(study: TedaldiStudy) -> tuple[Figure, ...]:
     """Return the signals of the examples, accelerometers first as in Tedaldi."""
     return tuple(
         Figure(
@@ -60,7 +60,7 @@ def examples(study: TedaldiStudy) -> tuple[Figure, ...]:
     )
 
 
-def detector(study: TedaldiStudy) -> Figure:
+def detector_figure(study: TedaldiStudy) -> Figure:
     """Return the detected rests over the accelerometer's signals."""
     example = study.examples[0]
     return Figure(
@@ -79,8 +79,8 @@ def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats |
     sheet = Sheet()
     panel = sheet.panel(f"{title[:1].upper()}{title[1:]}", top=36, height=190, x_label="time [s]")
     for k, axis in enumerate(_AXES):
-        zigzag(panel, t_s[first], low[:, k], high[:, k], axis)
-    limits(panel, low, high)
+        draw_envelope(panel, t_s[first], low[:, k], high[:, k], axis)
+    set_y_limits(panel, low, high)
     panel.x.span(t_s[0], t_s[-1])
     panel.across(0.0, "muted")
     if rests is not None:
@@ -90,7 +90,7 @@ def _signals(name: str, t_s: Floats, values: Floats, title: str, rests: Floats |
     return sheet.draw(name, 296, f"{title} over time, x, y and z.")
 
 
-def improvement(study: TedaldiStudy) -> tuple[Figure, ...]:
+def improvement_figures(study: TedaldiStudy) -> tuple[Figure, ...]:
     """Return a motion of the first example before and after its calibration, one for each axis of each sensor."""
     example = study.examples[0]
     motions = np.stack([example.rests[:-1, 1], example.rests[1:, 0]], axis=1)
@@ -120,13 +120,13 @@ def _improved(example: Example, which: int, k: int, motion: Floats, title: str) 
     panel.line(t_s, before, "before", width=1.4)
     panel.line(t_s, after, "after", width=1.4)
     panel.line(t_s, truth, "heldout", width=1.2)
-    limits(panel, before, after, truth)
+    set_y_limits(panel, before, after, truth)
     panel.x.span(t_s[0], t_s[-1])
     panel.x.labelled = False
     panel = sheet.panel("Error", top=276, height=90, x_label="time [s]")
     panel.line(t_s, before - truth, "before", width=1.4)
     panel.line(t_s, after - truth, "after", width=1.4)
-    limits(panel, before - truth, after - truth)
+    set_y_limits(panel, before - truth, after - truth)
     panel.across(0.0, "muted")
     panel.x.span(t_s[0], t_s[-1])
     return sheet.draw(f"improved-{which}-{k}", 436, f"{title} of one motion: as recorded, calibrated and true.")

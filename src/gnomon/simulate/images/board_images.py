@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ...geometry.rotation_vector import rotation_from_rotvec
-from ...models.board_pattern import Pattern, board_pattern
+from ...models.board_pattern import BoardPattern, board_pattern
 from ...models.camera import Camera
 from ...recording import Floats
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
@@ -45,7 +45,7 @@ class _Scene:
 
     name: str
     views: _Views
-    pattern: Pattern
+    pattern: BoardPattern
     board: TrueBoard | None
     wall: Wall | None
     occluders: MovingOccluders | None

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ...models.board_pattern import Pattern
+from ...models.board_pattern import BoardPattern
 from ...models.target import Target
 from ...recording import Floats, Integers
 
@@ -82,7 +82,7 @@ class Outline:
 
 
 @lru_cache(maxsize=16)
-def outline_of(pattern: Pattern, what: str, level: int, board: TrueBoard | None = None) -> Outline:
+def outline_of(pattern: BoardPattern, what: str, level: int, board: TrueBoard | None = None) -> Outline:
     """Return the outlines of the sheet, of its tiles, or of all black, in pieces of 2^(level/2) m at most.
 
     Parameters
@@ -117,7 +117,7 @@ def _tiles(sheet: Floats, count: int) -> tuple[Floats, Integers]:
     return edges, np.repeat(np.arange(count * count), 4)
 
 
-def coverage(start: Floats, end: Floats, shape: tuple[int, int]) -> Singles:
+def pixel_coverage(start: Floats, end: Floats, shape: tuple[int, int]) -> Singles:
     """Return the area of each pixel (rows, cols) that is inside closed outlines, times how often it is.
 
     Parameters

@@ -119,7 +119,7 @@ class MovingOccluders:
     occluders: tuple[_Occluder, ...]
 
     def at(self, t_s: float) -> list[Floats]:
-        """Return their outlines (n, 2) [px] at an instant, for `gnomon.simulate.rendering.render`."""
+        """Return their outlines (n, 2) [px] at an instant, for `gnomon.simulate.rendering.render_board`."""
         return [one.at(t_s) for one in self.occluders]
 
 

@@ -46,7 +46,7 @@ class Movement(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Poses:
+class InstantPoses:
     """Poses of their own for each instant: R (k, 3, 3), p (k, 3) [m]; all rows expose at once."""
 
     camera: Camera

@@ -11,14 +11,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...models.board_pattern import Pattern
+from ...models.board_pattern import BoardPattern
 from ...models.camera import Booleans, Camera
 from ...recording import Floats
 from ...recording.images import Grey
 from ..seen_board import RenderedImages
-from .board_outlines import Outline, Singles, TrueBoard, coverage, outline_of
+from .board_outlines import Outline, Singles, TrueBoard, outline_of, pixel_coverage
 from .clutter import Wall
-from .motion_segments import MotionSegment, Movement, Pose, Poses
+from .motion_segments import InstantPoses, MotionSegment, Movement, Pose
 
 _LONGEST_PX, _BENT_PX = 8.0, 0.0015  # of a straight piece, and by how much the lens may bend the line in it
 _CELLS = ((2, 0.7), (3, 0.4), (4, 0.0))  # cells along a side of a pixel, and the blur from which on they do
@@ -75,8 +75,8 @@ def usual_light(scenario: RenderedImages) -> Optics:
     )
 
 
-def render(
-    pattern: Pattern,
+def render_board(
+    pattern: BoardPattern,
     camera: Camera,
     R_cam_target: Floats,
     p_cam_target: Floats,
@@ -106,12 +106,12 @@ def render(
     image : (height, width)
     """
     R, p = np.reshape(R_cam_target, (-1, 3, 3)).astype(float), np.reshape(p_cam_target, (-1, 3)).astype(float)
-    scene = _Scene(pattern=pattern, board=board, camera=camera, movement=Poses(camera=camera, R=R, p=p))
+    scene = _Scene(pattern=pattern, board=board, camera=camera, movement=InstantPoses(camera=camera, R=R, p=p))
     return _image(scene, options or Optics(), wall, occluders, rng)
 
 
 def render_moving(
-    pattern: Pattern,
+    pattern: BoardPattern,
     camera: Camera,
     pose: Pose,
     *,
@@ -131,7 +131,7 @@ def render_moving(
     pose : instants (n,) [s] from the middle of the exposure of the top row -> R_cam_target (n, 3, 3), p_cam_target
         (n, 3) [m]
     exposure_s : time during which each row is exposed [s]
-    board, options, wall, occluders, rng : as for `render`
+    board, options, wall, occluders, rng : as for `render_board`
     """
     options = options or Optics()
     points = _sheet_points(pattern, board, 5)
@@ -144,9 +144,9 @@ def render_moving(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Scene:
-    """A board and a camera that may move against it; see `render`."""
+    """A board and a camera that may move against it; see `render_board`."""
 
-    pattern: Pattern
+    pattern: BoardPattern
     board: TrueBoard | None
     camera: Camera
     movement: Movement
@@ -251,7 +251,7 @@ def _board(what: _Scene, lens: _Blur) -> _Board | None:
         outline = outline_of(what.pattern, part, level, what.board)
         pieces = [_pieces(outline, pixels) for pixels in movement.pixels(outline.points)]
         start, end = ((np.concatenate(ends) - corner) * cells for ends in zip(*pieces, strict=True))
-        inside = coverage(start, end, ((rows.stop - rows.start) * cells, (cols.stop - cols.start) * cells))
+        inside = pixel_coverage(start, end, ((rows.stop - rows.start) * cells, (cols.stop - cols.start) * cells))
         inside *= np.float32(1 / movement.instants)
         areas.append(_seen_by_pixels(inside, lens, cells))
     return _Board(region=(rows, cols), sheet=areas[0], black=areas[1])
@@ -273,7 +273,7 @@ def _seen_by_pixels(inside: Singles, lens: _Blur, cells: int) -> Singles:
     return inside if cells == 1 else np.asarray(cv2.resize(inside, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _sheet_points(pattern: Pattern, board: TrueBoard | None, count: int) -> Floats:
+def _sheet_points(pattern: BoardPattern, board: TrueBoard | None, count: int) -> Floats:
     """Return points on the sheet, count along each side, (count^2, 3) [m]."""
     x0, y0, x1, y1 = pattern.sheet
     x, y = np.meshgrid(np.linspace(x0, x1, count), np.linspace(y0, y1, count))

@@ -24,9 +24,9 @@ from ...trust.clusters import ClusterSums
 from ..batch import error_terms
 from ..solution import Solution
 from ..terms.assembly import TRIAD, by_span, taken_together
-from ..terms.prior_terms import FIRST_BIAS_SIGMA, border_priors, links, second_differences
-from ..terms.visual_terms import instants
-from ..trajectory import BIAS, POSE, Grid, Trajectory
+from ..terms.prior_terms import FIRST_BIAS_SIGMA, border_priors, random_walk_links, second_differences
+from ..terms.visual_terms import exposure_times
+from ..trajectory import BIAS, POSE, KnotGrid, Trajectory
 
 STRETCH_S = 0.5
 """Length of a stretch: short against the memory of residuals that matter."""
@@ -66,7 +66,7 @@ def cluster_sums(solution: Solution) -> ClusterSums:
         _add_board(sums, solution, follows, shifts=shifts, stretch=stretch)
     biases = trajectory.controls[:, POSE:]
     roots = np.sqrt(np.repeat(np.square(noise.walks).ravel(), TRIAD))
-    for at, distance, time_s in links(grid):
+    for at, distance, time_s in random_walk_links(grid):
         scale = 1 / (roots * np.sqrt(time_s))
         rows = (follows[at + distance, POSE:] - follows[at, POSE:]) * scale[:, None]
         sums.add(stretch[at], rows, (biases[at] - biases[at + distance]) * scale)
@@ -129,7 +129,7 @@ def _add_board(sums: _Sums, solution: Solution, follows: Floats, *, shifts: Floa
     """
     visual, state = solution.measurements.visual, solution.state
     grid = state.trajectory.grid
-    of_camera = [grid.places(instants(data, state.parameters.cameras[data.camera])) for data in visual]
+    of_camera = [grid.places(exposure_times(data, state.parameters.cameras[data.camera])) for data in visual]
     parts = [np.where(places.inside, stretch[places.first], 0) for places in of_camera]
     alone = replace(solution.measurements, inertial=())
     terms = error_terms(alone, state, solution.layout, solution.noise, probing=False, parts=parts)[1]
@@ -149,7 +149,7 @@ def _add_board(sums: _Sums, solution: Solution, follows: Floats, *, shifts: Floa
             sums.pull[k] += shifts.T @ coupling.sides[k, :, 0]
 
 
-def _local(follows: Floats, grid: Grid, spans: Integers, imu: int | None) -> Floats:
+def _local(follows: Floats, grid: KnotGrid, spans: Integers, imu: int | None) -> Floats:
     """Return how the unknowns of spans, in the columns of their rows, follow the parameters, (s, w, q)."""
     parts = [follows[spans + k, :POSE] for k in range(grid.order)]
     if imu is not None:
@@ -187,7 +187,7 @@ def _second_difference(values: Floats, at: Integers, weight: Floats) -> Floats:
     return first * values[at] + second * values[at + 1] + third * values[at + 2]
 
 
-def _stretches(grid: Grid) -> tuple[Integers, Floats]:
+def _stretches(grid: KnotGrid) -> tuple[Integers, Floats]:
     """Return the stretch that each control point's span lies in, (n,), and the middles of all stretches [s]."""
     start = grid.segments[0].start_s
     span_s = grid.segments[-1].start_s + grid.segments[-1].spans * grid.spacing_s - start

@@ -14,8 +14,8 @@ import numpy as np
 from ....geometry.so3 import skew
 from ....models.origin import EVEN_WEIGHTS, Origin
 from ....recording import Floats
-from ..layout import Layout
-from ..parameters import ImuParameters, Parameters
+from ..layout import BorderLayout
+from ..parameters import ImuParameters, RigParameters
 from ..solution import Solution
 from ..start.initial_trajectory import fitted_splines
 from ..trajectory import POSE, Bases, Trajectory
@@ -75,7 +75,7 @@ def _by_arms(solution: Solution, imu: int) -> tuple[Floats, Floats]:
     return by_arms, covariance
 
 
-def _beside_the_body(layout: Layout, imu: ImuParameters, number: int, by_arms: Floats, body: _Shift) -> Floats:
+def _beside_the_body(layout: BorderLayout, imu: ImuParameters, number: int, by_arms: Floats, body: _Shift) -> Floats:
     """Return how the place of an IMU beside the first, whose origin is at p*, goes with its arms, (3, 6), its axes."""
     columns, turn, arms = (
         layout.get(name)
@@ -88,7 +88,7 @@ def _beside_the_body(layout: Layout, imu: ImuParameters, number: int, by_arms: F
 
 
 def _mean_over_cameras(
-    layout: Layout, parameters: Parameters, by_arms: Floats, covariance: Floats, own: _Shift
+    layout: BorderLayout, parameters: RigParameters, by_arms: Floats, covariance: Floats, own: _Shift
 ) -> Floats:
     """Return how the origin goes with the arms of the body as the cameras see it, (3, 6), the body's axes."""
     total, right = np.zeros((3, 3)), np.zeros((3, 6))

@@ -9,7 +9,7 @@ from ....geometry.so3 import skew
 from ....models.pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats
 from ....results.calibration import AccelerometerCalibration, CameraCalibration, GyroscopeCalibration, ImuCalibration
-from ..parameters import CameraParameters, ImuParameters, Parameters
+from ..parameters import CameraParameters, ImuParameters, RigParameters
 from .uncertainty import Uncertainty, with_uncertain
 
 _IMU_SCALARS = 33
@@ -18,7 +18,7 @@ _POSE_AND_CLOCK = (*(f"T_imu_body.{part}[{k}]" for part in ("rotation", "transla
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Published:
+class PublishedRig:
     """IMUs and cameras.
 
     Attributes
@@ -35,7 +35,7 @@ class Published:
     jacobian: Floats
 
 
-def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) -> Published:
+def publish_rig(found: Uncertainty, parameters: RigParameters, gravity_sigma: float) -> PublishedRig:
     """Return what the estimate says, each IMU in its own frame "accel-x".
 
     Parameters
@@ -82,7 +82,7 @@ def published(found: Uncertainty, parameters: Parameters, gravity_sigma: float) 
         rows.append(_camera_rows(entry, column, width))
     jacobian = np.concatenate(rows)
     covariance, ordinary = (jacobian @ inner @ jacobian.T for inner in both)
-    return Published(
+    return PublishedRig(
         imus=imus,
         cameras=calibrated,
         covariance=0.5 * (covariance + covariance.T),

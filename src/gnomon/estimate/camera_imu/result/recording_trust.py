@@ -6,9 +6,9 @@ from ....recording import Floats, Integers
 from ....results.parameters import covariance_names
 from ....results.trust import SigmaRatio, Splits, Trust
 from ...trust.changes import parameter_changes
-from ...trust.parts import Split, agreement, differences
-from .publish import Published
-from .uncertainty import ByTime, Uncertainty, wider_by_clusters
+from ...trust.parts import Split, part_agreement, part_differences
+from .publish import PublishedRig
+from .uncertainty import TimeClusters, Uncertainty, cluster_robust_covariance
 
 _LABELS = {
     "halves": ("first half", "second half"),
@@ -18,7 +18,7 @@ _SHORTEST_PART_S = 5.0
 """A shorter part determines too little for itself."""
 
 
-def recording_trust(result: Published, found: Uncertainty) -> Trust:
+def recording_trust(result: PublishedRig, found: Uncertainty) -> Trust:
     """Return what the recording tells of the uncertainty of what is published."""
     names = np.array(covariance_names(result.imus, result.cameras))
     estimated = np.diag(result.ordinary) > 0
@@ -43,7 +43,7 @@ def recording_trust(result: Published, found: Uncertainty) -> Trust:
     )
 
 
-def _splits(by_time: ByTime, jacobian: Floats, names: np.ndarray, blocks: dict[str, Integers]) -> Splits | None:
+def _splits(by_time: TimeClusters, jacobian: Floats, names: np.ndarray, blocks: dict[str, Integers]) -> Splits | None:
     """Compare halves and thirds in everything but the biases, which wander indeed."""
     compared = {path: members for path, members in blocks.items() if not path.endswith(".bias")}
     counts = np.zeros(len(names), dtype=bool)
@@ -59,6 +59,6 @@ def _splits(by_time: ByTime, jacobian: Floats, names: np.ndarray, blocks: dict[s
         return None
     scalars = jacobian @ by_time.scalars
     number = np.unique([name.partition("[")[0] for name in names], return_inverse=True)[1].astype(np.int64)
-    wider = wider_by_clusters(by_time.phases, scalars, number)
-    found = differences(by_time.stretches, scalars, wider, splits)
-    return agreement(found, splits, tuple(names.tolist()), compared) if len(found) else None
+    wider = cluster_robust_covariance(by_time.phases, scalars, number)
+    found = part_differences(by_time.stretches, scalars, wider, splits)
+    return part_agreement(found, splits, tuple(names.tolist()), compared) if len(found) else None

@@ -11,8 +11,8 @@ import numpy as np
 
 from ....recording import Floats, Integers
 from ..solution import Solution
-from ..terms.board import Board
-from ..terms.visual_terms import board_in_camera, instants
+from ..terms.board import BoardPoints
+from ..terms.visual_terms import board_in_camera, exposure_times
 from ..trajectory import Bases
 
 LAGS = (1, 20, 100)
@@ -43,7 +43,7 @@ class CornerCorrelation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pattern:
+class ResidualPattern:
     """Residuals that come back at the same place in all clusters of time.
 
     Attributes
@@ -105,7 +105,7 @@ def corner_correlation(solution: Solution) -> dict[str, CornerCorrelation]:
     return found
 
 
-def board_evidence(solution: Solution) -> Pattern:
+def board_evidence(solution: Solution) -> ResidualPattern:
     """Return whether corners of the board stay off their places: cheap, and before offsets are estimated."""
     every = _counting(solution)
     return _pattern(
@@ -115,7 +115,7 @@ def board_evidence(solution: Solution) -> Pattern:
     )
 
 
-def lens_evidence(solution: Solution) -> Pattern:
+def lens_evidence(solution: Solution) -> ResidualPattern:
     """Return whether residuals stay with parts of the image, as those of wrong intrinsics do."""
     every, (across, down) = _counting(solution), _CELLS
     cells: list[Integers] = []
@@ -129,20 +129,20 @@ def lens_evidence(solution: Solution) -> Pattern:
     )
 
 
-def _pattern(residual: Floats, label: Integers, t_s: Floats) -> Pattern:
+def _pattern(residual: Floats, label: Integers, t_s: Floats) -> ResidualPattern:
     """Return what residuals (m, 2) of the same label (m,) have in common between clusters of time."""
     cluster = np.floor((t_s - np.min(t_s, initial=np.inf)) / _CLUSTER_S).astype(np.int64)
     return common_pattern(residual, label, cluster)
 
 
-def common_pattern(residual: Floats, label: Integers, cluster: Integers) -> Pattern:
+def common_pattern(residual: Floats, label: Integers, cluster: Integers) -> ResidualPattern:
     """Return what residuals (m, 2) of the same label (m,) have in common between clusters (m,), numbered in time.
 
     M_cd = sum over labels of s_c s_d', s the sums of residuals of a label in clusters c and d, is without a pattern as
     likely positive as negative for c and d that are not neighbours.
     """
     if not len(cluster):
-        return Pattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=0)
+        return ResidualPattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=0)
     clusters, labels = int(cluster.max()) + 1, int(label.max()) + 1
     place = cluster * labels + label
     sums = np.stack([np.bincount(place, r, clusters * labels) for r in residual.T], axis=1).reshape(clusters, -1)
@@ -151,10 +151,10 @@ def common_pattern(residual: Floats, label: Integers, cluster: Integers) -> Patt
     apart = np.abs(number[:, None] - number) > 1
     products, pairs = np.where(apart, sums @ sums.T, 0.0), np.where(apart, count @ count.T, 0.0)
     if clusters < _FEWEST_CLUSTERS or not products.any():
-        return Pattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=clusters)
+        return ResidualPattern(share=0.0, rms_px=0.0, z=0.0, chance=1.0, clusters=clusters)
     z = float(products.sum() / np.sqrt(2 * (products**2).sum()))
     square = float(products.sum() / (2 * pairs.sum()))
-    return Pattern(
+    return ResidualPattern(
         share=square / float(np.mean(residual**2)),
         rms_px=float(np.sqrt(max(square, 0.0))),
         z=z,
@@ -179,7 +179,7 @@ def _counting(solution: Solution) -> list[_Corners]:
     ):
         exposures, entry = data.exposures, parameters.cameras[data.camera]
         assert exposures.point is not None
-        places = trajectory.grid.places(instants(data, entry))
+        places = trajectory.grid.places(exposure_times(data, entry))
         motion = trajectory.motion(places, Bases.at(places, trajectory.grid))
         R, p = board_in_camera(motion, entry)
         of = exposures.of_corner
@@ -214,7 +214,7 @@ def along_board(by_place: Floats, residual: Floats) -> Floats:
     return np.stack([cos * x + sin * y, side * (cos * y - sin * x)], axis=1)
 
 
-def _neighbours(board: Board | None) -> Integers:
+def _neighbours(board: BoardPoints | None) -> Integers:
     """Return pairs (n, 2) of corners that are next to each other, of tags the same corners of two tags."""
     if board is None:
         return np.zeros((0, 2), dtype=np.int64)

@@ -15,12 +15,12 @@ import numpy as np
 
 from ....recording import Floats, Integers
 from ....results.trust import Clusters
-from ...trust.clusters import ClusterSums, left_out, whole_estimate
-from ...trust.robust import Robust, clustered, memory
+from ...trust.clusters import ClusterSums, leave_clusters_out, whole_estimate
+from ...trust.robust import Robust, correlation_time, group_into_clusters
 from ..batch import mean_weights
-from ..gauss_newton import Step
-from ..layout import Layout
-from ..parameters import CameraParameters, Parameters
+from ..gauss_newton import GaussNewtonStep
+from ..layout import BorderLayout
+from ..parameters import CameraParameters, RigParameters
 from ..solution import Solution
 from ..terms.assembly import TRIAD
 from ..trajectory import BIAS, POSE
@@ -33,7 +33,7 @@ _LEAST_MEMORY = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Held:
+class FixedParameterEffect:
     """What a held parameter would do.
 
     Attributes
@@ -51,7 +51,7 @@ class Held:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ByTime:
+class TimeClusters:
     """Clusters of time and what they are made of.
 
     Attributes
@@ -86,11 +86,13 @@ class Uncertainty:
     covariance: Floats
     ordinary: Floats
     bias_mean: Floats
-    held: dict[str, Held]
-    by_time: "ByTime | None" = None
+    held: dict[str, FixedParameterEffect]
+    by_time: "TimeClusters | None" = None
 
 
-def uncertainty(solution: Solution, held_blocks: tuple[str, ...], sums: ClusterSums | None = None) -> Uncertainty:
+def solution_uncertainty(
+    solution: Solution, held_blocks: tuple[str, ...], sums: ClusterSums | None = None
+) -> Uncertainty:
     """Return the covariance at a solution.
 
     Parameters
@@ -134,9 +136,9 @@ def _from_clusters(found: Uncertainty, sums: ClusterSums, solution: Solution, sc
     scalars[len(free) :, : len(free)] = schur_sides[free].T
     scalars = scalars @ along
     block = _block_numbers(found.names, means)[kept]
-    lasts = memory(own, scalars[kept], block)
-    phases, length = clustered(own, max(lasts, _LEAST_MEMORY))
-    wider = wider_by_clusters(phases, scalars[kept], block)
+    lasts = correlation_time(own, scalars[kept], block)
+    phases, length = group_into_clusters(own, max(lasts, _LEAST_MEMORY))
+    wider = cluster_robust_covariance(phases, scalars[kept], block)
     stretch_s = float(np.median(np.diff(sums.t_s)))
     spread = scalars @ np.linalg.inv(scalars[kept])
     more = spread @ (wider.covariance - found.ordinary[np.ix_(kept, kept)]) @ spread.T
@@ -144,7 +146,7 @@ def _from_clusters(found: Uncertainty, sums: ClusterSums, solution: Solution, sc
         found,
         covariance=found.ordinary + more,
         held=_held_by_clusters(found.held, sums, layout, columns, max(lasts, _LEAST_MEMORY)),
-        by_time=ByTime(
+        by_time=TimeClusters(
             stretches=own,
             phases=tuple(phases),
             scalars=scalars,
@@ -154,11 +156,11 @@ def _from_clusters(found: Uncertainty, sums: ClusterSums, solution: Solution, sc
 
 
 def _held_by_clusters(
-    held: dict[str, Held], sums: ClusterSums, layout: Layout, columns: Integers, memory: int
-) -> dict[str, Held]:
+    held: dict[str, FixedParameterEffect], sums: ClusterSums, layout: BorderLayout, columns: Integers, memory: int
+) -> dict[str, FixedParameterEffect]:
     """Return the same with the standard deviations that clusters of time tell of the steps that would be taken."""
     place = {name: i for i, name in enumerate(layout.names)}
-    found: dict[str, Held] = {}
+    found: dict[str, FixedParameterEffect] = {}
     for block, entry in held.items():
         index = np.array([place[name] for name in entry.names])
         found[block] = entry
@@ -168,14 +170,14 @@ def _held_by_clusters(
             at_rest = replace(
                 own, pull=own.pull - own.information @ step, prior_pull=own.prior_pull - own.prior_information @ step
             )
-            phases, _ = clustered(at_rest, memory)
+            phases, _ = group_into_clusters(at_rest, memory)
             scalars = np.eye(len(columns) + len(index))[len(columns) :]
-            wider = wider_by_clusters(phases, scalars, np.zeros(len(index), np.int64))
+            wider = cluster_robust_covariance(phases, scalars, np.zeros(len(index), np.int64))
             found[block] = replace(entry, wanted_sigma=entry.wanted_sigma * np.sqrt(wider.factor))
     return found
 
 
-def wider_by_clusters(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
+def cluster_robust_covariance(phases: Sequence[ClusterSums], jacobian: Floats, block: Integers) -> Robust:
     """Return by how much variances are larger than for independent errors, by the jackknife over clusters (CR3).
 
     None is smaller. From some dozen clusters the factors scatter: each is drawn half-way to the mean of its block.
@@ -188,7 +190,7 @@ def wider_by_clusters(phases: Sequence[ClusterSums], jacobian: Floats, block: In
     """
     shown = np.zeros((len(jacobian),) * 2)
     for sums in phases:
-        moves = left_out(sums) @ jacobian.T
+        moves = leave_clusters_out(sums) @ jacobian.T
         shown += (len(sums) - 1) / len(sums) / len(phases) * moves.T @ moves
     total, prior = phases[0].total, phases[0].prior_information
     gain = jacobian @ whole_estimate(phases[0])[1]
@@ -216,7 +218,7 @@ def _block_numbers(names: tuple[str, ...], means: int) -> Integers:
     return np.unique(blocks, return_inverse=True)[1].astype(np.int64)
 
 
-def _held(name: str, layout: Layout, step: Step, schur_sides: Floats) -> Held | None:
+def _held(name: str, layout: BorderLayout, step: GaussNewtonStep, schur_sides: Floats) -> FixedParameterEffect | None:
     columns = layout.get(name)
     if columns is None:
         return None
@@ -231,7 +233,7 @@ def _held(name: str, layout: Layout, step: Step, schur_sides: Floats) -> Held | 
     right = step.factor.schur_sides[index, 0] + by_unit.T @ step.factor.schur_sides[free, 0]
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    return Held(
+    return FixedParameterEffect(
         names=tuple(layout.names[i] for i in index),
         by_unit=np.concatenate([by_unit, means_by_unit]).T,
         wanted=covariance @ right,
@@ -239,7 +241,7 @@ def _held(name: str, layout: Layout, step: Step, schur_sides: Floats) -> Held | 
     )
 
 
-def with_detector_scale(found: Uncertainty, parameters: Parameters, sigmas: Mapping[str, float]) -> Uncertainty:
+def with_detector_scale(found: Uncertainty, parameters: RigParameters, sigmas: Mapping[str, float]) -> Uncertainty:
     """Return the uncertainty with that of a bias of the detectors, which feigns another focal length (Schmidt).
 
     The bias b is not estimated, only considered: what it moves is added. Where the lens is held, that is what its focal
@@ -273,7 +275,7 @@ def with_detector_scale(found: Uncertainty, parameters: Parameters, sigmas: Mapp
     return replace(found, covariance=covariance, ordinary=ordinary)
 
 
-def _asked_focal(held: Held, entry: CameraParameters) -> float:
+def _asked_focal(held: FixedParameterEffect, entry: CameraParameters) -> float:
     """Return by how much corners ask for another focal length than the one held, relative to it; 0 by chance."""
     focal = len(entry.camera.intrinsics) - 4
     wanted = [

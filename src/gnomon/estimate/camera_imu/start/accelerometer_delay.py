@@ -13,7 +13,7 @@ import numpy as np
 from ....geometry.rigid_body import acceleration_by_place
 from .alignment import Alignment
 from .board_poses import BoardPoses
-from .camera_acceleration import averaged, camera_accelerations, derivative
+from .camera_acceleration import averaged_derivative, averaged_readings, camera_accelerations
 from .first_guess import ImuStream
 
 _GRID_S = np.arange(-0.06, 0.0601, 0.002)
@@ -34,8 +34,8 @@ def accelerometer_delay(alignment: Alignment, poses: BoardPoses, stream: ImuStre
     if len(centre) < _FEWEST:
         return 0.0
     R_imu_target = alignment.R_cam_imu.T @ poses.R_cam_target[centre]
-    omega = averaged(at_s, stream.t_s, stream.rate)
-    alpha = derivative(at_s, stream.t_s, stream.rate)
+    omega = averaged_readings(at_s, stream.t_s, stream.rate)
+    alpha = averaged_derivative(at_s, stream.t_s, stream.rate)
     columns = np.concatenate(
         [-R_imu_target, acceleration_by_place(omega, alpha), np.broadcast_to(np.eye(3), R_imu_target.shape)], axis=2
     ).reshape(-1, 9)
@@ -43,10 +43,10 @@ def accelerometer_delay(alignment: Alignment, poses: BoardPoses, stream: ImuStre
     known = np.einsum("nij,nj->ni", R_imu_target, acceleration)
     left = np.empty(len(_GRID_S))
     for k, delay in enumerate(_GRID_S):
-        error = (averaged(at_s - delay, stream.t_s, stream.force) - known).ravel()
+        error = (averaged_readings(at_s - delay, stream.t_s, stream.force) - known).ravel()
         left[k] = error @ error - np.square(basis.T @ error).sum()
     best = int(np.argmin(left))
-    force = averaged(at_s, stream.t_s, stream.force)
+    force = averaged_readings(at_s, stream.t_s, stream.force)
     if not 0 < best < len(left) - 1 or left[best] > _EXPLAINED * float(np.square(force - force.mean(axis=0)).sum()):
         return 0.0
     before, least, after = left[best - 1 : best + 2]

@@ -103,7 +103,7 @@ def gyroscope_integral(t_s: Floats, rate: Floats) -> GyroscopeIntegral:
     return GyroscopeIntegral(t_s=t_s, angle=np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)]))
 
 
-def align(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignment:
+def align_camera(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> Alignment:
     """Find the time shift, the rotation between camera and IMU, and the gyroscope's bias.
 
     Parameters
@@ -175,7 +175,7 @@ def clock_steps(poses: BoardPoses, integral: GyroscopeIntegral, alignment: Align
 
     Parameters
     ----------
-    poses, integral : as of `align`
+    poses, integral : as of `align_camera`
     alignment : of the whole recording, None where it failed; where it explains every window nothing is sought
     """
     if len(poses) < _WINDOW_FEWEST or _mostly_gaps(poses.t_s) or _mostly_gaps(integral.t_s):

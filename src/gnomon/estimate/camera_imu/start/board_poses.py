@@ -65,7 +65,7 @@ class BoardPoses:
         )
 
 
-def gathered(frames: CameraFrames, target: Target, fewest: int = FEWEST_CORNERS) -> Exposures:
+def gather_exposures(frames: CameraFrames, target: Target, fewest: int = FEWEST_CORNERS) -> Exposures:
     """Return the corners of the frames that have enough of them to be used, not all on one line."""
     counts = np.bincount(frames.frame, minlength=len(frames.t_ns))
     points = target.points[frames.point]
@@ -81,7 +81,7 @@ def gathered(frames: CameraFrames, target: Target, fewest: int = FEWEST_CORNERS)
     )
 
 
-def thinned(exposures: Exposures) -> Exposures:
+def thin_exposures(exposures: Exposures) -> Exposures:
     """Return the exposures with some fifty of their corners each: enough for a first pose."""
     lengths = np.diff(exposures.start)
     stride = np.maximum(lengths // ENOUGH_CORNERS, 1)
@@ -120,7 +120,7 @@ def board_poses(frames: CameraFrames, target: Target, t_s: Floats) -> BoardPoses
     target : the board, planar
     t_s : (n,) timestamps of all frames [s]
     """
-    exposures = thinned(every := gathered(frames, target))
+    exposures = thin_exposures(every := gather_exposures(frames, target))
     if not len(exposures):
         return BoardPoses(
             exposures=every,

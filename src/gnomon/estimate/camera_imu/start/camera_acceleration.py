@@ -35,7 +35,7 @@ def camera_accelerations(poses: BoardPoses, time_shift_s: float) -> tuple[Intege
     -------
     frame : (m,) indices into the poses
     acceleration : (m, 3) in the frame of the board [m/s^2]
-    at_s : (m, k) instants of the IMU over which `averaged` goes [s]
+    at_s : (m, k) instants of the IMU over which `averaged_readings` goes [s]
     """
     t_s = poses.t_s + time_shift_s
     step_s = max(STEP_S, float(np.median(np.diff(t_s)))) if len(t_s) > 1 else STEP_S
@@ -59,12 +59,12 @@ def _nearest(t_s: Floats, at_s: Floats) -> Integers:
     return after - (at_s - t_s[after - 1] < t_s[after] - at_s)
 
 
-def averaged(at_s: Floats, t_s: Floats, values: Floats, weights: Floats = TRIANGLE) -> Floats:
+def averaged_readings(at_s: Floats, t_s: Floats, values: Floats, weights: Floats = TRIANGLE) -> Floats:
     """Return readings (n, 3) with timestamps (n,) [s] at instants (m, k) [s], summed with weights (k,), (m, 3)."""
     return np.stack([np.interp(at_s, t_s, values[:, i]) @ weights for i in range(3)], axis=1)
 
 
-def derivative(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
-    """Return the derivative of readings as `averaged` takes them, (m, 3)."""
+def averaged_derivative(at_s: Floats, t_s: Floats, values: Floats) -> Floats:
+    """Return the derivative of readings as `averaged_readings` takes them, (m, 3)."""
     longer = (at_s[:, -1] - at_s[:, 0]) / (OFFSETS_S[-1] - OFFSETS_S[0])
-    return averaged(at_s, t_s, values, DIFFERENCE) / longer[:, None]
+    return averaged_readings(at_s, t_s, values, DIFFERENCE) / longer[:, None]

@@ -14,16 +14,16 @@ from ....models.origin import Origin
 from ....models.target import Target
 from ....options import CameraImuOptions
 from ....recording import CameraFrames, Floats
-from ..batch import State
-from ..choices import choices, kept_or_prior, wants_k3
+from ..batch import RigState
+from ..choices import estimation_choices, kept_or_prior, wants_k3
 from ..layout import Status
-from ..parameters import CameraParameters, ImuParameters, Parameters, gravity_axes
-from ..terms.board import Board
+from ..parameters import CameraParameters, ImuParameters, RigParameters, gravity_axes
+from ..terms.board import BoardPoints
 from ..terms.corner_sums import Exposures
 from ..terms.inertial_data import InertialData
-from .alignment import Alignment, align, gyroscope_integral
+from .alignment import Alignment, align_camera, gyroscope_integral
 from .board_poses import BoardPoses, board_poses
-from .camera_acceleration import averaged, camera_accelerations
+from .camera_acceleration import averaged_readings, camera_accelerations
 from .initial_trajectory import ImuPath, imu_path, initial_trajectory
 
 _BAD_FRAME = 5.0
@@ -36,7 +36,7 @@ _ONE_AXIS = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Look:
+class CameraAlignment:
     """What one camera saw, and how it lies to the IMU.
 
     Attributes
@@ -82,7 +82,9 @@ def imu_stream(inertial: tuple[InertialData, ...], imu: int = 0) -> ImuStream:
     return ImuStream(t_s=gyroscope.t_s, rate=gyroscope.gyroscope.values, force=force)
 
 
-def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, stream: ImuStream) -> tuple[Look, ...]:
+def align_cameras(
+    cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, stream: ImuStream
+) -> tuple[CameraAlignment, ...]:
     """Find the board in every frame, and every camera's clock and axes.
 
     Parameters
@@ -98,11 +100,11 @@ def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, s
         If a camera cannot be aligned and has no stated guess.
     """
     integral = gyroscope_integral(stream.t_s, stream.rate)
-    found: list[Look] = []
+    found: list[CameraAlignment] = []
     for name, frames in cameras.items():
         poses = board_poses(frames, target, np.asarray((frames.t_ns - origin_ns) * 1e-9, dtype=np.float64))
         try:
-            alignment = align(poses, integral, name)
+            alignment = align_camera(poses, integral, name)
         except InitialisationError:
             if frames.T_cam_imu is None or not len(poses):
                 raise
@@ -112,8 +114,8 @@ def looks(cameras: Mapping[str, CameraFrames], target: Target, origin_ns: int, s
                 raise  # why it cannot be found says more than that what was stated is wrong, too
         else:
             stated = None if frames.T_cam_imu is None else frames.T_cam_imu[:3, :3]
-            alignment = upright(alignment, poses, stream, stated)
-        found.append(Look(name=name, frames=frames, poses=poses, alignment=alignment, target=target))
+            alignment = align_with_gravity(alignment, poses, stream, stated)
+        found.append(CameraAlignment(name=name, frames=frames, poses=poses, alignment=alignment, target=target))
     return tuple(found)
 
 
@@ -130,7 +132,9 @@ def _as_stated(frames: CameraFrames, poses: BoardPoses) -> Alignment:
     )
 
 
-def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated: Floats | None = None) -> Alignment:
+def align_with_gravity(
+    alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated: Floats | None = None
+) -> Alignment:
     """Where the rotation was about one axis, find the angle about it from the specific force, unless it is stated.
 
     The camera's own acceleration (`camera_acceleration`) and the accelerometer, averaged as that is, are compared in
@@ -148,7 +152,7 @@ def upright(alignment: Alignment, poses: BoardPoses, stream: ImuStream, R_stated
             "T_cam_imu in camchain.yaml."
         )
     R_cam_target = poses.R_cam_target[centre]
-    force = averaged(at_s, stream.t_s, stream.force)
+    force = averaged_readings(at_s, stream.t_s, stream.force)
     turns = rotvec_from_rotation(poses.R_cam_target[:-1] @ np.swapaxes(poses.R_cam_target[1:], 1, 2))
     axis = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     best, least = alignment.R_cam_imu, np.inf
@@ -178,12 +182,12 @@ def per_corner(exposures: Exposures) -> Exposures:
 
 
 def first_parameters(
-    found: tuple[Look, ...],
+    found: tuple[CameraAlignment, ...],
     gravity_m_s2: float,
     options: CameraImuOptions,
     imus: Sequence[ImuParameters] = (ImuParameters.ideal(),),
     places: Sequence[Floats] = (),
-) -> Parameters:
+) -> RigParameters:
     """Return the constant parameters to start from; gravity's direction follows with the trajectory.
 
     What was stated of the cameras is taken where it shall be kept, or has a stated prior about it. Of the others
@@ -194,11 +198,11 @@ def first_parameters(
     OptionError
         If something shall be kept, or has a prior, that was not stated.
     """
-    start = Parameters(
+    start = RigParameters(
         gravity_axes=gravity_axes(np.array([0.0, 0.0, -1.0])),
         gravity_m_s2=gravity_m_s2,
         target_scale=1.0,
-        board=Board.nominal(found[0].target) if found else None,
+        board=BoardPoints.nominal(found[0].target) if found else None,
         imus=tuple(replace(imu, origin=Origin.stated(options.origin)) for imu in imus),
         cameras=tuple(
             CameraParameters(
@@ -214,7 +218,7 @@ def first_parameters(
     )
     named = [entry.with_k3() if wants_k3(entry.name, options) else entry for entry in start.cameras]
     start = replace(start, cameras=tuple(named))
-    status = choices(start, options).status
+    status = estimation_choices(start, options).status
     cameras = [_with_stated(entry, look.frames, status) for entry, look in zip(start.cameras, found, strict=True)]
     return replace(start, cameras=tuple(cameras))
 
@@ -245,14 +249,14 @@ def _with_stated(entry: CameraParameters, frames: CameraFrames, status: dict[str
 
 
 def first_state(
-    found: tuple[Look, ...],
-    parameters: Parameters,
+    found: tuple[CameraAlignment, ...],
+    parameters: RigParameters,
     stream: ImuStream,
     knots_per_s: float,
     *,
     order: int,
     others: Sequence[Floats] = (),
-) -> State:
+) -> RigState:
     """Return trajectory and gravity for given extrinsics and time shifts.
 
     Parameters
@@ -287,7 +291,7 @@ def first_state(
     )
     trajectory = initial_trajectory(path, seen, knots_per_s, order=order, gyroscope_biases=(bias, *others))
     gravity = _gravity(path, stream, t_s[good])
-    return State(trajectory=trajectory, parameters=replace(parameters, gravity_axes=gravity_axes(gravity)))
+    return RigState(trajectory=trajectory, parameters=replace(parameters, gravity_axes=gravity_axes(gravity)))
 
 
 def _gravity(path: ImuPath, stream: ImuStream, seen_s: Floats) -> Floats:

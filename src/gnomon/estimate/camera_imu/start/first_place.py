@@ -15,7 +15,7 @@ from ....geometry.so3 import skew
 from ....recording import Floats
 from .alignment import Alignment
 from .board_poses import BoardPoses
-from .camera_acceleration import averaged, camera_accelerations, derivative
+from .camera_acceleration import averaged_derivative, averaged_readings, camera_accelerations
 from .first_guess import ImuStream
 
 _FEWEST = 20  # frames with an acceleration
@@ -40,7 +40,7 @@ def first_place(alignment: Alignment, poses: BoardPoses, stream: ImuStream, dela
     at_s = at_s[good]
     R = alignment.R_cam_imu.T @ poses.R_cam_target[centre[good]]
     columns = np.concatenate([_by_place(alignment, stream, at_s), -R, np.broadcast_to(np.eye(3), R.shape)], axis=2)
-    right = averaged(at_s - delay_s, stream.t_s, stream.force) - np.einsum("nij,nj->ni", R, acceleration[good])
+    right = averaged_readings(at_s - delay_s, stream.t_s, stream.force) - np.einsum("nij,nj->ni", R, acceleration[good])
     used, found = np.ones(len(R), dtype=bool), np.zeros(9)
     scatter = float(np.sqrt(np.mean(right**2)))
     for _ in range(_ROUNDS):
@@ -57,9 +57,9 @@ def _by_place(alignment: Alignment, stream: ImuStream, at_s: Floats) -> Floats:
     """Return A, averaged over instants (m, k) [s], (m, 3, 3)."""
     omega = stream.rate - alignment.gyroscope_bias
     x, y, z = omega.T
-    squares = averaged(at_s, stream.t_s, omega**2)
-    products = averaged(at_s, stream.t_s, np.stack([y * z, z * x, x * y], axis=1))
-    found = skew(derivative(at_s, stream.t_s, omega)) - squares.sum(axis=1)[:, None, None] * np.eye(3)
+    squares = averaged_readings(at_s, stream.t_s, omega**2)
+    products = averaged_readings(at_s, stream.t_s, np.stack([y * z, z * x, x * y], axis=1))
+    found = skew(averaged_derivative(at_s, stream.t_s, omega)) - squares.sum(axis=1)[:, None, None] * np.eye(3)
     found += squares[:, :, None] * np.eye(3)
     for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
         found[:, i, j] += products[:, k]

@@ -16,12 +16,12 @@ from ....recording import Floats, ImuSamples
 from ..choices import kept_or_prior
 from ..layout import Status
 from ..parameters import ImuParameters
-from .alignment import Alignment, align, gyroscope_integral
-from .first_guess import ImuStream, Look, upright
+from .alignment import Alignment, align_camera, gyroscope_integral
+from .first_guess import CameraAlignment, ImuStream, align_with_gravity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Beside:
+class ImuAlignment:
     """An IMU beside the first.
 
     Attributes
@@ -34,7 +34,7 @@ class Beside:
     """
 
     name: str
-    look: Look
+    look: CameraAlignment
     alignment: Alignment
     R_imu_body: Floats
     time_shift_s: float
@@ -45,12 +45,12 @@ class Beside:
         return self.alignment.gyroscope_bias
 
 
-def aligned_beside(
-    found: Sequence[Look],
+def align_imus(
+    found: Sequence[CameraAlignment],
     streams: Sequence[ImuStream],
     imus: Sequence[tuple[str, ImuSamples]],
     epochs_s: Sequence[float],
-) -> tuple[Beside, ...]:
+) -> tuple[ImuAlignment, ...]:
     """Return how the IMUs after the first lie to it.
 
     Parameters
@@ -72,17 +72,19 @@ def aligned_beside(
     )
 
 
-def _beside(name: str, samples: ImuSamples, stream: ImuStream, guides: Sequence[Look], epoch_s: float) -> Beside:
+def _beside(
+    name: str, samples: ImuSamples, stream: ImuStream, guides: Sequence[CameraAlignment], epoch_s: float
+) -> ImuAlignment:
     integral = gyroscope_integral(stream.t_s, stream.rate)
     failure: InitialisationError | None = None
     for look in guides:
         try:
-            alignment = align(look.poses, integral, look.name)
+            alignment = align_camera(look.poses, integral, look.name)
         except InitialisationError as error:
             failure = failure or error
             continue
-        alignment = upright(alignment, look.poses, stream)
-        return Beside(
+        alignment = align_with_gravity(alignment, look.poses, stream)
+        return ImuAlignment(
             name=name,
             look=look,
             alignment=alignment,
@@ -93,7 +95,7 @@ def _beside(name: str, samples: ImuSamples, stream: ImuStream, guides: Sequence[
         raise InitialisationError(f"{name}: {failure}")
     look = guides[0]
     unknown = replace(look.alignment, score=0.0, gyroscope_bias=0.0 * look.alignment.gyroscope_bias)
-    return Beside(
+    return ImuAlignment(
         name=name,
         look=look,
         alignment=unknown,
@@ -102,7 +104,7 @@ def _beside(name: str, samples: ImuSamples, stream: ImuStream, guides: Sequence[
     )
 
 
-def first_imu(one: Beside, known: ImuParameters) -> ImuParameters:
+def first_imu(one: ImuAlignment, known: ImuParameters) -> ImuParameters:
     """Return an IMU as it is estimated first, with its place and clock.
 
     Parameters

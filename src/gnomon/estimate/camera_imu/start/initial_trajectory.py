@@ -11,11 +11,11 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from ....errors import InitialisationError
-from ....geometry.bspline import basis
+from ....geometry.bspline import bspline_basis
 from ....geometry.quaternion import rk4n_steps, rotation_from_quaternion, running_products
-from ....geometry.rotation_vector import nearest_branch, rotation_from_rotvec, rotvec_from_rotation, unwrapped
+from ....geometry.rotation_vector import nearest_branch, rotation_from_rotvec, rotvec_from_rotation, unwrap_rotvecs
 from ....recording import Floats
-from ..trajectory import BIAS, Grid, Segment, Trajectory
+from ..trajectory import BIAS, KnotGrid, Segment, Trajectory
 
 MARGIN_S = 0.1
 """How far the trajectory reaches beyond the first and the last frame, where the IMU does."""
@@ -110,7 +110,7 @@ def initial_trajectory(
             biases[:, BIAS * imu : BIAS * imu + 3] = bias
         controls.append(np.concatenate([pose, biases], axis=1))
         first += count + order - 1
-    grid = Grid(segments=tuple(segments), spacing_s=spacing, order=order)
+    grid = KnotGrid(segments=tuple(segments), spacing_s=spacing, order=order)
     return Trajectory(grid=grid, controls=np.concatenate(controls))
 
 
@@ -145,7 +145,7 @@ def _charted(path: ImuPath, start: float, stop: float) -> list[_Piece]:
     thin = np.unique(np.append(inside[:: max(1, int(_GUIDE_S * rate))], inside[-1]))
     candidates = path.R[thin[:: max(1, len(thin) // 40)]]
     relative = np.swapaxes(candidates, 1, 2)[None] @ path.R[thin][:, None]
-    vectors = unwrapped(rotvec_from_rotation(relative))
+    vectors = unwrap_rotvecs(rotvec_from_rotation(relative))
     angles = np.linalg.norm(vectors, axis=-1).max(axis=0)
     best = int(np.argmin(angles))
     if angles[best] < _LARGEST_ANGLE or stop - start < 2 * _SHORTEST_S:
@@ -174,7 +174,7 @@ def fitted_splines(position: Floats, values: Floats, spans: int, order: int) -> 
     """Return control points (spans + order - 1, m) of splines near values (n, m) at positions (n,) in spans."""
     count = spans + order - 1
     first = np.minimum(position.astype(np.int64), spans - 1)
-    weights = basis(order, position - first)
+    weights = bspline_basis(order, position - first)
     banded, right = np.zeros((order, count)), np.zeros((count, values.shape[1]))
     for i in range(order):
         for j in range(i, order):

@@ -17,8 +17,8 @@ import numpy as np
 from ....kernel import library
 from ....recording import Floats, Integers
 from ....solve.bordered_band import BorderedBand
-from ..layout import Layout
-from ..trajectory import BIAS, POSE, Grid
+from ..layout import BorderLayout
+from ..trajectory import BIAS, POSE, KnotGrid
 
 TRIAD = 3
 """Scalars of the bias of one triad."""
@@ -49,7 +49,13 @@ class Columns:
 
     @classmethod
     def of(
-        cls, layout: Layout, order: int, touched: Callable[[str], bool], *, imu: int | None, probes: tuple[int, ...]
+        cls,
+        layout: BorderLayout,
+        order: int,
+        touched: Callable[[str], bool],
+        *,
+        imu: int | None,
+        probes: tuple[int, ...],
     ) -> "Columns":
         """Return the columns of a sensor that touches the blocks of a layout of which a function says so."""
         blocks = {name: at for name, at in layout.columns.items() if at.start < layout.dense and touched(name)}
@@ -123,12 +129,12 @@ class Term(Protocol):
         ...
 
 
-def groups(imus: int) -> tuple[int, ...]:
+def scalar_groups(imus: int) -> tuple[int, ...]:
     """Return the groups of scalars of a control point: pose, then the biases of every IMU."""
     return (POSE, *(BIAS,) * imus)
 
 
-def summed_up(system: BorderedBand, grid: Grid, terms: Iterable[Term]) -> None:
+def summed_up(system: BorderedBand, grid: KnotGrid, terms: Iterable[Term]) -> None:
     """Add all terms to the normal equations."""
     for term in terms:
         for part in taken_together(term):

@@ -24,7 +24,7 @@ _GAUGE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Board:
+class BoardPoints:
     """The corners of the target.
 
     Attributes
@@ -41,7 +41,7 @@ class Board:
     pitch_m: float
 
     @classmethod
-    def nominal(cls, target: Target) -> "Board":
+    def nominal(cls, target: Target) -> "BoardPoints":
         """Return a board as it was stated."""
         sides = {
             "aprilgrid": target.tag_size_m,
@@ -57,7 +57,7 @@ class Board:
             pitch_m=side * (1 + target.tag_spacing),
         )
 
-    def moved(self, step: Floats) -> "Board":
+    def moved(self, step: Floats) -> "BoardPoints":
         """Return the board with a step (3 k,) of its corners."""
         return replace(self, offsets=self.offsets + step.reshape(-1, 3))
 

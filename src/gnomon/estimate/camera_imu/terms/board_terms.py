@@ -112,7 +112,7 @@ def spread_out(place: Integers, point: Integers, by_twist: Floats, shape: tuple[
     return csr_array((by_twist.ravel(), at), shape=(exposures * POSE, points * _AXES))
 
 
-def multiplied(blocks: Floats, products: PoseProducts) -> PoseProducts:
+def multiply_blocks(blocks: Floats, products: PoseProducts) -> PoseProducts:
     """Return the products (6 e, 3 k), those of each exposure multiplied from the left by a block (e, 6, 6)."""
     if not len(blocks):
         return products
@@ -168,7 +168,7 @@ class Coupling:
         return found
 
 
-def corners_of(exposures: Integers, start: Integers) -> tuple[Integers, Integers]:
+def exposure_corners(exposures: Integers, start: Integers) -> tuple[Integers, Integers]:
     """Return the corners of some exposures in their order, and the place of each one's exposure, (m,) both."""
     lengths = start[exposures + 1] - start[exposures]
     place = np.repeat(np.arange(len(exposures)), lengths)

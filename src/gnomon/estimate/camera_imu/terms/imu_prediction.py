@@ -15,17 +15,17 @@ import numpy as np
 from ....geometry.rigid_body import acceleration_by_place, along_axes
 from ....geometry.so3 import skew
 from ....recording import Floats
-from ..parameters import ImuParameters, Parameters
-from ..trajectory import Bases, Motion, Places, Trajectory
-from .inertial_data import InertialData, shifted
+from ..parameters import ImuParameters, RigParameters
+from ..trajectory import Bases, MotionState, Places, Trajectory
+from .inertial_data import InertialData, body_clock_times
 
 
-def specific_force(motion: Motion, gravity: Floats) -> Floats:
+def specific_force(motion: MotionState, gravity: Floats) -> Floats:
     """Return the specific force at the body's origin, in the axes of the motion, (n, 3) [m/s^2]."""
     return np.matmul((motion.acceleration - gravity)[:, None, :], motion.R)[:, 0, :]
 
 
-def motion_of_imu(trajectory: Trajectory, places: Places, bases: Bases, imu: ImuParameters) -> Motion:
+def motion_of_imu(trajectory: Trajectory, places: Places, bases: Bases, imu: ImuParameters) -> MotionState:
     """Return the motion of the body in the axes of an IMU."""
     motion = trajectory.motion(places, bases)
     return motion if imu.is_body else motion.turned(imu.R_imu_body)
@@ -41,8 +41,8 @@ def accelerometer_places(imu: ImuParameters) -> Floats:
     return imu.places - imu.p_imu_body
 
 
-def predicted(
-    imu: ImuParameters, motion: Motion, force: Floats, biases: tuple[Floats, Floats]
+def predict_imu(
+    imu: ImuParameters, motion: MotionState, force: Floats, biases: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats]:
     """Return what gyroscope [rad/s] and accelerometer [m/s^2] read, (n, 3) each, by the model of chapter 4.
 
@@ -61,7 +61,7 @@ def predicted(
     return gyroscope, at_sensors @ imu.accelerometer_sensitivity.T + biases[1]
 
 
-def predicted_readings(trajectory: Trajectory, parameters: Parameters, data: InertialData) -> tuple[Floats, Floats]:
+def predicted_readings(trajectory: Trajectory, parameters: RigParameters, data: InertialData) -> tuple[Floats, Floats]:
     """Return what gyroscope and accelerometer should read at the timestamps of some readings, (n, 3) each.
 
     Of a triad that does not have these timestamps they mean nothing; outside of the trajectory they are nan.
@@ -69,20 +69,20 @@ def predicted_readings(trajectory: Trajectory, parameters: Parameters, data: Ine
     imu = parameters.imus[data.imu]
     whole = np.full((2, len(data.t_s), 3), np.nan)
     for which in (0, 1) if imu.accelerometer_shift_s and data.gyroscope is not None else (None,):
-        t_s = shifted(data, imu) + (imu.accelerometer_shift_s if which == 1 else 0.0)
+        t_s = body_clock_times(data, imu) + (imu.accelerometer_shift_s if which == 1 else 0.0)
         places = trajectory.grid.places(t_s)
         inside = places.inside
         places = places.some(inside)
         motion = motion_of_imu(trajectory, places, Bases.at(places, trajectory.grid), imu)
         force = specific_force(motion, parameters.gravity)
-        found = predicted(imu, motion, force, trajectory.bias(places, data.imu))
+        found = predict_imu(imu, motion, force, trajectory.bias(places, data.imu))
         for kind in (0, 1) if which is None else (which,):
             whole[kind, inside] = found[kind]
     return whole[0], whole[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class By:
+class ForceJacobian:
     """Derivatives (n, 3, 3) by the rotation vector, its rate and acceleration, and the acceleration of the body."""
 
     phi: Floats
@@ -90,18 +90,18 @@ class By:
     phi_acceleration: Floats | None = None
     acceleration: Floats | None = None
 
-    def scaled(self, matrix: Floats) -> "By":
+    def scaled(self, matrix: Floats) -> "ForceJacobian":
         """Return the derivatives of matrix @ v, (3, 3)."""
-        return By(
+        return ForceJacobian(
             phi=matrix @ self.phi,
             rate=None if self.rate is None else matrix @ self.rate,
             phi_acceleration=None if self.phi_acceleration is None else matrix @ self.phi_acceleration,
             acceleration=None if self.acceleration is None else matrix @ self.acceleration,
         )
 
-    def plus(self, other: "By") -> "By":
+    def plus(self, other: "ForceJacobian") -> "ForceJacobian":
         """Return the derivatives of a sum."""
-        return By(
+        return ForceJacobian(
             phi=self.phi + other.phi,
             rate=_sum(self.rate, other.rate),
             phi_acceleration=_sum(self.phi_acceleration, other.phi_acceleration),
@@ -115,17 +115,17 @@ def _sum(one: Floats | None, other: Floats | None) -> Floats | None:
     return one + other
 
 
-def at_origin(motion: Motion, force: Floats) -> By:
+def at_origin(motion: MotionState, force: Floats) -> ForceJacobian:
     """Return the derivatives of the specific force at the body's origin."""
-    return By(phi=skew(force) @ motion.phi_jacobian, acceleration=np.swapaxes(motion.R, 1, 2))
+    return ForceJacobian(phi=skew(force) @ motion.phi_jacobian, acceleration=np.swapaxes(motion.R, 1, 2))
 
 
-def at_places(motion: Motion, force: Floats, places: Floats) -> By:
+def at_places(motion: MotionState, force: Floats, places: Floats) -> ForceJacobian:
     """Return the derivatives of f_k + e_k' A r_k, which depends on omega and alpha, with r_k the rows of (3, 3)."""
     by_omega, by_alpha = _along(motion.omega, places)
     alpha_by = motion.alpha_jacobians()
     by = at_origin(motion, force)
-    return By(
+    return ForceJacobian(
         phi=by.phi + by_omega @ motion.omega_by_phi + by_alpha @ alpha_by[0],
         rate=by_omega @ motion.phi_jacobian + by_alpha @ alpha_by[1],
         phi_acceleration=by_alpha @ alpha_by[2],
@@ -133,7 +133,7 @@ def at_places(motion: Motion, force: Floats, places: Floats) -> By:
     )
 
 
-def by_turn(motion: Motion, force: Floats, places: Floats) -> Floats:
+def jacobian_by_imu_rotation(motion: MotionState, force: Floats, places: Floats) -> Floats:
     """Return the derivative (n, 3, 3) of f_k + e_k' A r_k by a small turn of omega, alpha and f against the places."""
     by_omega, by_alpha = _along(motion.omega, places)
     return -(skew(force) + by_omega @ skew(motion.omega) + by_alpha @ skew(motion.alpha))

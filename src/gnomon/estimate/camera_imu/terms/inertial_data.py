@@ -8,9 +8,9 @@ import numpy as np
 from ....models.noise import ImuNoise
 from ....recording import Floats
 from ..layout import Status
-from ..parameters import ImuParameters, Parameters
+from ..parameters import ImuParameters, RigParameters
 from ..start.initial_trajectory import MARGIN_S
-from ..trajectory import Grid, Places
+from ..trajectory import KnotGrid, Places
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,7 +44,7 @@ class InertialData:
     accelerometer: TriadData | None
 
 
-def triads(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats, Floats]]:
+def triad_readings(inertial: tuple[InertialData, ...]) -> Iterator[tuple[Floats, Floats]]:
     """Yield timestamps (n,) [s] and readings (n, 3) of every triad."""
     for data in inertial:
         for triad in (data.gyroscope, data.accelerometer):
@@ -94,39 +94,39 @@ class ImuBeforehand:
         return self.nominal.gyroscope_random_walk, self.nominal.accelerometer_random_walk
 
 
-def shifted(data: InertialData, imu: ImuParameters) -> Floats:
+def body_clock_times(data: InertialData, imu: ImuParameters) -> Floats:
     """Return when the readings were taken, on the body's clock, (n,) [s].
 
-    Readings of both triads are where the gyroscope is: those of an accelerometer with a shift are first set `apart`.
+    Readings of both triads are where the gyroscope is; `split_triads` comes first where the accelerometer has a shift.
     """
     shift_s = imu.shift_s(accelerometer=data.gyroscope is None)
     return data.t_s + shift_s if shift_s else data.t_s
 
 
-def apart(data: InertialData) -> tuple[InertialData, ...]:
+def split_triads(data: InertialData) -> tuple[InertialData, ...]:
     """Return the readings of gyroscope and accelerometer one by one."""
     if data.gyroscope is None or data.accelerometer is None:
         return (data,)
     return replace(data, accelerometer=None), replace(data, gyroscope=None)
 
 
-def on_grid(grid: Grid, data: InertialData, imu: ImuParameters) -> tuple[InertialData, Places]:
+def on_grid(grid: KnotGrid, data: InertialData, imu: ImuParameters) -> tuple[InertialData, Places]:
     """Return those readings that lie on a grid, and where."""
-    places = grid.places(shifted(data, imu))
+    places = grid.places(body_clock_times(data, imu))
     keep = places.inside
     return some_readings(data, keep), places.some(keep)
 
 
-def well_inside(grid: Grid, data: InertialData, imu: ImuParameters, margin_s: float) -> InertialData:
+def within_trajectory(grid: KnotGrid, data: InertialData, imu: ImuParameters, margin_s: float) -> InertialData:
     """Return those readings that stay in their segment of a grid while the clock moves by no more than a margin."""
-    at = shifted(data, imu)
+    at = body_clock_times(data, imu)
     places = [grid.places(at + step) for step in (-margin_s, margin_s)]
     same = places[0].segment == places[1].segment
     return some_readings(data, places[0].inside & places[1].inside & same)
 
 
 def on_trajectory(
-    data: InertialData, parameters: Parameters, status: Mapping[str, Status], grid: Grid
+    data: InertialData, parameters: RigParameters, status: Mapping[str, Status], grid: KnotGrid
 ) -> Iterator[InertialData]:
     """Yield readings, of clocks that are estimated those that stay on the trajectory while it comes out where.
 
@@ -134,9 +134,9 @@ def on_trajectory(
     """
     imu = parameters.imus[data.imu]
     delayed = imu.accelerometer_shift_s != 0 or status[f"imu{data.imu}.accelerometer_shift"] != "fixed"
-    for one in apart(data) if delayed else (data,):
+    for one in split_triads(data) if delayed else (data,):
         moves = data.imu > 0 or (delayed and one.gyroscope is None)
-        yield well_inside(grid, one, imu, MARGIN_S / 2) if moves else one
+        yield within_trajectory(grid, one, imu, MARGIN_S / 2) if moves else one
 
 
 def some_readings(data: InertialData, which: np.ndarray | slice) -> InertialData:

@@ -26,16 +26,16 @@ from ....geometry.so3 import skew
 from ....kernel import library
 from ....models.pattern import DIAGONAL, FULL, LOWER
 from ....recording import Floats, Integers
-from ..layout import Layout
-from ..parameters import Parameters
-from ..trajectory import BIAS, POSE, Bases, Motion, Places, Trajectory
+from ..layout import BorderLayout
+from ..parameters import RigParameters
+from ..trajectory import BIAS, POSE, Bases, MotionState, Places, Trajectory
 from .assembly import TRIAD, Columns
 from .imu_prediction import (
-    By,
+    ForceJacobian,
     accelerometer_places,
     at_origin,
     at_places,
-    by_turn,
+    jacobian_by_imu_rotation,
     motion_of_imu,
     origin_places,
     specific_force,
@@ -55,9 +55,9 @@ class InertialTerms:
         self,
         data: InertialData,
         trajectory: Trajectory,
-        parameters: Parameters,
+        parameters: RigParameters,
         *,
-        layout: Layout,
+        layout: BorderLayout,
         noise: InertialNoise,
         probe: int | None,
         seed: int,
@@ -193,7 +193,7 @@ class InertialTerms:
         imu, motion, places = self._imu, at.motion, origin_places(self._imu)
         K, B = imu.gyroscope_sensitivity, imu.B_g
         weight = triad.used / self._noise.gyroscope
-        force, by = at.force, By(phi=K @ motion.omega_by_phi, rate=K @ motion.phi_jacobian)
+        force, by = at.force, ForceJacobian(phi=K @ motion.omega_by_phi, rate=K @ motion.phi_jacobian)
         if self._has("B_g") or B.any():  # the specific force acts on it
             force, by_force = at.felt(places)
             by = by.plus(by_force.scaled(B))
@@ -206,7 +206,7 @@ class InertialTerms:
             "q_bg": lambda: (S @ M) @ skew(turned),
             "B_g": lambda: FULL.product_jacobian(force),
             "T_imu_body.rotation": lambda: (
-                (B @ by_turn(motion, at.force, places) - K @ skew(motion.omega)) @ imu.R_imu_body
+                (B @ jacobian_by_imu_rotation(motion, at.force, places) - K @ skew(motion.omega)) @ imu.R_imu_body
             ),
             "T_imu_body.translation": lambda: -B @ at.required_A,
             "time_shift": lambda: self._by_time(at, by, kind=0),
@@ -226,7 +226,7 @@ class InertialTerms:
             "S_a": lambda: DIAGONAL.product_jacobian(felt @ M.T),
             "M_a": lambda: S @ LOWER.product_jacobian(felt),
             "lever_arms": lambda: K @ np.einsum("nkj,kjm->nkm", at.required_A, imu.places_by_arms),
-            "T_imu_body.rotation": lambda: K @ by_turn(motion, at.force, places) @ imu.R_imu_body,
+            "T_imu_body.rotation": lambda: K @ jacobian_by_imu_rotation(motion, at.force, places) @ imu.R_imu_body,
             "T_imu_body.translation": lambda: -K @ at.required_A,
             "time_shift": lambda: self._by_time(at, by, kind=1),
             "accelerometer_shift": lambda: self._by_time(at, by, kind=1),
@@ -234,7 +234,7 @@ class InertialTerms:
         self._fill_local(rows, at, by, residual, weight, kind=1)
         self._fill_border(rows, own, by.acceleration, weight)
 
-    def _by_time(self, at: "_Readings", by: By, *, kind: int) -> Floats:
+    def _by_time(self, at: "_Readings", by: ForceJacobian, *, kind: int) -> Floats:
         """Return the derivative of the residual by time, (n, 3, 1)."""
         motion, jerk = at.motion, self._trajectory.jerk(at.places)
         found = np.zeros((len(jerk), TRIAD, 1))
@@ -253,7 +253,7 @@ class InertialTerms:
         self,
         rows: Floats,
         at: "_Readings",
-        by: By,
+        by: ForceJacobian,
         residual: Floats,
         weight: Floats,
         *,
@@ -307,7 +307,7 @@ class _Readings:
 
     places: Places
     bases: Bases
-    motion: Motion
+    motion: MotionState
     force: Floats
     A: Floats | None
 
@@ -317,7 +317,7 @@ class _Readings:
         assert self.A is not None
         return self.A
 
-    def felt(self, places: Floats) -> tuple[Floats, By]:
+    def felt(self, places: Floats) -> tuple[Floats, ForceJacobian]:
         """Return component k of the specific force at places (3, 3), a row each, (n, 3), and its derivatives."""
         if not places.any():
             return self.force, at_origin(self.motion, self.force)

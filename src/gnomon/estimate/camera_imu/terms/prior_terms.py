@@ -6,10 +6,10 @@ import numpy as np
 
 from ....recording import Floats, Integers
 from ....solve.bordered_band import BorderedBand
-from ..layout import Layout
-from ..parameters import Parameters
+from ..layout import BorderLayout
+from ..parameters import RigParameters
 from ..rig_prior import rig_prior
-from ..trajectory import BIAS, POSE, Grid, Trajectory
+from ..trajectory import BIAS, POSE, KnotGrid, Trajectory
 from .assembly import TRIAD
 
 FIRST_BIAS_SIGMA = (1.0, 10.0)
@@ -32,7 +32,7 @@ def add_walks(system: BorderedBand, trajectory: Trajectory, walks: tuple[tuple[f
         scalars = slice(POSE + BIAS * imu, POSE + BIAS * (imu + 1))
         bias, rhs = trajectory.controls[:, scalars], system.rhs[:, scalars, 0]
         variance = np.repeat(np.square(walk), TRIAD)
-        for a, distance, time_s in links(grid):
+        for a, distance, time_s in random_walk_links(grid):
             information = 1 / (variance * time_s)
             difference = bias[a + distance] - bias[a]
             for i in range(BIAS):
@@ -49,7 +49,7 @@ def add_walks(system: BorderedBand, trajectory: Trajectory, walks: tuple[tuple[f
     return cost
 
 
-def links(grid: Grid) -> Iterator[tuple[Integers, int, float]]:
+def random_walk_links(grid: KnotGrid) -> Iterator[tuple[Integers, int, float]]:
     """Yield which biases a random walk links: control points (n,), how much further the others are, and time [s]."""
     for number, segment in enumerate(grid.segments):
         yield segment.first + np.arange(segment.spans + grid.order - 2), 1, grid.spacing_s
@@ -70,14 +70,14 @@ def add_smoothness(system: BorderedBand, trajectory: Trajectory) -> None:
             system.rhs[at + i, :POSE, 0] -= weight[i] * second
 
 
-def second_differences(grid: Grid) -> Iterator[tuple[Integers, Floats]]:
+def second_differences(grid: KnotGrid) -> Iterator[tuple[Integers, Floats]]:
     """Yield the first (n,) of three control points in a row, and their weights (3,), segment by segment."""
     weight = np.array([1.0, -2.0, 1.0]) / (grid.spacing_s**2 * _SMOOTHNESS)
     for segment in grid.segments:
         yield segment.first + np.arange(segment.spans + grid.order - 3), weight
 
 
-def add_priors(system: BorderedBand, parameters: Parameters, layout: Layout) -> float:
+def add_priors(system: BorderedBand, parameters: RigParameters, layout: BorderLayout) -> float:
     """Add the priors of the border parameters; return the cost of those that are estimated."""
     if not len(layout):
         return 0.0
@@ -87,7 +87,7 @@ def add_priors(system: BorderedBand, parameters: Parameters, layout: Layout) -> 
     return cost
 
 
-def border_priors(parameters: Parameters, layout: Layout) -> tuple[Floats, Floats, float]:
+def border_priors(parameters: RigParameters, layout: BorderLayout) -> tuple[Floats, Floats, float]:
     """Return information (p, p) and pull (p,) of the priors, by a step of the border's scalars, and their cost."""
     information = layout.prior_information
     difference = layout.values(parameters) - layout.prior_mean

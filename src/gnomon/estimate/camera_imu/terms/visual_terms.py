@@ -18,12 +18,12 @@ import numpy as np
 
 from ....geometry.so3 import skew
 from ....recording import Floats, Integers
-from ..layout import Layout
-from ..parameters import CameraParameters, Parameters
-from ..trajectory import POSE, Bases, Motion, Trajectory
+from ..layout import BorderLayout
+from ..parameters import CameraParameters, RigParameters
+from ..trajectory import POSE, Bases, MotionState, Trajectory
 from .assembly import Columns
 from .board import OFFSETS
-from .board_terms import CornerProducts, Coupling, corners_of, multiplied, spread_out
+from .board_terms import CornerProducts, Coupling, exposure_corners, multiply_blocks, spread_out
 from .corner_sums import TWIST, CornerNoise, Exposures, corner_sums
 
 
@@ -43,12 +43,12 @@ class VisualData:
     t_s: Floats
 
 
-def instants(data: VisualData, entry: CameraParameters) -> Floats:
+def exposure_times(data: VisualData, entry: CameraParameters) -> Floats:
     """Return when the exposures happened, on the IMU's clock, (e,) [s]."""
     return data.t_s + entry.time_shift_s + data.exposures.delay_rows * entry.camera.line_delay_s
 
 
-def board_in_camera(motion: Motion, entry: CameraParameters) -> tuple[Floats, Floats]:
+def board_in_camera(motion: MotionState, entry: CameraParameters) -> tuple[Floats, Floats]:
     """Return the target's pose in the camera's frame, R_cam_target (e, 3, 3) and p_cam_target (e, 3) [m]."""
     R_imu_target = np.swapaxes(motion.R, 1, 2)
     R_cam_target = entry.R_cam_imu @ R_imu_target
@@ -69,9 +69,9 @@ class VisualTerms:
         self,
         data: VisualData,
         trajectory: Trajectory,
-        parameters: Parameters,
+        parameters: RigParameters,
         *,
-        layout: Layout,
+        layout: BorderLayout,
         noise: CornerNoise,
         used: np.ndarray,
         probe: int | None,
@@ -92,7 +92,7 @@ class VisualTerms:
         self._parts = int(self._part.max(initial=0)) + 1
         grid = trajectory.grid
         self._entry = entry = parameters.cameras[data.camera]
-        places = grid.places(instants(data, entry))
+        places = grid.places(exposure_times(data, entry))
         self._bases = Bases.at(places, grid)
         self._motion = trajectory.motion(places, self._bases)
         own, scale_column = _own_columns(layout, entry)
@@ -154,7 +154,7 @@ class VisualTerms:
         if self._offsets is None or self._exposures.point is None:
             return None
         products, order = self._offsets, self._order
-        corner, place = corners_of(order, self._exposures.start)
+        corner, place = exposure_corners(order, self._exposures.start)
         parts, points = self._parts, len(products.squares) // self._parts
         shape = len(order), points
         by_twist = spread_out(place, self._exposures.point[corner], products.by_twist[corner], shape)
@@ -178,7 +178,7 @@ class VisualTerms:
         return Coupling(
             first=self._first,
             value=self._bases.value[order],
-            by_pose=multiplied(turned, by_twist),
+            by_pose=multiply_blocks(turned, by_twist),
             border=border,
             sides=right,
             squares=products.squares.reshape(parts, points, 3, 3),
@@ -223,7 +223,7 @@ class VisualTerms:
         return rows
 
 
-def _own_columns(layout: Layout, entry: CameraParameters) -> tuple[Integers, bool]:
+def _own_columns(layout: BorderLayout, entry: CameraParameters) -> tuple[Integers, bool]:
     """Return which of the lens' parameters have a column, and whether the target's scale has one."""
     name, lens = entry.name, entry.camera
     count = len(lens.intrinsics)
@@ -247,7 +247,7 @@ class _Maps:
         return self.own[-1][1].stop if self.own else 0
 
 
-def _maps(blocks: dict[str, slice], data: VisualData, entry: CameraParameters, motion: Motion) -> _Maps:
+def _maps(blocks: dict[str, slice], data: VisualData, entry: CameraParameters, motion: MotionState) -> _Maps:
     name, R, x = entry.name, entry.R_cam_imu, entry.p_cam_imu
     shift, delay = f"{name}.time_shift_cam_imu", f"{name}.line_delay"
     moving = np.zeros((0, TWIST, 1))
@@ -267,7 +267,7 @@ def _maps(blocks: dict[str, slice], data: VisualData, entry: CameraParameters, m
     )
 
 
-def _body_twists(entry: CameraParameters, motion: Motion, turn: Floats, move: Floats) -> Floats:
+def _body_twists(entry: CameraParameters, motion: MotionState, turn: Floats, move: Floats) -> Floats:
     """Return the twists (e, 6) that follow from turning (IMU axes) and moving (target axes) the body, (e, 3) each."""
     rotation = -turn @ entry.R_cam_imu.T
     moved = np.matmul(move[:, None, :], motion.R)[:, 0] @ entry.R_cam_imu.T
