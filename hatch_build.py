@@ -18,7 +18,7 @@ except ModuleNotFoundError:  # run as a script, where nothing is built
     Hook = object
 
 FOLDER = Path(__file__).parent / "src" / "gnomon" / "kernel"
-LIBRARY = FOLDER / ("kernel." + {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so"))
+LIBRARY = FOLDER / "compiled" / ("kernel." + {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so"))
 
 
 def commands() -> list[list[str]]:
@@ -33,12 +33,13 @@ def commands() -> list[list[str]]:
         if compiler
     ]
     if sys.platform == "win32":
-        found.insert(0, ["cl", "/nologo", "/O2", "/LD", source, f"/Fo{FOLDER}\\", f"/Fe{output}"])
+        found.insert(0, ["cl", "/nologo", "/O2", "/LD", source, f"/Fo{LIBRARY.parent}\\", f"/Fe{output}"])
     return found
 
 
 def compiled() -> bool:
     """Compile the kernel beside its source, and tell whether that worked; nothing is left where it did not."""
+    LIBRARY.parent.mkdir(exist_ok=True)
     LIBRARY.unlink(missing_ok=True)
     for command in commands():
         try:
@@ -64,7 +65,7 @@ class KernelHook(Hook):
         elif version != "editable":
             platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
             build_data |= {"pure_python": False, "tag": f"py3-none-{platform}"}
-            build_data["force_include"][str(LIBRARY)] = f"gnomon/kernel/{LIBRARY.name}"
+            build_data["force_include"][str(LIBRARY)] = f"gnomon/kernel/compiled/{LIBRARY.name}"
 
 
 if __name__ == "__main__":

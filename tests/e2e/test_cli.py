@@ -11,7 +11,7 @@ import pytest
 
 import gnomon
 from gnomon.cli.commands import COMMANDS
-from gnomon.kernel import described
+from gnomon.kernel import describe_kernel
 from repeatable import to_the_last_digit
 
 RESULT = ["calibration.yaml", "diagnostics.npz", "report.html"]
@@ -225,7 +225,7 @@ def program(*arguments):
 
 
 def test_the_program_runs_and_reports_its_exit_code(tmp_path):
-    assert program("--version").stdout == f"gnomon {gnomon.__version__} ({described()})\n"
+    assert program("--version").stdout == f"gnomon {gnomon.__version__} ({describe_kernel()})\n"
     result = program("show", tmp_path / "nothing.yaml")
     assert result.returncode == 3
     assert result.stdout == ""

@@ -145,9 +145,9 @@ def parse_command(arguments: Sequence[str]) -> Command:
     """
     name = arguments[0] if arguments else "--help"
     if name == "--version":
-        from ..kernel import described
+        from ..kernel import describe_kernel
 
-        sys.stdout.write(f"gnomon {__version__} ({described()})\n")
+        sys.stdout.write(f"gnomon {__version__} ({describe_kernel()})\n")
         raise SystemExit(0)
     if name in ("-h", "--help"):
         sys.stdout.write(_help())

@@ -12,14 +12,14 @@ from pathlib import Path
 _INTERFACE = 1  # of kernel.c, which `library` is written for
 
 
-def file_name() -> str:
-    """Return the name of the compiled file, which lies beside this one."""
-    return "kernel." + {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so")
+def kernel_file_name() -> str:
+    """Return the name of the compiled file beside this one, in a folder where nobody looks for modules of Python."""
+    return "compiled/kernel." + {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so")
 
 
 @cache
 def _library() -> ctypes.CDLL | None:
-    path = Path(__file__).with_name(file_name())
+    path = Path(__file__).parent / kernel_file_name()
     if not path.is_file():
         return None
     try:
@@ -34,11 +34,11 @@ def _library() -> ctypes.CDLL | None:
     return found
 
 
-def loaded() -> ctypes.CDLL | None:
+def load_kernel() -> ctypes.CDLL | None:
     """Return the compiled loops, or None where there are none or they are switched off."""
     return None if os.environ.get("GNOMON_KERNEL") == "0" else _library()
 
 
-def described() -> str:
+def describe_kernel() -> str:
     """Return in words whether the compiled loops are used."""
-    return "compiled kernel" if loaded() is not None else "NumPy only, no compiled kernel"
+    return "compiled kernel" if load_kernel() is not None else "NumPy only, no compiled kernel"

@@ -1,4 +1,4 @@
-"""The compiled loops, called through ctypes: only where `loaded` found them."""
+"""The compiled loops, called through ctypes: only where `load_kernel` found them."""
 
 import ctypes
 from collections.abc import Sequence
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from . import loaded
+from . import load_kernel
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -65,7 +65,7 @@ def inertial_rows(
     blocks : first columns of `BLOCKS` in the rows, or -1
     gyroscope, accelerometer : readings (n, 3) and weights (n,), or None
     """
-    library = loaded()
+    library = load_kernel()
     assert library is not None
     height = 3 * ((gyroscope is not None) + (accelerometer is not None))
     rows, chi2 = np.empty((len(u), height, width)), np.zeros(2)
@@ -81,7 +81,7 @@ def inertial_rows(
     return rows, chi2
 
 
-def corner_sums(
+def add_corner_sums(
     *,
     start: Integers,
     apart: Floats,
@@ -101,7 +101,7 @@ def corner_sums(
     of_corner: tuple[Floats, Floats],
     offsets: tuple[Floats, Integers, NDArray[np.bool_], Floats, Floats, Floats] | None,
 ) -> None:
-    """Sum up the corners of exposures, in place; see `corner_sums` of the estimation, and kernel.c.
+    """Sum up the corners of exposures, in place; see `add_corner_sums` of the estimation, and kernel.c.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def corner_sums(
     offsets : R_cam_target (e, 3, 3), number and whether it counts (m,); products with the twist (m, 6, 3), with the
         other columns (w - 6, k, 3) and with each other (k, 3, 3), to which they are added
     """
-    library = loaded()
+    library = load_kernel()
     assert library is not None
     R, number, counted, by_twist, rest, squares = offsets or (None,) * 6
     library.gnomon_corner_sums(
@@ -149,7 +149,7 @@ def add_spans(
     band : pose by pose, pose by bias, bias by pose, bias by bias, (n, 6, k, 6) each; None without biases
     tail : (n, d, t), bias_at : first scalar of the biases, columns : (w - b,) in the tail
     """
-    library = loaded()
+    library = load_kernel()
     assert library is not None
     library.gnomon_add_spans(
         *(_long(len(spans)), _long(order), _long(sums.shape[2]), _at(sums), _at(spans), _long(bias_offset)),

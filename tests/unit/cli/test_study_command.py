@@ -186,7 +186,8 @@ def test_claims_can_be_read_on_a_narrow_screen(quick):
 @pytest.mark.parametrize("name", list(STUDIES))
 def test_stages_are_those_of_the_study(name):
     source = Path(inspect.getfile(STUDIES[name].load().carry_out)).read_text()
-    assert tuple(re.findall(r'(?:carry_out\(.*name=|run_each\()"([^"]+)"', source)) == STUDIES[name].stages
+    stages = re.findall(r'carry_out\([^"]*name="([^"]+)"|run_each\("([^"]+)"', source)
+    assert tuple(stage or each for stage, each in stages) == STUDIES[name].stages
 
 
 def test_progress_says_which_stage_of_how_many(capsys, monkeypatch):

@@ -13,7 +13,7 @@ from gnomon import kernel
 from gnomon.estimate.camera_imu.batch import linearize_batch
 
 ROOT = Path(__file__).parents[3]
-compiled = pytest.mark.skipif(kernel.loaded() is None, reason="the kernel was not compiled")
+compiled = pytest.mark.skipif(kernel.load_kernel() is None, reason="the kernel was not compiled")
 
 PROBLEMS = {
     "two lenses": {},
@@ -62,16 +62,17 @@ def test_the_kernel_gives_what_numpy_gives(name, monkeypatch):
 
 def test_it_can_be_switched_off(monkeypatch):
     monkeypatch.setenv("GNOMON_KERNEL", "0")
-    assert kernel.loaded() is None
-    assert "NumPy" in kernel.described()
+    assert kernel.load_kernel() is None
+    assert "NumPy" in kernel.describe_kernel()
 
 
 @pytest.mark.parametrize("content", [b"", b"no library"])
 def test_a_damaged_kernel_is_not_used(content, tmp_path):
     package = tmp_path / "kernel"
     shutil.copytree(Path(kernel.__file__).parent, package, ignore=shutil.ignore_patterns("kernel.*"))
-    (package / kernel.file_name()).write_bytes(content)
-    run = "import kernel; print(kernel.loaded(), kernel.described())"
+    (package / "compiled").mkdir(exist_ok=True)
+    (package / kernel.kernel_file_name()).write_bytes(content)
+    run = "import kernel; print(kernel.load_kernel(), kernel.describe_kernel())"
     done = subprocess.run([sys.executable, "-c", run], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout == "None NumPy only, no compiled kernel\n"
 
@@ -85,4 +86,4 @@ def test_without_a_compiler_the_build_goes_on(compiler, tmp_path, monkeypatch):
     done = subprocess.run([sys.executable, "hatch_build.py"], cwd=tmp_path, capture_output=True, text=True, check=True)
     if sys.platform != "win32":
         assert done.stdout == "no C compiler that works\n"
-        assert not (tmp_path / "src" / "gnomon" / "kernel" / kernel.file_name()).exists()
+        assert not (tmp_path / "src" / "gnomon" / "kernel" / kernel.kernel_file_name()).exists()

@@ -287,5 +287,5 @@ def test_drawing_keeps_every_dot_and_its_own_ids():
     paths = re.findall(r'class="dots"><path d="([^"]*)"', svg)
     assert [path.count("M") for path in paths] == [4, 4]
     assert "&lt;b&gt;" in svg
-    assert 'aria-label="a &quot;quoted&quot; &lt;alt&gt;"' in svg
+    assert 'aria-label="a &#34;quoted&#34; &lt;alt&gt;"' in svg
     assert all(name.startswith("name-") for name in re.findall(r' id="([^"]*)"', svg))

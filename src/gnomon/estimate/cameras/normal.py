@@ -15,6 +15,7 @@ import numpy as np
 
 from ...models.target import Target
 from ...recording import Floats
+from ..camera_imu.terms.board_terms import CornerProducts
 from ..camera_imu.terms.corner_sums import CornerNoise, CornerSums, corner_sums
 from .board_shape import board_points
 from .layout import POSE, SharedLayout
@@ -87,18 +88,6 @@ class ViewNormalEquations:
         ).shared()
 
 
-class _PointProducts:
-    """Keeps the products of each corner's own three columns with those of its exposure."""
-
-    def __init__(self, corners: int, width: int) -> None:
-        self.by_row = np.empty((corners, width, 3))
-        self.squares = np.empty((corners, 3, 3))
-
-    def add(self, corners: slice, rows: Floats, own: Floats) -> None:
-        self.by_row[corners] = np.einsum("wmk,jmk->mwj", rows, own, optimize=True)
-        self.squares[corners] = np.einsum("imk,jmk->mij", own, own, optimize=True)
-
-
 def accumulate_normal_equations(
     corners: Sequence[CameraCorners],
     target: Target,
@@ -127,8 +116,9 @@ def accumulate_normal_equations(
         R, p = poses_in_camera(rig, seen)
         products = None
         if points:
-            width = POSE + len(layout.own[seen.name]) + len(moves) + 1
-            products = _PointProducts(len(seen.point), width)
+            each = np.arange(len(seen.point))  # the offset of each corner of each view by itself
+            width = len(layout.own[seen.name]) + len(moves) + 1
+            products = CornerProducts(each, np.ones(len(each), bool), len(each), width)
         sums = corner_sums(
             replace(seen.exposures, points=where[seen.point]),
             rig.cameras[seen.name],
@@ -144,7 +134,8 @@ def accumulate_normal_equations(
         cost[seen.view] += np.bincount(seen.exposures.of_corner, sums.corner_cost, len(seen))
         cost[seen.view] += (sums.lengths - sums.valid) * _lost_cost(rig, seen, noise[seen.name])
         if products is not None:  # a corner of the board is once in an exposure at most
-            by_points[seen.of_corner, seen.point] += mapped.T @ products.by_row
+            by_row = np.concatenate([products.by_twist, products.rest.transpose(1, 0, 2)], axis=1)
+            by_points[seen.of_corner, seen.point] += mapped.T @ by_row
             squares[seen.of_corner, seen.point] += products.squares
         found.append(sums)
     return ViewNormalEquations(

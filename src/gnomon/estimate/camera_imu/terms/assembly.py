@@ -159,7 +159,7 @@ def taken_together(term: Term) -> Iterator[slice]:
 
 def _add_spans(system: BorderedBand, columns: Columns, offset: int, spans: Integers, sums: Floats) -> None:
     """Add the sums (s, border, w) of some spans (s,), which overlap each other, to the normal equations."""
-    if library.loaded() is not None:
+    if library.load_kernel() is not None:
         _add_spans_compiled(system, columns, offset, spans, sums)
         return
     k, pose, count = columns.order, columns.pose, len(spans)

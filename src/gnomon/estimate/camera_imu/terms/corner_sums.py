@@ -173,7 +173,7 @@ def corner_sums(
     cost, square = np.zeros(count), np.full(count, np.nan)
     valid = np.zeros(count, np.int64)
     residual, weight, each = (np.empty((len(exposures.points), *shape)) for shape in ((2,), (), ()))
-    compiled = shape is None and width <= library.MOST_COLUMNS and library.loaded() is not None
+    compiled = shape is None and width <= library.MOST_COLUMNS and library.load_kernel() is not None
     for first, last in _chunks(exposures.start):
         corners = slice(int(exposures.start[first]), int(exposures.start[last]))
         lengths = np.diff(exposures.start[first : last + 1])
@@ -185,7 +185,7 @@ def corner_sums(
         spread = 1.0 if exposures.spread is None else exposures.spread[corners]
         if compiled:
             assert image.by_point is not None
-            library.corner_sums(
+            library.add_corner_sums(
                 start=exposures.start[first : last + 1] - corners.start,
                 apart=apart,
                 valid=image.valid,

@@ -106,7 +106,7 @@ class InertialTerms:
         """Return the rows of both triads, or of the one that has these timestamps, (n, 6 or 3, w), of some readings."""
         places, data = self._places.some(part), some_readings(self.data, part)
         triads = [(kind, triad) for kind, triad in enumerate((data.gyroscope, data.accelerometer)) if triad is not None]
-        rows = self._compiled_rows(places, data) if library.loaded() is not None else self._rows(places, data)
+        rows = self._compiled_rows(places, data) if library.load_kernel() is not None else self._rows(places, data)
         if self._signs is not None:
             for number, (kind, triad) in enumerate(triads):
                 own = slice(TRIAD * number, TRIAD * (number + 1))
