@@ -13,10 +13,10 @@ from ..assess.added_findings import comparison_left_out
 from ..assess.changes import with_changes
 from ..assess.imu.imu_tables import ImuFitSummary, describe_imu
 from ..assess.imu.imu_verdict import assess_imu
-from ..assess.imu.threshold import FEWEST_INTERVALS, RestDetection, accelerometer_course, disturbed_intervals
 from ..assess.prior_findings import prior_findings
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..assess.weak_findings import imu_weak
+from ..detect.samples.threshold import FEWEST_INTERVALS, RestDetection, accelerometer_course, disturbed_intervals
 from ..errors import DetectionError, SolveError
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals

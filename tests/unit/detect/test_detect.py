@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import gnomon
-from gnomon.assess.imu.threshold import choose_threshold, detect_rests, disturbed_intervals
 from gnomon.detect.samples import static
 from gnomon.detect.samples.noise import allan_deviation, averaging_time, resting_noise
 from gnomon.detect.samples.rests import RestStatistics, find_rests
@@ -21,6 +20,7 @@ from gnomon.detect.samples.static import (
     window_samples,
     window_variances,
 )
+from gnomon.detect.samples.threshold import choose_threshold, detect_rests, disturbed_intervals
 from gnomon.detect.samples.time_base import time_base
 from gnomon.detect.samples.turning import RateMarks, mark_rates
 from gnomon.recording import TriadSamples

@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from ...detect.samples.threshold import RestDetection
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, Recording, TriadSamples, close_gaps
-from ..imu.threshold import RestDetection
 from .protocol import check_protocol, find_imu_rests
 from .signals import check_signal, check_stamps, check_vibration
 

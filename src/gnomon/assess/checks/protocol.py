@@ -8,11 +8,11 @@ import numpy as np
 from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.rests import Rests
 from ...detect.samples.saturation import saturated_samples
+from ...detect.samples.threshold import RestDetection, detect_rests
 from ...findings import Finding, make_finding
 from ...recording import Floats, ImuSamples, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
 from ...units import ACCELEROMETER_UNITS_M_S2, STANDARD_GRAVITY_M_S2
-from ..imu.threshold import RestDetection, detect_rests
 from .signals import is_silent
 
 _LISTED = 6  # runs of rests with one reason

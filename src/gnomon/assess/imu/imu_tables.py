@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...detect.samples.noise import allan_deviation, averaging_time
+from ...detect.samples.threshold import ThresholdTrial
 from ...estimate.multiposition.bias_changes import BiasChanges
 from ...estimate.multiposition.fit import MultiPositionFit
 from ...estimate.multiposition.leave_one_out import LeaveOneOutErrors
@@ -27,7 +28,6 @@ from ...results.imu_diagnostics import (
 from ...results.intervals import Booleans, interval_means
 from ...results.trust import Trust
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
-from .threshold import ThresholdTrial
 
 _BINS = 1500
 _ALLAN_FROM_S, _ALLAN_TO_S = 1.0, 225.0

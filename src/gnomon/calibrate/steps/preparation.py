@@ -9,12 +9,12 @@ import numpy as np
 
 from ...assess.checks.doctor import check_by_rests
 from ...assess.checks.protocol import find_imu_rests
-from ...assess.imu.threshold import RestDetection
 from ...detect.samples.noise import resting_noise
 from ...detect.samples.repair import drop_repeated_timestamps
 from ...detect.samples.repeats import repeated_stretches
 from ...detect.samples.rounding import rounding_variance, smallest_steps
 from ...detect.samples.saturation import saturated_samples
+from ...detect.samples.threshold import RestDetection
 from ...detect.samples.time_base import TimeBase, time_base
 from ...errors import DetectionError, OptionError, RecordingError
 from ...estimate.multiposition.problem import TriadStream

@@ -1,4 +1,4 @@
-"""The threshold of the static detector, chosen by what the calibration gains from it (Tedaldi 2014, Algorithm 1).
+"""The rests of a recording at a threshold chosen by what the calibration gains from it (Tedaldi 2014, Algorithm 1).
 
 The summed residual of Algorithm 1 favours thresholds that find few data. Here each threshold is judged by the
 uncertainty that the accelerometer's parameters would have with its intervals, at the noise that leaving each interval
@@ -7,9 +7,6 @@ out reveals: more data lower it, intervals that hold motion raise it.
 
 import numpy as np
 
-from ...detect.samples.noise import resting_noise
-from ...detect.samples.rests import Rests, RestStatistics, find_rests
-from ...detect.samples.static import static_statistic, window_samples
 from ...errors import InitialisationError
 from ...estimate.multiposition.bias_changes import BiasChanges, accelerometer_changes, functions_of_time
 from ...estimate.multiposition.magnitude import MagnitudeFit, fit_magnitude
@@ -17,6 +14,9 @@ from ...estimate.multiposition.problem import TriadStream, rest_means
 from ...frozen import value_class
 from ...recording import Floats, TriadSamples
 from ...results.intervals import Booleans, StaticIntervals, interval_means
+from .noise import resting_noise
+from .rests import Rests, RestStatistics, find_rests
+from .static import static_statistic, window_samples
 
 MULTIPLIERS = (3.0, 10.0, 30.0, 100.0, 300.0)
 SHORTEST_S = 0.5
