@@ -4,7 +4,7 @@ The texts are those of the catalogue, `findings.yaml`; code gives facts, and `ma
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import pi
@@ -109,13 +109,12 @@ def printable_text(text: str) -> str:
     return re.sub(_STEERING, lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
-def join_with_or(names: tuple[str, ...]) -> str:
-    """Return names as a choice.
+def join_names(names: Sequence[str], last: str = "and") -> str:
+    """Return names as a list in a sentence.
 
     Examples
     --------
-    >>> join_with_or(("kalibr", "openvins", "basalt"))
+    >>> join_names(["kalibr", "openvins", "basalt"], "or")
     'kalibr, openvins or basalt'
     """
-    *first, last = names
-    return f"{', '.join(first)} or {last}" if first else last
+    return f"{', '.join(names[:-1])} {last} {names[-1]}" if len(names) > 1 else "".join(names)

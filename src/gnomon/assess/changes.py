@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..findings import Finding, make_finding
-from ..geometry.so3 import invert_3x3
+from ..geometry.so3 import invert_matrix
 from ..models.camera import Camera
 from ..options.requirements import FIELD_UT, GENERAL_IMU, GENERAL_RIG, QUANTITIES, Use
 from ..recording import Floats
@@ -186,7 +186,7 @@ def _sizes(
         magnetometer = calibration.imus[sensor].magnetometer
         assert magnetometer is not None
         field = FIELD_UT if magnetometer.field_unit == "uT" else 1.0
-        yield "heading", *_largest(change, _OF_HEADING / field * invert_3x3(magnetometer.sensitivity))
+        yield "heading", *_largest(change, _OF_HEADING / field * invert_matrix(magnetometer.sensitivity))
     elif rest.endswith(".g_sensitivity"):
         matrix = getattr(calibration.imus[sensor], rest.partition(".")[0]).sensitivity
         yield "gyroscope_g_sensitivity", *_largest(change, np.diag(1 / np.repeat(np.linalg.norm(matrix, axis=1), 3)))

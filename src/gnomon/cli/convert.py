@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
 from ..errors import GnomonError, OptionError, OutputError
-from ..findings import join_with_or
+from ..findings import join_names
 from ..units import Units
 from .arguments import Argument
 from .command import Command, FileOption, Json, Topics, output_option, topics_of
@@ -153,7 +153,7 @@ def _noise(command: Convert) -> tuple["Mapping[str, StatedImu] | None", list[str
     if command.imu is not None:
         if command.to not in WITH_NOISE:
             raise OptionError(
-                f"--imu: {command.to} has no place for noise. Those that have are {join_with_or(WITH_NOISE)}."
+                f"--imu: {command.to} has no place for noise. Those that have are {join_names(WITH_NOISE, 'or')}."
             )
         return stated_imus(command.imu), []
     if command.to not in WITH_NOISE:
@@ -242,7 +242,7 @@ def _refuse_recording(command: Convert) -> None:
     if command.path.is_dir() or (not _is_calibration(command.path) and _holds_images(command.path)):
         raise OptionError(
             f"{command.path}: this is {'a folder' if command.path.is_dir() else 'a recording'}, and {command.to} is a "
-            f"format of calibrations. Recordings are written --to {join_with_or(get_args(RecordingForm))}; of a "
+            f"format of calibrations. Recordings are written --to {join_names(get_args(RecordingForm), 'or')}; of a "
             "result, give its folder or the calibration.yaml in it."
         )
     if command.topics or command.units or command.imu_table:
@@ -254,7 +254,7 @@ def _refuse_calibration(command: Convert) -> None:
     if _is_calibration(command.path):
         raise OptionError(
             f"{command.path}: this is a calibration, and {command.to} is a format of recordings. Calibrations are "
-            f"written --to {join_with_or(get_args(CalibrationForm))}."
+            f"written --to {join_names(get_args(CalibrationForm), 'or')}."
         )
     if len(command.paths) > 1:
         raise OptionError(f"{command.paths[1]}: of recordings one at a time is converted.")

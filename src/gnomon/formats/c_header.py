@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 
-from ..models.forms import invert_matrix
+from ..geometry.so3 import invert_matrix
 from ..recording import Floats
 from ..results.calibration import Calibration, ImuCalibration
 from .own.calibration_text import FRAMES

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ..geometry.so3 import invert_matrix
 from ..models.estimator_forms import OpenVinsAccelerometer, OpenVinsGyroscope
-from ..models.forms import invert_matrix
 from ..models.noise import ImuNoise
 from ..recording import Floats
 from ..results.calibration import (

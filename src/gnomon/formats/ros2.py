@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry.quaternion import quaternion_from_rotation
-from ..geometry.so3 import invert_3x3
+from ..geometry.so3 import invert_matrix
 from ..models.camera import Camera
 from ..models.lens_names import DistortionName
 from ..recording import Floats
@@ -78,7 +78,7 @@ def launch_of(root: Node, notes: list[str]) -> ForeignCalibration:
         values = _arguments(words)
         found = _CAMERA.search(values["child-frame-id"])
         if re.fullmatch(r"imu\d+", values["child-frame-id"]) and values["frame-id"] == "imu0":
-            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=invert_3x3(_read_pose(words, values)))
+            imus[values["child-frame-id"]] = ForeignImu(T_imu_body=invert_matrix(_read_pose(words, values)))
             continue
         if found is None or _IMU.search(values["frame-id"]) is None:
             notes.append(f"The transform from {values['frame-id']} to {values['child-frame-id']} was passed over.")
@@ -231,7 +231,7 @@ def _launch_text(imu: str, calibration: Calibration, context: Context) -> str:
         if camera.time_shift_cam_imu:
             text += _SHIFT.format(shift=float(camera.time_shift_cam_imu), name=name)
     poses = {name: known.T_imu_body for name, known in calibration.imus.items() if known.T_imu_body is not None}
-    placed = {name: invert_3x3(pose) for name, pose in poses.items()}
+    placed = {name: invert_matrix(pose) for name, pose in poses.items()}
     placed |= {
         name: inverse_pose(camera.T_cam_body) for name, camera in calibration.cameras.items() if name != camera.body
     }

@@ -24,7 +24,7 @@ def tangent_basis(u: Floats) -> Floats:
     return np.stack([first, np.asarray(np.cross(u, first), dtype=np.float64)], axis=-1)
 
 
-def invert_3x3(matrix: Floats) -> Floats:
+def invert_matrix(matrix: Floats) -> Floats:
     """Return the inverse of matrices (..., 3, 3)."""
     return np.linalg.inv(matrix).astype(np.float64, copy=False)
 

@@ -13,7 +13,8 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from ..frozen import value_class
-from .forms import AccelerometerForm, in_frame, invert_matrix, unit_diagonal
+from ..geometry.so3 import invert_matrix
+from .forms import AccelerometerForm, in_frame, unit_diagonal
 from .frames import Floats
 
 Geometry = Literal["small-angle", "exact"]

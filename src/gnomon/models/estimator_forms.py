@@ -8,7 +8,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ..frozen import value_class
-from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes, invert_matrix
+from ..geometry.so3 import invert_matrix
+from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_frame, in_own_axes
 from .frames import Floats
 
 

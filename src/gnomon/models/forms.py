@@ -21,6 +21,7 @@ import numpy as np
 
 from ..errors import OptionError
 from ..frozen import value_class
+from ..geometry.so3 import invert_matrix
 from .frames import Floats, fixed_entries, frame_rotation
 
 KrebsReading = Literal["chapter 3", "chapter 4"]
@@ -339,11 +340,6 @@ def in_own_axes(sensitivity: Floats, frame: str) -> tuple[Floats, Floats]:
     own = sensitivity @ C.T
     own[tuple(np.transpose(fixed_entries(frame)))] = 0.0
     return own, C
-
-
-def invert_matrix(matrix: Floats) -> Floats:
-    """Return the inverse of a matrix (3, 3)."""
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def unit_diagonal(correction: Floats, whose: str) -> tuple[Floats, Floats]:

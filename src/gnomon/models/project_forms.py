@@ -9,7 +9,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ..frozen import value_class
-from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_own_axes, invert_matrix, unit_diagonal
+from ..geometry.so3 import invert_matrix
+from .forms import AccelerometerForm, GyroscopeForm, TriadForm, in_own_axes, unit_diagonal
 from .frames import Floats
 
 

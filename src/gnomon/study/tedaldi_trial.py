@@ -11,7 +11,7 @@ import numpy as np
 from ..calibrate.imu import calibrate_imu
 from ..errors import GnomonError
 from ..estimate.multiposition.rotations import cut_segments, integrate_rates, propagate_directions, segments_between
-from ..geometry.so3 import invert_3x3
+from ..geometry.so3 import invert_matrix
 from ..models.forms import TedaldiAccelerometer, TedaldiGyroscope
 from ..options import ImuOptions
 from ..recording import Floats, Recording
@@ -141,7 +141,7 @@ def ideal_signals(task: TedaldiTrial, truth: Calibration) -> TrueSignals:
     before, after = (
         truth.in_frame(frame).imus["imu0"].required_accelerometer.sensitivity for frame in ("accel-x", "accel-z")
     )
-    turn = invert_3x3(after) @ before  # the same measurement: after @ f_z = before @ f_x
+    turn = invert_matrix(after) @ before  # the same measurement: after @ f_z = before @ f_x
     return replace(signals, force=signals.force @ turn.T, rate=signals.rate @ turn.T)
 
 
@@ -163,9 +163,9 @@ def correct_samples(imu: ImuCalibration, force: Floats, rate: Floats) -> tuple[F
     """Return specific force [m/s^2] and angular rate [rad/s], (n, 3) both, of what was recorded."""
     accelerometer, gyroscope = imu.required_accelerometer, imu.gyroscope
     assert gyroscope is not None
-    force = (force - accelerometer.bias) @ invert_3x3(accelerometer.sensitivity).T
+    force = (force - accelerometer.bias) @ invert_matrix(accelerometer.sensitivity).T
     rate = rate - gyroscope.bias - force @ gyroscope.g_sensitivity.T
-    return force, rate @ invert_3x3(gyroscope.sensitivity).T
+    return force, rate @ invert_matrix(gyroscope.sensitivity).T
 
 
 def as_tedaldi(calibration: Calibration) -> tuple[Floats, Floats]:
@@ -194,7 +194,7 @@ def _angles(T: Floats, entries: tuple[tuple[int, int, int], ...]) -> Floats:
 
 def _by_sensitivity(sensitivity: Floats, entries: tuple[tuple[int, int, int], ...]) -> Floats:
     """Return the derivative of the misalignments, then of K, by the sensitivity (row by row), (n, 9)."""
-    C = invert_3x3(sensitivity)
+    C = invert_matrix(sensitivity)
     dC = -np.kron(C, C.T)  # C = T K is the inverse
     rows = [sign * (dC[3 * i + j] - C[i, j] / C[j, j] * dC[4 * j]) / C[j, j] for i, j, sign in entries]
     return np.array([*rows, *dC[::4]])

@@ -11,7 +11,7 @@ from gnomon.assess.comparison.comparing import compare_candidates
 from gnomon.assess.observability import known_of, weak_directions
 from gnomon.assess.weak_findings import weak_findings
 from gnomon.geometry.rotation_vector import rotation_from_rotvec
-from gnomon.geometry.so3 import invert_3x3
+from gnomon.geometry.so3 import invert_matrix
 from gnomon.results.calibration import Covariance, Provenance
 
 SIGMA = 1e-4
@@ -70,7 +70,7 @@ def test_honest_ones_agree_in_pose_and_clock(truth):
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
-        (lambda imu: replace(imu, T_imu_body=invert_3x3(imu.T_imu_body)), "pose-inverted", "T_imu_body of imu1"),
+        (lambda imu: replace(imu, T_imu_body=invert_matrix(imu.T_imu_body)), "pose-inverted", "T_imu_body of imu1"),
         (lambda imu: replace(imu, time_shift_s=-imu.time_shift_s), "shift-sign", "imu1"),
     ],
 )

@@ -11,7 +11,7 @@ from gnomon.assess.comparison.candidates import ComparisonCandidate
 from gnomon.assess.comparison.comparing import compare_candidates
 from gnomon.assess.comparison.quantities import statement_of
 from gnomon.geometry.rotation_vector import rotation_from_rotvec, rotvec_from_rotation
-from gnomon.geometry.so3 import invert_3x3
+from gnomon.geometry.so3 import invert_matrix
 from gnomon.report.comparison import comparison_page, write_comparison_report
 from gnomon.results.calibration import Covariance
 from html_page import Page
@@ -31,7 +31,7 @@ def moved(one, *, shift=(0.0, 0.0, 0.0), focal=0.0, upside_down=False):
     camera = one.cameras["cam1"]
     T = camera.T_cam_body.copy()
     T[:3, 3] += shift
-    T = invert_3x3(T) if upside_down else T
+    T = invert_matrix(T) if upside_down else T
     lens = camera.camera.with_parameters(camera.camera.parameters + np.eye(len(camera.camera.parameters))[0] * focal)
     return replace(one, cameras={**one.cameras, "cam1": replace(camera, T_cam_body=T, camera=lens)})
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gnomon.errors import OptionError
-from gnomon.models.forms import TedaldiAccelerometer, invert_matrix
+from gnomon.geometry.so3 import invert_matrix
+from gnomon.models.forms import TedaldiAccelerometer
 from gnomon.results.calibration import (
     AccelerometerCalibration,
     GyroscopeCalibration,

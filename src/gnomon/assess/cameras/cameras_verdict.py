@@ -1,11 +1,10 @@
 """Verdict and advice on a calibration of cameras alone: what to trust, what to do next."""
 
-from collections.abc import Sequence
 from math import radians
 
 import numpy as np
 
-from ...findings import Finding, make_finding
+from ...findings import Finding, join_names, make_finding
 from ...models.camera import Camera
 from ...recording import Floats
 from ...results.calibration import Assessment, CamerasFit
@@ -38,7 +37,7 @@ def _coverage(name: str, fit: CornerFit, evidence: CamerasFitSummary) -> list[Fi
     pixels = fit.pixels[fit.frame_used[fit.frame] & (fit.weight > 0)]
     share = image_coverage(pixels, fit.resolution)
     empty = unseen_corners(pixels, fit.resolution)
-    where = join_with_and([f"the {region} corner" for region in empty])
+    where = join_names([f"the {region} corner" for region in empty])
     findings: list[Finding] = []
     if share < _COVERED:
         findings.append(
@@ -136,11 +135,6 @@ def _attitudes(evidence: CamerasFitSummary) -> list[Finding]:
     ]
 
 
-def join_with_and(words: Sequence[str]) -> str:
-    """Return "a", "a and b", or "a, b and c"."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
 _UNSEEN_WORSE = 1.5
 _WELL_TILTED = radians(12.0)
 _SHOWN = 5
@@ -226,8 +220,7 @@ def _what_would_tell(fit: CornerFit, evidence: CamerasFitSummary) -> str:
     empty = unseen_corners(fit.pixels[fit.frame_used[fit.frame]], fit.resolution)
     if empty:
         return (
-            f"Hold the board into {join_with_and([f'the {region} corner' for region in empty])} of the image, "
-            "and nearer."
+            f"Hold the board into {join_names([f'the {region} corner' for region in empty])} of the image, and nearer."
         )
     return "Take more views, near and far, tilted by 20 to 45 degrees, with the board over half of the image."
 

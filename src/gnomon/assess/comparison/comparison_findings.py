@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from ...findings import Finding, make_finding
+from ...findings import Finding, join_names, make_finding
 from ...frozen import value_class
 from ...geometry.rotation_vector import rotvec_from_rotation
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...options.requirements import BETWEEN_RECORDINGS, QUANTITIES
 from ...recording import Floats, shared_sources
 from ...results.trust import Verdict
@@ -17,7 +17,7 @@ from ..needs import number_words
 from ..verdict import merge_by_cause
 from .candidates import ComparisonCandidate
 from .comparison import Comparison, Difference, standing_out
-from .comparison_words import block_words, join_names, origin_findings, sigma_text, size_text
+from .comparison_words import block_words, origin_findings, sigma_text, size_text
 
 _INVERSE = 0.1  # share of the distance that is left when one pose is inverted
 _ARM_M = 0.1  # what a turn of one radian moves, for adding turns and distances
@@ -44,7 +44,7 @@ def pose_findings(candidates: Sequence[ComparisonCandidate]) -> Iterator[Finding
             if one.body != other.body:
                 continue
             distance = _distance(one.T, other.T)
-            if _distance(invert_3x3(one.T), other.T) < _INVERSE * distance:
+            if _distance(invert_matrix(one.T), other.T) < _INVERSE * distance:
                 yield _inverted(name, first.name, second.name, one.link)
             shifts = one.shift_s, other.shift_s
             if min(map(abs, shifts)) > _SHIFT_S and abs(sum(shifts)) < _INVERSE * abs(shifts[0] - shifts[1]):

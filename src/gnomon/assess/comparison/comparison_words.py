@@ -7,7 +7,7 @@ from math import degrees
 
 import numpy as np
 
-from ...findings import Finding, make_finding
+from ...findings import Finding, join_names, make_finding
 from ...models.origin import Origin
 from ...recording import Floats
 from ...results.calibration import Covariance
@@ -115,17 +115,6 @@ def sigma_text(difference: Difference) -> str:
         return ""
     whose = "" if difference.mutual else f" of {join_names(difference.basis)} alone"
     return f"{difference.largest:.1f} sigma{whose}"
-
-
-def join_names(names: Sequence[str], last: str = "and") -> str:
-    """Return names as a list in a sentence.
-
-    Examples
-    --------
-    >>> join_names(["A", "B", "C"])
-    'A, B and C'
-    """
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 _SIGNIFICANT = 3.0  # sigmas

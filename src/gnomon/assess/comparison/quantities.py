@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3, skew
+from ...geometry.so3 import invert_matrix, skew
 from ...models.forms import in_own_axes
 from ...models.frames import frame_turn, rotation_jacobian
 from ...options.requirements import BETWEEN_RECORDINGS
@@ -329,7 +329,7 @@ def _between(
         for name, camera in candidate.cameras.items():
             if name == reference or {camera.body, zero.body} != {"imu0"}:
                 continue
-            T = camera.T_cam_body @ invert_3x3(zero.T_cam_body)
+            T = camera.T_cam_body @ invert_matrix(zero.T_cam_body)
             R, R_0, t_0 = T[:3, :3], zero.T_cam_body[:3, :3], zero.T_cam_body[:3, 3]
             one, other = starts[name], starts[reference]
             turn, shift = np.zeros((3, count)), np.zeros((3, count))

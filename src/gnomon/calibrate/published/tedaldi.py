@@ -27,7 +27,7 @@ from ...estimate.multiposition.rotations import MotionSegments
 from ...estimate.multiposition.scaling import ImuEstimate
 from ...estimate.multiposition.tedaldi import RULES, leave_group_out
 from ...findings import make_finding
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...options import ImuOptions
 from ...recording import Recording
 from ...results.calibration import Assessment, Calibration, Covariance, Gravity, Holdout, Provenance, covariance_names
@@ -57,7 +57,7 @@ def describe_tedaldi(prepared: PreparedImu, search: Search, turned: Turned, grav
     gyroscope = weighted_stream(
         prepared.gyroscope, prepared.gyroscope_time.t_s, prepared.gyroscope_saturated, turned.at_rest
     )
-    sensitivity = invert_3x3(turned.fit.correction)
+    sensitivity = invert_matrix(turned.fit.correction)
     row = search.candidates[search.candidates[:, 0] == search.multiplier][0]
     return ImuDiagnostics(
         accelerometer=signal_envelope(t_s, accelerometer.values, accelerometer.unit),
@@ -120,7 +120,7 @@ def _rotation_table(prepared: PreparedImu, search: Search, turned: Turned) -> Ro
         lengths=turned.segments.lengths,
     )
     held = leave_group_out(turned.fit.jacobian, turned.fit.residual, turned.fit.covariance)
-    sensitivity = invert_3x3(turned.fit.correction)
+    sensitivity = invert_matrix(turned.fit.correction)
     return RotationTable(
         start_s=turned.start_s,
         stop_s=turned.stop_s,
@@ -188,7 +188,7 @@ def calibrate_as_published(
 def _estimate(search: Search, turned: Turned) -> ImuEstimate:
     """Return the parameters in frame accel-z; sigmas by ordinary least squares."""
     fit, gyro = search.fit, turned.fit
-    sensitivity, sensitivity_g = invert_3x3(fit.correction), invert_3x3(gyro.correction)
+    sensitivity, sensitivity_g = invert_matrix(fit.correction), invert_matrix(gyro.correction)
     covariance = np.zeros((33, 33))
     unit = np.zeros((12, 9))  # sensitivity (9) and bias (3) by the correction's upper triangle and the bias
     entries = [3 * i + j for i, j in zip(*UPPER, strict=True)]

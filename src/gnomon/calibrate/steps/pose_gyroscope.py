@@ -14,7 +14,7 @@ from ...estimate.triads.rotation_sensitivity import RotationSensitivity, fit_rot
 from ...estimate.triads.static_g_sensitivity import RestingRates, StaticGSensitivity, fit_static_g_sensitivity
 from ...estimate.triads.triad import TriadFit
 from ...estimate.triads.triad_poses import B_, G_, S_, TriadPrior
-from ...geometry.so3 import invert_3x3, nearest_rotation
+from ...geometry.so3 import invert_matrix, nearest_rotation
 from ...models.gravity import EARTH_RATE_RAD_S
 from ...options import ImuOptions
 from ...recording import Floats
@@ -98,7 +98,7 @@ def _sensitivity(fit: TriadFit, prior: TriadPrior, unit: str) -> tuple[Floats | 
         return prior.mean[S_].reshape(3, 3), np.zeros((9, 9))
     if np.all(np.diag(precision) > 0):
         known = np.flatnonzero(np.diag(prior.precision) > 0)
-        marginal = invert_3x3(prior.precision[np.ix_(known, known)])
+        marginal = invert_matrix(prior.precision[np.ix_(known, known)])
         rows = np.flatnonzero(known < 9)
         return prior.mean[S_].reshape(3, 3), marginal[np.ix_(rows, rows)]
     one = GYROSCOPE_UNITS_RAD_S[unit]
@@ -139,7 +139,7 @@ def _by_rotations(
 
 def _force_by_accelerometer(fit: TriadFit, force: Floats) -> Floats:
     """Return derivatives (n, 3, 12) of the specific force by the accelerometer's sensitivity and bias."""
-    back = invert_3x3(fit.sensitivity)
+    back = invert_matrix(fit.sensitivity)
     by = np.zeros((len(force), 3, 12))
     for i in range(3):
         for j in range(3):

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ...geometry.rotation_vector import right_jacobian, rotation_from_rotvec, rotvec_from_rotation
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats, Integers
 from .blocks import parameter_blocks, sensor_priors
 from .parameters import CameraParameters, ImuParameters, RigParameters
@@ -210,7 +210,7 @@ def _coordinates_jacobian(name: str, parameters: RigParameters, start: RigParame
     if name == "gravity.direction":
         return start.gravity_plane.T @ parameters.gravity_plane
     if name.endswith((".T_cam_imu.rotation", *(f".{block}" for block in _IMU_ROTATIONS))):
-        return invert_3x3(right_jacobian(np.asarray(block_coordinates(name, parameters, start))))
+        return invert_matrix(right_jacobian(np.asarray(block_coordinates(name, parameters, start))))
     return None
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...geometry.rotation_vector import right_jacobian, rotvec_from_rotation
-from ...geometry.so3 import invert_3x3, skew
+from ...geometry.so3 import invert_matrix, skew
 from ...recording import Floats, KnownRig
 from .blocks import lenses_of
 from .layout import BorderLayout
@@ -49,7 +49,7 @@ def pose_residual(rig: KnownRig, layout: BorderLayout, parameters: RigParameters
         R = other.R_cam_imu @ one.R_cam_imu.T
         turn = rotvec_from_rotation(known[:3, :3].T @ R)
         moved = other.p_cam_imu - R @ one.p_cam_imu - known[:3, 3]
-        straight = invert_3x3(right_jacobian(turn)) @ one.R_cam_imu
+        straight = invert_matrix(right_jacobian(turn)) @ one.R_cam_imu
         around = R @ skew(one.p_cam_imu) @ one.R_cam_imu
         rows = np.zeros((_POSE, len(layout)))
         for block, by_turn, by_place in (("cam0", (-straight, -around), -R), (name, (straight, around), np.eye(3))):

@@ -10,7 +10,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats
 from ...results.intervals import Booleans
 from .model import BiasFunctions, MultiPositionData
@@ -125,7 +125,7 @@ def accelerometer_drifts(t_s: Floats, measured: Floats, sensitivity: Floats, bia
     n = int(used.sum())
     if n < _FEWEST_FOR_DRIFT:
         return False
-    correction = invert_3x3(sensitivity)
+    correction = invert_matrix(sensitivity)
     force = (measured[used] - bias) @ correction.T
     length = np.linalg.norm(force, axis=1)
     u = force / length[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import SolveError
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...models.frames import frame_rotation
 from ...recording import Floats
 from ...results.intervals import Booleans
@@ -324,9 +324,9 @@ def start_state(data: MultiPositionData) -> MultiPositionState:
         If the attitudes determine no accelerometer calibration.
     """
     fit = fit_magnitude(data.accelerometer, 1.0)
-    sensitivity = invert_3x3(fit.correction)
+    sensitivity = invert_matrix(fit.correction)
     sensitivity = sensitivity @ frame_rotation(sensitivity, "accel-x").T
-    correction = invert_3x3(sensitivity)
+    correction = invert_matrix(sensitivity)
     u = (data.accelerometer - fit.bias) @ correction.T
     still = np.median(data.gyroscope, axis=0)
     force = (data.segments.accelerometer - fit.bias) @ correction.T

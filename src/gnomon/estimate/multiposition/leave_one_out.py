@@ -7,7 +7,7 @@ the step needs is at hand; nothing is fitted again.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3, tangent_basis
+from ...geometry.so3 import invert_matrix, tangent_basis
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution, solve_arrow
@@ -101,4 +101,4 @@ def _forces(data: MultiPositionData, thetas: Floats) -> Floats:
     s[:, LOWER[0], LOWER[1]] = thetas[:, S_]
     drifting = thetas[:, thetas.shape[1] - 3 * data.trend.shape[1] :].reshape(len(thetas), -1, 3)
     drift = np.einsum("kq,kqi->ki", data.trend, np.broadcast_to(drifting, (len(data.trend), *drifting.shape[1:])))
-    return (invert_3x3(s) @ (data.accelerometer - thetas[:, B_] - drift)[..., None])[..., 0]
+    return (invert_matrix(s) @ (data.accelerometer - thetas[:, B_] - drift)[..., None])[..., 0]

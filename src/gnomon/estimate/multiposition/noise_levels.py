@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats
 from ...results.intervals import Booleans
 from ...solve.arrow import ArrowSolution
@@ -40,7 +40,7 @@ class ExtraVariance:
 def whitened_rest(data: MultiPositionData, state: MultiPositionState, extra: ExtraVariance) -> tuple[Floats, Floats]:
     """Return inverse roots (n, 3, 3) of the covariances of the accelerometer's and the gyroscope's means at rest."""
     s, _, c_g, _, _ = state.matrices
-    s_g = invert_3x3(c_g)
+    s_g = invert_matrix(c_g)
     gyroscope = extra.gyroscope + data.earth_rate_variance
     return (
         _inverse_root(data.accelerometer_variance, extra.accelerometer * s @ s.T),
@@ -82,7 +82,7 @@ def estimate_extra_variance(
     turns = rotation_variance(data, state)
     modes = (
         _modes(lines.accelerometer, data.accelerometer_variance, s, 0.0),
-        _modes(lines.gyroscope, data.gyroscope_variance, invert_3x3(c_g), data.earth_rate_variance),
+        _modes(lines.gyroscope, data.gyroscope_variance, invert_matrix(c_g), data.earth_rate_variance),
         (lines.rotation**2 / turns[:, None], 1 / np.stack([turns, turns], axis=1)),
     )
     redundancy = _redundancies(lines, arrow, whitening, free)
@@ -98,7 +98,7 @@ def estimate_extra_variance(
 def _inverse_root(white: Floats, extra: Floats) -> Floats:
     """Return inverse Cholesky factors (n, 3, 3) of diag(white_k) + extra."""
     covariance = extra + white[:, :, None] * np.eye(3)
-    return invert_3x3(np.linalg.cholesky(covariance).astype(np.float64))
+    return invert_matrix(np.linalg.cholesky(covariance).astype(np.float64))
 
 
 def _modes(residual: Floats, white: Floats, root: Floats, floor: float) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...results.intervals import Booleans
 from .model import MultiPositionData, MultiPositionState
 from .noise_levels import rotation_variance
@@ -32,7 +32,7 @@ def with_sampling_error(data: MultiPositionData, state: MultiPositionState) -> M
     if not linked.any():
         return data
     segments = data.segments
-    force = (segments.accelerometer - b) @ invert_3x3(s).T
+    force = (segments.accelerometer - b) @ invert_matrix(s).T
     omega = (segments.gyroscope - b_g - force @ g.T) @ c_g.T
     halved, kept = _every_second(segments)
     difference = np.einsum(

@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .triad_start import Ellipsoid, constrained_ellipsoid, general_ellipsoid
@@ -189,4 +189,4 @@ def _distance(m: Floats, shape: Ellipsoid) -> Floats:
 
 def field_of(values: Floats, sensitivity: Floats, bias: Floats) -> Floats:
     """Return the field (n, 3) of measurements (n, 3)."""
-    return (values - bias) @ invert_3x3(sensitivity).T
+    return (values - bias) @ invert_matrix(sensitivity).T

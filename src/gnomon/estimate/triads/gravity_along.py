@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats
 from ...results.intervals import Booleans
 from .blocks import Stage, by_direction
@@ -76,7 +76,7 @@ def fit_gravity(
     triad = fit_triad(data, prior=prior)
     force = triad.physical(measured)
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    correction = invert_3x3(triad.sensitivity)
+    correction = invert_matrix(triad.sensitivity)
     free = triad.free[:12]
     weight = triad.used / triad.magnitude_sigma
     pull = up @ correction

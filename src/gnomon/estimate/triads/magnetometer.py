@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InitialisationError
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .blocks import Stage, TimeBlocks, block_covariance, by_direction, leave_blocks_out, memory_s
@@ -223,7 +223,7 @@ def _sphere(poses: FieldPoses, used: Booleans, field: float, shape: Ellipsoid) -
 
 
 def _with_blocks(poses: FieldPoses, iron: HardSoftIron, field: float, model: MagnetometerModel) -> MagnetometerFit:
-    correction = invert_3x3(iron.sensitivity)
+    correction = invert_matrix(iron.sensitivity)
     x = (poses.measured - iron.bias) @ correction.T
     length = np.linalg.norm(x, axis=1)
     pull = (x / length[:, None]) @ correction
@@ -274,7 +274,7 @@ def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> Ma
         (sphere.iron.sensitivity - full.iron.sensitivity).ravel(), sphere.iron.bias - full.iron.bias
     ])  # fmt: skip
     square = np.outer(left_out, left_out)
-    correction = invert_3x3(sphere.iron.sensitivity)
+    correction = invert_matrix(sphere.iron.sensitivity)
     x = sphere.direction * (sphere.field + sphere.error)[:, None]
     return replace(
         sphere,
@@ -295,7 +295,7 @@ def with_soft_iron_unknown(sphere: MagnetometerFit, full: MagnetometerFit) -> Ma
 
 def stray_samples(values: Floats, noise: Floats, fit: MagnetometerFit) -> Booleans:
     """Return which single samples (n,) lie far off the ellipsoid of the fit, by more than noise explains."""
-    correction = invert_3x3(fit.iron.sensitivity)
+    correction = invert_matrix(fit.iron.sensitivity)
     x = (values - fit.iron.bias) @ correction.T
     length = np.linalg.norm(x, axis=1)
     pull = (x / length[:, None]) @ correction

@@ -16,7 +16,7 @@ vertical gravity shows no angle.
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3, skew, tangent_basis
+from ...geometry.so3 import invert_matrix, skew, tangent_basis
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from ..multiposition.rotations import MotionSegments, integrate_rates, propagate_directions
@@ -88,7 +88,7 @@ def fit_rotation_sensitivity(
     beforehand : (3, 3) sensitivity [unit per rad/s] and (9, 9) its covariance
     """
     start, prior = beforehand
-    correction = nominal = invert_3x3(start)  # C of the module's head
+    correction = nominal = invert_matrix(start)  # C of the module's head
     to_C = -np.kron(nominal, nominal.T)
     information = np.linalg.inv(to_C @ prior @ to_C.T)
     k = rotations.first
@@ -125,7 +125,7 @@ def fit_rotation_sensitivity(
     )
     moved = -np.linalg.solve(normal, A.T @ (white[:, None, None] * by_up).reshape(-1, by_up.shape[2]))
     covariance = np.linalg.inv(normal) + moved @ accelerometer_covariance @ moved.T
-    S = invert_3x3(correction)
+    S = invert_matrix(correction)
     to_S = -np.kron(S, S.T)
     angle, vertical = _turns(turns.rotation, rotations, rate @ correction.T, up[k])
     covariance = to_S @ covariance @ to_S.T

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import OptionError
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPoses, TriadPrior
@@ -122,7 +122,7 @@ class TriadFit:
         unbiased = measured - self.bias
         if force is not None:
             unbiased = unbiased - force @ self.g_sensitivity.T
-        return unbiased @ invert_3x3(self.sensitivity).T
+        return unbiased @ invert_matrix(self.sensitivity).T
 
 
 def fit_triad(
@@ -277,6 +277,6 @@ def _held_out(problem: TriadProblem, theta: Floats, linear: Linear, used: Boolea
         step = gain @ np.linalg.solve(kept, lines.residual[part].reshape(-1, size, 1))
         held[np.ix_(pose, np.flatnonzero(free))] += np.where(used[pose, None], step[..., 0], 0.0)
     s, b, g = held[:, S_].reshape(-1, 3, 3), held[:, B_], held[:, G_].reshape(-1, 3, 3)
-    x = invert_3x3(s) @ (problem.measured - b - np.einsum("kij,kj->ki", g, problem.force))[..., None]
+    x = invert_matrix(s) @ (problem.measured - b - np.einsum("kij,kj->ki", g, problem.force))[..., None]
     factor = 1 + np.einsum("kp,kp->k", problem.level, held[:, PARAMETERS:])
     return np.linalg.norm(x[..., 0], axis=1) - problem.magnitude * factor

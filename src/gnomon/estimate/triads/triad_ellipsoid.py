@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats
 
 _LEVEL_STEPS = 20
@@ -38,7 +38,7 @@ def general_ellipsoid(m: Floats, w: Floats) -> Ellipsoid | None:
         quadric = np.array([[a[0], a[3], a[4]], [a[3], a[1], a[5]], [a[4], a[5], a[2]]])
         if np.linalg.eigvalsh(quadric).min() <= 0:
             return None
-        offset = -invert_3x3(quadric) @ a[6:]
+        offset = -invert_matrix(quadric) @ a[6:]
         old, level = level, float(offset @ quadric @ offset)
         if same or abs(level - old) < 1e-9 * w.max() ** 2:
             break
@@ -66,7 +66,7 @@ def constrained_ellipsoid(m: Floats, w: Floats) -> Ellipsoid | None:
     quadric, linear, level = (quadric, v[6:9], v[9]) if np.trace(quadric) > 0 else (-quadric, -v[6:9], -v[9])
     if np.linalg.eigvalsh(quadric).min() <= 0:
         return None
-    offset = -invert_3x3(quadric) @ linear
+    offset = -invert_matrix(quadric) @ linear
     radius = float(offset @ quadric @ offset) - level
     return None if radius <= 0 else from_quadric(quadric * (size**2 / radius), offset)
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...frozen import value_class
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats, Integers
 from ...results.intervals import Booleans
 from .triad_poses import B_, G_, PARAMETERS, S_
@@ -141,7 +141,7 @@ def sensor_covariance(problem: TriadProblem, theta: Floats, u: Floats, extra: fl
 
 def true_vectors(problem: TriadProblem, theta: Floats) -> Floats:
     """Return the true vectors (n, 3) that measurements and parameters say."""
-    c = invert_3x3(theta[S_].reshape(3, 3))
+    c = invert_matrix(theta[S_].reshape(3, 3))
     return (problem.measured - theta[B_] - problem.force @ theta[G_].reshape(3, 3).T) @ c.T
 
 
@@ -152,7 +152,7 @@ def known_magnitudes(problem: TriadProblem, theta: Floats) -> Floats:
 
 def eliminate_directions(problem: TriadProblem, theta: Floats, noise: TriadNoiseLevels) -> Latent:
     """Return the direction of each pose and the residuals that are left when it is eliminated."""
-    c = invert_3x3(theta[S_].reshape(3, 3))
+    c = invert_matrix(theta[S_].reshape(3, 3))
     x = true_vectors(problem, theta)
     w = known_magnitudes(problem, theta) + noise.excess
     body = c @ noise.covariance @ c.T
@@ -181,7 +181,7 @@ def triad_residuals(problem: TriadProblem, theta: Floats, noise: TriadNoiseLevel
     """Return the residuals and their derivatives by the free parameters."""
     at = eliminate_directions(problem, theta, noise)
     pose, scale = at.pose, 1 / at.sigma
-    c = invert_3x3(theta[S_].reshape(3, 3))
+    c = invert_matrix(theta[S_].reshape(3, 3))
     normal = -(at.q @ c) * scale[:, None]
     along = -scale * np.einsum("ri,ri->r", at.q, at.u[pose]) * problem.magnitude[pose]
     point = (at.length[:, None] * at.u)[pose]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...geometry.so3 import invert_3x3
+from ...geometry.so3 import invert_matrix
 from ...recording import Floats
 from ...results.intervals import Booleans
 from .triad_ellipsoid import general_ellipsoid
@@ -72,7 +72,7 @@ def subset_starts(problem: TriadProblem, theta: Floats) -> Iterator[Floats]:
         if ellipsoid is not None:
             trial = theta.copy()
             trial[B_] = ellipsoid.bias + centre
-            trial[S_] = _turned(invert_3x3(ellipsoid.correction), theta[S_].reshape(3, 3)).ravel()
+            trial[S_] = _turned(invert_matrix(ellipsoid.correction), theta[S_].reshape(3, 3)).ravel()
             found.append((most_errors(problem, trial), trial))
     found.sort(key=lambda pair: pair[0])
     yield from (trial for _, trial in found[:_KEPT])

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from ...errors import InitialisationError
-from ...geometry.so3 import invert_3x3, nearest_rotation
+from ...geometry.so3 import invert_matrix, nearest_rotation
 from ...recording import Floats
 from .triad_ellipsoid import Ellipsoid, constrained_ellipsoid, fit_sphere, from_quadric, general_ellipsoid
 from .triad_poses import B_, G_, PARAMETERS, S_, TriadPrior
@@ -144,7 +144,7 @@ def _stated(start: Floats, scaling: TriadScaling, size: int) -> Floats:
     if found is None:
         raise InitialisationError("a start needs scales other than zero.")
     parameters = np.zeros(PARAMETERS)
-    parameters[S_], parameters[B_] = invert_3x3(found.correction).ravel(), found.bias
+    parameters[S_], parameters[B_] = invert_matrix(found.correction).ravel(), found.bias
     theta[:PARAMETERS] = (parameters - scaling.shift) / scaling.turn
     return theta
 
@@ -191,7 +191,7 @@ def _in_common_axes(method: object, m: Floats, w: Floats, axes: Floats) -> Ellip
 def _oriented(problem: TriadProblem, found: Ellipsoid, prior: Floats | None) -> Floats:
     """Return the parameters of an ellipsoid in the body frame that directions or a prior mean, else in its own."""
     theta = np.zeros(len(problem.free))
-    theta[S_], theta[B_] = invert_3x3(found.correction).ravel(), found.bias
+    theta[S_], theta[B_] = invert_matrix(found.correction).ravel(), found.bias
     if not problem.free[[1, 2, 5]].any():
         theta[[1, 2, 5]] = 0.0
         return theta
@@ -203,7 +203,7 @@ def _oriented(problem: TriadProblem, found: Ellipsoid, prior: Floats | None) -> 
         turn = nearest_rotation(prior[S_].reshape(3, 3).T @ found.correction.T)
     else:
         turn = np.eye(3)
-    theta[S_] = (invert_3x3(found.correction) @ turn.T).ravel()
+    theta[S_] = (invert_matrix(found.correction) @ turn.T).ravel()
     return theta
 
 

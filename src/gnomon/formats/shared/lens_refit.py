@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InitialisationError, OptionError
 from ...estimate.cameras.first_lens import fit_lens_model
-from ...findings import join_with_or
+from ...findings import join_names
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.lens_programs import knows_lens, models_of, refit_models
@@ -114,8 +114,8 @@ def _nearest(calibration: Calibration, name: str, to: str) -> Refit:
                 f"the nearest, {best.camera.model}, is {best.rms_px:.2g} px off (rms), {best.worst_px:.2g} px at worst"
             )
         raise OptionError(
-            f"{name} is {lens.model}, and {to} knows {join_with_or(models_of(to))}: {nearest}. Calibrate the "
-            f"camera with gnomon camera --for {to}, or convert to {join_with_or(formats_of([lens]))}."
+            f"{name} is {lens.model}, and {to} knows {join_names(models_of(to), 'or')}: {nearest}. Calibrate the "
+            f"camera with gnomon camera --for {to}, or convert to {join_names(formats_of([lens]), 'or')}."
         )
     return min(found, key=lambda one: one.rms_px)
 

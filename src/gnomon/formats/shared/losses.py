@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import OptionError
-from ...findings import join_with_or
+from ...findings import join_names
 from ...frozen import value_class
 from ...models.camera import Camera
 from ...models.frames import Floats, frame_rotation
@@ -115,7 +115,7 @@ def rig_losses(calibration: Calibration, format_name: str) -> Iterator[Loss]:
         yield Loss(
             what=", ".join(calibration.cameras),
             why=f"{format_name} knows no cameras: T_cam_imu, time shift and lens are left out. "
-            f"Use {join_with_or(formats_of(c.camera for c in calibration.cameras.values()))} to write them too, or "
+            f"Use {join_names(formats_of(c.camera for c in calibration.cameras.values()), 'or')} to write them too, or "
             "keep calibration.yaml.",
         )
     for name, imu in calibration.imus.items():
@@ -321,7 +321,7 @@ def unknown_lens(name: str, camera: Camera, known: str) -> OptionError:
     name : of the camera
     known : who knows what, such as "OKVIS knows pinhole with radtan"
     """
-    others = join_with_or(formats_of([camera]))
+    others = join_names(formats_of([camera]), "or")
     return OptionError(
         f"{name} is {camera.model}, and {known}. Calibrate the camera with one of these, or convert to {others}."
     )

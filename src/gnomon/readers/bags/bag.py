@@ -23,8 +23,7 @@ from ..images.image_pixels import compressed_image, grey_image
 from ..rig.imu_stream import in_order
 from ..samples.recognise import IN_MOTION
 from .messages import COMPRESSED_IMAGE, Wire, compressed_message, image_message, stamp_ns
-from .storage import Bag, BrokenBagError, Topic, bag_parts, open_indexed, open_sequential
-from .storage import looks_like_bag as _is_bag
+from .storage import Bag, BrokenBagError, Topic, bag_parts, looks_like_bag, open_indexed, open_sequential
 from .survey import ImageTrack, ImuTrack, imu_samples, settle_times, survey_topics
 from .topics import (
     Pair,
@@ -47,7 +46,7 @@ def is_bag_path(path: str | PathLike[str]) -> bool:
     A file is one by its first bytes (ROS 1, MCAP, SQLite) or its name (.bag, .mcap, .db3), a folder where its
     metadata.yaml says so or nothing but bags is in it.
     """
-    return _is_bag(Path(path))
+    return looks_like_bag(Path(path))
 
 
 def open_bag(
