@@ -4,7 +4,7 @@ prepare -> static intervals -> problem -> fit -> choose the model -> hold out ->
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,15 @@ from ..assess.imu.imu_verdict import assess_imu
 from ..assess.prior_findings import prior_findings
 from ..assess.priors import Prior, Priors, gather_prior, refuse_own_data
 from ..assess.weak_findings import imu_weak
-from ..detect.samples.threshold import FEWEST_INTERVALS, RestDetection, accelerometer_course, disturbed_intervals
+from ..detect.samples.threshold import (
+    FEWEST_INTERVALS,
+    RestDetection,
+    ThresholdTrial,
+    accelerometer_course,
+    disturbed_intervals,
+)
 from ..errors import DetectionError, SolveError
+from ..estimate.multiposition.bias_changes import BiasChanges
 from ..estimate.multiposition.fit import MultiPositionFit, fit_multiposition
 from ..estimate.multiposition.problem import MultiPositionProblem, TriadStream, build_problem, gyroscope_intervals
 from ..estimate.multiposition.scaling import ImuEstimate, sensor_scalars, to_physical_units
@@ -102,7 +109,34 @@ def calibrate_imu(
     gravity = local_gravity(options)
     tell("finding static intervals")
     detection = _static_intervals(prepared, options)
-    chosen = detection.chosen
+    readings = _readings(prepared, detection.chosen, options)
+    if np.sum(readings.problem.data.linked) < FEWEST_ROTATIONS:
+        return calibrate_poses(recording, options, progress, prior, prepared)
+    known = gather_prior(prior, options, prepared.units, free=options.free, gravity=gravity)
+    tell(f"fitting {len(readings.problem.data.accelerometer)} static intervals and the rotations between them")
+    fit = _fit(recording, prepared, detection, readings, known=known, gravity=gravity, options=options)
+    tell("assessing the result")
+    return _assess(recording, prepared, fit, known=known, gravity=gravity, options=options)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Readings:
+    """What is fitted: static intervals of both triads, and the rotations between them.
+
+    Attributes
+    ----------
+    problem, streams : see `build_problem`
+    touched : which of the intervals found were disturbed, and are left out
+    course : of the accelerometer's bias over the time, see `accelerometer_course`
+    """
+
+    problem: MultiPositionProblem
+    streams: tuple[TriadStream, TriadStream]
+    touched: Booleans
+    course: BiasChanges
+
+
+def _readings(prepared: PreparedImu, chosen: ThresholdTrial, options: ImuOptions) -> _Readings:
     at_rest = weighted_stream(
         prepared.accelerometer,
         prepared.accelerometer_time.t_s,
@@ -112,66 +146,81 @@ def calibrate_imu(
     course, functions = accelerometer_course(at_rest)
     touched = disturbed_intervals(chosen, prepared.accelerometer, functions)
     problem, streams = _problem(prepared, at_rest, touched, options)
-    if np.sum(problem.data.linked) < FEWEST_ROTATIONS:
-        return calibrate_poses(recording, options, progress, prior, prepared)
-    units = {"accelerometer": prepared.accelerometer.unit, "gyroscope": prepared.gyroscope.unit}
-    known = gather_prior(prior, options, units, free=options.free, gravity=gravity)
-    tell(f"fitting {len(problem.data.accelerometer)} static intervals and the rotations between them")
-    walk = _known_walk(recording, problem)
+    return _Readings(problem=problem, streams=streams, touched=touched, course=course)
+
+
+def _fit(
+    recording: Recording,
+    prepared: PreparedImu,
+    detection: RestDetection,
+    readings: _Readings,
+    *,
+    known: Prior,
+    gravity: Gravity,
+    options: ImuOptions,
+) -> ImuFitSummary:
+    """Choose the model, and return its estimate with the covariance from clusters of static intervals."""
+    problem = readings.problem
     model = choose_model(
         problem,
         options,
         known,
-        units=units,
+        units=prepared.units,
         gravity_m_s2=gravity.value,
-        walk=walk,
-        course=None if touched.any() else course,
+        walk=_known_walk(recording, problem),
+        course=None if readings.touched.any() else readings.course,
     )
     estimate = _in_units(model.fit, problem, gravity, options)
     names = covariance_names({"imu0": imu_calibration(estimate, prepared)})
     unseen = unseen_changes(model.fit)
     trust, unseen_sigma = _trusted(model.fit, problem, estimate, names, gravity=gravity, options=options, unseen=unseen)
     weak = imu_weak(estimate)
-    estimate = with_fixed(replace(estimate, covariance=trust.covariance), known)
-    tell("assessing the result")
-    evidence = ImuFitSummary(
-        accelerometer=streams[0],
-        gyroscope=streams[1],
+    return ImuFitSummary(
+        accelerometer=readings.streams[0],
+        gyroscope=readings.streams[1],
         accelerometer_unit=prepared.accelerometer.unit,
         gyroscope_unit=prepared.gyroscope.unit,
         statistic=np.where(detection.motion.marks.turns, np.inf, detection.motion.statistic),
-        chosen=chosen,
+        chosen=detection.chosen,
         trials=detection.trials,
-        touched=touched,
-        course=course,
+        touched=readings.touched,
+        course=readings.course,
         problem=problem,
         fit=model.fit,
         heldout=model.heldout,
         rivals=model.rivals,
-        estimate=estimate,
+        estimate=with_fixed(replace(estimate, covariance=trust.covariance), known),
         trust=replace(trust.trust, models=model.steps, weak=weak),
         instabilities=trust.instabilities,
         unseen_sigma=unseen_sigma,
         gravity_m_s2=gravity.value,
     )
-    diagnostics = describe_imu(evidence)
-    imus = {"imu0": imu_calibration(estimate, prepared)}
+
+
+def _assess(
+    recording: Recording,
+    prepared: PreparedImu,
+    fit: ImuFitSummary,
+    *,
+    known: Prior,
+    gravity: Gravity,
+    options: ImuOptions,
+) -> Result:
+    """Return the calibration with its verdict, and the tables that show how it came about."""
+    diagnostics = describe_imu(fit)
+    imus = {"imu0": imu_calibration(fit.estimate, prepared)}
+    findings = (*prepared.findings, *_agreement(fit.problem, known, gravity, options))
     calibration = Calibration(
         imus=imus,
         frame="accel-x",
         gravity=gravity,
-        uncertainty=Covariance(names=names, matrix=estimate.covariance),
-        assessment=assess_imu(
-            (*prepared.findings, *_agreement(problem, known, gravity, options)),
-            evidence,
-            diagnostics,
-            gravity,
-        ),
+        uncertainty=Covariance(names=covariance_names(imus), matrix=fit.estimate.covariance),
+        assessment=assess_imu(findings, fit, diagnostics, gravity),
         provenance=Provenance(
             gnomon_version=__version__, method="imu", inputs=recording.sources, options=stated_options(options)
         ),
     )
-    calibration = with_changes(calibration, evidence.trust)
+    calibration = with_changes(calibration, fit.trust)
     rests = diagnostics.intervals
     calibration = in_stated_frame(calibration, options.frame, rests.accelerometer, rests.sigma)
     return Result(calibration=calibration, diagnostics=diagnostics)

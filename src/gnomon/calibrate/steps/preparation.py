@@ -194,6 +194,11 @@ class PreparedImu:
     findings: tuple[Finding, ...]
     rests: RestDetection | None
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of both triads, by their names."""
+        return {"accelerometer": self.accelerometer.unit, "gyroscope": self.gyroscope.unit}
+
 
 def check_and_detect(
     recording: Recording, name: str, options: ImuOptions
