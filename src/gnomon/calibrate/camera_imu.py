@@ -3,7 +3,7 @@
 prepare -> find the board's poses -> align clocks and axes -> first trajectory -> batch estimation -> assess -> Result
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +30,7 @@ from ..estimate.camera_imu.result.uncertainty import Uncertainty, solution_uncer
 from ..estimate.camera_imu.solution import Solution
 from ..estimate.camera_imu.start.first_guess import align_cameras, imu_stream
 from ..estimate.camera_imu.start.imu_alignment import align_imus
+from ..findings import Finding
 from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
@@ -40,6 +41,7 @@ from .steps.board_order import number_cameras_alike
 from .steps.camera_imu_estimation import RigBeforehand, basic_model, estimate_rig
 from .steps.camera_imu_model import (
     LINE_DELAY,
+    SelectedModel,
     candidate_blocks,
     select_model,
     shutters_estimated,
@@ -47,6 +49,7 @@ from .steps.camera_imu_model import (
     with_stated_shutters,
 )
 from .steps.camera_imu_preparation import (
+    PreparedCameraImu,
     cameras_moved,
     evidence_of_imu,
     known_imu,
@@ -106,12 +109,44 @@ def _calibrated(
     prepared = prepare_camera_imu(recording, target, options)
     gravity = local_gravity(options)
     known = [evidence_of_imu(prior, gravity, imu.name, first=not i) for i, imu in enumerate(prepared.imus)]
+    used = [finding for one in known for finding in prior_used(one)]
+    prepared = replace(prepared, findings=(*prepared.findings, *copied, *used))
     tell("finding the board's poses, the time shift and the camera's axes")
+    rig = _align(recording, target, prepared)
+    prepared = rig.prepared
+    estimated, rolling = with_line_delays(options, rig.looks, prepared.findings)
+    tell("estimating")
+    try:
+        first = estimate_rig(rig, gravity, estimated, [known_imu(one) for one in known], tell)
+    except SolveError as error:
+        raise SolveError(f"{error}{likely_cause(prepared.findings, prepared.move)}") from error
+    detectors = {name: frames.detector_scale_sigma for name, frames in rig.recording.cameras.items()}
+    chosen = select_model(first, estimated, tell, own_detector=not any(detectors.values()))
+    solution, certain = _with_uncertainty(chosen, estimated, detectors)
+    basic, uncompared = basic_model(chosen.solution.layout.start, solution, estimated, tell)
+    tell("assessing the result")
+    fit = CameraImuFitSummary(
+        recording=rig.recording,
+        target=target,
+        imus=prepared.imus,
+        options=estimated,
+        looks=rig.looks,
+        start=chosen.solution.layout.start,
+        solution=solution,
+        uncertainty=certain,
+        basic=basic,
+        gravity=gravity,
+        published=publish_rig(certain, solution.state.parameters, gravity_sigma=gravity.sigma),
+    )
+    return _assess(fit, chosen, prepared, rolling=rolling, uncompared=uncompared, stated=options)
+
+
+def _align(recording: Recording, target: Target, prepared: PreparedCameraImu) -> RigBeforehand:
+    """Return how cameras and IMUs lie to each other, in space and time, from the rotation that all of them felt."""
     streams = [imu_stream(prepared.inertial, i) for i in range(len(prepared.imus))]
     cameras, ends = number_cameras_alike(recording.cameras, target, prepared.origin_ns, streams[0])
     recording = replace(recording, cameras=cameras)
-    used = [finding for one in known for finding in prior_used(one)]
-    prepared = replace(prepared, findings=(*prepared.findings, *copied, *used, *ends))
+    prepared = replace(prepared, findings=(*prepared.findings, *ends))
     try:
         found = align_cameras(recording.cameras, target, prepared.origin_ns, streams[0])
         beside = align_imus(found, streams, list(recording.imus.items()), prepared.epochs_s)
@@ -119,52 +154,42 @@ def _calibrated(
         refuse_clock_jumps(prepared, recording.cameras, target, streams)
         raise InitialisationError(f"{error}{likely_cause(prepared.findings)}") from error
     prepared = with_looks(prepared, found, target, streams, beside)
-    stated = options
-    options, rolling = with_line_delays(options, found, prepared.findings)
-    tell("estimating")
-    rig = RigBeforehand(recording=recording, prepared=prepared, looks=found, beside=beside, streams=tuple(streams))
-    try:
-        first = estimate_rig(rig, gravity, options, [known_imu(one) for one in known], tell)
-    except SolveError as error:
-        raise SolveError(f"{error}{likely_cause(prepared.findings, prepared.move)}") from error
-    detectors = {name: frames.detector_scale_sigma for name, frames in recording.cameras.items()}
-    chosen = select_model(first, options, tell, own_detector=not any(detectors.values()))
+    return RigBeforehand(recording=recording, prepared=prepared, looks=found, beside=beside, streams=tuple(streams))
+
+
+def _with_uncertainty(
+    chosen: SelectedModel, options: CameraImuOptions, detectors: Mapping[str, float]
+) -> tuple[Solution, Uncertainty]:
+    """Return the estimate at its origins, and its covariance: from clusters of time where that is asked for."""
     solution, start = chosen.solution, chosen.solution.layout.start
-    certain = with_detector_scale(
-        solution_uncertainty(
-            solution, candidate_blocks(start), chosen.sums if options.covariance == "robust" else None
-        ),
-        solution.state.parameters,
-        detectors,
-    )
-    solution, certain = _with_origins(solution, certain, estimation_choices(start, options).status)
-    basic, uncompared = basic_model(start, solution, options, tell)
-    tell("assessing the result")
-    result = publish_rig(certain, solution.state.parameters, gravity_sigma=gravity.sigma)
-    evidence = CameraImuFitSummary(
-        recording=recording,
-        target=target,
-        imus=prepared.imus,
-        options=options,
-        looks=found,
-        start=start,
-        solution=solution,
-        uncertainty=certain,
-        basic=basic,
-        gravity=gravity,
-        published=result,
-    )
-    described = describe_camera_imu(evidence)
+    sums = chosen.sums if options.covariance == "robust" else None
+    certain = solution_uncertainty(solution, candidate_blocks(start), sums)
+    certain = with_detector_scale(certain, solution.state.parameters, detectors)
+    return _with_origins(solution, certain, estimation_choices(start, options).status)
+
+
+def _assess(
+    fit: CameraImuFitSummary,
+    chosen: SelectedModel,
+    prepared: PreparedCameraImu,
+    *,
+    rolling: bool,
+    uncompared: Sequence[Finding],
+    stated: CameraImuOptions,
+) -> Result:
+    """Return the calibration with its verdict, and the tables that show how it came about."""
+    solution, certain, result = fit.solution, fit.uncertainty, fit.published
+    described = describe_camera_imu(fit)
     weak = camera_imu_weak(result, certain, described.parameters, solution.state.trajectory.grid.duration_s)
     trust = replace(recording_trust(result, certain), weak=weak, models=chosen.steps)
     diagnostics = replace(described, trust=trust)
     likely = unmodelled_effects(solution, described.signals) if underestimated_blocks(trust) else []
     took_up = added_findings(
         chosen.added,
-        start,
+        fit.start,
         solution.state.parameters,
         board_told=chosen.board_told,
-        arms_told=options.model == "auto" and chosen.arms_told,
+        arms_told=fit.options.model == "auto" and chosen.arms_told,
     )
     doubts = (
         *cameras_moved(solution, certain),
@@ -178,24 +203,24 @@ def _calibrated(
     uncertain = Covariance(names=covariance_names(result.imus, result.cameras), matrix=result.covariance)
     shutters, state = shutters_estimated(prepared.findings, result.cameras, uncertain), solution.state.parameters
     noticed = judged_again(
-        delays_found(shutters, state.imus, _delay_sigmas(certain), decided=options.model == "auto"),
+        delays_found(shutters, state.imus, _delay_sigmas(certain), decided=fit.options.model == "auto"),
         prepared.move,
         diagnostics,
         converged=solution.converged,
     )
-    assessment = assess_camera_imu((*noticed, *doubts), evidence, diagnostics)
+    assessment = assess_camera_imu((*noticed, *doubts), fit, diagnostics)
     added, tries = (*chosen.added, *((LINE_DELAY,) if rolling else ())), chosen.tries + rolling
     calibration = Calibration(
         imus=result.imus,
         cameras=result.cameras,
         frame="accel-x",
-        gravity=gravity,
+        gravity=fit.gravity,
         uncertainty=uncertain,
         assessment=replace(assessment, trust=replace(uncertainty_summary(trust), added=added, tries=tries)),
         provenance=Provenance(
             gnomon_version=__version__,
             method="camera-imu",
-            inputs=recording.sources,
+            inputs=fit.recording.sources,
             options=stated_options(replace(stated, compare=False)),  # what is drawn changes no number
         ),
     )
