@@ -43,7 +43,7 @@ def test_a_basic_model_that_finds_no_minimum_is_left_out_of_the_report(rig, monk
     options = CameraImuOptions(model="full", compare=True)
     usual = calibrate_camera_imu(rig.recording, rig.target, replace(options, compare=False))
     solve = calibrate_camera_imu.__globals__["basic_model"].__globals__
-    monkeypatch.setitem(solve, "solved", _failing_after(solve["solved"], 1))
+    monkeypatch.setitem(solve, "minimise_cost", _failing_after(solve["minimise_cost"], 1))
     result = calibrate_camera_imu(rig.recording, rig.target, options)
     assert_same_numbers(result, usual)
     assert findings_of(result)["comparison-left-out"].severity == "info"
@@ -72,12 +72,12 @@ def test_a_rolling_shutter_that_was_stated_is_compared_with_the_basic_model():
 @pytest.mark.parametrize("how", ["raises", "does not come to rest"])
 def test_a_larger_model_that_fails_leaves_the_model_without_it(how, monkeypatch):
     bent = simulate_camera_imu(replace(SMALL, duration_s=15.0, focal_error=0.01), 3)
-    model = calibrate_camera_imu.__globals__["chosen_model"].__globals__
+    model = calibrate_camera_imu.__globals__["select_model"].__globals__
     usual = calibrate_camera_imu(bent.recording, bent.target)
     assert "lens-found" in findings_of(usual), "the recording asks for the lens"
-    solve = model["solved"]
+    solve = model["minimise_cost"]
     restless = lambda *args, **keywords: replace(solve(*args, **keywords), converged=False)  # noqa: E731
-    monkeypatch.setitem(model, "solved", fail if how == "raises" else restless)
+    monkeypatch.setitem(model, "minimise_cost", fail if how == "raises" else restless)
     result = calibrate_camera_imu(bent.recording, bent.target)
     found = findings_of(result)
     assert found["step-left-out"].severity == "warning"
@@ -89,9 +89,9 @@ def test_a_larger_model_that_fails_leaves_the_model_without_it(how, monkeypatch)
     assert_same_numbers(result, calibrate_camera_imu(bent.recording, bent.target, held))
 
 
-@pytest.mark.parametrize("room", ["camera_board", "camera_views"])
-def test_cameras_do_without_a_look_at_the_board_or_at_views_left_out(rig, room, monkeypatch):
-    monkeypatch.setattr(f"gnomon.calibrate.{room}.solved", fail)
+@pytest.mark.parametrize("step", ["camera_board.solve_rig", "camera_views.leave_clusters_out"])
+def test_cameras_do_without_a_look_at_the_board_or_at_views_left_out(rig, step, monkeypatch):
+    monkeypatch.setattr(f"gnomon.calibrate.steps.{step}", fail)
     result = calibrate_cameras(rig.recording, rig.target, CameraOptions(model=("pinhole-radtan",)))
     assert findings_of(result)["comparison-left-out"].severity == "info"
     assert result.calibration.cameras["cam0"].camera.intrinsics[0] > 0
