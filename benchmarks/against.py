@@ -121,11 +121,10 @@ def jobs(place: Path) -> list[Job]:
     return found
 
 
-def make_inputs(place: Path) -> None:
-    """Make the recordings, by this version."""
+def make_inputs(place: Path, older: Path) -> None:
+    """Make the recordings by this version, and a calibration by the older one, which both can read."""
     for line in (
         "simulate -o imu.npz --seed 7",
-        "imu imu.npz --no-report -o imu",
         "simulate -o long.npz --rate-hz 200 --intervals 288",
         "simulate-noise --duration-s 7200 -o rest.npz --seed 7",
         f"simulate-camera-imu -o tags {IMAGES}",
@@ -133,6 +132,9 @@ def make_inputs(place: Path) -> None:
         " --target-size-m 0.08",
     ):
         subprocess.run([sys.executable, "-m", "gnomon", *line.split()], cwd=place, check=True, capture_output=True)
+    calibrate = [sys.executable, "-m", "gnomon", *"imu imu.npz --no-report -o imu".split()]
+    environment = {**os.environ, "PYTHONPATH": str(older)}
+    subprocess.run(calibrate, cwd=place, check=True, capture_output=True, env=environment)
 
 
 def measure(job: Job, source: Path, place: Path) -> tuple[float, float]:
@@ -189,7 +191,7 @@ def main() -> None:
         tree = ["git", "-C", str(HERE.parent), "worktree"]
         subprocess.run([*tree, "add", "--quiet", "--detach", str(older), options.commit], check=True)
         try:
-            make_inputs(place)
+            make_inputs(place, older / "src")
             table = compare((older / "src", HERE.parent / "src"), place, options.runs, options.only)
         finally:
             subprocess.run([*tree, "remove", "--force", str(older)], check=True)
