@@ -42,11 +42,13 @@ RIG = "gnomon.calibrate_camera_imu(recording, target{options})"
 TRACK = """
 try:
     from gnomon.calibrate.steps.board_corners import CameraImages, detect_corners
-except ImportError:  # versions before the steps had a folder
+    from gnomon.formats.kalibr.target import read_target
+    from gnomon.formats.sensor_inputs import read_cameras
+except ImportError:  # as 70de556 has them
     from gnomon.calibrate.board_corners import CameraImages, detect_corners
+    from gnomon.readers.rig.kalibr_target import read_target
+    from gnomon.readers.rig.sensor_inputs import read_cameras
 from gnomon.readers.images.image_recording import open_images
-from gnomon.formats.kalibr.target import read_target
-from gnomon.formats.sensor_inputs import read_cameras
 from pathlib import Path
 folder = Path({folder!r})
 known, target = read_cameras(folder / "camchain.yaml")["cam0"], read_target(folder / "target.yaml", [])
@@ -132,7 +134,7 @@ def make_inputs(place: Path, older: Path) -> None:
         " --target-size-m 0.08",
     ):
         subprocess.run([sys.executable, "-m", "gnomon", *line.split()], cwd=place, check=True, capture_output=True)
-    calibrate = [sys.executable, "-m", "gnomon", *"imu imu.npz --no-report -o imu".split()]
+    calibrate = [sys.executable, "-m", "gnomon", "imu", "imu.npz", "--no-report", "-o", "imu"]
     environment = {**os.environ, "PYTHONPATH": str(older)}
     subprocess.run(calibrate, cwd=place, check=True, capture_output=True, env=environment)
 
