@@ -18,8 +18,8 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
 import gnomon
-from gnomon.cli.arguments import split_annotation
 from gnomon.cli.commands import COMMANDS
+from gnomon.cli.parsing.arguments import split_annotation
 from gnomon.findings import read_catalogue
 from gnomon.options import (
     CameraImuOptions,

@@ -9,7 +9,6 @@ from ..models.lens_programs import check_program, refit_models
 from ..options import CameraOptions
 from ..simulate.cameras_scenario import CamerasScenario
 from ..units import Units
-from .arguments import Argument
 from .command import (
     Cache,
     CamFile,
@@ -26,6 +25,7 @@ from .command import (
 )
 from .inputs import files_beside, refuse_overwriting
 from .output_folder import CAMERA_FILES, default_folder, result_folder
+from .parsing.arguments import Argument
 from .results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
 from .simulated import OF_IMUS, check_form, folder_document, print_folder, replaces_simulated
 from .terminal import Terminal

@@ -9,7 +9,6 @@ from ..errors import OptionError, RecordingError
 from ..options import CameraImuOptions
 from ..simulate import CameraImuScenario
 from ..units import Units
-from .arguments import Argument
 from .camera import NO_TARGET, ImagesAs
 from .command import (
     Cache,
@@ -29,6 +28,7 @@ from .command import (
 )
 from .inputs import files_beside, judged_result, read_priors, read_use_option, refuse_overwriting
 from .output_folder import CAMERA_IMU_FILES, default_folder, result_folder
+from .parsing.arguments import Argument
 from .results import USABLE, exit_code, print_assumptions, print_files, print_summary, result_document, write_result
 from .simulated import check_form, folder_document, print_folder, replaces_simulated
 from .terminal import Terminal

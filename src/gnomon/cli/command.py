@@ -1,6 +1,7 @@
 """What the commands share: annotations of their options, and what a recording does not say about itself."""
 
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from ..errors import OptionError
 from ..units import Units
-from .arguments import Argument
+from .parsing.arguments import Argument
 
 if TYPE_CHECKING:
     from .terminal import Terminal
@@ -56,12 +57,12 @@ def output_option(metavar: str, hint: str = "") -> object:
     return Argument(aliases=("-o",), metavar=metavar, hint=hint)
 
 
-class Command:
+class Command(ABC):
     """A dataclass whose fields are the options of a command, and their help its help; and what the command does."""
 
+    @abstractmethod
     def run(self, terminal: "Terminal") -> int:
         """Carry it out, print to the terminal, and return the exit code."""
-        raise NotImplementedError
 
 
 class FromScenario(Command):

@@ -12,8 +12,8 @@ from typing import Any
 from .._version import __version__
 from ..errors import OptionError
 from ..options import check_ranges
-from .arguments import read_line
 from .command import Command, FromScenario
+from .parsing.arguments import read_line
 
 DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
@@ -158,7 +158,7 @@ def parse_command(arguments: Sequence[str]) -> Command:
     default = _scenario_default(name, words)
     parsed = None if default else read_line(command, words)
     if parsed is None:  # only this command's options are looked at, and suggested after a typing error
-        from .tyro_line import parse_line
+        from .parsing.tyro_line import parse_line
 
         parsed = parse_line(command, words, prog=f"gnomon {name}", default=default)
     check_ranges(parsed)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ..errors import OptionError
-from .arguments import Argument
 from .command import Command, Json, Switch, output_option
 from .output_folder import default_folder, owner_of, result_folder
+from .parsing.arguments import Argument
 from .results import UNUSABLE, USABLE, print_findings, result_files
 from .terminal import Terminal, json_value
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 from ..errors import OptionError
-from .arguments import Argument
 from .command import Command, Json, Seed, output_option
 from .output_folder import result_folder
+from .parsing.arguments import Argument
 from .results import USABLE
 from .terminal import Terminal
 

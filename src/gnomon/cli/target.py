@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ..errors import OptionError
-from .arguments import Argument
 from .command import (
     Command,
     Json,
     Switch,
     output_option,
 )
+from .parsing.arguments import Argument
 from .results import (
     USABLE,
 )

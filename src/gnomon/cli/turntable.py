@@ -11,10 +11,10 @@ from ..options import TurntableOptions
 from ..simulate.platter_scenario import PlatterScenario
 from ..simulate.scenarios import TurntableScenario
 from ..units import Units, parse_rate
-from .arguments import Argument
 from .command import Command, Flat, ForUse, Json, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder, truth_name
+from .parsing.arguments import Argument
 from .results import USABLE, print_assumptions, print_result, write_result
 from .terminal import Terminal
 

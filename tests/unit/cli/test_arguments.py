@@ -3,9 +3,9 @@
 import pytest
 
 from docs_pages import PAGES, shell_commands
-from gnomon.cli.arguments import read_line
 from gnomon.cli.commands import COMMANDS
-from gnomon.cli.tyro_line import parse_line
+from gnomon.cli.parsing.arguments import read_line
+from gnomon.cli.parsing.tyro_line import parse_line
 
 LINES = [
     words

@@ -207,6 +207,7 @@ def check_and_detect(
     found: list[RestDetection | None] = []
 
     def find_rests(imu: ImuSamples) -> RestDetection | None:
+        """Find the rests of an IMU by the options, and keep them for the fit."""
         found.append(
             find_imu_rests(
                 imu,

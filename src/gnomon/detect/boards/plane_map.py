@@ -113,14 +113,17 @@ class _Units:
 
     @classmethod
     def of(cls, points: Floats, size: tuple[int, int]) -> "_Units":
+        """Return those of points (n, 2) of the board, in an image of this width and height [px]."""
         origin = points.mean(axis=0)
         scale = float(np.abs(points - origin).max())
         return cls(origin=origin, scale=scale, middle_px=(np.array(size) - 1) / 2, scale_px=max(size) / 2)
 
     def both(self, points: Floats, pixels: Floats) -> tuple[Floats, Floats]:
+        """Return points (n, 2) of the board and their pixels (n, 2) in these units."""
         return (points - self.origin) / self.scale, (pixels - self.middle_px) / self.scale_px
 
     def plane_map(self, parameters: Floats, radius: Floats, residual: Floats) -> PlaneMap:
+        """Return the map with parameters (p,); pixels of its points are at radii (n,), off by residuals (n, 2)."""
         return PlaneMap(
             parameters=parameters,
             origin=self.origin,
