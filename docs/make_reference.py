@@ -11,15 +11,14 @@ import inspect
 import re
 import textwrap
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields, is_dataclass
-from itertools import pairwise
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any
 
 import gnomon
 from gnomon.cli.commands import COMMANDS
-from gnomon.cli.parsing.arguments import split_annotation
+from gnomon.cli.parsing.arguments import Entry
+from gnomon.cli.parsing.help import describe_command
 from gnomon.findings import read_catalogue
 from gnomon.options import (
     CameraImuOptions,
@@ -178,15 +177,6 @@ _SECTIONS = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Option:
-    """One argument of a command: how it is written, what it means, its default."""
-
-    words: str
-    meaning: str
-    default: str
-
-
 def main() -> None:
     """Write both pages."""
     for name, text in pages().items():
@@ -220,102 +210,22 @@ def _wrapped(item: str) -> str:
 def _cli_page() -> str:
     parts = [GENERATED, _CLI_HEAD]
     for name, command in COMMANDS.items():
-        options = sorted(command_options(command), key=lambda option: option.words.startswith("`-"))
-        parts += [f"## gnomon {name}", f"```text\n{_usage(name, options)}\n```"]
-        parts.append(_paragraphs(command.__doc__ or ""))
-        parts.append("| argument | meaning | default |\n|---|---|---|\n" + "\n".join(map(_row, options)))
+        described = describe_command(command, f"gnomon {name}")
+        parts += [f"## gnomon {name}", f"```text\n{described.usage}\n```", *described.about]
+        parts.append("For example:\n\n```text\n" + "\n".join(described.examples) + "\n```")
+        rows = (_row(entry, meaning, default) for entry, meaning, default in described.rows)
+        parts.append("| argument | meaning | default |\n|---|---|---|\n" + "\n".join(rows))
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def _usage(name: str, options: list[Option]) -> str:
-    positional = [option.words.strip("`") for option in options if not option.words.startswith("`-")]
-    required = [option.words.split("`, `")[0].strip("`") for option in options if option.default == "required"]
-    return " ".join(["gnomon", name, *positional, *required, "[OPTIONS]"])
-
-
-def _row(option: Option) -> str:
-    return f"| {option.words} | {option.meaning} | {option.default} |"
-
-
-def command_options(command: type) -> Iterator[Option]:
-    """Yield the arguments of a command, those of nested classes in their place."""
-    hints, meanings = {field.name: field.type for field in fields(command)}, _field_texts(command)
-    for field in fields(command):
-        hint, metavar, aliases = _unwrapped(hints[field.name])
-        if is_dataclass(hint):
-            yield from command_options(hint)
-            continue
-        words = metavar or _metavar(hint)
-        flag = f"--{_name_of(hints[field.name], field.name).replace('_', '-')}"
-        if split_annotation(hints[field.name])[1].positional:
-            written, default = words or field.name.upper(), ""
-        elif hint is bool:
-            written, default = (flag.replace("--", "--no-", 1) if field.default else flag), ""
-        else:
-            names = sorted((*aliases, flag), key=len)
-            written = ", ".join(f"`{name} {words}`".replace("|", "\\|") for name in names).strip("`")
-            default = _default(field.default)
-        meaning = _help_of(hints[field.name]) or meanings[field.name]
-        yield Option(words=f"`{written}`", meaning=meaning, default=default)
-
-
-def _name_of(hint: Any, name: str) -> str:
-    """Return what an argument is called: the name that Annotated gives it, or that of its field."""
-    given = (getattr(extra, "name", None) for extra in getattr(hint, "__metadata__", ()))
-    return next((found for found in given if found), name)
-
-
-def _help_of(hint: Any) -> str:
-    """Return the help that Annotated gives an argument, where the commands share it."""
-    given = (getattr(extra, "help", None) for extra in getattr(hint, "__metadata__", ()))
-    return next((found for found in given if found), "").replace("|", "\\|")
-
-
-def _unwrapped(hint: Any) -> tuple[Any, str | None, tuple[str, ...]]:
-    """Return the bare type, and the metavar and the short names that Annotated gives it."""
-    metavar, aliases = None, ()
-    for extra in getattr(hint, "__metadata__", ()):
-        metavar = getattr(extra, "metavar", None) or metavar
-        aliases = getattr(extra, "aliases", None) or aliases
-    bare = hint.__origin__ if hasattr(hint, "__metadata__") else hint
-    if get_origin(bare) in (Union, UnionType):
-        bare = next(kind for kind in get_args(bare) if kind is not NoneType)
-    return bare, metavar, tuple(aliases)
-
-
-def _metavar(hint: Any) -> str:
-    if get_origin(hint) is Literal:
-        return "{" + ",".join(map(str, get_args(hint))) + "}"
-    if get_origin(hint) is tuple:
-        kinds = get_args(hint)
-        words = " ".join(_metavar(kind) for kind in kinds if kind is not Ellipsis)
-        return f"[{words} ...]" if Ellipsis in kinds else words
-    return "PATH" if hint is Path else hint.__name__.upper()
-
-
-def _default(value: Any) -> str:
-    if value is MISSING:
-        return "required"
-    if value is None or value == ():
-        return ""
-    if isinstance(value, tuple):
-        return f"`{' '.join(f'{item:g}' for item in value)}`"
-    return f"`{value:.6g}`" if isinstance(value, float) else f"`{value}`"
-
-
-def _field_texts(owner: type) -> dict[str, str]:
-    """Return field -> the text that stands beneath it in the source, on one line."""
-    bases = [base for base in reversed(owner.__mro__) if is_dataclass(base)]
-    texts: dict[str, str] = {}
-    for statement, following in (pair for base in bases for pair in pairwise(_definition(base).body)):
-        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
-            texts[statement.target.id] = " ".join(_text(following).split()).replace("|", "\\|")
-    return texts
-
-
-def _text(statement: ast.stmt) -> str:
-    is_text = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-    return str(statement.value.value) if is_text else ""
+def _row(entry: Entry, meaning: str, default: str) -> str:
+    values = "" if entry.kind is bool else f" {entry.metavar}{'' if entry.values_each else ' ...'}"
+    names = [entry.called + values] if entry.argument.positional else [name + values for name in entry.names]
+    written = ", ".join(f"`{name}`" for name in names)
+    shown = (
+        "required" if entry.default is MISSING and not entry.argument.positional else f"`{default}`" if default else ""
+    )
+    return "| " + " | ".join(text.replace("|", "\\|") for text in (written, meaning, shown)) + " |"
 
 
 def _definition(thing: Any) -> Any:

@@ -49,6 +49,11 @@ class CameraCommand(Command):
 
     Show the board to the camera in thirty views or more: near and far, tilted by up to 45 degrees to all sides, and in
     every corner of the image; of several cameras as many as possible together. Nothing need be known of the lens.
+
+    Examples
+    --------
+    $ gnomon camera recording.bag --target target.yaml
+    $ gnomon camera images/ --target target.yaml --for openvins
     """
 
     recording: Annotated[Path, Argument(positional=True)]
@@ -59,9 +64,9 @@ class CameraCommand(Command):
     cam: CamFile = None
     """A camchain.yaml or calibration.yaml whose topics, line delays and image sizes are taken; its lenses are not
     used."""
-    resolution: Annotated[tuple[int, int] | None, Argument(metavar="WIDTH HEIGHT", hint="")] = None
+    resolution: Annotated[tuple[int, int] | None, Argument(metavar="WIDTH HEIGHT")] = None
     """Size of the images in pixels, for a folder with corners; images tell it themselves."""
-    topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC ...", hint="")] = ()
+    topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC")] = ()
     """Topics of a bag, such as cam0=/left/image_raw cam1=/right/image_raw; guessed where it is clear."""
     units: str | None = None
     """Unit of the timestamps in tables, such as us; recognised where not given."""
@@ -70,7 +75,7 @@ class CameraCommand(Command):
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for calibration.yaml, report.html, diagnostics.npz and Kalibr's camchain.yaml and results-cam.txt
     (default: NAME-camera beside the recording)."""
-    program: Annotated[str | None, Argument(name="for", metavar="PROGRAM", hint="")] = None
+    program: Annotated[str | None, Argument(name="for", metavar="PROGRAM")] = None
     """A program that shall read the result: kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis or ros2; the lens
     model is then chosen among those that it knows."""
     report: Report = True
@@ -173,11 +178,16 @@ class SimulateCameras(FromScenario):
     """Make a folder with a recording of simulated cameras in front of a board, and its truth (truth.yaml).
 
     `gnomon camera` takes the folder as it is, or the bag in it.
+
+    Examples
+    --------
+    $ gnomon simulate-cameras -o cameras
+    $ gnomon simulate-cameras -o cameras --images --cameras 2
     """
 
     scenario_type: ClassVar[type] = CamerasScenario
 
-    output: Annotated[Path, output_option("DIR", "(required)")]
+    output: Annotated[Path, output_option("DIR")]
     """Folder for the recording."""
     scenario: Annotated[Path | None, FileOption] = None
     """A scenario.yaml that states the options below; those that are given here as well replace its own."""

@@ -50,6 +50,11 @@ class CameraImu(Command):
 
     Hold the board still and the whole of it in view; turn the rig about all its axes and shake it along all of them,
     as fast as the images stay sharp, for about a minute.
+
+    Examples
+    --------
+    $ gnomon camera-imu recording.bag --target target.yaml --cam camchain.yaml --imu imu.yaml
+    $ gnomon camera-imu rig --for vio
     """
 
     recording: Annotated[Path, Argument(positional=True)]
@@ -64,7 +69,7 @@ class CameraImu(Command):
     (default: imu.yaml in the recording's folder, where there is one)."""
     target: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the board (default: target.yaml in the recording's folder)."""
-    topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC ...", hint="")] = ()
+    topics: Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC")] = ()
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
     imu_table: Annotated[Path | None, FileOption] = None
     """Table of the IMU's samples, where the recording has none, as a video."""
@@ -188,11 +193,16 @@ class SimulateCameraImu(FromScenario):
     """Make a folder with a recording of simulated cameras and an IMU in front of a board, and its truth (truth.yaml).
 
     `gnomon camera-imu` takes the folder as it is.
+
+    Examples
+    --------
+    $ gnomon simulate-camera-imu -o rig
+    $ gnomon simulate-camera-imu -o rig --duration-s 30 --seed 7
     """
 
     scenario_type: ClassVar[type] = CameraImuScenario
 
-    output: Annotated[Path, output_option("DIR", "(required)")]
+    output: Annotated[Path, output_option("DIR")]
     """Folder for the recording."""
     scenario: Annotated[Path | None, FileOption] = None
     """A scenario.yaml that states the options below; those that are given here as well replace its own."""

@@ -24,6 +24,10 @@ class Check(Command):
 
     A recording of an IMU alone is judged as one with rests; one with cameras (a bag, a folder of images or corners, a
     video) as one that was waved in front of a board; neither lens nor board need be known.
+
+    Examples
+    --------
+    $ gnomon check recording.csv
     """
 
     recording: Annotated[Input, Flat]

@@ -2,14 +2,14 @@
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ..errors import OptionError
 from ..units import Units
-from .parsing.arguments import Argument
+from .parsing.arguments import Argument, Place
 
 if TYPE_CHECKING:
     from .terminal import Terminal
@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 
 Flat = Argument(flat=True)
 """Options of a nested class appear without a prefix."""
-Switch = Argument(hint="")
-Json = Annotated[bool, Argument(hint="", help="Print one JSON document instead of text.")]
-Report = Annotated[bool, Argument(hint="", help="Do not make the report.")]
+Json = Annotated[bool, Argument(help="Print one JSON document instead of text.")]
+Report = Annotated[bool, Argument(help="Do not make the report.")]
 Seed = Annotated[int, Argument(help="All random numbers follow from it.")]
 Workers = Annotated[
     int | None,
@@ -28,7 +27,6 @@ Workers = Annotated[
 Cache = Annotated[
     bool,
     Argument(
-        hint="",
         help="Do not keep the corners that were found in the result's folder, nor use those that an earlier run kept "
         "there.",
     ),
@@ -38,27 +36,32 @@ _USE = "What it is for: vio, ahrs, gimbal, phone, or a YAML file that states wha
 
 def use_option(text: str) -> object:
     """Return the annotation of --for; its field is called `use`, since `for` is a word of Python."""
-    return Argument(name="for", metavar="USE", hint="", help=text)
+    return Argument(name="for", metavar="USE", help=text)
 
 
 ForUse = Annotated[str | None, use_option(f"{_USE}; the verdict is then for that use.")]
 PlannedUse = Annotated[str | None, use_option(f"{_USE}.")]
 CalibrationPath = Annotated[Path, Argument(positional=True, metavar="CALIBRATION")]
-FileOption = Argument(metavar="FILE", hint="")
-ImuFiles = Annotated[tuple[Path, ...], Argument(metavar="FILE", hint="", appends=True)]
+FileOption = Argument(metavar="FILE")
+ImuFiles = Annotated[tuple[Path, ...], Argument(metavar="FILE", appends=True)]
 """Kalibr's imu.yaml, keyed by the IMUs, or given once for each of them."""
-CamFile = Annotated[Path | None, Argument(aliases=("--cams",), metavar="FILE", hint="")]
-Topics = Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC", hint="")]
+CamFile = Annotated[Path | None, Argument(aliases=("--cams",), metavar="FILE")]
+Topics = Annotated[tuple[str, ...], Argument(metavar="NAME=TOPIC")]
 """Options of a bag; `topics_of` reads them."""
 
 
-def output_option(metavar: str, hint: str = "") -> object:
+def output_option(metavar: str) -> object:
     """Return the annotation of where a command writes."""
-    return Argument(aliases=("-o",), metavar=metavar, hint=hint)
+    return Argument(aliases=("-o",), metavar=metavar)
 
 
 class Command(ABC):
     """A dataclass whose fields are the options of a command, and their help its help; and what the command does."""
+
+    @classmethod
+    def base_values(cls, values: Mapping[Place, Any]) -> Mapping[str, Any]:
+        """Return values of fields instead of their defaults; they follow from the values that are given."""
+        return {}
 
     @abstractmethod
     def run(self, terminal: "Terminal") -> int:
@@ -66,25 +69,23 @@ class Command(ABC):
 
 
 class FromScenario(Command):
-    """A command that simulates what a scenario file states."""
+    """A command that simulates what a scenario file states, from which the options on the line differ."""
 
     scenario_type: ClassVar[type]
 
     @classmethod
-    def with_scenario(cls, path: Path) -> Self:
-        """Return the command with the options of a scenario file, from which those that are given on the line differ.
+    def base_values(cls, values: Mapping[Place, Any]) -> Mapping[str, Any]:
+        """Return the options of the scenario file, where one is given.
 
         Raises
         ------
         FormatError
             If the file cannot be read, or states something that is no option.
         """
-        import tyro  # neither this nor NumPy is needed for most lines
+        from ..formats.own.options_file import read_options  # NumPy is not needed for most lines
 
-        from ..formats.own.options_file import read_options
-
-        command: Any = cls
-        return command(output=tyro.MISSING, scenario=path, options=read_options(path, cls.scenario_type))
+        path = values.get(("scenario",))
+        return {"options": read_options(path, cls.scenario_type)} if path else {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,7 +118,7 @@ class Input(TableOptions):
     path: Annotated[Path, Argument(positional=True)]
     """A file or a folder; with two files, that of the accelerometer."""
 
-    gyroscope_path: Annotated[Path | None, Argument(positional=True, metavar="[PATH]", hint="")] = None
+    gyroscope_path: Annotated[Path | None, Argument(positional=True, metavar="PATH")] = None
     """The file of the gyroscope, where it has its own."""
 
     @property
@@ -130,7 +131,7 @@ class Input(TableOptions):
 class PosesInput(TableOptions):
     """A recording, or poses: averaged in a table, or one file each."""
 
-    paths: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH [PATH ...]", hint="")]
+    paths: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH")]
     """A file or a folder; several recordings of one sensor, each a file with both triads, or a folder; two files of one
     triad each, accelerometer and gyroscope; three or more of one static pose each, or a folder of them. A short table
     without time holds averaged poses."""

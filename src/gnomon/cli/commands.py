@@ -1,24 +1,20 @@
 """Arguments -> a command; each is made from the fields of a dataclass, in the file that does its work."""
 
-import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from importlib import import_module
-from pathlib import Path
-from typing import Any
 
 from .._version import __version__
 from ..errors import OptionError
 from ..options import check_ranges
-from .command import Command, FromScenario
-from .parsing.arguments import read_line
+from .command import Command
+from .parsing.line import help_width, parse_line
 
 DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
 
 Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."""
-_WIDEST = 100
 _CLASSES = {
     "imu": (
         "imu.Imu",
@@ -154,20 +150,14 @@ def parse_command(arguments: Sequence[str]) -> Command:
         raise SystemExit(0)
     if name not in _CLASSES:
         raise OptionError(_no_command(name))
-    command, words = COMMANDS[name], arguments[1:]
-    default = _scenario_default(name, words)
-    parsed = None if default else read_line(command, words)
-    if parsed is None:  # only this command's options are looked at, and suggested after a typing error
-        from .parsing.tyro_line import parse_line
-
-        parsed = parse_line(command, words, prog=f"gnomon {name}", default=default)
+    parsed = parse_line(COMMANDS[name], arguments[1:], f"gnomon {name}")
     check_ranges(parsed)
     return parsed
 
 
 def _help() -> str:
     """Return what can be done, a sentence for each command."""
-    width = min(shutil.get_terminal_size().columns, _WIDEST)
+    width = help_width()
     indent = max(map(len, _CLASSES)) + 4
     lines = [
         textwrap.fill(f"  {name:<{indent - 2}}{text}", width, subsequent_indent=" " * indent, break_on_hyphens=False)
@@ -183,16 +173,3 @@ def _no_command(name: str) -> str:
     meant = f"Did you mean {near[0]}?" if near else "gnomon --help lists them."
     what = "option before the command" if name.startswith("-") else "command"
     return f"there is no {what} {name}. {meant}"
-
-
-def _scenario_default(name: str, arguments: Sequence[str]) -> Any:
-    """Return the command that a scenario file describes, whose options are then the defaults; None without one."""
-    command = COMMANDS[name]
-    if not issubclass(command, FromScenario):
-        return None
-    for i, word in enumerate(arguments):
-        option, equals, path = word.partition("=")
-        file = path if equals else next(iter(arguments[i + 1 :]), "")
-        if option == "--scenario" and file:
-            return command.with_scenario(Path(file))
-    return None

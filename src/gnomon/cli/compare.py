@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ..errors import OptionError
-from .command import Command, Json, Switch, output_option
+from .command import Command, Json, output_option
 from .output_folder import default_folder, owner_of, result_folder
 from .parsing.arguments import Argument
 from .results import UNUSABLE, USABLE, print_findings, result_files
@@ -26,17 +26,22 @@ class Compare(Command):
     """Compare calibrations of one rig, made by any program: who agrees, who stands out and in what, and what repeats.
 
     Exit code 4 where two calibrations differ by more than the sigmas of both allow.
+
+    Examples
+    --------
+    $ gnomon compare monday/ tuesday/
+    $ gnomon compare gnomon=rig-camera-imu/ kalibr=camchain-imucam.yaml+imu.yaml
     """
 
-    calibrations: Annotated[tuple[str, ...], Argument(positional=True, metavar="[NAME=]PATH[+PATH...] ...", hint="")]
+    calibrations: Annotated[tuple[str, ...], Argument(positional=True, metavar="[NAME=]PATH[+PATH...]")]
     """At least two: a calibration.yaml or a result's folder; files of other projects, several of one calibration joined
     by + (such as camchain-imucam.yaml+imu.yaml), or the folder that holds them: Kalibr's, OpenVINS', Basalt's,
     imucal's, imu_tk's. NAME= says what it is called (default: the part of the path that tells it from the others)."""
-    rename: Annotated[tuple[str, ...], Argument(metavar="NAME.OLD=NEW ...", hint="")] = ()
+    rename: Annotated[tuple[str, ...], Argument(metavar="NAME.OLD=NEW")] = ()
     """Sensors that are called otherwise in one of them, such as kalibr.cam1=cam0; else they are matched by name."""
     output: Annotated[Path | None, output_option("DIR")] = None
     """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""
-    report: Annotated[bool, Switch] = True
+    report: bool = True
     """Do not make the report, nor the table."""
     json: Json = False
 

@@ -34,9 +34,14 @@ class Convert(Command):
     """Write a calibration, gnomon's or another project's, in another format, and say what that format cannot hold.
 
     Or write a recording of cameras and an IMU, whatever it comes in, as a bag or as a folder in EuRoC's layout.
+
+    Examples
+    --------
+    $ gnomon convert calibration.yaml --to openvins
+    $ gnomon convert recording.bag --to euroc
     """
 
-    paths: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH [PATH ...]", hint="")]
+    paths: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH")]
     """A calibration.yaml or the folder of a result, or files of another project that make one calibration, such as
     Kalibr's camchain-imucam.yaml and imu.yaml; or a recording: a bag, a folder with images or videos and IMU samples, a
     video."""
@@ -47,7 +52,7 @@ class Convert(Command):
     output: Annotated[Path | None, output_option("PATH")] = None
     """Folder for the files, file of a bag (default: beside the calibration or the recording, named after it and the
     format)."""
-    imu: Annotated[Path | None, Argument(aliases=("--noise",), metavar="FILE", hint="")] = None
+    imu: Annotated[Path | None, Argument(aliases=("--noise",), metavar="FILE")] = None
     """Kalibr's imu.yaml or gnomon's noise.yaml with the noise and rate that a format wants (default: imu.yaml or
     noise.yaml beside the calibration, where there is one)."""
     accelerometer_lsb_per_g: float | None = None

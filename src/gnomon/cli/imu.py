@@ -45,6 +45,12 @@ class Imu(Command):
     Let the sensor rest for about 50 s, then turn it by hand into many different attitudes and let it rest for a few
     seconds in each. Several recordings of one sensor, such as of several days, join as recordings: what the sensor
     itself changes from one to the next (turn-on bias, temperature) is estimated, and is in the sigmas.
+
+    Examples
+    --------
+    $ gnomon imu recording.csv
+    $ gnomon imu monday.csv tuesday.csv --for ahrs
+    $ gnomon imu log.txt --columns "t ax ay az gx gy gz" --units "g deg/s ms"
     """
 
     recording: Annotated[PosesInput, Flat]
@@ -97,9 +103,15 @@ def _assumptions(recordings: "Sequence[Recording]") -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Simulate(Command):
-    """Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml)."""
+    """Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml).
 
-    output: Annotated[Path, output_option("FILE", "(required)")]
+    Examples
+    --------
+    $ gnomon simulate -o recording.npz
+    $ gnomon simulate -o recording.csv --intervals 20 --seed 7
+    """
+
+    output: Annotated[Path, output_option("FILE")]
     """Recording to write, .npz or .csv."""
     seed: Seed = 0
     json: Json = False
@@ -114,9 +126,14 @@ class Simulate(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Command):
-    """Calibrate a simulated recording and compare the result with the truth."""
+    """Calibrate a simulated recording and compare the result with the truth.
 
-    output: Annotated[Path, output_option("DIR", "(default: gnomon-demo)")] = Path("gnomon-demo")
+    Examples
+    --------
+    $ gnomon demo
+    """
+
+    output: Annotated[Path, output_option("DIR")] = Path("gnomon-demo")
     """Folder for the recording, the truth and the results."""
     seed: Seed = 0
     report: Report = True

@@ -20,6 +20,11 @@ class Magnetometer(Command):
 
     Turn the sensor slowly through all attitudes, in one place away from iron, for a minute or two. With the
     accelerometer in the recording both come out in one frame.
+
+    Examples
+    --------
+    $ gnomon magnetometer recording.csv
+    $ gnomon magnetometer recording.csv --latitude 52.5
     """
 
     recording: Annotated[Input, Flat]
@@ -56,9 +61,14 @@ class Magnetometer(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateMagnetometer(Command):
-    """Make a recording of a simulated magnetometer turned by hand, and its true calibration beside it (truth.yaml)."""
+    """Make a recording of a simulated magnetometer turned by hand, and its true calibration beside it (truth.yaml).
 
-    output: Annotated[Path, output_option("FILE", "(required)")]
+    Examples
+    --------
+    $ gnomon simulate-magnetometer -o magnetometer.csv
+    """
+
+    output: Annotated[Path, output_option("FILE")]
     """Recording to write, .npz or .csv."""
     seed: Seed = 0
     json: Json = False

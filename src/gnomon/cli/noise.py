@@ -32,6 +32,10 @@ class Noise(Command):
     """Identify the noise of an IMU from a long recording at rest: white noise, bias instability, random walk.
 
     Let the sensor lie where nothing can move it, at an even temperature, for 3 hours or longer.
+
+    Examples
+    --------
+    $ gnomon noise night.npz
     """
 
     recording: Annotated[Input, Flat]
@@ -123,9 +127,14 @@ def _cell(found: "Coefficient", factor: float, decimals: int) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateNoise(Command):
-    """Make a long recording of a simulated IMU at rest, with noise of known coefficients."""
+    """Make a long recording of a simulated IMU at rest, with noise of known coefficients.
 
-    output: Annotated[Path, output_option("FILE", "(required)")]
+    Examples
+    --------
+    $ gnomon simulate-noise -o night.npz
+    """
+
+    output: Annotated[Path, output_option("FILE")]
     """Recording to write, .npz."""
     seed: Seed = 0
     json: Json = False

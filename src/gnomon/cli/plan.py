@@ -26,6 +26,10 @@ class Plan(Command):
     """Predict how well cameras and an IMU would be calibrated by a recording that is still to be made.
 
     Nothing is recorded: the motion is simulated, and the estimation's own equations tell the standard deviations.
+
+    Examples
+    --------
+    $ gnomon plan --for vio
     """
 
     cam: CamFile = None
@@ -47,7 +51,12 @@ class Plan(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class PlanImu(Command):
-    """Predict how well an IMU would be calibrated by a recording with rests that is still to be made."""
+    """Predict how well an IMU would be calibrated by a recording with rests that is still to be made.
+
+    Examples
+    --------
+    $ gnomon plan-imu --for ahrs
+    """
 
     imu: Annotated[Path | None, FileOption] = None
     """Kalibr's file of the IMU's noise (default: that of a consumer sensor)."""

@@ -20,9 +20,13 @@ class SimulatePoses(Command):
     """Make an experiment in which a simulated sensor lies still in one attitude after another, and its truth.
 
     `gnomon imu` takes the table, the folder or the recording as it is.
+
+    Examples
+    --------
+    $ gnomon simulate-poses -o poses
     """
 
-    output: Annotated[Path, output_option("PATH", "(required)")]
+    output: Annotated[Path, output_option("PATH")]
     """A name that ends in .csv: a table of averaged poses; in .npz: one recording of all samples; any other: a folder
     with a file for each pose. The true calibration, truth.yaml, is written beside it, or into the folder."""
     seed: Seed = 0

@@ -32,7 +32,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Show(Command):
-    """Show a calibration as tables with standard deviations; files of other projects without."""
+    """Show a calibration as tables with standard deviations; files of other projects without.
+
+    Examples
+    --------
+    $ gnomon show calibration.yaml
+    $ gnomon show calibration.yaml --form kalibr
+    """
 
     calibration: CalibrationPath
     """A calibration.yaml, a noise.yaml, or a file of another project: Kalibr's camchain, imu and target yaml and
@@ -105,12 +111,17 @@ def _print_tables(tables: "Sequence[ParameterRows]", terminal: Terminal) -> None
 
 @dataclass(frozen=True, kw_only=True)
 class Apply(Command):
-    """Turn a recording into specific force and angular rate with a calibration; of any length, in little memory."""
+    """Turn a recording into specific force and angular rate with a calibration; of any length, in little memory.
+
+    Examples
+    --------
+    $ gnomon apply calibration.yaml recording.csv -o corrected.csv
+    """
 
     calibration: CalibrationPath
     """A calibration.yaml."""
     recording: Annotated[Input, Flat]
-    output: Annotated[Path, output_option("FILE", "(required)")]
+    output: Annotated[Path, output_option("FILE")]
     """CSV file to write."""
     imu: str | None = None
     """Which IMU of a calibration of several recorded the samples, such as imu1; told by the name of the file, as of

@@ -152,11 +152,16 @@ class Study(Command):
 
     A study that was interrupted goes on where it was when the same command is given again. Without a name, list the
     studies and what they cost.
+
+    Examples
+    --------
+    $ gnomon study
+    $ gnomon study tedaldi --jobs 2
     """
 
     name: Annotated[
         str | None,
-        Argument(positional=True, metavar=f"[{{{','.join(STUDIES)}}}]", hint=""),
+        Argument(positional=True, metavar=f"{{{','.join(STUDIES)}}}"),
     ] = None
     """tedaldi: the simulations of Tedaldi 2014. krebs: those of Krebs. angrisano: the experiment of Angrisano."""
     output: Annotated[Path | None, output_option("DIR")] = None
@@ -166,7 +171,7 @@ class Study(Command):
     given."""
     jobs: int = 1
     """Processes that share them; the result does not depend on it."""
-    scheduler: Annotated[str | None, Argument(metavar="ADDRESS", hint="")] = None
+    scheduler: Annotated[str | None, Argument(metavar="ADDRESS")] = None
     """Let the workers of an existing Dask cluster do them, such as tcp://host:8786; needs gnomon[dask]."""
     seed: Seed = 0
     json: Json = False

@@ -9,7 +9,6 @@ from ..errors import OptionError
 from .command import (
     Command,
     Json,
-    Switch,
     output_option,
 )
 from .parsing.arguments import Argument
@@ -40,7 +39,7 @@ _OPTIONS: dict[str, tuple[str, ...]] = {
 
 
 def _optional(metavar: str) -> object:
-    return Argument(metavar=metavar, hint="")
+    return Argument(metavar=metavar)
 
 
 _ANY_M, _MARKER, _SPACING = 0.1, 0.75, 0.3
@@ -55,39 +54,44 @@ class PrintTarget(Command):
 
     Without a size, the board is as large as fits on the paper. Print it at 100 %, measure the rulers, and glue it onto
     something flat.
+
+    Examples
+    --------
+    $ gnomon target aprilgrid
+    $ gnomon target checkerboard --cols 9 --rows 6 --size 30mm --paper A3
     """
 
-    board: Annotated[str, Argument(positional=True, metavar="BOARD", hint="")]
+    board: Annotated[str, Argument(positional=True, metavar="BOARD")]
     """aprilgrid, checkerboard, circlegrid or charuco; or a target.yaml that describes the board."""
     output: Annotated[Path | None, output_option("FILE")] = None
     """Drawing to write, .pdf or .svg, both where it has no ending; the description stands beside it as .yaml (default:
     named after the board)."""
-    cols: Annotated[int | None, _optional("INT")] = None
+    cols: Annotated[int | None, _optional("INTEGER")] = None
     """Tags, inner corners, circles, or squares of a ChArUco board from left to right (default: 6, 9, 7, 7; 4 circles of
     an asymmetric grid)."""
-    rows: Annotated[int | None, _optional("INT")] = None
+    rows: Annotated[int | None, _optional("INTEGER")] = None
     """The same from top to bottom (default: 6, 6, 6, 9; 11 of an asymmetric grid)."""
     size: Annotated[str | None, _optional("LENGTH")] = None
     """Side of a tag or square, or distance of circles, such as 88mm or 0.088 (metres) (default: the largest that fits
     on the paper)."""
-    spacing: Annotated[float | None, _optional("FLOAT")] = None
+    spacing: Annotated[float | None, _optional("NUMBER")] = None
     """Gap between tags over their side (default: 0.3)."""
     border_bits: Annotated[Literal[1, 2] | None, _optional("{1,2}")] = None
     """Border of the tags: 2 as Kalibr prints it, with squares between the tags, or 1: plain tags (default: 2)."""
-    first: Annotated[int | None, _optional("INT")] = None
+    first: Annotated[int | None, _optional("INTEGER")] = None
     """Id of the first tag, at the lower left, or of the first marker, at the upper left (default: 0)."""
-    asymmetric: Annotated[bool, Switch] = False
+    asymmetric: bool = False
     """Shift every other row of circles."""
     marker: Annotated[str | None, _optional("LENGTH")] = None
     """Side of a marker of a ChArUco board (default: 0.75 of its square)."""
     dictionary: Annotated[str | None, _optional("NAME")] = None
     """OpenCV's dictionary of the markers (default: 4X4_50)."""
-    legacy: Annotated[bool, Switch] = False
+    legacy: bool = False
     """Draw a ChArUco board with an even number of rows as OpenCV before 4.6 did."""
     paper: Annotated[str | None, _optional("PAPER")] = None
     """A5, A4, A3, A2, A1, A0, letter, legal, tabloid, or such as 500x700mm (default: A4 without a size, else the
     smallest of A4 to A0 that holds the board)."""
-    tiles: Annotated[bool, Switch] = False
+    tiles: bool = False
     """Divide a board that is larger than the paper into pages to be glued together; one sheet is better."""
     json: Json = False
 

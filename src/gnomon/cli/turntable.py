@@ -33,11 +33,16 @@ class Turntable(Command):
 
     Put the sensor on the platter in eighteen orientations, each face down and each edge with a wedge. In each let the
     platter rest for 5 s, turn for half a minute, and rest again.
+
+    Examples
+    --------
+    $ gnomon turntable recordings/ --rate 33.33rpm
+    $ gnomon turntable recordings/ --rate platter.avi
     """
 
-    recordings: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH ...")]
+    recordings: Annotated[tuple[Path, ...], Argument(positional=True, metavar="PATH")]
     """One recording of all of it, or one for each orientation or speed; or a folder of these."""
-    rate: Annotated[tuple[str, ...], Argument(metavar="RATE ...", hint="(required)")] = ()
+    rate: Annotated[tuple[str, ...], Argument(metavar="RATE")] = ()
     """Speeds of the platter, such as 16rpm, 33.33rpm or 2.0rad/s, or videos of it, which tell the speed. Each steady
     part has the speed nearest to what it shows; FILE=RATE states it for one of several recordings."""
     columns: str | None = None
@@ -183,12 +188,17 @@ def _summary_lines(result: "Result") -> Iterator[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateTurntable(Command):
-    """Make recordings of a simulated sensor on a turntable, and its true calibration beside them (truth.yaml)."""
+    """Make recordings of a simulated sensor on a turntable, and its true calibration beside them (truth.yaml).
 
-    output: Annotated[Path, output_option("DIR", "(required)")]
+    Examples
+    --------
+    $ gnomon simulate-turntable -o turntable
+    """
+
+    output: Annotated[Path, output_option("DIR")]
     """Folder for the recordings."""
     seed: Seed = 0
-    video: Annotated[bool, Argument(hint="")] = False
+    video: bool = False
     """Make a video of the platter at each speed, too."""
     json: Json = False
     scenario: Annotated[TurntableScenario, Flat] = field(default_factory=TurntableScenario)
@@ -250,11 +260,15 @@ class Rate(Command):
 
     Fix a webcam so that it sees most of the platter, and record for a minute or more at a constant speed. A mark on
     the platter helps, but any print will do.
+
+    Examples
+    --------
+    $ gnomon rate platter.avi --nominal 33.33rpm
     """
 
     video: Annotated[Path, Argument(positional=True, metavar="VIDEO")]
     """A video, with a table of its frames' timestamps beside it where there is one (platter.csv of platter.avi)."""
-    nominal: Annotated[str | None, Argument(metavar="RATE", hint="")] = None
+    nominal: Annotated[str | None, Argument(metavar="RATE")] = None
     """What the rate should be within 10 %, such as 33.33rpm or 2.0rad/s; needed where the picture leaves it open."""
     json: Json = False
 
@@ -324,9 +338,14 @@ def rate_document(found: "PlatterRate") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatePlatterVideo(Command):
-    """Make a video of a simulated platter, as a webcam sees it."""
+    """Make a video of a simulated platter, as a webcam sees it.
 
-    output: Annotated[Path, output_option("FILE", "(required)")]
+    Examples
+    --------
+    $ gnomon simulate-platter-video -o platter.avi
+    """
+
+    output: Annotated[Path, output_option("FILE")]
     """Video to write: .mkv or .mp4, with the time of each frame, or .avi, which has only a frame rate."""
     seed: Seed = 0
     json: Json = False

@@ -1,11 +1,13 @@
-"""Ordinary command lines are read without tyro, and as tyro reads them."""
+"""Words become commands; mistakes are named, and help shows what there is."""
+
+import inspect
+import shlex
 
 import pytest
 
 from docs_pages import PAGES, shell_commands
-from gnomon.cli.commands import COMMANDS
-from gnomon.cli.parsing.arguments import read_line
-from gnomon.cli.parsing.tyro_line import parse_line
+from gnomon.cli.commands import COMMANDS, parse_command
+from gnomon.errors import OptionError
 
 LINES = [
     words
@@ -13,43 +15,73 @@ LINES = [
     for words in shell_commands(page)
     if words[0] in COMMANDS and not {"--help", "--scenario"} & {*words}
 ]
-MORE = [
-    "imu a.csv --fix imu0.gyroscope.g_sensitivity imu0.accelerometer --no-report --preset imu_tk",
-    "imu --gravity=9.81 a.csv b.csv",
-    "camera-imu rig --imu a.yaml --imu b.yaml --cams c.yaml --no-cache",
-    "convert c.yaml --to px4 --noise n.yaml",
-    "simulate-cameras -o x --resolution 640 480 --intrinsics 460 458.5 322.4 237.1",
-    "show c.yaml --for vio --json",
-]
-UNUSUAL = [
-    "show",
-    "show a b",
-    "show a --json --json",
-    "show a --no-json",
-    "show a --jso",
-    "show a --form tedaldy",
-    "show a --for None",
-    "show a --for --json",
-    "imu a -o x b",
-    "imu a --gravity nine",
-    "imu a --gravity 3",
-    "imu a --report",
-    "simulate-cameras -o x --resolution 640",
-    "apply c.yaml a b c -o x",
-]
+MISTAKES = {
+    "show": "CALIBRATION",
+    "show a b": "one too many: b",
+    "show a --json --json": "given 2 times",
+    "show a --jso": "Did you mean --json",
+    "show a --form kalib": "did you mean kalibr",
+    "show a --for --json": "expected 1 argument",
+    "imu a --gravity nine": "--gravity nine: expected a number",
+    "imu a --gravity 3": "from 9 to 10.5",
+    "imu a --report": "no option --report",
+    "simulate-cameras -o x --resolution 640": "expected 2 arguments",
+    "simulate-cameras -o x --resolution 640 4x": "expected a whole number",
+    "simulate-platter-video -o x --hidden 1 2 3": "expected 2 for each",
+    "simulate": "--output",
+    "apply c.yaml a b c -o x": "one too many: c",
+}
 
 
-@pytest.mark.parametrize(
-    "line", [*{" ".join(words): words for words in LINES}.values(), *map(str.split, MORE)], ids=str
-)
-def test_a_line_is_read_as_tyro_reads_it(line):
-    name, *words = line
-    mine = read_line(COMMANDS[name], words)
-    assert mine is not None
-    assert mine == parse_line(COMMANDS[name], words, prog=name)
+@pytest.mark.parametrize("words", {" ".join(words): words for words in LINES}.values(), ids=" ".join)
+def test_every_line_of_the_documentation_is_read(words):
+    assert type(parse_command(words)) is COMMANDS[words[0]]
 
 
-@pytest.mark.parametrize("line", UNUSUAL)
-def test_an_unusual_line_is_left_to_tyro(line):
-    name, *words = line.split()
-    assert read_line(COMMANDS[name], words) is None
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_examples_that_are_read(name):
+    _, _, examples = (inspect.getdoc(COMMANDS[name]) or "").partition("Examples\n--------\n")
+    lines = [shlex.split(line.removeprefix("$ gnomon ")) for line in examples.splitlines()]
+    assert lines
+    assert {type(parse_command(line)) for line in lines} == {COMMANDS[name]}
+
+
+@pytest.mark.parametrize("line", MISTAKES)
+def test_a_mistake_is_named(line):
+    with pytest.raises(OptionError) as error:
+        parse_command(line.split())
+    assert MISTAKES[line] in str(error.value)
+
+
+def test_values_go_to_the_fields_of_their_kinds():
+    command = parse_command("imu --gravity=9.81 --fix imu0.bias imu0.scale --no-report --t-init-s 3 b.csv".split())
+    assert [path.name for path in command.recording.paths] == ["b.csv"]
+    assert (command.options.gravity, command.options.t_init_s) == (9.81, 3.0)
+    assert command.options.fix == ("imu0.bias", "imu0.scale")
+    assert not command.report
+
+
+def test_operands_may_stand_on_both_sides_of_an_option():
+    command = parse_command("imu a.csv --gravity 9.81 b.csv".split())
+    assert [path.name for path in command.recording.paths] == ["a.csv", "b.csv"]
+
+
+def test_options_that_append_are_given_once_for_each():
+    command = parse_command("camera-imu rig --imu a.yaml --imu b.yaml --cams c.yaml".split())
+    assert [path.name for path in command.imu] == ["a.yaml", "b.yaml"]
+    assert command.cam.name == "c.yaml"
+
+
+def test_rows_of_numbers_are_read_in_groups():
+    command = parse_command("simulate-platter-video -o x.avi --hidden 1 2 -3 1e-3".split())
+    assert command.scenario.hidden == ((1.0, 2.0), (-3.0, 1e-3))
+
+
+def test_none_is_a_value_of_what_may_be_absent():
+    assert parse_command("imu a.csv --gravity none".split()).options.gravity is None
+
+
+def test_the_line_differs_from_the_scenario(tmp_path):
+    (tmp_path / "s.yaml").write_text("views: 12\nrate_hz: 5\n")
+    command = parse_command(["simulate-cameras", "-o", "x", "--scenario", str(tmp_path / "s.yaml"), "--views", "7"])
+    assert (command.options.views, command.options.rate_hz) == (7, 5.0)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-HEAVY = ("numpy", "scipy", "matplotlib", "jinja2", "yaml", "cattrs", "rich", "tyro")
+HEAVY = ("numpy", "scipy", "matplotlib", "jinja2", "yaml", "cattrs", "rich")
 
 
 def loaded_after(code):
@@ -20,7 +20,7 @@ def test_importing_the_package_loads_nothing_heavy():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "needed"), [(["--help"], []), (["imu", "--help"], ["tyro"]), (["simulate", "--help"], ["tyro"])]
+    ("arguments", "needed"), [(["--help"], []), (["imu", "--help"], []), (["simulate", "--help"], [])]
 )
 def test_help_needs_no_numbers(arguments, needed):
     assert loaded_after(f"from gnomon.cli import main\nassert main({arguments!r}) == 0") == needed
@@ -34,7 +34,7 @@ def test_calibrating_needs_neither_scipy_nor_matplotlib(tmp_path):
         f"assert main(['imu', {str(tmp_path / 'r.npz')!r}, '--no-report']) == 0"
     )
     assert "numpy" in loaded
-    assert not {"scipy", "matplotlib", "jinja2", "rich", "tyro"} & set(loaded)
+    assert not {"scipy", "matplotlib", "jinja2", "rich"} & set(loaded)
 
 
 def test_every_public_name_is_there():

@@ -10,7 +10,7 @@ import gnomon
 
 WITHOUT_POSIX = """
 import asyncio, concurrent.futures.process, importlib, os, pkgutil, signal, subprocess, sys
-import av, cattrs, cv2, numpy, rich.console, rosbags.highlevel, scipy.linalg, scipy.optimize, tyro, yaml
+import av, cattrs, cv2, numpy, rich.console, rosbags.highlevel, scipy.linalg, scipy.optimize, yaml
 for name in ("fcntl", "resource", "pwd", "grp", "termios"):
     sys.modules[name] = None  # importing it raises ImportError
 for name in ("SIGKILL", "SIGHUP", "SIGALRM"):

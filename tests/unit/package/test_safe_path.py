@@ -90,7 +90,7 @@ def test_the_program_imports_nothing_from_the_working_directory(hostile):
 
 def test_python_m_gnomon_leaves_the_working_directory_as_soon_as_it_can(hostile):
     """Python itself takes importlib and gnomon from there first, which nothing in gnomon can change."""
-    kept = {"numpy", "scipy", "cv2", "pickle", "random", "json", "tyro", "yaml", "rich", "subprocess"}
+    kept = {"numpy", "scipy", "cv2", "pickle", "random", "json", "yaml", "rich", "subprocess"}
     for path in hostile.glob("*.py"):
         if path.stem not in kept:
             path.unlink()

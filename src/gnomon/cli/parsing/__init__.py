@@ -1,1 +1,1 @@
-"""Words of the command line -> a command: ordinary lines directly, help and mistakes by tyro."""
+"""Words of the command line -> a command, and the help that says which there are."""
