@@ -33,6 +33,10 @@ MISTAKES = {
 }
 
 
+def parsed(line):
+    return parse_command(line.split())
+
+
 @pytest.mark.parametrize("words", {" ".join(words): words for words in LINES}.values(), ids=" ".join)
 def test_every_line_of_the_documentation_is_read(words):
     assert type(parse_command(words)) is COMMANDS[words[0]]
@@ -49,12 +53,12 @@ def test_every_command_has_examples_that_are_read(name):
 @pytest.mark.parametrize("line", MISTAKES)
 def test_a_mistake_is_named(line):
     with pytest.raises(OptionError) as error:
-        parse_command(line.split())
+        parsed(line)
     assert MISTAKES[line] in str(error.value)
 
 
 def test_values_go_to_the_fields_of_their_kinds():
-    command = parse_command("imu --gravity=9.81 --fix imu0.bias imu0.scale --no-report --t-init-s 3 b.csv".split())
+    command = parsed("imu --gravity=9.81 --fix imu0.bias imu0.scale --no-report --t-init-s 3 b.csv")
     assert [path.name for path in command.recording.paths] == ["b.csv"]
     assert (command.options.gravity, command.options.t_init_s) == (9.81, 3.0)
     assert command.options.fix == ("imu0.bias", "imu0.scale")
@@ -62,23 +66,23 @@ def test_values_go_to_the_fields_of_their_kinds():
 
 
 def test_operands_may_stand_on_both_sides_of_an_option():
-    command = parse_command("imu a.csv --gravity 9.81 b.csv".split())
+    command = parsed("imu a.csv --gravity 9.81 b.csv")
     assert [path.name for path in command.recording.paths] == ["a.csv", "b.csv"]
 
 
 def test_options_that_append_are_given_once_for_each():
-    command = parse_command("camera-imu rig --imu a.yaml --imu b.yaml --cams c.yaml".split())
+    command = parsed("camera-imu rig --imu a.yaml --imu b.yaml --cams c.yaml")
     assert [path.name for path in command.imu] == ["a.yaml", "b.yaml"]
     assert command.cam.name == "c.yaml"
 
 
 def test_rows_of_numbers_are_read_in_groups():
-    command = parse_command("simulate-platter-video -o x.avi --hidden 1 2 -3 1e-3".split())
+    command = parsed("simulate-platter-video -o x.avi --hidden 1 2 -3 1e-3")
     assert command.scenario.hidden == ((1.0, 2.0), (-3.0, 1e-3))
 
 
 def test_none_is_a_value_of_what_may_be_absent():
-    assert parse_command("imu a.csv --gravity none".split()).options.gravity is None
+    assert parsed("imu a.csv --gravity none").options.gravity is None
 
 
 def test_the_line_differs_from_the_scenario(tmp_path):
