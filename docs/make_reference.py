@@ -78,12 +78,12 @@ _COMMAND_OF = {
     TurntableOptions: "turntable",
     MagnetometerOptions: "magnetometer",
     NoiseOptions: "noise",
-    Scenario: "simulate",
-    CameraImuScenario: "simulate-camera-imu",
-    CamerasScenario: "simulate-cameras",
-    PoseScenario: "simulate-poses",
-    TurntableScenario: "simulate-turntable",
-    FieldScenario: "simulate-magnetometer",
+    Scenario: "simulate imu",
+    CameraImuScenario: "simulate camera-imu",
+    CamerasScenario: "simulate cameras",
+    PoseScenario: "simulate poses",
+    TurntableScenario: "simulate turntable",
+    FieldScenario: "simulate magnetometer",
     CameraImuPlan: "plan",
     ImuPlan: "plan-imu",
 }
@@ -268,7 +268,9 @@ def _described(name: str, thing: Any) -> Iterator[str]:
 def _fields_line(thing: Any) -> Iterator[str]:
     """Yield a line with the fields that the docstring does not describe."""
     command = _COMMAND_OF.get(thing)
-    described = f", each described under [gnomon {command}](cli.md#gnomon-{command})" if command else ""
+    described = (
+        f", each described under [gnomon {command}](cli.md#gnomon-{command.replace(' ', '-')})" if command else ""
+    )
     attributes = (thing.__doc__ or "").partition("Attributes\n")[2]
     names = [field.name for field in fields(thing) if not re.search(rf"^ *[\w, ]*\b{field.name}\b", attributes, re.M)]
     if names:

@@ -55,7 +55,7 @@ def make_both() -> None:
         folder = Path(place)
         _run("demo", "-o", str(folder / "demo"))
         recording = str(folder / "recording")
-        _run("simulate-camera-imu", "-o", recording, "--seed", "1")
+        _run("simulate camera-imu", "-o", recording, "--seed", "1")
         _run("camera-imu", recording, "--gravity", "9.80665", "-o", str(folder / "rig"))
         make_picture(folder / "demo" / "report.html", DOCS / "report.png")
         make_picture(folder / "rig" / "report.html", DOCS / "report-camera-imu.png", 1300)

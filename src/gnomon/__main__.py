@@ -43,9 +43,9 @@ def main() -> None:
         sys.stdout.flush()
     except BrokenPipeError:  # the reader of our output has gone, as with `gnomon show FILE | head`
         code = 1
-    except KeyboardInterrupt:  # before there was anything to tidy up
+    except KeyboardInterrupt as stop:  # before there was anything to tidy up
         _say("gnomon: interrupted.")
-        code = 130
+        code = getattr(stop, "exit_code", 130)  # an EndedError has that of its signal
     except (OSError, ImportError) as error:  # the output is on a full disk, or too few files may be open to begin
         words = system_error_words(error)
         if not words or os.environ.get("GNOMON_DEBUG"):

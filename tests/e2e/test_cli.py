@@ -160,21 +160,20 @@ def test_demo_prints_a_table_that_fits(tmp_path, run):
 def test_help_names_every_command(run):
     code, out, _ = run("--help")
     assert code == 0
-    flat = " ".join(out.split())
-    for name, command in COMMANDS.items():
-        assert f" {name} {' '.join(command.__doc__.split(chr(10) * 2)[0].split())}" in flat
+    assert len(out.splitlines()) <= 40
+    assert {name for name in COMMANDS if not re.search(rf"^  {name.split()[0]} ", out, re.MULTILINE)} == set()
+    assert {name for name in COMMANDS if name.split()[-1] not in out} == set()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_and_every_option_has_help(name, run):
-    code, out, _ = run(name, "--help")
+    code, out, _ = run(*name.split(), "--help")
     assert code == 0
-    wanted = [entry.name for entry in dataclasses.fields(COMMANDS[name])]
-    assert wanted
-    flat = re.sub(r"[│\s]+", " ", out)
-    for option in re.findall(r"│ (?:-\w \w+, )?(--[\w-]+)", out):
-        # after the flag and its placeholder comes a sentence
-        assert re.search(rf"{re.escape(option)}(?: \S+)*? [A-Z\d][^│]{{10,}}", flat), option
+    flat = " ".join(out.partition("examples:")[0].split())
+    options = re.findall(r"^  (?:-\w(?: \w+)?, )?(--[\w-]+)", out, re.MULTILINE)
+    assert len(options) >= 4
+    for option in options:  # after the flag and its placeholder comes a sentence
+        assert re.search(rf"{re.escape(option)}(?: \S+)*? [A-Z\d].{{10,}}", flat), option
 
 
 @pytest.mark.parametrize(

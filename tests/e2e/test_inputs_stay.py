@@ -71,7 +71,7 @@ def test_a_prior_is_not_replaced_by_what_follows_from_it(run, result):
 def test_a_simulation_spares_its_scenario(run, tmp_path):
     (tmp_path / "scenario.yaml").write_text("duration_s: 4\n")
     words = ("--scenario", tmp_path / "scenario.yaml", "-o", tmp_path)
-    assert "scenario.yaml: this file is read" in refused(run, tmp_path, "simulate-camera-imu", *words)
+    assert "scenario.yaml: this file is read" in refused(run, tmp_path, "simulate", "camera-imu", *words)
 
 
 def test_whatever_writes_spares_inputs(tmp_path):
@@ -101,7 +101,7 @@ def test_a_pipe_is_refused_by_every_command_that_reads(run, result, tmp_path):
         *(("apply", calibration, pipe, "-o", tmp_path / "o.csv"), ("compare", calibration, pipe)),
         *(("convert", pipe, "--to", "kalibr"), ("imu", result / "r.csv", "--prior", pipe)),
         ("imu", result / "r.csv", "--for", pipe),
-        ("simulate-camera-imu", "--scenario", pipe, "-o", tmp_path / "rig"),
+        ("simulate", "camera-imu", "--scenario", pipe, "-o", tmp_path / "rig"),
     ):
         code, _, err = run(*words)
         assert (code, "this is a pipe" in err) == (3, True), (words, err)

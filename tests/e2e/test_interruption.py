@@ -92,12 +92,14 @@ CASES = {
     "simulate": seeds("simulate", *SMALL, name="imu.csv"),
     "simulate-poses": seeds("simulate-poses", name="poses.csv"),
     "simulate-turntable": seeds("simulate-turntable"),
-    "simulate-platter-video": seeds("simulate-platter-video", "--duration-s", 4, "--width", 160, name="video.mp4"),
-    "simulate-magnetometer": seeds("simulate-magnetometer", "--duration-s", 20, name="field.npz"),
-    "simulate-noise": seeds("simulate-noise", "--duration-s", 60, name="rest.npz"),
-    "simulate-cameras": seeds("simulate-cameras", "--views", 12),
-    "simulate-camera-imu": seeds("simulate-camera-imu", "--duration-s", 4),
-    "simulate-camera-imu --images": seeds("simulate-camera-imu", "--duration-s", 1, "--images", "--camera-rate-hz", 8),
+    "simulate-platter-video": seeds("simulate", "platter-video", "--duration-s", 4, "--width", 160, name="video.mp4"),
+    "simulate-magnetometer": seeds("simulate", "magnetometer", "--duration-s", 20, name="field.npz"),
+    "simulate-noise": seeds("simulate", "noise", "--duration-s", 60, name="rest.npz"),
+    "simulate-cameras": seeds("simulate", "cameras", "--views", 12),
+    "simulate-camera-imu": seeds("simulate", "camera-imu", "--duration-s", 4),
+    "simulate camera-imu --images": seeds(
+        "simulate", "camera-imu", "--duration-s", 1, "--images", "--camera-rate-hz", 8
+    ),
     "study": seeds("study", "angrisano", "--runs", 2),
     "demo": seeds("demo", "--no-report"),
 }
@@ -119,7 +121,7 @@ def inputs(run, tmp_path_factory):
         assert code in {0, 4}, err
 
     def rest(number: int) -> None:
-        made("simulate-noise", "-o", folder / f"rest{number}.npz", "--duration-s", 900, "--seed", number)
+        made("simulate", "noise", "-o", folder / f"rest{number}.npz", "--duration-s", 900, "--seed", number)
 
     def imu(number: int) -> None:
         made("simulate", *SMALL, "-o", folder / f"imu{number}.npz", "--seed", number)
@@ -127,20 +129,20 @@ def inputs(run, tmp_path_factory):
         shutil.copy(folder / f"out{number}" / "calibration.yaml", folder / f"cal{number}.yaml")
 
     def field(number: int) -> None:
-        made("simulate-magnetometer", "-o", folder / f"field{number}.npz", "--seed", number)
+        made("simulate", "magnetometer", "-o", folder / f"field{number}.npz", "--seed", number)
 
     def turns(number: int) -> None:
-        made("simulate-turntable", "-o", folder / f"turns{number}", "--seed", number)
+        made("simulate", "turntable", "-o", folder / f"turns{number}", "--seed", number)
 
     def views(number: int) -> None:
-        made("simulate-cameras", "-o", folder / f"views{number}", "--views", 20, "--seed", number)
+        made("simulate", "cameras", "-o", folder / f"views{number}", "--views", 20, "--seed", number)
 
     def waved(number: int) -> None:
-        made("simulate-camera-imu", "-o", folder / f"waved{number}", "--duration-s", 20, "--seed", number)
+        made("simulate", "camera-imu", "-o", folder / f"waved{number}", "--duration-s", 20, "--seed", number)
 
     def images(_: int) -> None:
         words = ("--duration-s", 20, "--images", "--camera-rate-hz", 4)
-        made("simulate-camera-imu", "-o", folder / "images", *words)
+        made("simulate", "camera-imu", "-o", folder / "images", *words)
 
     makers = {maker.__name__: maker for maker in (rest, imu, field, turns, views, waved, images)}
     needs = {"noise": "rest", "magnetometer": "field", "turntable": "turns", "camera": "views", "camera-imu": "waved"}

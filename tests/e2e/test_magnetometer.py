@@ -12,7 +12,7 @@ from gnomon.simulate import FieldScenario, simulate_magnetometer
 @pytest.fixture(scope="module")
 def simulated(run, tmp_path_factory):
     folder = tmp_path_factory.mktemp("magnetometer")
-    code, _, err = run("simulate-magnetometer", "-o", folder / "rec.npz", "--seed", 3, "--rests", 8)
+    code, _, err = run("simulate", "magnetometer", "-o", folder / "rec.npz", "--seed", 3, "--rests", 8)
     assert code == 0, err
     return folder
 
@@ -70,7 +70,7 @@ def test_check_says_what_is_there(run, simulated, tmp_path) -> None:
     ],
 )
 def test_bad_recordings_are_refused_in_words(run, tmp_path, arguments, code, words) -> None:
-    run("simulate-magnetometer", "-o", tmp_path / "in/rec.npz", *arguments)
+    run("simulate", "magnetometer", "-o", tmp_path / "in/rec.npz", *arguments)
     found, _, err = run("magnetometer", tmp_path / "in/rec.npz", "-o", tmp_path / "out")
     assert found == code
     assert words in err

@@ -19,12 +19,12 @@ from gnomon.report.sections import imu_use_section
 
 STARTS = {
     "imu": "simulate -o log.npz --intervals 14 --t-init-s 12",
-    "poses": "simulate-poses -o p --sensor drawn --units si",
-    "turntable": "simulate-turntable -o disc --steady-s 8",
-    "magnetometer": "simulate-magnetometer -o turned.npz --rests 12",
-    "noise": "simulate-noise -o rest.npz --duration-s 1300 --rate-hz 20",
-    "camera": "simulate-cameras -o views --views 20",
-    "camera-imu": "simulate-camera-imu -o rig --duration-s 9 --imu-rate-hz 100 --camera-rate-hz 10",
+    "poses": "simulate poses -o p --sensor drawn --units si",
+    "turntable": "simulate turntable -o disc --steady-s 8",
+    "magnetometer": "simulate magnetometer -o turned.npz --rests 12",
+    "noise": "simulate noise -o rest.npz --duration-s 1300 --rate-hz 20",
+    "camera": "simulate cameras -o views --views 20",
+    "camera-imu": "simulate camera-imu -o rig --duration-s 9 --imu-rate-hz 100 --camera-rate-hz 10",
 }
 QUICK = {"camera": ["--model", "pinhole-radtan", "--board", "stated"], "magnetometer": [], "camera-imu": []}
 CALIBRATE = {"imu", "turntable", "magnetometer", "noise", "camera", "camera-imu"}
@@ -118,8 +118,8 @@ def test_each_simulated_recording_keeps_its_truth(run, tmp_path):
     assert Path(first).read_bytes() == truth
     assert run(["simulate", "-o", "b.npz", "--intervals", "4", "--seed", "2"])["truth"] == second
     assert run(["simulate", "-o", "a.npz", "--intervals", "3"])["truth"] == first
-    assert run(["simulate-poses", "-o", "p.csv"])["truth"] == "p-truth.yaml"
-    assert run(["simulate-magnetometer", "-o", "m.npz", "--rests", "3"])["truth"] == "m-truth.yaml"
+    assert run(["simulate", "poses", "-o", "p.csv"])["truth"] == "p-truth.yaml"
+    assert run(["simulate", "magnetometer", "-o", "m.npz", "--rests", "3"])["truth"] == "m-truth.yaml"
     assert Path(first).read_bytes() == truth
 
 

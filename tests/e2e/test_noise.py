@@ -18,7 +18,7 @@ def simulated(tmp_path_factory, run):
     """A recording of half an hour as `gnomon simulate-noise` makes it."""
     path = tmp_path_factory.mktemp("noise") / "rest.npz"
     options = ("--duration-s", 1800, "--rate-hz", RATE_HZ, "--gyroscope-random-walk", 3e-5, "--seed", 5)
-    code, out, _ = run("simulate-noise", "-o", path, *options)
+    code, out, _ = run("simulate", "noise", "-o", path, *options)
     assert code == 0
     assert "rest.npz" in out
     return path
@@ -217,7 +217,7 @@ def test_options_that_make_no_sense(simulated, run, tmp_path):
     code, _, err = run("noise", simulated, "-o", tmp_path / "o", "--start-s", 1e6)
     assert code == 3
     assert "--start-s" in err
-    code, _, err = run("simulate-noise", "-o", tmp_path / "a.csv")
+    code, _, err = run("simulate", "noise", "-o", tmp_path / "a.csv")
     assert code == 2
     assert ".npz" in err
     assert not (tmp_path / "o").exists()

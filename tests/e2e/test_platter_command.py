@@ -18,7 +18,7 @@ SMALL = ["--width", "160", "--height", "120", "--duration-s", "20", "--rate-rad-
 def video(tmp_path_factory):
     """Return a video of 20 s, 45 rpm, as the command makes it."""
     path = tmp_path_factory.mktemp("platter") / "platter.mkv"
-    assert main(["simulate-platter-video", "-o", str(path), "--seed", "3", *SMALL]) == 0
+    assert main(["simulate", "platter-video", "-o", str(path), "--seed", "3", *SMALL]) == 0
     return path
 
 
@@ -77,7 +77,7 @@ def test_a_video_without_motion(tmp_path, capfd):
 
 def test_a_video_that_is_too_short(tmp_path, capfd):
     short = [*SMALL, "--duration-s", "2.2"]
-    assert main(["simulate-platter-video", "-o", str(tmp_path / "short.mp4"), *short]) == 0
+    assert main(["simulate", "platter-video", "-o", str(tmp_path / "short.mp4"), *short]) == 0
     capfd.readouterr()
     code, message = failed(capfd, tmp_path / "short.mp4")
     assert code == BAD_INPUT
@@ -94,7 +94,7 @@ def test_one_frame(tmp_path, capfd):
 def test_files_that_cannot_be_decoded(video, tmp_path, capfd):
     (tmp_path / "junk.mkv").write_bytes(np.random.default_rng(2).bytes(20_000))
     whole = tmp_path / "whole.mp4"
-    assert main(["simulate-platter-video", "-o", str(whole), *SMALL, "--duration-s", "3"]) == 0
+    assert main(["simulate", "platter-video", "-o", str(whole), *SMALL, "--duration-s", "3"]) == 0
     (tmp_path / "cut.mp4").write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     (tmp_path / "empty.avi").write_bytes(b"")
     capfd.readouterr()
@@ -116,6 +116,6 @@ def test_a_truncated_video_is_used_with_a_warning(video, tmp_path, capfd):
 def test_places_that_cannot_be_written(tmp_path, capfd):
     (tmp_path / "file").write_text("")
     for name, code, words in (("a.gif", USAGE, "found .gif"), ("file/a.mkv", BAD_INPUT, "file")):
-        assert main(["simulate-platter-video", "-o", str(tmp_path / name), *SMALL, "--duration-s", "1"]) == code
+        assert main(["simulate", "platter-video", "-o", str(tmp_path / name), *SMALL, "--duration-s", "1"]) == code
         assert words in capfd.readouterr().err
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]

@@ -331,7 +331,7 @@ def test_check_says_what_the_files_are(simulation, run, tmp_path):
 @pytest.mark.parametrize("output", ["poses.csv", "poses.npz", "poses"])
 def test_simulate_poses_writes_what_imu_takes(output, run, tmp_path, names):
     options = ["--samples", 400, "--sensor", "drawn", "--units", "si", "--seed", 4, "--known"]
-    code, out, err = run("simulate-poses", "-o", tmp_path / output, *options, "--json")
+    code, out, err = run("simulate", "poses", "-o", tmp_path / output, *options, "--json")
     assert code == 0, err
     document = json.loads(out)
     truth = gnomon.load(document["truth"])

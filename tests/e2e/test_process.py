@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("resource", reason="limits and signals as POSIX has them")
 
-SHOWN = "simulate-poses -o poses.csv"
+SHOWN = "simulate poses -o poses.csv"
 NATIVE = """
 import hashlib, sys
 sys.argv = ["gnomon"]

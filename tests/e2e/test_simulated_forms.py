@@ -37,7 +37,7 @@ def same_images(recording, expected):
 def test_cameras_and_an_imu_read_back_from_every_form(tmp_path, form, capsys):
     folder = tmp_path / "walk"
     options = ["--images", "--duration-s", "1", "--camera-rate-hz", "3", "--exposure-s", "0", "--seed", "4", *SMALL]
-    assert main(["simulate-camera-imu", "-o", str(folder), "--form", form, *options]) == 0
+    assert main(["simulate", "camera-imu", "-o", str(folder), "--form", form, *options]) == 0
     scenario = CameraImuScenario(duration_s=1.0, camera_rate_hz=3.0, images=True, exposure_s=0.0, **LENS)
     simulation = simulate_camera_imu(scenario, seed=4)
     recording = open_images(folder / FORMS[form])
@@ -55,7 +55,7 @@ def test_cameras_and_an_imu_read_back_from_every_form(tmp_path, form, capsys):
 def test_cameras_alone_read_back_from_every_form(tmp_path, form, capsys):
     folder = tmp_path / "views"
     options = ["--images", "--views", "3", "--cameras", "2", "--seed", "4", *SMALL]
-    assert main(["simulate-cameras", "-o", str(folder), "--form", form, *options]) == 0
+    assert main(["simulate", "cameras", "-o", str(folder), "--form", form, *options]) == 0
     simulation = simulate_cameras(CamerasScenario(images=True, views=3, cameras=2, **LENS), seed=4)
     same_images(open_images(folder / FORMS[form], cameras_alone=True), rendered_cameras(simulation))
     truth = gnomon.load(folder / "truth.yaml")
@@ -64,7 +64,7 @@ def test_cameras_alone_read_back_from_every_form(tmp_path, form, capsys):
     # another form takes its place, and the scenario says all but the seed
     scenario = shutil.copy(folder / "scenario.yaml", tmp_path)  # what is read is never written over
     again = [str(folder), "--scenario", str(scenario), "--seed", "5"]
-    assert main(["simulate-cameras", "-o", *again, "--form", "mcap" if form != "mcap" else "ros1"]) == 0
+    assert main(["simulate", "cameras", "-o", *again, "--form", "mcap" if form != "mcap" else "ros1"]) == 0
     assert len(list(folder.iterdir())) == 4
     capsys.readouterr()
 

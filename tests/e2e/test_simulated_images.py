@@ -56,7 +56,7 @@ def test_corners_are_detected_where_they_truly_are(lens):
 def test_a_folder_of_images_reads_back_and_is_replaced_by_the_next(tmp_path, capsys):
     options = ["--duration-s", "1", "--camera-rate-hz", "6", "--images", "--blur-px", "0.8", "--seed", "4"]
     folder = tmp_path / "walk"
-    assert main(["simulate-camera-imu", "-o", str(folder), "--cameras", "2", *options]) == 0
+    assert main(["simulate", "camera-imu", "-o", str(folder), "--cameras", "2", *options]) == 0
     assert "6 frames of cam0" in capsys.readouterr().out
     assert not list(folder.glob("*corners*"))
     scenario = replace(
@@ -72,17 +72,17 @@ def test_a_folder_of_images_reads_back_and_is_replaced_by_the_next(tmp_path, cap
             np.testing.assert_array_equal(written.decode(), rendered.decode())
     assert len(recording.imus["imu0"].gyroscope.t_ns) == 201
 
-    assert main(["simulate-camera-imu", "-o", str(folder), *options[:2], "--images", "--camera-rate-hz", "3"]) == 0
+    assert main(["simulate", "camera-imu", "-o", str(folder), *options[:2], "--images", "--camera-rate-hz", "3"]) == 0
     assert not (folder / "cam1").exists()
     assert len(list((folder / "cam0" / "data").iterdir())) == 3
-    assert main(["simulate-camera-imu", "-o", str(folder), *options[:4]]) == 0
+    assert main(["simulate", "camera-imu", "-o", str(folder), *options[:4]]) == 0
     assert not (folder / "cam0").exists()
     assert (folder / "cam0_corners.csv.gz").exists()
 
 
 def test_images_of_a_person_are_not_replaced(tmp_path, capsys):
     (tmp_path / "cam0" / "data").mkdir(parents=True)
-    assert main(["simulate-camera-imu", "-o", str(tmp_path), "--duration-s", "1", "--images"]) == 3
+    assert main(["simulate", "camera-imu", "-o", str(tmp_path), "--duration-s", "1", "--images"]) == 3
     assert "not simulated" in capsys.readouterr().err
     assert (tmp_path / "cam0" / "data").is_dir()
 

@@ -130,7 +130,7 @@ def test_counting_frames_of_one_turn_gives_the_sigmas_of_table_3_and_not_its_sys
 def folder(run, tmp_path_factory):
     place = tmp_path_factory.mktemp("turntable") / "session"
     quick = ["--steady-s", 12, "--rest-s", 4, "--rate-hz", 50]
-    code, _, _ = run("simulate-turntable", "-o", place, "--seed", 1, *quick)
+    code, _, _ = run("simulate", "turntable", "-o", place, "--seed", 1, *quick)
     assert code == 0
     return place
 
@@ -175,7 +175,19 @@ def test_a_recording_without_gyroscope_is_refused(run, tmp_path):
 
 def test_a_gyroscope_alone_in_a_file_for_each_orientation(run, tmp_path):
     place = tmp_path / "poses"
-    run("simulate-turntable", "-o", place, "--files", "each", "--no-accelerometer", "--units", "raw", "--steady-s", 10)
+    run(
+        "simulate",
+        "turntable",
+        "-o",
+        place,
+        "--files",
+        "each",
+        "--no-accelerometer",
+        "--units",
+        "raw",
+        "--steady-s",
+        10,
+    )
     (place / "truth.yaml").unlink()
     code, out, _ = run("turntable", place, "--rate", "16rpm", "--no-report")
     assert code == 0

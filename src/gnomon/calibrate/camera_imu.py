@@ -3,7 +3,7 @@
 prepare -> find the board's poses -> align clocks and axes -> first trajectory -> batch estimation -> assess -> Result
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +34,7 @@ from ..findings import Finding
 from ..models.origin import EVEN_WEIGHTS
 from ..models.target import Target
 from ..options import CameraImuOptions
+from ..progress import Progress
 from ..recording import Recording
 from ..results.calibration import Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
@@ -59,8 +60,6 @@ from .steps.camera_imu_preparation import (
     with_looks,
 )
 from .steps.preparation import check_arguments, local_gravity, stated_options
-
-Progress = Callable[[str], None]
 
 
 def calibrate_camera_imu(

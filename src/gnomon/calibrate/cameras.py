@@ -3,7 +3,6 @@
 check -> choose the lens models -> first rig -> choose views -> estimate -> board -> hold out -> assess -> Result
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +25,7 @@ from ..estimate.cameras.views import gathered_views
 from ..findings import Finding
 from ..models.target import Target
 from ..options import CameraOptions
+from ..progress import Progress
 from ..recording import Recording
 from ..results.calibration import UNSTATED_GRAVITY, Calibration, Covariance, Provenance, covariance_names
 from ..results.result import Result
@@ -43,8 +43,6 @@ from .steps.camera_views import (
 )
 from .steps.cameras_published import check_baseline, publish_cameras
 from .steps.preparation import assumption_finding, check_arguments, stated_options
-
-Progress = Callable[[str], None]
 
 _MOST_TO_CHOOSE_BY = 40
 """Views by which the lens model is chosen."""

@@ -3,7 +3,7 @@
 prepare -> static intervals -> problem -> fit -> choose the model -> hold out -> assess -> Result
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +34,7 @@ from ..estimate.trust.cluster_trust import RobustCovariance, robust_covariance
 from ..findings import Finding
 from ..models.gravity import EARTH_RATE_RAD_S
 from ..options import ImuOptions
+from ..progress import Progress
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, Gravity, Provenance, covariance_names
 from ..results.intervals import Booleans
@@ -53,8 +54,6 @@ from .steps.preparation import (
     stated_options,
     weighted_stream,
 )
-
-Progress = Callable[[str], None]
 
 _BIASES = ("imu0.accelerometer.bias", "imu0.gyroscope.bias")
 

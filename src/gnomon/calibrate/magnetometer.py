@@ -3,7 +3,6 @@
 prepare -> poses -> fit -> up, and the dip -> assess -> Result
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +32,7 @@ from ..estimate.triads.triad_start import Ellipsoid
 from ..findings import Finding, make_finding
 from ..models.frames import frame_rotation, rotation_jacobian
 from ..options import ImuOptions, MagnetometerOptions
+from ..progress import Progress
 from ..recording import Floats, Recording, TriadSamples
 from ..results.calibration import (
     AccelerometerCalibration,
@@ -209,8 +209,6 @@ def check_field_options(prior: Priors, options: MagnetometerOptions) -> None:
             "State it with --field in uT."
         )
 
-
-Progress = Callable[[str], None]
 
 _LEAST_KNOWN_RAD = 0.1  # sigma of the rotation to the accelerometer beyond which it is not used
 

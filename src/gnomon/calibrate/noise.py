@@ -3,7 +3,7 @@
 samples, block by block -> Allan sums and windows -> was it still? -> fit of every axis -> assess -> NoiseResult
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from math import nan, sqrt
 from pathlib import Path
@@ -28,6 +28,7 @@ from ..estimate.allan.high_pass import HighPass, longest_unfiltered_s
 from ..estimate.allan.model import KINDS
 from ..findings import Finding, make_finding
 from ..options import NoiseOptions
+from ..progress import Progress
 from ..readers.devices.device_log import is_device_log
 from ..readers.files import file_source
 from ..readers.recordings import read
@@ -47,8 +48,6 @@ from ..results.sensor_noise import (
     TriadNoise,
 )
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
-
-Progress = Callable[[str], None]
 
 _FACTORS = {"accelerometer": ACCELEROMETER_UNITS_M_S2, "gyroscope": GYROSCOPE_UNITS_RAD_S}
 _BLOCK_BYTES = 4 << 20

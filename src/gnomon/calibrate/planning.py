@@ -3,7 +3,7 @@
 plan -> predicted calibration -> weak directions -> judge -> the same with one thing changed -> advice
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
 
@@ -20,6 +20,7 @@ from ..formats.sensor_inputs import read_cameras, read_imus
 from ..models.noise import CONSUMER_MEMS, ImuNoise
 from ..models.target import Target
 from ..options.requirements import GENERAL_IMU, GENERAL_RIG, Use
+from ..progress import Progress
 from ..recording import Floats
 from ..results.calibration import Calibration
 from ..results.sensors import CameraCalibration
@@ -31,7 +32,6 @@ from .plan_camera_imu import planned_camera_imu
 from .plan_imu import planned_imu
 
 _USUAL_RATE_HZ = 200.0
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,7 +93,7 @@ def read_hardware(
     target: str | PathLike[str] | None = None,
     imu: str | PathLike[str] | None = None,
 ) -> PlannedHardware:
-    """Read what a recording would be made with; what is not named is that of `gnomon simulate-camera-imu`.
+    """Read what a recording would be made with; what is not named is that of `gnomon simulate camera-imu`.
 
     Parameters
     ----------

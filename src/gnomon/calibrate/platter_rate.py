@@ -3,12 +3,12 @@
 open the video -> reduce its images -> find and follow what repeats itself -> PlatterRate
 """
 
-from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
 from ..detect.platter.rate import PlatterRate, platter_rate
 from ..errors import DetectionError, RecordingError
+from ..progress import Progress
 from ..readers.images.camera_places import video_place
 from ..readers.images.image_recording import holds_images, open_images
 from ..readers.recordings import ReadLog
@@ -17,7 +17,7 @@ from ..units import Units
 
 
 def rate_from_video(
-    path: str | PathLike[str], nominal_rad_s: float | None = None, progress: Callable[[str], None] | None = None
+    path: str | PathLike[str], nominal_rad_s: float | None = None, progress: Progress | None = None
 ) -> PlatterRate:
     """Measure how fast a platter turns in a video of it, by the periodicity of the picture.
 

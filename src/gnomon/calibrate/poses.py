@@ -22,6 +22,7 @@ from ..estimate.triads.triad_poses import PARAMETERS, TriadPoses, TriadPrior
 from ..estimate.triads.triad_trust import robust_triad
 from ..findings import Finding
 from ..options import ImuOptions
+from ..progress import Progress
 from ..recording import Floats, Poses, Recording
 from ..results.calibration import (
     AccelerometerCalibration,
@@ -41,8 +42,6 @@ from .steps.imu_model import refuse_evidence
 from .steps.pose_gyroscope import fit_gyroscope_at_rest
 from .steps.pose_preparation import PreparedPoses, prepare_poses, recording_gaps
 from .steps.preparation import PreparedImu, in_stated_frame, local_gravity, stated_options
-
-Progress = Callable[[str], None]
 
 LEFT_TO_RESTS = frozenset({"attitudes", "gyroscope-silent"})
 """What the data doctor holds against a multi-position recording, and what rests alone may do without."""

@@ -14,6 +14,7 @@ from ..assess.priors import Priors, gravity_part
 from ..errors import GnomonError, OptionError, RecordingError
 from ..estimate.trust.between_recordings import join_estimates
 from ..options import ImuOptions
+from ..progress import Progress, as_step
 from ..recording import Floats, Recording
 from ..results.calibration import Calibration, Covariance, Provenance
 from ..results.imu_diagnostics import ImuDiagnostics
@@ -23,7 +24,6 @@ from ..results.sensors import ImuCalibration
 from ..results.triad_diagnostics import TriadDiagnostics
 from .steps.preparation import recording_names, refuse_same_data, stated_options
 
-Progress = Callable[[str], None]
 CalibrateOne = Callable[[Recording, ImuOptions, Progress], Result]
 
 _FRAMES = ("accel-x", "accel-z")
@@ -88,7 +88,7 @@ def _one_by_one(
     names: Sequence[str], recordings: Sequence[Recording], progress: Progress
 ) -> list[tuple[str, Recording, Progress]]:
     def told(i: int) -> Progress:
-        return lambda sentence: progress(f"recording {i} of {len(names)}: {sentence}")
+        return lambda sentence: progress(as_step(sentence).within(f"recording {i} of {len(names)}"))
 
     return [(name, recording, told(i)) for i, (name, recording) in enumerate(zip(names, recordings, strict=True), 1)]
 

@@ -4,7 +4,7 @@ prepare: steady parts, their speeds, whole turns, attitudes -> accelerometer by 
 -> choose the model -> hold out -> assess -> Result
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..estimate.turntable.parts import TurntableParts
 from ..estimate.turntable.speeds import NO_SPEED, reassign_speeds
 from ..findings import Finding
 from ..options import StatedRate, TurntableOptions
+from ..progress import Progress
 from ..recording import Recording
 from ..results.calibration import (
     AccelerometerCalibration,
@@ -37,8 +38,6 @@ from ..results.triad_diagnostics import PeriodCurve
 from ..units import GYROSCOPE_UNITS_RAD_S
 from .steps.preparation import check_arguments, local_gravity, recording_names, refuse_same_data, stated_options
 from .steps.turntable_preparation import prepare_turntable
-
-Progress = Callable[[str], None]
 
 RATE_SCALE = "rate.scale"
 _RATE_TOLERANCE = 0.05  # of a calibrated gyroscope; beyond, a part turned at another speed

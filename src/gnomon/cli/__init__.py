@@ -1,13 +1,10 @@
 """The command line: parse, call, print. Whatever it can do, the Python API can do as well."""
 
-import contextlib
-import io
 import os
 from collections.abc import Sequence
 
 from ..errors import GnomonError, OptionError, system_error_words
 from ..findings import printable_text
-from .command import Command
 from .commands import parse_command
 from .output_folder import recover_interrupted_write, spared_inputs
 from .terminal import Terminal
@@ -37,12 +34,13 @@ def main(arguments: Sequence[str]) -> int:
     """
     terminal = Terminal(as_json="--json" in arguments)
     try:
-        command = _parsed(arguments, terminal)
-        if isinstance(command, int):
-            return command
+        command = parse_command(arguments)
+        terminal = Terminal(as_json=command.json, quiet=command.quiet, verbose=command.verbose, log=command.log)
         recover_interrupted_write(command)
         with spared_inputs(command):
             return command.run(terminal)
+    except SystemExit:  # help or version was asked for, and printed
+        return 0
     except BrokenPipeError:
         raise
     except (Exception, KeyboardInterrupt) as error:
@@ -71,20 +69,6 @@ def _explained(error: BaseException) -> tuple[str, int]:
         case _:
             what = f"{type(error).__name__}: {error}"
             return f"this is a bug in gnomon ({what}). Please report it, with what GNOMON_DEBUG=1 shows.", BUG
-
-
-def _parsed(arguments: Sequence[str], terminal: Terminal) -> Command | int:
-    """Return the command, or the exit code where help was asked for or the usage is wrong."""
-    shown = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(shown) if terminal.as_json else contextlib.nullcontext():
-            return parse_command(arguments)
-    except SystemExit as stop:
-        code = stop.code if isinstance(stop.code, int) else USAGE
-        if terminal.as_json and code:
-            lines = (line.strip("╭╮╰╯│─ ") for line in shown.getvalue().splitlines())
-            return _failed(terminal, "OptionError", " ".join(line for line in lines if line), code)
-        return code
 
 
 def _failed(terminal: Terminal, kind: str, message: str, code: int) -> int:

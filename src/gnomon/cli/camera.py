@@ -16,7 +16,6 @@ from .command import (
     FileOption,
     Flat,
     FromScenario,
-    Json,
     Report,
     Seed,
     Workers,
@@ -79,7 +78,6 @@ class CameraCommand(Command):
     """A program that shall read the result: kalibr, openvins, vins-fusion, orb-slam3, basalt, okvis or ros2; the lens
     model is then chosen among those that it knows."""
     report: Report = True
-    json: Json = False
     options: Annotated[CameraOptions, Flat] = field(default_factory=CameraOptions)
 
     def __post_init__(self) -> None:
@@ -181,8 +179,8 @@ class SimulateCameras(FromScenario):
 
     Examples
     --------
-    $ gnomon simulate-cameras -o cameras
-    $ gnomon simulate-cameras -o cameras --images --cameras 2
+    $ gnomon simulate cameras -o cameras
+    $ gnomon simulate cameras -o cameras --images --cameras 2
     """
 
     scenario_type: ClassVar[type] = CamerasScenario
@@ -195,7 +193,6 @@ class SimulateCameras(FromScenario):
     """With --images: images in folders cam0, ... (folder), in EuRoC's layout (euroc), a ROS 1 bag (ros1), a ROS 2 bag
     in SQLite (ros2), or an MCAP file (mcap)."""
     seed: Seed = 0
-    json: Json = False
     options: Annotated[CamerasScenario, Flat] = field(default_factory=CamerasScenario)
 
     def run(self, terminal: Terminal) -> int:

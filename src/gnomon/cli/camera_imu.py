@@ -19,7 +19,6 @@ from .command import (
     ForUse,
     FromScenario,
     ImuFiles,
-    Json,
     Report,
     Seed,
     Workers,
@@ -82,7 +81,6 @@ class CameraImu(Command):
     imu.yaml and results-imucam.txt (default: NAME-camera-imu beside the recording)."""
     use: ForUse = None
     report: Report = True
-    json: Json = False
     options: Annotated[CameraImuOptions, Flat] = field(default_factory=CameraImuOptions)
 
     def __post_init__(self) -> None:
@@ -196,8 +194,8 @@ class SimulateCameraImu(FromScenario):
 
     Examples
     --------
-    $ gnomon simulate-camera-imu -o rig
-    $ gnomon simulate-camera-imu -o rig --duration-s 30 --seed 7
+    $ gnomon simulate camera-imu -o rig
+    $ gnomon simulate camera-imu -o rig --duration-s 30 --seed 7
     """
 
     scenario_type: ClassVar[type] = CameraImuScenario
@@ -210,7 +208,6 @@ class SimulateCameraImu(FromScenario):
     """With --images: images in folders cam0, ... beside a table of the samples (folder), or all of it in EuRoC's layout
     (euroc), a ROS 1 bag (ros1), a ROS 2 bag in SQLite (ros2), or an MCAP file (mcap)."""
     seed: Seed = 0
-    json: Json = False
     options: Annotated[CameraImuScenario, Flat] = field(default_factory=CameraImuScenario)
 
     def run(self, terminal: Terminal) -> int:

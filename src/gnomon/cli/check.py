@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ..errors import OptionError
-from .command import CamFile, Command, FileOption, Flat, ImuFiles, Input, Json, Topics, topics_of
+from .command import CamFile, Command, FileOption, Flat, ImuFiles, Input, Topics, topics_of
 from .inputs import files_beside
 from .results import UNUSABLE, USABLE, print_assumptions
 from .terminal import Terminal
@@ -43,7 +43,6 @@ class Check(Command):
     """Topics of a bag, such as cam0=/left/image_raw imu0=/imu/data; guessed where it is clear."""
     imu_table: Annotated[Path | None, FileOption] = None
     """Table of the IMU's samples, where it is not in the recording of the cameras."""
-    json: Json = False
 
     def __post_init__(self) -> None:
         topics_of(self.topics)

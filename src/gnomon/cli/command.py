@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 Flat = Argument(flat=True)
 """Options of a nested class appear without a prefix."""
-Json = Annotated[bool, Argument(help="Print one JSON document instead of text.")]
 Report = Annotated[bool, Argument(help="Do not make the report.")]
 Seed = Annotated[int, Argument(help="All random numbers follow from it.")]
 Workers = Annotated[
@@ -55,8 +54,21 @@ def output_option(metavar: str) -> object:
     return Argument(aliases=("-o",), metavar=metavar)
 
 
+@dataclass(frozen=True, kw_only=True)
 class Command(ABC):
-    """A dataclass whose fields are the options of a command, and their help its help; and what the command does."""
+    """What every command takes.
+
+    A command is a dataclass whose fields are its options, and their help its help.
+    """
+
+    json: bool = False
+    """Print one JSON document instead of text."""
+    quiet: Annotated[bool, Argument(aliases=("-q",))] = False
+    """Say nothing of progress."""
+    verbose: Annotated[bool, Argument(aliases=("-v",))] = False
+    """Say more of progress, such as each iteration."""
+    log: Annotated[Path | None, Argument(metavar="FILE")] = None
+    """Add everything that is said to this file, with the time."""
 
     @classmethod
     def base_values(cls, values: Mapping[Place, Any]) -> Mapping[str, Any]:

@@ -8,113 +8,61 @@ from importlib import import_module
 
 from .._version import __version__
 from ..errors import OptionError
+from ..findings import join_names
 from ..options import check_ranges
 from .command import Command
 from .parsing.line import help_width, parse_line
 
-DESCRIPTION = f"""Calibrate an IMU, alone or with cameras, without mechanical equipment. gnomon {__version__}.
-
-Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."""
-_CLASSES = {
-    "imu": (
-        "imu.Imu",
-        "Calibrate accelerometer and gyroscope from hand-held recordings, or an accelerometer alone from static poses.",
-    ),
-    "camera": (
-        "camera.CameraCommand",
-        "Calibrate the lenses of one camera or several, and their relative poses, from views of a board.",
-    ),
-    "camera-imu": (
-        "camera_imu.CameraImu",
-        "Calibrate cameras and an IMU that were waved together in front of a board.",
-    ),
-    "turntable": (
-        "turntable.Turntable",
-        "Calibrate a gyroscope from recordings on a turntable, such as a record player.",
-    ),
-    "rate": ("turntable.Rate", "Measure how fast a platter turns, from a video of it."),
-    "magnetometer": (
-        "magnetometer.Magnetometer",
-        "Calibrate hard and soft iron of a magnetometer from one recording in which it was turned by hand.",
-    ),
-    "noise": (
-        "noise.Noise",
-        "Identify the noise of an IMU from a long recording at rest: white noise, bias instability, random walk.",
-    ),
-    "check": ("check.Check", "Say what a recording holds, what is wrong with it, and how to cure that."),
-    "plan": (
-        "plan.Plan",
-        "Predict how well cameras and an IMU would be calibrated by a recording that is still to be made.",
-    ),
-    "plan-imu": (
-        "plan.PlanImu",
-        "Predict how well an IMU would be calibrated by a recording with rests that is still to be made.",
-    ),
-    "target": (
-        "target.PrintTarget",
-        "Draw a calibration board as PDF and SVG at true scale, with rulers and its target.yaml.",
-    ),
-    "show": ("show.Show", "Show a calibration as tables with standard deviations; files of other projects without."),
-    "apply": (
-        "show.Apply",
-        "Turn a recording into specific force and angular rate with a calibration; of any length, in little memory.",
-    ),
-    "convert": (
-        "convert.Convert",
-        "Write a calibration, gnomon's or another project's, in another format, and say what that format cannot hold.",
-    ),
-    "compare": (
-        "compare.Compare",
-        "Compare calibrations of one rig, made by any program: who agrees, who stands out and in what, and "
-        "what repeats.",
-    ),
-    "simulate": (
-        "imu.Simulate",
-        "Make a recording of a simulated sensor, and its true calibration beside it (truth.yaml).",
-    ),
-    "simulate-poses": (
-        "poses.SimulatePoses",
-        "Make an experiment in which a simulated sensor lies still in one attitude after another, and its truth.",
-    ),
-    "simulate-turntable": (
-        "turntable.SimulateTurntable",
-        "Make recordings of a simulated sensor on a turntable, and its true calibration beside them (truth.yaml).",
-    ),
-    "simulate-platter-video": (
-        "turntable.SimulatePlatterVideo",
-        "Make a video of a simulated platter, as a webcam sees it.",
-    ),
-    "simulate-magnetometer": (
-        "magnetometer.SimulateMagnetometer",
-        "Make a recording of a simulated magnetometer turned by hand, and its true calibration beside it (truth.yaml).",
-    ),
-    "simulate-noise": (
-        "noise.SimulateNoise",
-        "Make a long recording of a simulated IMU at rest, with noise of known coefficients.",
-    ),
-    "simulate-cameras": (
-        "camera.SimulateCameras",
-        "Make a folder with a recording of simulated cameras in front of a board, and its truth (truth.yaml).",
-    ),
-    "simulate-camera-imu": (
-        "camera_imu.SimulateCameraImu",
-        "Make a folder with a recording of simulated cameras and an IMU in front of a board, and its truth "
-        "(truth.yaml).",
-    ),
-    "study": (
-        "study.Study",
-        "Repeat a published experiment many times with simulated sensors, and say whether its claims hold.",
-    ),
-    "demo": ("imu.Demo", "Calibrate a simulated recording and compare the result with the truth."),
+ABOUT = "Calibrate an IMU, alone or with cameras, without mechanical equipment."
+_LAST = "gnomon COMMAND --help shows the options of a command, and examples."
+_EXIT_CODES = "Exit codes: 0 usable, 2 wrong usage, 3 bad input, 4 finished but the verdict says do not use."
+_GROUPS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "calibrate": {
+        "imu": ("imu.Imu", "an IMU that was turned by hand and held still; or static poses"),
+        "camera-imu": ("camera_imu.CameraImu", "cameras and an IMU, waved in front of a board"),
+        "camera": ("camera.CameraCommand", "lenses and relative poses of cameras, from views of a board"),
+        "turntable": ("turntable.Turntable", "a gyroscope on a turntable, such as a record player"),
+        "magnetometer": ("magnetometer.Magnetometer", "a magnetometer that was turned by hand"),
+        "noise": ("noise.Noise", "the noise of an IMU, from a long recording at rest"),
+    },
+    "prepare": {
+        "check": ("check.Check", "what a recording holds, and what is wrong with it"),
+        "plan": ("plan.Plan", "how well a recording of cameras and an IMU would calibrate them"),
+        "plan-imu": ("plan.PlanImu", "how well a recording with rests would calibrate an IMU"),
+        "target": ("target.PrintTarget", "draw a calibration board at true scale, to print"),
+        "rate": ("turntable.Rate", "how fast a platter turns, from a video"),
+    },
+    "use": {
+        "show": ("show.Show", "a calibration as tables with standard deviations"),
+        "apply": ("show.Apply", "correct a recording with a calibration"),
+        "convert": ("convert.Convert", "write a calibration or recording in another format"),
+        "compare": ("compare.Compare", "calibrations of one rig, made by any program"),
+    },
+    "try": {
+        "demo": ("imu.Demo", "calibrate a simulated recording, and compare it with the truth"),
+        "simulate imu": ("imu.Simulate", "a recording by hand, and its truth"),
+        "simulate poses": ("poses.SimulatePoses", "one static attitude after another"),
+        "simulate turntable": ("turntable.SimulateTurntable", "recordings on a turntable"),
+        "simulate platter-video": ("turntable.SimulatePlatterVideo", "a video of a turntable"),
+        "simulate magnetometer": ("magnetometer.SimulateMagnetometer", "a magnetometer turned by hand"),
+        "simulate noise": ("noise.SimulateNoise", "a long recording at rest"),
+        "simulate cameras": ("camera.SimulateCameras", "cameras in front of a board"),
+        "simulate camera-imu": ("camera_imu.SimulateCameraImu", "cameras and an IMU in front of a board"),
+        "study": ("study.Study", "repeat a published experiment many times"),
+        "completion": ("completion.Completion", "complete commands and options with the tab key"),
+    },
 }
-"""Name of a command -> where its class is, and the first sentence of its help, which takes no import to show."""
+"""Name of a command -> where its class is, and what it is about, which takes no import to show."""
+_CLASSES = {name: place for group in _GROUPS.values() for name, (place, _) in group.items()}
+SIMULATED = [name.partition(" ")[2] for name in _CLASSES if " " in name]
+"""What can be simulated."""
 
 
 class _Commands(Mapping[str, type[Command]]):
     """The classes of the commands by name; a file is imported when its command is asked for."""
 
     def __getitem__(self, name: str) -> type[Command]:
-        module, _, cls = _CLASSES[name][0].partition(".")
+        module, _, cls = _CLASSES[name].partition(".")
         return getattr(import_module(f".{module}", __package__), cls)
 
     def __iter__(self) -> Iterator[str]:
@@ -139,37 +87,51 @@ def parse_command(arguments: Sequence[str]) -> Command:
     FormatError
         If a file of options cannot be read.
     """
-    name = arguments[0] if arguments else "--help"
-    if name == "--version":
+    words = list(arguments) or ["--help"]
+    if words[0] in ("-V", "--version"):
         from ..kernel import describe_kernel
 
         sys.stdout.write(f"gnomon {__version__} ({describe_kernel()})\n")
         raise SystemExit(0)
-    if name in ("-h", "--help"):
+    if words[0] in ("-h", "--help"):
         sys.stdout.write(_help())
         raise SystemExit(0)
-    if name not in _CLASSES:
-        raise OptionError(_no_command(name))
-    parsed = parse_line(COMMANDS[name], arguments[1:], f"gnomon {name}")
+    name, words = _split_name(words)
+    parsed = parse_line(COMMANDS[name], words, f"gnomon {name}")
     check_ranges(parsed)
     return parsed
 
 
-def _help() -> str:
-    """Return what can be done, a sentence for each command."""
-    width = help_width()
-    indent = max(map(len, _CLASSES)) + 4
-    lines = [
-        textwrap.fill(f"  {name:<{indent - 2}}{text}", width, subsequent_indent=" " * indent, break_on_hyphens=False)
-        for name, (_, text) in _CLASSES.items()
-    ]
-    head = [textwrap.fill(paragraph, width) for paragraph in DESCRIPTION.split("\n\n")]
-    blocks = ["usage: gnomon COMMAND [OPTIONS]", *head, "\n".join(["commands:", *lines])]
-    return "\n\n".join([*blocks, "gnomon COMMAND --help shows its options; gnomon --version, the version.\n"])
-
-
-def _no_command(name: str) -> str:
-    near = get_close_matches(name, _CLASSES, 1)
+def _split_name(words: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """Return the name of the command, of one word or two, and the words after it."""
+    first, *others = words
+    kind = first.removeprefix("simulate-") if first.startswith("simulate-") else ""
+    if first == "simulate":
+        is_kind = bool(others) and not others[0].startswith("-")
+        kind, others = (others[0], others[1:]) if is_kind else ("imu", others)
+    if kind in SIMULATED:
+        return f"simulate {kind}", others
+    if kind:
+        raise OptionError(f"gnomon simulate {kind}: of what? It is one of {join_names(SIMULATED, 'or')}.")
+    if first in _CLASSES:
+        return first, others
+    near = get_close_matches(first, _CLASSES, 1)
     meant = f"Did you mean {near[0]}?" if near else "gnomon --help lists them."
-    what = "option before the command" if name.startswith("-") else "command"
-    return f"there is no {what} {name}. {meant}"
+    what = "option before the command" if first.startswith("-") else "command"
+    raise OptionError(f"there is no {what} {first}. {meant}")
+
+
+def _help() -> str:
+    """Return what can be done, a line for each command."""
+    width, indent = help_width(), max(len(name) for name in _CLASSES if " " not in name) + 4
+    blocks = ["usage: gnomon COMMAND [OPTIONS]", f"{ABOUT} gnomon {__version__}"]
+    for title, group in _GROUPS.items():
+        lines = [(name, about) for name, (_, about) in group.items() if " " not in name]
+        if title == "try":
+            lines.insert(1, ("simulate KIND", f"a recording, and its truth, of kind {join_names(SIMULATED, 'or')}"))
+        filled = [
+            textwrap.fill(f"  {name:<{indent - 2}}{about}", width, subsequent_indent=" " * indent)
+            for name, about in lines
+        ]
+        blocks.append("\n".join([f"{title}:", *filled]))
+    return "\n\n".join([*blocks, _LAST + "\n" + textwrap.fill(_EXIT_CODES, width)]) + "\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ..errors import OptionError
-from .command import Command, Json, output_option
+from .command import Command, output_option
 from .output_folder import default_folder, owner_of, result_folder
 from .parsing.arguments import Argument
 from .results import UNUSABLE, USABLE, print_findings, result_files
@@ -43,7 +43,6 @@ class Compare(Command):
     """Folder for report.html and comparison.csv (default: NAME-compare beside the first of them)."""
     report: bool = True
     """Do not make the report, nor the table."""
-    json: Json = False
 
     def __post_init__(self) -> None:
         for text in self.rename:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 from ..errors import GnomonError, OptionError, OutputError
 from ..findings import join_names
 from ..units import Units
-from .command import Command, FileOption, Json, Topics, output_option, topics_of
+from .command import Command, FileOption, Topics, output_option, topics_of
 from .output_folder import ALL_RESULT_FILES, check_folder, owner_of
 from .parsing.arguments import Argument
 from .results import USABLE, print_assumptions
@@ -66,7 +66,6 @@ class Convert(Command):
     """Table of the IMU's samples, where it is not in the recording."""
     units: str | None = None
     """Units of a table of samples: "si", or a list such as "g deg/s us"; recognised where not given."""
-    json: Json = False
 
     @property
     def path(self) -> Path:

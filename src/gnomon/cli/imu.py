@@ -11,7 +11,6 @@ from .command import (
     Command,
     Flat,
     ForUse,
-    Json,
     PosesInput,
     Report,
     Seed,
@@ -58,7 +57,6 @@ class Imu(Command):
     """Folder for calibration.yaml, report.html and diagnostics.npz (default: NAME-imu beside the recording)."""
     use: ForUse = None
     report: Report = True
-    json: Json = False
     options: Annotated[ImuOptions, Flat] = field(default_factory=ImuOptions)
 
     def run(self, terminal: Terminal) -> int:
@@ -107,14 +105,13 @@ class Simulate(Command):
 
     Examples
     --------
-    $ gnomon simulate -o recording.npz
-    $ gnomon simulate -o recording.csv --intervals 20 --seed 7
+    $ gnomon simulate imu -o recording.npz
+    $ gnomon simulate imu -o recording.csv --intervals 20 --seed 7
     """
 
     output: Annotated[Path, output_option("FILE")]
     """Recording to write, .npz or .csv."""
     seed: Seed = 0
-    json: Json = False
     scenario: Annotated[Scenario, Flat] = field(default_factory=Scenario)
 
     def run(self, terminal: Terminal) -> int:
@@ -137,7 +134,6 @@ class Demo(Command):
     """Folder for the recording, the truth and the results."""
     seed: Seed = 0
     report: Report = True
-    json: Json = False
 
     def run(self, terminal: Terminal) -> int:
         """Simulate, calibrate, write both, print them beside the truth, and return the exit code."""

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from ..options import MagnetometerOptions
 from ..simulate import FieldScenario
-from .command import Command, Flat, ForUse, Input, Json, Report, Seed, output_option
+from .command import Command, Flat, ForUse, Input, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder
 from .results import print_assumptions, print_result, write_result
@@ -33,7 +33,6 @@ class Magnetometer(Command):
     recording)."""
     use: ForUse = None
     report: Report = True
-    json: Json = False
     options: Annotated[MagnetometerOptions, Flat] = field(default_factory=MagnetometerOptions)
 
     def run(self, terminal: Terminal) -> int:
@@ -65,13 +64,12 @@ class SimulateMagnetometer(Command):
 
     Examples
     --------
-    $ gnomon simulate-magnetometer -o magnetometer.csv
+    $ gnomon simulate magnetometer -o magnetometer.csv
     """
 
     output: Annotated[Path, output_option("FILE")]
     """Recording to write, .npz or .csv."""
     seed: Seed = 0
-    json: Json = False
     scenario: Annotated[FieldScenario, Flat] = field(default_factory=FieldScenario)
 
     def run(self, terminal: Terminal) -> int:

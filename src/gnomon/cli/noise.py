@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from ..errors import OptionError
 from ..options import NoiseOptions
 from ..simulate.scenarios import NoiseScenario
-from .command import Command, Flat, Input, Json, Report, Seed, output_option
+from .command import Command, Flat, Input, Report, Seed, output_option
 from .output_folder import NOISE_FILES, default_folder, result_folder
 from .results import UNUSABLE, USABLE, print_assumptions, print_files, print_findings, result_files
 from .terminal import Terminal
@@ -43,7 +43,6 @@ class Noise(Command):
     """Folder for noise.yaml, Kalibr's imu.yaml, allan.csv and report.html (default: NAME-noise beside the
     recording)."""
     report: Report = True
-    json: Json = False
     options: Annotated[NoiseOptions, Flat] = field(default_factory=NoiseOptions)
 
     def run(self, terminal: Terminal) -> int:
@@ -131,13 +130,12 @@ class SimulateNoise(Command):
 
     Examples
     --------
-    $ gnomon simulate-noise -o night.npz
+    $ gnomon simulate noise -o night.npz
     """
 
     output: Annotated[Path, output_option("FILE")]
     """Recording to write, .npz."""
     seed: Seed = 0
-    json: Json = False
     scenario: Annotated[NoiseScenario, Flat] = field(default_factory=NoiseScenario)
 
     def run(self, terminal: Terminal) -> int:

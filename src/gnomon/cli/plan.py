@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ..simulate.plans import CameraImuPlan, ImuPlan
-from .command import CamFile, Command, FileOption, Flat, Json, PlannedUse
+from .command import CamFile, Command, FileOption, Flat, PlannedUse
 from .inputs import read_use_option
 from .results import UNUSABLE, USABLE, print_assumptions, print_findings
 from .terminal import Terminal
@@ -41,7 +41,6 @@ class Plan(Command):
     use: PlannedUse = None
     seed: int = 0
     """Of the path, of which only kind and size are planned."""
-    json: Json = False
     plan: Annotated[CameraImuPlan, Flat] = field(default_factory=CameraImuPlan)
 
     def run(self, terminal: Terminal) -> int:
@@ -63,7 +62,6 @@ class PlanImu(Command):
     use: PlannedUse = None
     seed: int = 0
     """Of the attitudes, of which only number and spread are planned."""
-    json: Json = False
     plan: Annotated[ImuPlan, Flat] = field(default_factory=ImuPlan)
 
     def run(self, terminal: Terminal) -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ..simulate import PoseScenario
-from .command import Command, Flat, Json, Seed, output_option
+from .command import Command, Flat, Seed, output_option
 from .output_folder import result_folder, truth_name
 from .results import USABLE
 from .terminal import Terminal
@@ -23,14 +23,13 @@ class SimulatePoses(Command):
 
     Examples
     --------
-    $ gnomon simulate-poses -o poses
+    $ gnomon simulate poses -o poses
     """
 
     output: Annotated[Path, output_option("PATH")]
     """A name that ends in .csv: a table of averaged poses; in .npz: one recording of all samples; any other: a folder
     with a file for each pose. The true calibration, truth.yaml, is written beside it, or into the folder."""
     seed: Seed = 0
-    json: Json = False
     scenario: Annotated[PoseScenario, Flat] = field(default_factory=PoseScenario)
 
     def run(self, terminal: Terminal) -> int:

@@ -14,7 +14,6 @@ from .command import (
     Command,
     Flat,
     Input,
-    Json,
     output_option,
     use_option,
 )
@@ -52,7 +51,6 @@ class Show(Command):
             "it was judged for."
         ),
     ] = None
-    json: Json = False
 
     def run(self, terminal: Terminal) -> int:
         """Print the tables, and return the exit code."""
@@ -126,7 +124,6 @@ class Apply(Command):
     imu: str | None = None
     """Which IMU of a calibration of several recorded the samples, such as imu1; told by the name of the file, as of
     imu1.csv or imu1/data.csv, where not given."""
-    json: Json = False
 
     def run(self, terminal: Terminal) -> int:
         """Write the corrected samples of a recording, and return the exit code."""

@@ -9,7 +9,7 @@ import hashlib
 import os
 import time
 import zlib
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
@@ -19,6 +19,7 @@ from typing import IO
 
 from .._version import __version__
 from ..errors import OutputError
+from ..progress import Progress
 
 JOURNAL = "runs.journal"
 """Name of the file in the folder of a study."""
@@ -64,7 +65,7 @@ class FileJournal:
 
 
 @contextmanager
-def study_journal(folder: Path, study: str, tell: Callable[[str], None]) -> Generator[FileJournal]:
+def study_journal(folder: Path, study: str, tell: Progress) -> Generator[FileJournal]:
     """Open the journal in the folder of a study; without outcomes in the end, the file goes.
 
     What another version of gnomon, other sources of it, or another NumPy or SciPy made is not taken over: its file gets
@@ -92,7 +93,7 @@ def study_journal(folder: Path, study: str, tell: Callable[[str], None]) -> Gene
         raise OutputError(f"{path}: the journal of the study cannot be written ({error.strerror or error}).") from error
 
 
-def _put_aside(path: Path, head: str, tell: Callable[[str], None]) -> None:
+def _put_aside(path: Path, head: str, tell: Progress) -> None:
     """Give the journal of another study, or of another gnomon, a name that nothing else has."""
     if not path.exists():
         return

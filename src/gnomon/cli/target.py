@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from ..errors import OptionError
 from .command import (
     Command,
-    Json,
     output_option,
 )
 from .parsing.arguments import Argument
@@ -93,7 +92,6 @@ class PrintTarget(Command):
     smallest of A4 to A0 that holds the board)."""
     tiles: bool = False
     """Divide a board that is larger than the paper into pages to be glued together; one sheet is better."""
-    json: Json = False
 
     def __post_init__(self) -> None:
         length_m(self.size, "size")

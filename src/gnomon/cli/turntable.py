@@ -11,7 +11,7 @@ from ..options import TurntableOptions
 from ..simulate.platter_scenario import PlatterScenario
 from ..simulate.scenarios import TurntableScenario
 from ..units import Units, parse_rate
-from .command import Command, Flat, ForUse, Json, Report, Seed, output_option
+from .command import Command, Flat, ForUse, Report, Seed, output_option
 from .inputs import judged_result, read_priors, read_use_option
 from .output_folder import default_folder, result_folder, truth_name
 from .parsing.arguments import Argument
@@ -56,7 +56,6 @@ class Turntable(Command):
     recording)."""
     use: ForUse = None
     report: Report = True
-    json: Json = False
     options: Annotated[TurntableOptions, Flat] = field(default_factory=TurntableOptions)
 
     def __post_init__(self) -> None:
@@ -192,7 +191,7 @@ class SimulateTurntable(Command):
 
     Examples
     --------
-    $ gnomon simulate-turntable -o turntable
+    $ gnomon simulate turntable -o turntable
     """
 
     output: Annotated[Path, output_option("DIR")]
@@ -200,7 +199,6 @@ class SimulateTurntable(Command):
     seed: Seed = 0
     video: bool = False
     """Make a video of the platter at each speed, too."""
-    json: Json = False
     scenario: Annotated[TurntableScenario, Flat] = field(default_factory=TurntableScenario)
 
     def run(self, terminal: Terminal) -> int:
@@ -270,7 +268,6 @@ class Rate(Command):
     """A video, with a table of its frames' timestamps beside it where there is one (platter.csv of platter.avi)."""
     nominal: Annotated[str | None, Argument(metavar="RATE")] = None
     """What the rate should be within 10 %, such as 33.33rpm or 2.0rad/s; needed where the picture leaves it open."""
-    json: Json = False
 
     def __post_init__(self) -> None:
         if self.nominal is not None and not parse_rate(self.nominal) > 0:
@@ -342,13 +339,12 @@ class SimulatePlatterVideo(Command):
 
     Examples
     --------
-    $ gnomon simulate-platter-video -o platter.avi
+    $ gnomon simulate platter-video -o platter.avi
     """
 
     output: Annotated[Path, output_option("FILE")]
     """Video to write: .mkv or .mp4, with the time of each frame, or .avi, which has only a frame rate."""
     seed: Seed = 0
-    json: Json = False
     scenario: Annotated[PlatterScenario, Flat] = field(default_factory=PlatterScenario)
 
     def run(self, terminal: Terminal) -> int:

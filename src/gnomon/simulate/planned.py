@@ -61,7 +61,7 @@ class PlannedRecording:
 
 
 def usual_rig() -> PlannedRig:
-    """Return the rig of `gnomon simulate-camera-imu`: one camera of 640 x 480 px and an AprilGrid of 6 x 6 tags."""
+    """Return the rig of `gnomon simulate camera-imu`: one camera of 640 x 480 px and an AprilGrid of 6 x 6 tags."""
     scenario = CameraImuScenario()
     return PlannedRig(cameras=drawn_cameras(scenario, np.random.default_rng(0)), target=scenario.stated_board())
 

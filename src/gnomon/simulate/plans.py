@@ -18,7 +18,7 @@ class CameraImuPlan:
     """Length of the recording in seconds."""
 
     motion: PlannedMotion = "normal"
-    """How it is waved, as in gnomon simulate-camera-imu: gentle, normal, tremor, shaky, rolling, translation, one-axis,
+    """How it is waved, as in gnomon simulate camera-imu: gentle, normal, tremor, shaky, rolling, translation, one-axis,
     slow, static; or planar: turned about the vertical and moved in the plane of the floor, as a vehicle does."""
 
     turning: float = 1.0

@@ -1,4 +1,4 @@
-"""What a simulated webcam sees of a turning platter; `gnomon simulate-platter-video` is made from this class."""
+"""What a simulated webcam sees of a turning platter; `gnomon simulate platter-video` is made from this class."""
 
 from dataclasses import dataclass
 from math import pi

@@ -27,10 +27,7 @@ from threadpoolctl import threadpool_limits
 
 from ..errors import OptionError, SolveError
 from ..processes import safe_path
-
-Progress = Callable[[str], None]
-RunCount = Callable[[str, int, int], None]
-"""Is told the name of some tasks, how many of them are done, and how many there are."""
+from ..progress import Progress, Step
 
 Task = TypeVar("Task")
 Outcome = TypeVar("Outcome")
@@ -50,14 +47,13 @@ class Journal(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
-    """Who does the work, and who takes notice of it.
+    """Who does the work, and where its outcomes are kept.
 
     Attributes
     ----------
     jobs : processes of this machine that share it; 1 does it here
     scheduler : address of a Dask scheduler, such as tcp://host:8786, whose workers do it instead; "" for none
     journal : holds what was done before, and is given what is done; None for none
-    count : is told after each run how many there are; None for nobody
 
     Raises
     ------
@@ -68,7 +64,6 @@ class Workers:
     jobs: int = 1
     scheduler: str = ""
     journal: Journal | None = None
-    count: RunCount | None = None
 
     def __post_init__(self) -> None:
         if self.jobs < 1:
@@ -81,7 +76,6 @@ HERE = Workers()
 """One process, this one."""
 
 _MOST_PROCESSES = 61  # of one pool on Windows
-_TOLD = 20  # times that progress is told where nobody counts
 _NUMBERS = "biufc"  # kinds of arrays that are kept: truth values, integers, floating-point and complex numbers
 
 
@@ -129,8 +123,6 @@ def carry_out(
     outcomes = {} if journal is None else dict(records.found(journal))
     if outcomes and progress:
         progress(f"{name}: {len(outcomes)} of {total} were done before and are taken over")
-    if outcomes and workers.count:
-        workers.count(name, len(outcomes), total)
     left = [index for index in range(total) if index not in outcomes]
     with closing(_stream(work, [tasks[index] for index in left], workers)) as stream:
         for place, outcome in stream:
@@ -138,11 +130,8 @@ def carry_out(
             outcomes[index] = outcome
             if journal is not None:
                 journal.keep(records.key(index), records.written(outcome))
-            done = len(outcomes)
-            if workers.count:
-                workers.count(name, done, total)
-            elif progress and done * _TOLD // total > (done - 1) * _TOLD // total:
-                progress(f"{name} {done} of {total}")
+            if progress:
+                progress(Step(name, len(outcomes), total))
     return [outcomes[index] for index in range(total)]
 
 

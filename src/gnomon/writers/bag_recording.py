@@ -23,6 +23,7 @@ import numpy as np
 
 from ..errors import OutputError, RecordingError
 from ..output import files_together
+from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples, Integers, TriadSamples
 from ..recording.images import Arrivals, Frame, Grey, ImageRecording, ImageStream
 from ..units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Form = Literal["ros1", "ros2", "mcap"]
-Progress = Callable[[str], None]
 _IMAGE, _IMU = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
 _METADATA_VERSION = 8
 _TOLD_EVERY = 100  # images
@@ -174,8 +174,7 @@ class _Counter:
     def count(self) -> None:
         self.done += 1
         if self.done % _TOLD_EVERY == 0:
-            of = f" of {self.total}" if self.total else ""
-            self.tell(f"writing images: {self.done}{of}")
+            self.tell(Step("writing images", self.done, self.total))
 
 
 def _receipts(arrivals: Arrivals | None) -> Callable[[int], int]:

@@ -16,7 +16,7 @@ scenario.yaml         what was simulated
 import gzip
 import io
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -31,6 +31,7 @@ from ..formats.own.options_file import options_text
 from ..formats.shared.yaml_text import kalibr_yaml
 from ..models.camera import Camera
 from ..output import atomic_file, write_whole
+from ..progress import Progress
 from ..recording import CameraFrames, ImuSamples, Recording
 from ..results.camera_diagnostics import TrajectoryTrack
 from ..simulate.camera_imu import CameraImuSimulation
@@ -60,7 +61,7 @@ _NOISE = "# Nominal noise of {}.\n"
 def save_camera_imu_recording(
     simulation: CameraImuSimulation,
     folder: str | PathLike[str],
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
     form: ImageForm = "folder",
 ) -> tuple[Path, ...]:
     """Write a simulated recording and its truth into a folder, which is made, and return the files.

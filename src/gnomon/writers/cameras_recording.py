@@ -9,7 +9,6 @@ truth.yaml            what is true, as a calibration file
 scenario.yaml         what was simulated
 """
 
-from collections.abc import Callable
 from pathlib import Path
 
 from ..formats.kalibr.target import target_text
@@ -17,6 +16,7 @@ from ..formats.own.calibration_text import calibration_text
 from ..formats.own.options_file import options_text
 from ..formats.shared.yaml_text import kalibr_yaml
 from ..output import write_whole
+from ..progress import Progress
 from ..simulate.cameras import CamerasSimulation
 from ..simulate.images.board_images import rendered_cameras
 from .camera_imu_recording import camera_node, save_frames
@@ -37,7 +37,7 @@ def save_cameras_recording(
     simulation: CamerasSimulation,
     folder: Path,
     form: ImageForm = "folder",
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Path, ...]:
     """Write a simulated recording and its truth into a folder that is there, and return the files.
 

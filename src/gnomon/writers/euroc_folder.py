@@ -6,7 +6,6 @@
 T_BS of sensor.yaml maps coordinates of the sensor to those of the body, which is imu0.
 """
 
-from collections.abc import Callable
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from ..errors import OptionError, RecordingError
 from ..formats.shared.yaml_text import yaml_lines
 from ..output import whole_folder
+from ..progress import Progress, Step
 from ..recording import Floats, ImuSamples
 from ..recording.images import ImageRecording, ImageStream
 from .png_files import encode_frames
@@ -34,7 +34,7 @@ _TENTHS = 10
 def save_euroc(
     recording: ImageRecording,
     folder: str | PathLike[str],
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
     notes: list[str] | None = None,
 ) -> None:
     """Write a recording as a folder in EuRoC's layout, image by image.
@@ -90,9 +90,7 @@ def _save_imu(imu: ImuSamples, place: Path) -> None:
     _save_yaml(place / "sensor.yaml", node)
 
 
-def _save_camera(
-    name: str, stream: ImageStream, place: Path, notes: list[str] | None, tell: Callable[[str], None]
-) -> None:
+def _save_camera(name: str, stream: ImageStream, place: Path, notes: list[str] | None, tell: Progress) -> None:
     said: list[str] = [] if notes is None else notes
     (place / "data").mkdir(parents=True)
     written: list[int] = []
@@ -103,7 +101,7 @@ def _save_camera(
         table.write(_FRAMES)
         for number, (t_ns, png) in enumerate(encode_frames(stream.frames(said))):
             if number % every == 0:
-                tell(f"writing {name}: image {number + 1}" + (f" of {stream.count}" if stream.count else ""))
+                tell(Step(f"writing images of {name}", number + 1, stream.count))
             if isinstance(png, RecordingError):
                 if notes is None:
                     raise png

@@ -1,12 +1,13 @@
 """Images -> PNG files, a few of them encoded at the same time."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from ..errors import RecordingError
 from ..output import whole_folder
+from ..progress import Progress, Step
 from ..recording.images import Frame, ImageStream
 
 _WORKERS, _AHEAD = 2, 8
@@ -40,7 +41,7 @@ def _png(frame: Frame) -> bytes | RecordingError:
 _TENTHS = 10
 
 
-def save_simulated_images(stream: ImageStream, place: Path, progress: Callable[[str], None] | None = None) -> Path:
+def save_simulated_images(stream: ImageStream, place: Path, progress: Progress | None = None) -> Path:
     """Write the images of a camera into a folder that is not there yet, and return their table.
 
     Parameters
@@ -62,7 +63,7 @@ def save_simulated_images(stream: ImageStream, place: Path, progress: Callable[[
             table.write("#timestamp [ns],filename\n")
             for number, (t_ns, png) in enumerate(encode_frames(stream.frames([]))):
                 if number % every == 0:
-                    tell(f"rendering {place.name}: image {number + 1} of {stream.count}")
+                    tell(Step(f"rendering images of {place.name}", number + 1, stream.count))
                 if isinstance(png, RecordingError):
                     raise png
                 (folder / "data" / f"{t_ns}.png").write_bytes(png)

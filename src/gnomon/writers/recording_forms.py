@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from ..progress import Progress
 from ..recording.images import Frame, Grey, ImageRecording
 from .bag_recording import save_bag
 from .euroc_folder import save_euroc
@@ -22,7 +23,7 @@ PLACES: dict[ImageForm, str] = {"euroc": "mav0", "ros1": "recording.bag", "ros2"
 
 
 def save_images(
-    recording: ImageRecording, folder: Path, form: ImageForm, progress: Callable[[str], None] | None = None
+    recording: ImageRecording, folder: Path, form: ImageForm, progress: Progress | None = None
 ) -> tuple[Path, ...]:
     """Write images, and what was recorded with them, into a folder; return the files, of images their tables.
 

@@ -40,7 +40,7 @@ def names(folder):
 def simulated(tmp_path_factory):
     """A folder as a person would have it: corners, samples, and Kalibr's three files."""
     folder = tmp_path_factory.mktemp("rig") / "walk"
-    code, _, err = run("simulate-camera-imu", "-o", folder, *SMALL)
+    code, _, err = run("simulate", "camera-imu", "-o", folder, *SMALL)
     assert code == 0, err
     return folder
 
@@ -116,7 +116,7 @@ def test_what_the_screen_says(simulated, tmp_path, solver):
 
 
 def test_baseline_of_two_cameras(tmp_path, solver):
-    assert run("simulate-camera-imu", "-o", tmp_path / "rig", *SMALL, "--cameras", 2)[0] == 0
+    assert run("simulate", "camera-imu", "-o", tmp_path / "rig", *SMALL, "--cameras", 2)[0] == 0
     code, out, _ = run("camera-imu", tmp_path / "rig", "-o", tmp_path / "out", "--no-report")
     assert code == 0
     assert re.search(r"cam0 to cam1 +\d+\.\d\d mm apart, turned by \d\.\d{3} deg", out)
@@ -266,8 +266,8 @@ def test_other_files_in_the_folder_stay(simulated, tmp_path, solver):
         ["camera-imu", "x", "--model", "best"],
         ["camera-imu", "x", "--units", "furlong"],
         ["simulate-camera-imu"],
-        ["simulate-camera-imu", "-o", "x", "--duration-s", "-1"],
-        ["simulate-camera-imu", "-o", "x", "--motion", "dance"],
+        ["simulate", "camera-imu", "-o", "x", "--duration-s", "-1"],
+        ["simulate", "camera-imu", "-o", "x", "--motion", "dance"],
     ],
 )
 def test_wrong_usage_ends_with_2(arguments, tmp_path, monkeypatch):
@@ -393,32 +393,32 @@ def test_a_scenario_file_states_the_options(tmp_path):
     scenario = replace(gnomon.CameraImuScenario(), duration_s=2.5, cameras=2, line_delay_s=2e-5, known_line_delay=False)
     (tmp_path / "scenario.yaml").write_text(options_text(scenario))
     for words in (["--scenario", tmp_path / "scenario.yaml"], [f"--scenario={tmp_path / 'scenario.yaml'}"]):
-        command = parse_command(["simulate-camera-imu", "-o", "x", *map(str, words)])
+        command = parse_command(["simulate", "camera-imu", "-o", "x", *map(str, words)])
         assert command.options == scenario
     # What is given on the line wins, also where it is the usual default.
     command = parse_command(
-        ["simulate-camera-imu", "--cameras", "1", "--scenario", str(tmp_path / "scenario.yaml"), "-o", "x",
+        ["simulate", "camera-imu", "--cameras", "1", "--scenario", str(tmp_path / "scenario.yaml"), "-o", "x",
          "--line-delay-s", "0"]
     )  # fmt: skip
     assert command.options == replace(scenario, cameras=1, line_delay_s=0.0)
-    code, _, err = run("simulate-camera-imu", "-o", tmp_path / "x", "--scenario", tmp_path / "none.yaml")
+    code, _, err = run("simulate", "camera-imu", "-o", tmp_path / "x", "--scenario", tmp_path / "none.yaml")
     assert code == 3
     assert "none.yaml" in err
     (tmp_path / "bad.yaml").write_text("durations: 3\n")
-    code, _, err = run("simulate-camera-imu", "-o", tmp_path / "x", "--scenario", tmp_path / "bad.yaml")
+    code, _, err = run("simulate", "camera-imu", "-o", tmp_path / "x", "--scenario", tmp_path / "bad.yaml")
     assert code == 3
     assert "duration_s" in err
 
 
 def test_simulation_says_what_it_wrote(tmp_path):
-    code, out, _ = run("simulate-camera-imu", "-o", tmp_path / "rig", *SMALL, "--json")
+    code, out, _ = run("simulate", "camera-imu", "-o", tmp_path / "rig", *SMALL, "--json")
     document = json.loads(out)
     assert code == 0
     assert sorted(document["files"]) == sorted(str(path) for path in (tmp_path / "rig").iterdir())
     assert document["statistics"]["mean_rate_rad_s"] > 0
     # Again, with one camera less: nothing of the second one is left, and the same seed gives the same bytes.
-    assert run("simulate-camera-imu", "-o", tmp_path / "two", *SMALL, "--cameras", 2)[0] == 0
-    assert run("simulate-camera-imu", "-o", tmp_path / "two", *SMALL)[0] == 0
+    assert run("simulate", "camera-imu", "-o", tmp_path / "two", *SMALL, "--cameras", 2)[0] == 0
+    assert run("simulate", "camera-imu", "-o", tmp_path / "two", *SMALL)[0] == 0
     for path in (tmp_path / "rig").iterdir():
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
     assert names(tmp_path / "two") == names(tmp_path / "rig")
@@ -426,7 +426,7 @@ def test_simulation_says_what_it_wrote(tmp_path):
 
 def test_a_real_recording_is_not_simulated_over(tmp_path):
     (tmp_path / "imu0.csv.gz").write_bytes(b"real")
-    code, _, err = run("simulate-camera-imu", "-o", tmp_path, *SMALL)
+    code, _, err = run("simulate", "camera-imu", "-o", tmp_path, *SMALL)
     assert code == 3
     assert "not simulated" in err
     assert names(tmp_path) == ["imu0.csv.gz"]
@@ -447,4 +447,4 @@ def test_help_needs_no_numbers(command):
 
 def test_commands_are_known():
     assert COMMANDS["camera-imu"] is CameraImu
-    assert COMMANDS["simulate-camera-imu"] is SimulateCameraImu
+    assert COMMANDS["simulate camera-imu"] is SimulateCameraImu

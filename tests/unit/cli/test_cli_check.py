@@ -33,7 +33,7 @@ def document(*arguments):
 @pytest.fixture(scope="module")
 def corners(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rig") / "walk"
-    code, _, err = run("simulate-camera-imu", "-o", folder, "--duration-s", 25, "--seed", 5)
+    code, _, err = run("simulate", "camera-imu", "-o", folder, "--duration-s", 25, "--seed", 5)
     assert code == 0, err
     return folder
 

@@ -10,7 +10,7 @@ from gnomon.errors import OptionError, RecordingError
 
 @pytest.fixture
 def rig(tmp_path, capsys):
-    assert main(["simulate-camera-imu", "-o", str(tmp_path / "rig"), "--duration-s", "2"]) == 0
+    assert main(["simulate", "camera-imu", "-o", str(tmp_path / "rig"), "--duration-s", "2"]) == 0
     capsys.readouterr()
     return tmp_path / "rig"
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from gnomon.cli import main
-from gnomon.cli.study import STUDIES, StudyCount, StudyEntry, StudyFunctions
+from gnomon.cli.study import STUDIES, StudyEntry, StudyFunctions, tell_stage
 from gnomon.cli.study_journal import JOURNAL
 from gnomon.cli.terminal import Terminal
+from gnomon.progress import Step
 from gnomon.report.page import KeyNumber, render_page
 from gnomon.report.studies.page import study_page
 from gnomon.study.runs import carry_out, run_seeds, scatter_bounds
@@ -190,19 +191,14 @@ def test_stages_are_those_of_the_study(name):
     assert tuple(stage or each for stage, each in stages) == STUDIES[name].stages
 
 
-def test_progress_says_which_stage_of_how_many(capsys, monkeypatch):
-    monkeypatch.setattr("gnomon.cli.study.time.monotonic", lambda: next(clock))
-    clock = iter(range(0, 4000, 10))
-    count = StudyCount(Terminal(as_json=False), ("run", "scan"))
+def test_progress_says_which_stage_of_how_many(capsys):
+    terminal = Terminal()
     for name in ("run", "scan"):
         for done in (1, 2, 3):
-            count(name, done, 3)
+            tell_stage(terminal, ("run", "scan"), Step(name, done, 3))
     lines = capsys.readouterr().err.splitlines()
-    assert lines[1].startswith("stage 1 of 2: run 2 of 3, ")
-    assert lines[1].endswith(" s of this stage left")
-    assert lines[4].startswith("stage 2 of 2: scan 2 of 3, ")
-    assert lines[4].endswith(" s left")
-    assert "of this stage" not in lines[4]
+    assert lines[0] == "stage 1 of 2: run: 1 of 3"
+    assert lines[-1] == "stage 2 of 2: scan: 3 of 3"
 
 
 def test_a_claim_that_fails_is_a_result_like_any_other(quick, capsys):
@@ -218,18 +214,3 @@ def test_nothing_is_left_where_nothing_was_done(quick, capsys, tmp_path):
     assert main(["study", "quick", "-o", "none"]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("gnomon: interrupted;")
     assert not (tmp_path / "none").exists()
-
-
-def test_lines_of_progress_tell_the_time_left(capsys, monkeypatch):
-    clock = iter([10.0 + k for k in range(400)])
-    monkeypatch.setattr("gnomon.cli.study.time.monotonic", lambda: next(clock))
-    count = StudyCount(Terminal(as_json=False))
-    for done in range(100, 201):
-        count("draw", done, 200)
-    count.close()
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "draw 100 of 200" or lines[0].startswith("draw 100 of 200,")
-    assert len(lines) == 11
-    assert lines[-1] == "draw 200 of 200"
-    assert lines[5].startswith("draw 150 of 200, ")
-    assert lines[5].endswith(" s left")

@@ -23,7 +23,7 @@ LENS = shlex.split("--intrinsics 460 458.5 322.4 237.1 --distortion-coeffs -0.28
 VIEWS = ["--views", "12", "--resolution", "640", "480", *LENS]
 """Options of a few images of the board by the camera of the simulated rig."""
 SMALL = shlex.split("--target-cols 4 --target-rows 4")
-SIX = shlex.split("simulate-poses -o six.npz --attitudes seven --samples 1000 --sensor drawn --units si")
+SIX = shlex.split("simulate poses -o six.npz --attitudes seven --samples 1000 --sensor drawn --units si")
 """A static experiment."""
 DISC = shlex.split("--steady-s 8 --rest-s 2 --handling-s 2 --gyroscope-range 10 --sensor-seed 1")
 PLATTER = shlex.split("--rate-rad-s 3.4903 --duration-s 15 --width 320 --height 240")
@@ -42,10 +42,10 @@ def test_the_tutorial_can_be_followed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     commands = list(shell_commands(DOCS / "tutorial.md"))
     alone = ["simulate", "check", "imu", "show", "apply", "convert"]
-    with_cameras = ["simulate-camera-imu", "check", "camera-imu", "show", "convert", "apply", "convert"]
-    turned = ["simulate-turntable", "simulate-platter-video", "rate", "turntable"]
-    at_rest = ["simulate-noise", "noise", "camera-imu"]
-    a_lens = ["target", "simulate-cameras", "camera", "show", "camera-imu"]
+    with_cameras = ["simulate", "check", "camera-imu", "show", "convert", "apply", "convert"]
+    turned = ["simulate", "simulate", "rate", "turntable"]
+    at_rest = ["simulate", "noise", "camera-imu"]
+    a_lens = ["target", "simulate", "camera", "show", "camera-imu"]
     assert [words[0] for words in commands] == alone + with_cameras + turned + at_rest + a_lens
     for words in commands:
         run(words)
@@ -67,17 +67,17 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, seed in (("log.csv", 1), ("flight.csv", 2)):
         run(["simulate", "-o", name, "--seed", str(seed), "--intervals", "20", "--t-init-s", "20"])
-    run(["simulate-camera-imu", "-o", "rig", "--images", *RIG])
+    run(["simulate", "camera-imu", "-o", "rig", "--images", *RIG])
     run(["convert", "rig", "--to", "ros1", "-o", "rig.bag"])
-    run(["simulate-cameras", "-o", "photographs", "--images", *VIEWS])
+    run(["simulate", "cameras", "-o", "photographs", "--images", *VIEWS])
     for name in ("camchain.yaml", "imu.yaml", "target.yaml"):
         shutil.copy(f"rig/{name}", name)
     make_single_sensors()
     page = ROOT / "README.md"
     commands = list(shell_commands(page))
     alone, calibrated = ["check", "imu", "show", "apply", "convert"], ["camera-imu", "show", "camera-imu", "camera-imu"]
-    cameras = ["target", "camera", "simulate-cameras", "camera"]
-    with_cameras = ["camera-imu", "check", *calibrated, "convert", "convert", "simulate-camera-imu"]
+    cameras = ["target", "camera", "simulate", "camera"]
+    with_cameras = ["camera-imu", "check", *calibrated, "convert", "convert", "simulate"]
     trust = ["show", "compare", "plan"]
     single = ["imu", "turntable", "rate", "noise", "magnetometer", "imu"]
     assert [words[0] for words in commands] == alone + cameras + with_cameras + trust + single
@@ -93,11 +93,11 @@ def test_the_readme_does_what_it_shows(tmp_path, monkeypatch):
 
 def make_single_sensors():
     """Make small recordings of single sensors in the working folder, by the names that the documentation uses."""
-    run(["simulate-poses", "-o", "poses.csv", "--sensor", "drawn", "--units", "g deg/s"])
-    run(["simulate-turntable", "-o", "disc", *DISC, "--rpm", "33.33"])
-    run(["simulate-platter-video", "-o", "platter.mkv", *PLATTER])
-    run(["simulate-noise", "-o", "rest.npz", "--duration-s", "2400"])
-    run(["simulate-magnetometer", "-o", "turned.npz", "--rests", "12"])
+    run(["simulate", "poses", "-o", "poses.csv", "--sensor", "drawn", "--units", "g deg/s"])
+    run(["simulate", "turntable", "-o", "disc", *DISC, "--rpm", "33.33"])
+    run(["simulate", "platter-video", "-o", "platter.mkv", *PLATTER])
+    run(["simulate", "noise", "-o", "rest.npz", "--duration-s", "2400"])
+    run(["simulate", "magnetometer", "-o", "turned.npz", "--rests", "12"])
 
 
 @pytest.mark.long
@@ -107,18 +107,18 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
     make_single_sensors()
     run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
-    run(["simulate-poses", "-o", "poses", "--sensor", "drawn", "--units", "si"])
-    run(["simulate-poses", "-o", "faces", "--attitudes", "six", "--sensor", "drawn", "--units", "si"])
+    run(["simulate", "poses", "-o", "poses", "--sensor", "drawn", "--units", "si"])
+    run(["simulate", "poses", "-o", "faces", "--attitudes", "six", "--sensor", "drawn", "--units", "si"])
     faces = sorted(Path("faces").glob("pose*.csv"))
     for face, name in zip(faces, ("flat", "left", "right", "up", "down", "over"), strict=True):
         shutil.copy(face, f"{name}.csv")
     table = np.genfromtxt("poses.csv", delimiter=",", skip_header=1)
     np.savetxt("poses.txt", table[:, 2:5])
-    run(["simulate-poses", "-o", "known.csv", "--known", "--sensor", "drawn", "--units", "si"])
-    run(["simulate-poses", "-o", "counts.csv"])
+    run(["simulate", "poses", "-o", "known.csv", "--known", "--sensor", "drawn", "--units", "si"])
+    run(["simulate", "poses", "-o", "counts.csv"])
     run(SIX)
     for name, rpm, seed in (("slow", "16", "1"), ("fast", "33.33", "2")):  # of one seed they would share their noise
-        run(["simulate-turntable", "-o", name, *DISC, "--rpm", rpm, "--seed", seed])
+        run(["simulate", "turntable", "-o", name, *DISC, "--rpm", rpm, "--seed", seed])
         shutil.copy(f"{name}/recording.npz", f"{name}.csv")  # what a file is follows from its content
     for copy, name in (("session.csv", "fast.csv"), ("rest.csv", "rest.npz"), ("night.csv", "rest.npz")):
         shutil.copy(name, copy)
@@ -137,7 +137,7 @@ def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
     commands = [words for words in commands if "photographs-camera/calibration.yaml" not in words]  # with the cameras
     assert len(commands) > 5
-    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
+    run(["simulate", "camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     chain = yaml.safe_load(Path("rig/camchain.yaml").read_text(encoding="utf-8"))
     truth = gnomon.load("rig/truth.yaml").cameras["cam0"]
     chain["cam0"] |= {"T_cam_imu": truth.T_cam_imu, "timeshift_cam_imu": truth.time_shift_cam_imu}
@@ -155,7 +155,7 @@ def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
 
 def make_two_imus(folder):
     """Make a recording with two IMUs, whose imu.yaml states how the second one lies to the first."""
-    run(["simulate-camera-imu", "-o", folder, *RIG, "--imus", "2", "--seed", "5"])
+    run(["simulate", "camera-imu", "-o", folder, *RIG, "--imus", "2", "--seed", "5"])
     second = gnomon.load(f"{folder}/truth.yaml").imus["imu1"]
     path = Path(folder) / "imu.yaml"
     stated = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -168,15 +168,15 @@ def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     section = text("how-to.md").split("## By task: cameras alone")[1].split("\n## ")[0]
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
-    run(["simulate-cameras", "-o", "photographs", "--images", *VIEWS])
-    run(["simulate-cameras", "-o", "pair", "--images", "--cameras", "2", "--form", "ros1", *VIEWS, *SMALL])
+    run(["simulate", "cameras", "-o", "photographs", "--images", *VIEWS])
+    run(["simulate", "cameras", "-o", "pair", "--images", "--cameras", "2", "--form", "ros1", *VIEWS, *SMALL])
     shutil.copy(next(Path("pair").glob("*.bag")), "pair.bag")
     for name in ("stereo", "corners"):
-        run(["simulate-cameras", "-o", name, "--cameras", "2", "--views", "10", *SMALL])
+        run(["simulate", "cameras", "-o", name, "--cameras", "2", "--views", "10", *SMALL])
     shutil.copy("stereo/target.yaml", "target.yaml")
-    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
+    run(["simulate", "camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     commands = list(shell_commands(tmp_path / "section.md"))
-    assert {"target", "camera", "camera-imu", "simulate-cameras"} == {words[0] for words in commands}
+    assert {"target", "camera", "camera-imu", "simulate"} == {words[0] for words in commands}
     here = {"/left/image_raw": "/cam0/image_raw", "/right/image_raw": "/cam1/image_raw"}
     for number, stated in enumerate(commands):
         # The rig's board is a smaller one, and the bag's topics are called otherwise.
@@ -195,7 +195,7 @@ def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
     needs = re.search(r"^```yaml\n(name: .*?)^```", section, re.MULTILINE | re.DOTALL)
     (tmp_path / "needs.yaml").write_text(needs.group(1), encoding="utf-8")
     run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
-    run(["simulate-camera-imu", "-o", "rig", *RIG, "--seed", "5"])
+    run(["simulate", "camera-imu", "-o", "rig", *RIG, "--seed", "5"])
     run(["camera-imu", "rig", "--no-report"])
     shutil.copytree("rig-camera-imu", "monday-camera-imu")
     for day in ("tuesday", "wednesday"):

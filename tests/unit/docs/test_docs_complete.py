@@ -345,4 +345,5 @@ def test_commands_can_be_parsed(page, tmp_path, monkeypatch):
             file.parent.mkdir(exist_ok=True)
             file.write_text("motion: shaky\n", encoding="utf-8")
         if words[0] != "demo" or words[1:]:
-            assert type(parse_command(words)) is COMMANDS[words[0]]
+            name = " ".join(words[:2]) if words[0] == "simulate" else words[0]
+            assert type(parse_command(words)) is COMMANDS[name]

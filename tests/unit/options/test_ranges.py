@@ -75,7 +75,7 @@ def test_no_class_of_options_takes_an_absurd_number(value):
         ("simulate", "-o", "a.csv", "--intervals", "1000000000"),
         ("simulate", "-o", "a.csv", "--seed", "-1"),
         ("simulate", "-o", "a.csv", "--hold-s", "nan", "4"),
-        ("simulate-platter-video", "-o", "a.mp4", "--width", "100000", "--height", "100000"),
+        ("simulate", "platter-video", "-o", "a.mp4", "--width", "100000", "--height", "100000"),
         ("plan-imu", "--latitude", "inf"),
     ],
 )

@@ -85,7 +85,7 @@ def test_children_import_nothing_from_the_working_directory(code, hostile, tmp_p
 
 @pytest.mark.skipif(not GNOMON.exists(), reason="gnomon is not installed as a program here")
 def test_the_program_imports_nothing_from_the_working_directory(hostile):
-    run_in(hostile, GNOMON, "simulate-noise", "-o", "rest.npz", "--duration-s", "1")
+    run_in(hostile, GNOMON, "simulate", "noise", "-o", "rest.npz", "--duration-s", "1")
 
 
 def test_python_m_gnomon_leaves_the_working_directory_as_soon_as_it_can(hostile):
@@ -94,7 +94,7 @@ def test_python_m_gnomon_leaves_the_working_directory_as_soon_as_it_can(hostile)
     for path in hostile.glob("*.py"):
         if path.stem not in kept:
             path.unlink()
-    run_in(hostile, sys.executable, "-m", "gnomon", "simulate-noise", "-o", "rest.npz", "--duration-s", "1")
+    run_in(hostile, sys.executable, "-m", "gnomon", "simulate", "noise", "-o", "rest.npz", "--duration-s", "1")
 
 
 def test_python_p_m_gnomon_does_not_even_take_gnomon_from_there(hostile):

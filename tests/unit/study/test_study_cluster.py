@@ -97,13 +97,13 @@ def test_a_killed_worker_loses_nothing_and_nothing_is_there_twice(local_cluster,
     """One worker is killed midway; then errors of runs and of versions; at last the whole cluster is killed."""
     counted = []
 
-    def count(name, done, total):
-        counted.append(done)
-        if done == 8:
+    def count(step):
+        counted.append(step.done)
+        if step.done == 8:
             local_cluster.workers[0].send_signal(signal.SIGKILL)
 
-    workers = Workers(scheduler=local_cluster.address, count=count)
-    found = carry_out(slow_product, range(24), workers=workers)
+    workers = Workers(scheduler=local_cluster.address)
+    found = carry_out(slow_product, range(24), workers=workers, progress=count)
     assert counted == list(range(1, 25))
     assert local_cluster.workers[0].wait() == -signal.SIGKILL
     assert found == carry_out(slow_product, range(24))
@@ -123,19 +123,19 @@ def _refuse_another_version(local_cluster):
 def _keep_what_is_done(local_cluster, folder):
     tasks = [Task(seed=seed, wait_s=0.05) for seed in range(20)]
 
-    def end_all(name, done, total):
-        if done == 6:
+    def end_all(step):
+        if step.done == 6:
             local_cluster.close()
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cluster, "ALONE_S", 1.0)
         with study_journal(folder, "test", print) as journal:
-            workers = Workers(scheduler=local_cluster.address, journal=journal, count=end_all)
+            workers = Workers(scheduler=local_cluster.address, journal=journal)
             with pytest.raises(SolveError, match="ended before"):
-                carry_out(drawn, tasks, workers=workers)
+                carry_out(drawn, tasks, workers=workers, progress=end_all)
     counted = []
     with study_journal(folder, "test", print) as journal:
-        workers = Workers(journal=journal, count=lambda name, done, total: counted.append(done))
-        found = carry_out(drawn, tasks, workers=workers)
-    assert counted[0] >= 6
+        workers = Workers(journal=journal)
+        found = carry_out(drawn, tasks, workers=workers, progress=counted.append)
+    assert counted[1].done >= 7
     assert [outcome.seed for outcome in found] == list(range(20))

@@ -57,23 +57,21 @@ def test_several_processes_do_the_work():
     assert os.getpid() not in carry_out(process, range(8), workers=Workers(jobs=2))
 
 
-def test_progress_is_told_but_not_of_every_run():
+def test_progress_tells_how_many_of_how_many_runs_are_done():
     told = []
     carry_out(abs, range(200), progress=told.append, name="experiment")
-    assert told[-1] == "experiment 200 of 200"
-    assert len(told) == 20
+    assert told[-1] == "experiment: 200 of 200"
+    assert [step.done for step in told] == list(range(1, 201))
     assert carry_out(abs, [], progress=told.append) == []
 
 
-def test_who_counts_is_told_of_every_run_and_of_what_was_done_before():
-    counted, told = [], []
+def test_progress_tells_what_was_done_before():
+    told = []
     journal = Memory()
     tasks = [Task(seed=k) for k in range(5)]
     carry_out(drawn, tasks[:2], workers=Workers(journal=journal))
-    workers = Workers(journal=journal, count=lambda *count: counted.append(count))
-    carry_out(drawn, tasks, workers=workers, progress=told.append, name="test")
-    assert counted == [("test", done, 5) for done in (2, 3, 4, 5)]
-    assert told == ["test: 2 of 5 were done before and are taken over"]
+    carry_out(drawn, tasks, workers=Workers(journal=journal), progress=told.append, name="test")
+    assert told == ["test: 2 of 5 were done before and are taken over", *(f"test: {done} of 5" for done in (3, 4, 5))]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -14,6 +14,7 @@ from ...errors import RecordingError
 from ...findings import Finding, make_finding
 from ...models.camera import Camera
 from ...models.target import Target
+from ...progress import Progress
 from ...recording import FrameQuality, ImuSamples, Integers, Recording
 from ...recording.images import Frame, Grey, ImageRecording, ImageStream
 from .camera_checks import (
@@ -48,7 +49,6 @@ _DAMAGED_SHARE = 0.1
 _KEPT = 8  # pictures that are kept to say which board they show
 
 Detector = Callable[[Grey], BoardView]
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

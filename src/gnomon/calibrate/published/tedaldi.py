@@ -6,8 +6,6 @@ Kept to reproduce published numbers and to compare with; the default recipe is t
 those of ordinary least squares with independent residuals, which adjacent rotations do not have: they are lower bounds.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..._version import __version__
@@ -29,6 +27,7 @@ from ...estimate.multiposition.tedaldi import RULES, leave_group_out
 from ...findings import make_finding
 from ...geometry.so3 import invert_matrix
 from ...options import ImuOptions
+from ...progress import Progress
 from ...recording import Recording
 from ...results.calibration import Assessment, Calibration, Covariance, Gravity, Holdout, Provenance, covariance_names
 from ...results.imu_diagnostics import DetectorTrace, ImuDiagnostics, IntervalTable, ModelTrial, RotationTable
@@ -137,9 +136,7 @@ def _rotation_table(prepared: PreparedImu, search: Search, turned: Turned) -> Ro
     )
 
 
-def calibrate_as_published(
-    recording: Recording, prepared: PreparedImu, options: ImuOptions, tell: Callable[[str], None]
-) -> Result:
+def calibrate_as_published(recording: Recording, prepared: PreparedImu, options: ImuOptions, tell: Progress) -> Result:
     """Calibrate an IMU as one of the published forms of Tedaldi does.
 
     Raises

@@ -8,7 +8,7 @@ do not depend on the number of workers, and neither does the result.
 
 import os
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ from ...errors import DetectionError, RecordingError
 from ...formats.kalibr.camchain import CameraInput
 from ...models.camera import Camera
 from ...models.target import Target
+from ...progress import Progress, Step
 from ...recording import CameraFrames, FrameQuality
 from ...recording.images import Frame, Grey, ImageStream
 
-Progress = Callable[[str], None]
 Processes = SimpleQueue[BoardProcess]
 
 _RUN, _RUN_PX = (8, 32), 16e6  # consecutive frames that one worker takes, and pixels of them that bound the memory
@@ -106,8 +106,7 @@ def detect_corners(
     for item in _all_frames(images, notes, target, workers or os.cpu_count() or 1):
         _check_size(images, item, seen)
         if len(seen) % step == 0:
-            of = f" of {images.stream.count}" if images.stream.count else ""
-            tell(f"finding the board in the images of {images.name}: {len(seen)}{of}")
+            tell(Step(f"finding the board in the images of {images.name}", len(seen), images.stream.count))
         seen.append(item)
     _check(images, seen, target, notes)
     seen = _in_order(images.name, seen, notes)

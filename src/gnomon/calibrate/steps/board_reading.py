@@ -3,7 +3,7 @@
 import hashlib
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -17,6 +17,7 @@ from ...errors import GnomonError, RecordingError
 from ...formats.kalibr.camchain import CameraInput
 from ...models.target import Target
 from ...output import atomic_file, remove_parts
+from ...progress import Progress
 from ...readers.zips import ZIP_DAMAGE, refuse_false_arrays
 from ...recording import CameraFrames, FrameQuality, Source
 from ...recording.images import ImageRecording
@@ -109,9 +110,6 @@ def keep_corners(file: Path, corners: BoardCorners) -> None:
         if older.name != file.name:
             older.unlink(missing_ok=True)
     remove_parts(file.parent, f"{camera}-")
-
-
-Progress = Callable[[str], None]
 
 
 def stated_cameras(

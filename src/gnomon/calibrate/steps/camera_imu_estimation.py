@@ -1,6 +1,6 @@
 """From what was measured to the solution with the options' model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,12 +28,11 @@ from ...estimate.camera_imu.terms.inertial_data import on_trajectory, triad_read
 from ...estimate.camera_imu.terms.visual_terms import VisualData
 from ...findings import Finding
 from ...options import CameraImuOptions
+from ...progress import Progress
 from ...recording import Recording
 from ...results.calibration import Gravity
 from .camera_imu_model import candidate_blocks
 from .camera_imu_preparation import PreparedCameraImu
-
-Progress = Callable[[str], None]
 
 _HUBER = 2.5
 _RESTARTS = 3

@@ -7,7 +7,7 @@ prove itself in the larger model is taken out again. Lever arms are no such choi
 hang on the evidence.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 
@@ -29,6 +29,7 @@ from ...estimate.trust.clusters import ClusterSums
 from ...estimate.trust.robust import correlation_time, group_into_clusters
 from ...findings import Finding
 from ...options import CameraImuOptions
+from ...progress import Progress
 from ...recording import Recording
 from ...results.calibration import CameraCalibration, Covariance
 from ...results.trust import ModelStep
@@ -94,8 +95,6 @@ def _told(finding: Finding, cameras: Mapping[str, CameraCalibration], sigmas: Ma
 def _about(name: str, findings: Sequence[Finding]) -> bool:
     return any(finding.code == _CODE and finding.subject == f"{name}.line_delay" for finding in findings)
 
-
-Progress = Callable[[str], None]
 
 _ROUNDS = 3
 """Larger models that are estimated: what is in one may show, or refute, another block."""

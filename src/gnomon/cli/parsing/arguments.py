@@ -75,17 +75,25 @@ class Entry(NamedTuple):
         return self.metavar if self.argument.positional else self.names[-1]
 
     @property
+    def choices(self) -> tuple[str, ...]:
+        """The words that it can have; none where they are not numbered."""
+        return tuple(str(one) for kind in self._kinds if get_origin(kind) is Literal for one in get_args(kind))
+
+    @property
     def metavar(self) -> str:
         """What stands for a value in the help."""
-        if self.argument.metavar:
-            return self.argument.metavar
+        if self.argument.metavar or self.kind is bool:
+            return self.argument.metavar or ""
+        words = {float: "NUMBER", int: "INTEGER", str: "TEXT", Path: "PATH"}
+        return f"{{{','.join(self.choices)}}}" if self.choices else words[self._kinds[0]]
+
+    @property
+    def _kinds(self) -> list[Any]:
+        """The types of one value."""
         kind = self.kind
         while inner := _tuple_of(kind):
             kind = inner[0]
-        kinds = _without_none(kind)
-        choices = [str(choice) for kind in kinds if get_origin(kind) is Literal for choice in get_args(kind)]
-        words = {bool: "", float: "NUMBER", int: "INTEGER", str: "TEXT", Path: "PATH"}
-        return f"{{{','.join(choices)}}}" if choices else words[kinds[0]]
+        return _without_none(kind)
 
 
 def command_entries(cls: type, place: Place = ()) -> Iterator[Entry]:
@@ -96,7 +104,12 @@ def command_entries(cls: type, place: Place = ()) -> Iterator[Entry]:
             yield from command_entries(kind, (*place, entry.name))
         else:
             named = argument._replace(name=argument.name or entry.name.replace("_", "-"))
-            yield Entry((*place, entry.name), cls, kind, named, entry.default)
+            yield Entry((*place, entry.name), _owner(cls, entry.name), kind, named, entry.default)
+
+
+def _owner(cls: type, name: str) -> type:
+    """Return the class that states a field."""
+    return next(base for base in reversed(cls.__mro__) if name in getattr(base, "__dataclass_fields__", ()))
 
 
 def _split_annotation(hint: Any) -> tuple[Any, Argument]:

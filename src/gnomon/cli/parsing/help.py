@@ -31,9 +31,7 @@ class CommandHelp(NamedTuple):
 
 def describe_command(command: type, prog: str) -> CommandHelp:
     """Return what there is to say about a command, its own options before those of the classes of its fields."""
-    entries = sorted(
-        command_entries(command), key=lambda entry: (not entry.argument.positional, entry.owner is not command)
-    )
+    entries = sorted(command_entries(command), key=lambda entry: _rank(entry, command))
     about, _, examples = inspect.cleandoc(command.__doc__ or "").partition("\n\nExamples\n--------\n")
     texts = _field_texts(entry.owner for entry in entries)
     rows = [(entry, entry.argument.help or texts[entry.place[-1]], _default(entry)) for entry in entries]
@@ -63,6 +61,13 @@ def format_help(command: type, prog: str) -> str:
             shown = f"{text} (default: {default})" if default and "default" not in text else text
             add_entry(group, entry, shown.replace("%", "%%"))
     return parser.format_help()
+
+
+def _rank(entry: Entry, command: type) -> int:
+    """Return the place of an entry: operands, the command's own options, those of its fields, those of its bases."""
+    if entry.argument.positional:
+        return 0
+    return 1 if entry.owner is command else 3 if issubclass(command, entry.owner) else 2
 
 
 def _group_title(entry: Entry, command: type) -> str:

@@ -1,6 +1,5 @@
 """Images of a turning platter -> small pictures of even exposure, and the period in which they roughly repeat."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import sqrt
 
@@ -9,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import RecordingError
+from ...progress import Progress, Step
 from ...recording import Floats, frozen_array
 from ...recording.images import ImageStream
 
 Pictures = NDArray[np.float32]
-Progress = Callable[[str], None]
 
 _CELLS = 1200
 _STEPS = 256.0  # of a grey level, that the means of cells are kept in
@@ -75,7 +74,7 @@ def read_pictures(stream: ImageStream, progress: Progress | None = None) -> Pict
             notes.append(f"only the first {_MOST_FRAMES} frames were used.")
             break
         if progress is not None and number % _SAY_EVERY == 0:
-            progress(f"looking at the images: {number}" + (f" of {stream.count}" if stream.count else ""))
+            progress(Step("looking at the images", number, stream.count))
         try:
             image = frame.decode()
         except RecordingError:

@@ -1,6 +1,6 @@
 """The rate of a turning platter from a video of it, by the periodicity of the picture (Angrisano's gyroscope test)."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import DetectionError, OptionError
 from ...findings import Finding
+from ...progress import Progress
 from ...recording import Floats, frozen_array
 from ...recording.images import ImageStream
 from .clock import (
@@ -85,7 +86,7 @@ class PlatterRate:
 
 
 def platter_rate(
-    stream: ImageStream, nominal_rad_s: float | None = None, progress: Callable[[str], None] | None = None
+    stream: ImageStream, nominal_rad_s: float | None = None, progress: Progress | None = None
 ) -> PlatterRate:
     """Measure the rate of a turning platter that a camera at rest looks at.
 

@@ -1,12 +1,12 @@
 """From a first guess to the estimate: descend, find the noise and the frames that do not belong, and come to rest."""
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...errors import SolveError
+from ...progress import Progress, Step
 from ...recording import Floats
 from ...solve.bordered_band import Factor, Workspace
 from .batch import Measurements, NoiseLevels, NormalEquations, RigState, linearize_batch
@@ -97,7 +97,7 @@ def minimise_cost(
     estimate_walks: bool = False,
     gate: bool,
     max_iterations: int,
-    tell: Callable[[str], None] = lambda _: None,
+    tell: Progress = lambda _: None,
     workspace: Workspace | None = None,
 ) -> Solution:
     """Minimise the cost from a start.
@@ -122,7 +122,7 @@ def minimise_cost(
     step, found, previous, changed, since = _step(lin), noise, np.inf, False, 0  # since: the problem is the same
     rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
-        tell(f"iteration {done + 1}: largest step {step.largest:.2g} sigma")
+        tell(Step(f"iteration {done + 1}: largest step {step.largest:.2g} sigma", detail=True))
         if lin.probing and step.decrease < _NEARLY_SETTLED * lin.cost:
             settled = step.largest < _NEAR and step.decrease < _SETTLED * lin.cost
             judgements += settled

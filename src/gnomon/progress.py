@@ -1,0 +1,46 @@
+"""How far a long piece of work is."""
+
+from collections.abc import Callable
+from typing import Self
+
+Progress = Callable[[str], None]
+"""Takes a sentence on what is being done, or a `Step`."""
+
+
+class Step(str):
+    """A sentence on what is being done, which also tells how much of it is done; `print` takes it as a sentence.
+
+    Parameters
+    ----------
+    stage : what is being done
+    done : how many of its parts are
+    of : how many there are; None where that is not known, or where it has no parts
+    detail : of interest only to who looks closely
+    """
+
+    stage: str
+    done: int
+    of: int | None
+    detail: bool
+
+    def __new__(cls, stage: str, done: int = 0, of: int | None = None, *, detail: bool = False) -> Self:
+        """Return the sentence, with what it tells."""
+        counted = f": {done} of {of}" if of else f": {done}" if done else ""
+        step = super().__new__(cls, stage + counted)
+        step.stage, step.done, step.of, step.detail = stage, done, of or None, detail
+        return step
+
+    def within(self, whole: str) -> Self:
+        """Return it as a part of something larger.
+
+        Examples
+        --------
+        >>> Step("reading", 3, 9).within("recording 1 of 2")
+        'recording 1 of 2: reading: 3 of 9'
+        """
+        return type(self)(f"{whole}: {self.stage}", self.done, self.of, detail=self.detail)
+
+
+def as_step(sentence: str) -> Step:
+    """Return a sentence as a step; a step as it is."""
+    return sentence if isinstance(sentence, Step) else Step(sentence)

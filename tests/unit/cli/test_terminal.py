@@ -1,0 +1,75 @@
+"""What is told of progress, and where: lines, a log, nothing."""
+
+import itertools
+
+import pytest
+
+from gnomon.cli import main
+from gnomon.cli.terminal import Terminal
+from gnomon.errors import OutputError
+from gnomon.progress import Step
+
+
+@pytest.fixture
+def seconds(monkeypatch):
+    """Let a second pass whenever it is asked for the time."""
+    clock = itertools.count(10.0)
+    monkeypatch.setattr("gnomon.cli.terminal.time.monotonic", lambda: next(clock))
+
+
+def told(capsys):
+    return capsys.readouterr().err.splitlines()
+
+
+@pytest.mark.usefixtures("seconds")
+def test_long_counts_are_told_now_and_then_with_the_time_left(capsys):
+    terminal = Terminal()
+    for done in range(100, 201):
+        terminal.progress(Step("draw", done, 200))
+    lines = told(capsys)
+    assert lines[0] == "draw: 100 of 200"
+    assert lines[-1] == "draw: 200 of 200"
+    assert 5 < len(lines) < 60
+    assert lines[5].endswith(" left")
+
+
+def test_details_are_for_who_asks(capsys):
+    for verbose in (False, True):
+        terminal = Terminal(verbose=verbose)
+        terminal.progress("estimating")
+        terminal.progress(Step("iteration 1", detail=True))
+    assert told(capsys) == ["estimating", "estimating", "iteration 1"]
+
+
+def test_quiet_tells_errors_alone(capsys, tmp_path):
+    assert main(["imu", str(tmp_path / "none.csv"), "-q"]) == 3
+    (line,) = told(capsys)
+    assert line.startswith("gnomon: ")
+
+
+def test_a_log_keeps_everything_with_its_time(capsys, tmp_path):
+    log = tmp_path / "gnomon.log"
+    for _ in range(2):
+        assert main(["imu", str(tmp_path / "none.csv"), "-q", "--log", str(log)]) == 3
+    capsys.readouterr()
+    head, *lines = log.read_text().splitlines()
+    assert head == "# log of gnomon"
+    assert len(lines) == 4
+    assert all(line[4] == "-" and line[10] == "T" for line in lines)
+    assert "reading the recording" in lines[0]
+    assert "there is no such file" in lines[1]
+
+
+def test_a_log_never_takes_the_place_of_another_file(tmp_path):
+    other = tmp_path / "recording.csv"
+    other.write_text("t,ax\n")
+    with pytest.raises(OutputError, match="not a log"):
+        Terminal(log=other)
+    assert other.read_text() == "t,ax\n"
+    with pytest.raises(OutputError, match="cannot be written"):
+        Terminal(log=tmp_path / "nowhere" / "gnomon.log")
+
+
+def test_a_part_keeps_its_count():
+    step = Step("reading", 3, 9).within("recording 1 of 2")
+    assert (step.done, step.of, str(step)) == (3, 9, "recording 1 of 2: reading: 3 of 9")
