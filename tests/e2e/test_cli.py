@@ -1,6 +1,5 @@
 """The command line from the outside: what it prints, what it writes, how it ends."""
 
-import dataclasses
 import json
 import re
 import subprocess
