@@ -12,6 +12,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from camera_imu_truth import errors
 from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
+from gnomon.estimate.camera_imu import solution
 
 SCENARIO = CameraImuScenario(
     duration_s=20.0, imu_rate_hz=100.0, camera_rate_hz=15.0, target_cols=4, target_rows=4, random_extrinsics=True
@@ -49,6 +50,14 @@ def test_a_delay_is_found_and_taken_up(delay_s):
     assert found.message.startswith(f"The {'accelerometer' if delay_s > 0 else 'gyroscope'} of imu0 comes ")
     status = {p.name: p.status for p in result.diagnostics.parameters}
     assert status["imu0.accelerometer_shift"] == "estimated"
+
+
+def test_it_stops_where_nothing_moves_it_any_more(monkeypatch):
+    """A step of the delay by many sigmas leaves the trajectory behind, which moves the delay once more."""
+    value, sigma = delay_of(case(1.5e-3, 0)[1])
+    monkeypatch.setattr(solution, "_AT_REST", 1e-5)
+    rested, _ = delay_of(case(1.5e-3, 0, replace(OPTIONS, max_iterations=31))[1])
+    assert abs(value - rested) < 0.05 * sigma
 
 
 @pytest.mark.long

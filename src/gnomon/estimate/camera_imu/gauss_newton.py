@@ -38,6 +38,11 @@ class GaussNewtonStep:
     factor: Factor
     covariance: Floats
 
+    @property
+    def length(self) -> float:
+        """Length of the whole step in sigmas, the trajectory's with it: nothing moves by more sigmas than this."""
+        return float(np.sqrt(2 * max(self.decrease, 0.0)))
+
     def part(self, share: float) -> "GaussNewtonStep":
         """Return the same step, but only a share of the way."""
         return replace(self, trajectory=share * self.trajectory, parameters=share * self.parameters)

@@ -23,7 +23,7 @@ GATE = 4.0
 _NEAR = 20.0  # sigmas: nearer than this to the minimum noise levels and frames are judged,
 _SETTLED = 5e-3  # if no more than this share of the cost is left to gain; roughly,
 _NEARLY_SETTLED = 0.1  # if no more than this is
-_AT_REST = 0.03  # sigmas that are left after the step, as the last two steps foretell;
+_AT_REST = 0.1  # sigmas that anything may be left after the step, as the last two steps foretell;
 _WIDE_AT_REST = 0.5  # with the corners of a board, whose errors make sigmas of independent errors too small by far
 _NOISE_AT_REST, _NOISE_ROUGHLY = 0.06, 0.2  # relative change of a level
 _WALK_SHARE = 0.3  # by which a relative change of a random walk counts: sigmas follow it less
@@ -119,7 +119,8 @@ def minimise_cost(
     state, iterations, converged = start, list[Iteration](), False
     first, judgements, workspace = noise, 0, workspace or Workspace()
     lin = linearize_batch(measurements, state, layout, noise, probing=False, workspace=workspace)
-    step, found, previous, changed, since = _step(lin), noise, np.inf, False, 0  # since: the problem is the same
+    step, found, changed, since = _step(lin), noise, False, 0  # since: the problem is the same
+    largest, length = np.inf, np.inf  # of the step before
     rest = _AT_REST if layout.dense == len(layout) else _WIDE_AT_REST
     while (done := sum(one.accepted for one in iterations)) < max_iterations:
         tell(Step(f"iteration {done + 1}: largest step {step.largest:.2g} sigma", detail=True))
@@ -138,11 +139,11 @@ def minimise_cost(
                 tolerance=_NOISE_AT_REST if settled else _NOISE_ROUGHLY,
             )
             found = judged.found
-            at_rest = settled and judged.same and _left(step, previous) < rest  # noise was judged by the strict measure
+            at_rest = settled and judged.same and _left(step, length) < rest  # noise was judged by the strict measure
             if at_rest and step.factor.borrowed:
                 step = _exact(lin, step)
-                at_rest = _left(step, previous) < rest
-            changed = not (judged.same or (changed and step.largest > previous))
+                at_rest = _left(step, length) < rest
+            changed = not (judged.same or (changed and step.largest > largest))
             if at_rest or changed:
                 state = apply_step(state, lin.layout, step)
                 iterations.append(Iteration(cost=lin.cost, largest_step=step.largest, damping=0.0, accepted=True))
@@ -152,7 +153,8 @@ def minimise_cost(
             if changed:  # another problem from here on: costs are not comparable
                 noise, measurements = judged.noise, replace(measurements, used=judged.used)
                 lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
-                previous, step, since = step.largest, _step(lin, step.factor), len(iterations)
+                largest, length = step.largest, step.length
+                step, since = _step(lin, step.factor), len(iterations)
                 continue
         if _stalled(iterations[since:]):
             break
@@ -168,7 +170,7 @@ def minimise_cost(
             damped=iterations[-1].damping if iterations else 0.0,
         )
         iterations += tried
-        previous, step = step.largest, _step(lin, step.factor)
+        largest, length, step = step.largest, step.length, _step(lin, step.factor)
     if not lin.probing:
         lin = linearize_batch(measurements, state, extended, noise, probing=True, workspace=workspace)
         step = _step(lin)
@@ -221,9 +223,13 @@ def _stalled(iterations: list[Iteration]) -> bool:
     return min(steps[-_PATIENCE // 2 :]) > 0.5 * min(steps[: -_PATIENCE // 2])
 
 
-def _left(step: GaussNewtonStep, previous: float) -> float:
-    """Return how far the minimum lies from the end of a step, in sigmas, as it and the previous one foretell."""
-    return step.largest * min(1.0, step.largest / max(previous, 1e-12))
+def _left(step: GaussNewtonStep, before: float) -> float:
+    """Return how far the minimum lies from the end of a step, in sigmas, as its length and that before it foretell.
+
+    Steps of the parameters alone would not do: they may be done when the trajectory, which follows a clock that moved
+    by forty sigmas, is not, and moves them again.
+    """
+    return step.length * min(1.0, step.length / max(before, 1e-12))
 
 
 def _exact(lin: NormalEquations, step: GaussNewtonStep) -> GaussNewtonStep:
