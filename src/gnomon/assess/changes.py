@@ -18,7 +18,7 @@ from ..results.calibration import Calibration
 from ..results.trust import ParameterChange, QuantityChange, Trust
 from .verdict import grade_value, merge_by_cause, verdict_of
 
-CHANGED = "parameter-changed"
+_CLOCKS = (".time_shift_cam_imu", ".time_shift_imu")
 
 _CERTAIN = 3.0
 """Sigmas from which on a quantity of a block that changed counts as changed itself."""
@@ -87,7 +87,7 @@ def with_changes(calibration: Calibration, trust: Trust | None) -> Calibration:
         return calibration
     changes = tuple(change for one in trust.changes for change in quantity_changes(one, calibration))
     assessment = calibration.assessment
-    findings = merge_by_cause([*assessment.findings, *change_findings(changes, None)])
+    findings = merge_by_cause([*without_changes(assessment.findings, changes), *change_findings(changes, None)])
     return replace(
         calibration,
         assessment=replace(
@@ -97,6 +97,21 @@ def with_changes(calibration: Calibration, trust: Trust | None) -> Calibration:
             trust=replace(assessment.trust, changes=changes),
         ),
     )
+
+
+def without_changes(findings: Sequence[Finding], changes: Sequence[QuantityChange]) -> list[Finding]:
+    """Return findings but those on changes, and on jumps of clocks that these tell of better."""
+    jumped = {name for change in changes if _is_jump(change) for name in (change.block, change.sensor)}
+    return [
+        one
+        for one in findings
+        if one.code != "parameter-changed" and not (one.code == "clock-jump" and one.subject in jumped)
+    ]
+
+
+def _is_jump(change: QuantityChange) -> bool:
+    """Tell whether a clock jumped: a time shift that changed at once."""
+    return change.block.endswith(_CLOCKS) and change.at_s is not None
 
 
 def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Iterator[Finding]:
@@ -117,6 +132,16 @@ def change_findings(changes: Sequence[QuantityChange], use: Use | None) -> Itera
         severity = "problem" if "problem" in grades else "warning" if "warning" in grades else "info"
         told = "; ".join(_told(change, need, use) for change, need in zip(own, needed, strict=True))
         beyond = severity != "info"
+        if beyond and _is_jump(own[0]):
+            yield make_finding(
+                "clock-jump/parts",
+                severity=severity,
+                block=place[0],
+                sensor=own[0].sensor,
+                at_s=own[0].at_s,
+                told=told,
+            )
+            continue
         yield make_finding(
             "parameter-changed",
             severity=severity,
@@ -155,7 +180,15 @@ def quantity_changes(change: ParameterChange, calibration: Calibration) -> tuple
     """
     sensor, _, rest = change.block.partition(".")
     found = [
-        QuantityChange(block=change.block, quantity=name, sensor=sensor, size=size, sigma=sigma, where=change.where)
+        QuantityChange(
+            block=change.block,
+            quantity=name,
+            sensor=sensor,
+            size=size,
+            sigma=sigma,
+            where=change.where,
+            at_s=change.at_s if np.isfinite(change.at_s) else None,
+        )
         for name, size, sigma in _sizes(change, sensor, rest, calibration)
     ]
     certain = [one for one in found if one.size > _CERTAIN * one.sigma]

@@ -19,7 +19,7 @@ from ..options.requirements import (
 from ..recording import Floats
 from ..results.calibration import Assessment, Calibration
 from ..results.trust import Need
-from .changes import CHANGED, change_findings
+from .changes import change_findings, without_changes
 from .directions import Kind, Part, duration_text, estimated_parts, motion_advice, one_direction, relative_covariance
 from .observability import LIMITS
 from .verdict import grade_value, merge_by_cause, verdict_of
@@ -307,7 +307,9 @@ def judge_for_use(calibration: Calibration, use: Use | None) -> Calibration:
     asked = _asked(calibration, use)
     serious = any(offer.held for offer in asked) or any(need.verdict == "fail" for need in found)
     kept = [
-        _regraded(f, "problem" if serious else "info") for f in general.findings if f.code not in (*_PRECISION, CHANGED)
+        _regraded(f, "problem" if serious else "info")
+        for f in without_changes(general.findings, general.trust.changes)
+        if f.code not in _PRECISION
     ]
     changed = change_findings(general.trust.changes, use)
     findings = merge_by_cause(
@@ -404,8 +406,8 @@ def _general(calibration: Calibration) -> Assessment:
     vital = not calibration.cameras or any(part in name for name in held for part in PLACES_AND_CLOCKS)
     kept = [
         _regraded(finding, "problem" if vital else "warning")
-        for finding in assessment.findings
-        if finding.code not in (*_USE, CHANGED)
+        for finding in without_changes(assessment.findings, assessment.trust.changes)
+        if finding.code not in _USE
     ]
     kept += change_findings(assessment.trust.changes, None)
     findings = merge_by_cause([*kept, *general_precision(calibration)])

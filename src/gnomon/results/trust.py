@@ -99,6 +99,7 @@ class ParameterChange:
     values : (k,) second part minus first [published unit]
     covariance : (k, k) of these, by the scatter of what is left once the change is in the model
     where : the parts, such as "after 61.2 s, against the time before"
+    at_s : from when on, where it changed at once; else nan [s]
     chance : that a recording in which nothing changed shows as much, all looks counted
     """
 
@@ -108,6 +109,7 @@ class ParameterChange:
     covariance: Floats
     where: str
     chance: float
+    at_s: float = float("nan")
 
 
 @value_class(eq=True)
@@ -230,6 +232,7 @@ class QuantityChange:
     sensor : such as "imu0" or "cam0"
     size, sigma : of the change [SI, px]
     where : between which parts of the recording
+    at_s : from when on, where it changed at once [s]
     """
 
     block: str
@@ -238,6 +241,7 @@ class QuantityChange:
     size: float
     sigma: float
     where: str
+    at_s: float | None = None
 
 
 @value_class(eq=True)

@@ -180,6 +180,19 @@ def test_a_change_is_held_against_what_the_use_needs(degrees, use, severity):
     assert bool(finding.cure) == (severity != "info")
 
 
+def test_a_time_shift_that_changes_at_once_is_a_clock_that_jumped():
+    jump = replace(
+        CHANGE, block="cam0.time_shift_cam_imu", quantity="time_shift", sensor="cam0", size=8e-3, sigma=1e-4, at_s=61.2
+    )
+    (finding,) = change_findings([jump], None)
+    assert (finding.code, finding.severity, finding.subject) == ("clock-jump", "problem", jump.block)
+    assert "near 61.2 s: the time shift of cam0 by 8 +- 0.1 ms" in finding.message
+    (finding,) = change_findings([replace(jump, at_s=None)], None)  # a clock that drifts
+    assert finding.code == "parameter-changed"
+    (finding,) = change_findings([jump], USES["ahrs"])
+    assert (finding.code, finding.severity) == ("parameter-changed", "info")
+
+
 def test_what_a_use_does_not_ask_for_is_no_fault():
     shift = replace(CHANGE, block="cam0.T_cam_imu.translation", quantity="camera_translation", sensor="cam0", size=0.1)
     (finding,) = change_findings([shift], USES["gimbal"])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, simulate_camera_imu
+from gnomon import CameraImuOptions, CameraImuScenario, calibrate_camera_imu, judge, simulate_camera_imu
 from gnomon.assess.checks.rig_doctor import check_corners
 from gnomon.errors import RecordingError
 
@@ -72,6 +72,19 @@ def test_a_short_jump_is_told_once(simulation, by_s) -> None:
 @pytest.mark.parametrize("lost_s", [0.0, 0.5, 3.0])
 def test_lost_samples_are_no_jump(simulation, lost_s) -> None:
     assert not jumps(with_imu(simulation.recording, 9, 0.0, lost_s), simulation.target)
+
+
+@pytest.mark.parametrize(("edit", "by_s"), [(with_imu, 5e-3), (with_camera, -5e-3)])
+def test_the_calibration_tells_of_a_jump_that_is_too_short_for_the_check(simulation, edit, by_s) -> None:
+    recording = edit(simulation.recording, 12, by_s)
+    result = calibrate_camera_imu(recording, simulation.target, CameraImuOptions(gravity=SCENARIO.gravity))
+    loud = [one.code for one in result.calibration.assessment.findings if one.severity in ("warning", "problem")]
+    assert loud == ["clock-jump", "stream-short"]
+    (change,) = result.calibration.assessment.trust.changes
+    assert change.at_s == pytest.approx(12, abs=0.8)
+    assert change.size == pytest.approx(5e-3, rel=0.1)
+    judged = judge(result.calibration, "general").assessment.findings
+    assert [one.subject for one in judged if one.code == "clock-jump"] == ["cam0.time_shift_cam_imu"]
 
 
 @pytest.mark.parametrize(("at_s", "by_s"), [(10, 1.0), (10, 0.3), (5, 5.0)])

@@ -52,10 +52,14 @@ _LOOSE = 1e-6  # of the information: keeps open what a part does not determine
 
 @value_class
 class _Cut:
-    """A course of a change: its share (n,) in each stretch, zero in the first part and one in the second, in words."""
+    """A course of a change: its share (n,) in each stretch, zero in the first part and one in the second, in words.
+
+    `at_s` is from when on, of a change at once; else nan [s].
+    """
 
     share: Floats
     words: str
+    at_s: float = math.nan
 
 
 @value_class
@@ -217,6 +221,7 @@ class _Scan:
             values=by_change @ found.change,
             covariance=root @ scatter @ root.T,
             where=cut.words,
+            at_s=cut.at_s,
             chance=min(1.0, self.looks * _chance(found, n)),
         )
 
@@ -330,10 +335,9 @@ def _courses(t_s: Floats, order: Integers) -> list[list[_Cut]]:
 
 
 def _at(t_s: Floats, place: int) -> _Cut:
-    return _Cut(
-        share=(np.arange(len(t_s)) >= place).astype(np.float64),
-        words=f"after {(t_s[place - 1] + t_s[place]) / 2:.4g} s, against the time before",
-    )
+    at_s = float(t_s[place - 1] + t_s[place]) / 2
+    share = (np.arange(len(t_s)) >= place).astype(np.float64)
+    return _Cut(share=share, words=f"after {at_s:.4g} s, against the time before", at_s=at_s)
 
 
 def _estimate(sums: ClusterSums, given: Sequence[_Term], block: _Block, cut: _Cut) -> _Estimate | None:

@@ -594,7 +594,7 @@ def _trust(node: Node) -> UncertaintySummary:
 
 
 def _change(node: Node) -> QuantityChange:
-    keys = node.mapping(("block", "quantity", "sensor", "size", "sigma", "where"))
+    keys = node.mapping(("block", "quantity", "sensor", "size", "sigma", "where"), ("at_s",))
     return QuantityChange(
         block=keys["block"].text(),
         quantity=keys["quantity"].text(),
@@ -602,6 +602,7 @@ def _change(node: Node) -> QuantityChange:
         size=keys["size"].number(),
         sigma=keys["sigma"].number(),
         where=keys["where"].text(),
+        at_s=keys["at_s"].number() if "at_s" in keys else None,
     )
 
 

@@ -27,7 +27,7 @@ from ...results.calibration import (
     Provenance,
     calibration_parameters,
 )
-from ...results.trust import Need, UncertaintySummary
+from ...results.trust import Need, QuantityChange, UncertaintySummary
 from ..shared.yaml_text import yaml_lines
 from .calibration_file import BOARD_NUMBERS, SCHEMA_MAJOR, VIEW_COUNTS, VIEW_NUMBERS, imu_keys
 
@@ -338,8 +338,12 @@ def _trust(trust: UncertaintySummary) -> dict[str, Any]:
         "use": trust.use,
         "needs": [_need(need) for need in trust.needs],
         **({"recordings": trust.recordings, "between": dict(trust.between)} if trust.recordings else {}),
-        **({"changes": [asdict(change) for change in trust.changes]} if trust.changes else {}),
+        **({"changes": [_change(change) for change in trust.changes]} if trust.changes else {}),
     }
+
+
+def _change(change: QuantityChange) -> dict[str, Any]:
+    return {key: value for key, value in asdict(change).items() if value is not None}
 
 
 def _need(need: Need) -> dict[str, Any]:
