@@ -27,8 +27,8 @@ def _library() -> ctypes.CDLL | None:
         found.gnomon_interface.restype = ctypes.c_int64
         if found.gnomon_interface() != _INTERFACE:
             return None
-        for function in (found.gnomon_inertial_rows, found.gnomon_corner_sums, found.gnomon_add_spans):
-            function.restype = None
+        for name in ("inertial_rows", "corner_sums", "add_spans", "running_sums"):
+            found[f"gnomon_{name}"].restype = None
     except (OSError, AttributeError):  # of another processor, damaged, of another version
         return None
     return found

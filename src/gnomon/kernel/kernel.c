@@ -1,6 +1,7 @@
 /* The loops in which a camera-IMU calibration spends its time: rows of the inertial error terms, sums over the corners
-   of an exposure, and what is added to the normal equations. Each does what the NumPy code beside its caller does (estimate/camera_imu/terms), to rounding;
-   equations and names are explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
+   of an exposure, and what is added to the normal equations; and running sums for Allan variances. Each does what the
+   NumPy code beside its caller does (estimate/camera_imu/terms, estimate/allan), to rounding; equations and names are
+   explained there. C99, no library but the mathematical one. Matrices are 3 x 3, row by row. */
 
 #include <math.h>
 #include <stdint.h>
@@ -551,5 +552,22 @@ CLONES EXPORT void gnomon_corner_sums(int64_t e, int64_t m, const int64_t *start
             for (int64_t j = i; j < w; j++) gram[i * w + j] = gram[j * w + i] = upper[i * stride + j];
         cost[k] = total, count[k] = seen;
         square[k] = seen ? squared / (2.0 * (double)seen) : NAN;
+    }
+}
+
+/* running sums for Allan variances (estimate/allan/products.py) */
+
+/* The running sums (3, n + 1) of three axes (n, 3), without the straight line from their first to their last value. */
+CLONES EXPORT void gnomon_running_sums(int64_t n, const double *y, double *x) {
+    double *const axes[3] = {x, x + n + 1, x + 2 * (n + 1)}, sum[3] = {0.0, 0.0, 0.0};
+    for (int64_t k = 0; k < n; k++)
+        for (int i = 0; i < 3; i++) {
+            axes[i][k] = sum[i];
+            sum[i] += y[3 * k + i];
+        }
+    for (int i = 0; i < 3; i++) {
+        double *axis = axes[i], slope = sum[i] / (double)n;
+        for (int64_t k = 0; k < n; k++) axis[k] -= slope * (double)k;
+        axis[n] = 0.0;
     }
 }

@@ -155,3 +155,12 @@ def add_spans(
         *(_long(len(spans)), _long(order), _long(sums.shape[2]), _at(sums), _at(spans), _long(bias_offset)),
         *(*map(_out, band), _out(tail), _long(tail.shape[1]), _long(tail.shape[2]), _long(bias_at), _at(columns)),
     )
+
+
+def running_sums(samples: Floats) -> Floats:
+    """Return the running sums (3, n + 1) of samples (n, 3), without the line from their first to their last value."""
+    library = load_kernel()
+    assert library is not None
+    found = np.empty((3, len(samples) + 1))
+    library.gnomon_running_sums(_long(len(samples)), _at(samples), _out(found))
+    return found

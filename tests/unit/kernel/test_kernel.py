@@ -10,6 +10,7 @@ import pytest
 
 from camera_imu_problem import problem
 from gnomon import kernel
+from gnomon.estimate.allan.products import product_sums
 from gnomon.estimate.camera_imu.batch import linearize_batch
 
 ROOT = Path(__file__).parents[3]
@@ -58,6 +59,18 @@ def test_the_kernel_gives_what_numpy_gives(name, monkeypatch):
     for key, values in plain.items():
         sizes = np.abs(values[np.isfinite(values)]).max(initial=0.0)
         np.testing.assert_allclose(fast[key], values, rtol=1e-12, atol=1e-12 * sizes, err_msg=key)
+
+
+@compiled
+def test_running_sums_are_those_of_numpy(monkeypatch):
+    samples = np.random.default_rng(5).normal([1.0, -20.0, 0.0], 0.1, (3000, 3))
+    monkeypatch.delenv("GNOMON_KERNEL", raising=False)
+    fast = product_sums(samples, 9)
+    monkeypatch.setenv("GNOMON_KERNEL", "0")
+    for one, plain in zip(fast, product_sums(samples, 9), strict=True):
+        np.testing.assert_allclose(one.means, plain.means, rtol=1e-12)
+        np.testing.assert_allclose(one.totals, plain.totals, rtol=1e-12, atol=1e-13)
+        assert one.slope == pytest.approx(plain.slope, rel=1e-12)
 
 
 def test_it_can_be_switched_off(monkeypatch):

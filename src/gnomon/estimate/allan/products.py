@@ -12,6 +12,8 @@ from os import cpu_count
 
 import numpy as np
 
+from ...kernel import load_kernel
+from ...kernel.library import running_sums
 from ...recording import Floats
 
 _PIECE = 1 << 17  # of the running sum; it and what is multiplied with it stay in the processor's memory
@@ -38,13 +40,9 @@ class AxisProducts:
 
 def product_sums(values: Floats, levels: int) -> list[AxisProducts]:
     """Return the sums of each axis of samples (n, 3), for so many averaging times; 2^levels samples are the least."""
-    pieces = range(0, len(values) + 1, _PIECE)
     with ThreadPoolExecutor(min(3, cpu_count() or 1)) as pool:
-        sums = list(pool.map(_running_sum, values.T))
-        work = [pool.map(lambda start, x=x: _lagged_products(x, start, levels + 1), pieces) for x in sums]
-        ends = pool.map(lambda x: _end_sums(x, levels), sums)
-        lagged = [np.sum(list(one), axis=0) for one in work]
-        return [_axis_products(*one) for one in zip(sums, lagged, ends, strict=True)]
+        sums = running_sums(values) if load_kernel() is not None else pool.map(_running_sum, values.T)
+        return list(pool.map(lambda x: _axis_products(x, _lagged_products(x, levels + 1), _end_sums(x, levels)), sums))
 
 
 def _running_sum(y: Floats) -> Floats:
@@ -101,8 +99,12 @@ def _without_line(x: Floats) -> None:
         piece -= slope * start
 
 
-def _lagged_products(x: Floats, start: int, count: int) -> list[float]:
-    """Return the products of a piece of x with the values 1, 2, 4, ... places later, `count` of them."""
-    piece = x[start : start + _PIECE]
-    later = [x[start + (1 << k) : start + (1 << k) + len(piece)] for k in range(count)]
-    return [float(np.dot(piece[: len(one)], one)) for one in later]
+def _lagged_products(x: Floats, count: int) -> Floats:
+    """Return the products of x (n,) with the values 1, 2, 4, ... places later, (count,)."""
+    found = np.zeros(count)
+    for start in range(0, len(x), _PIECE):
+        piece = x[start : start + _PIECE]
+        for k in range(count):
+            later = x[start + (1 << k) : start + (1 << k) + len(piece)]
+            found[k] += np.dot(piece[: len(later)], later)
+    return found
