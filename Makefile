@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A process for each core; the tests of one file stay together, since they share what they prepare.
 TESTS = -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-.PHONY: help demo test test-all durations test-lowest check lint types examples study bench fuzz install dev clean
+.PHONY: help demo test test-all durations test-lowest check lint types examples study bench fuzz docs install dev clean
 
 help:
 	@echo "make demo         calibrate a simulated recording with known truth, from nothing"
@@ -28,6 +28,7 @@ help:
 	@echo "make study        run the tests that take minutes"
 	@echo "make bench        time what has a limit, beside the limits and other programs"
 	@echo "make fuzz         try 100 000 damaged files on every reader; takes hours, and goes on where it left off"
+	@echo "make docs         build the documentation as a site, in site/"
 	@echo "make clean        remove the environments and what the tools left behind"
 
 demo: install
@@ -72,6 +73,12 @@ fuzz: dev
 	$(BIN)/python $(INSTALL) --group fuzz
 	$(BIN)/python tests/hostile/fuzz.py
 
+# MkDocs warns of its own next version, which this does not use.
+docs: dev
+	$(BIN)/python $(INSTALL) --group docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "site/index.html"
+
 # Empty files in .venv say what is installed there, so that it is done once.
 install: .venv/installed
 dev: .venv/installed-dev
@@ -104,5 +111,5 @@ $(LOWEST)/installed: pyproject.toml .ci/lowest.py | $(LOWEST)/python
 	@touch $@
 
 clean:
-	rm -rf .venv $(LOWEST) build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv $(LOWEST) build dist site .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests benchmarks -name __pycache__ -type d -exec rm -rf {} +

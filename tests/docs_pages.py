@@ -6,12 +6,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+PAGES = (ROOT / "README.md", *sorted(DOCS.rglob("*.md")))
 _SHELL = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def text(name):
     return (DOCS / name).read_text(encoding="utf-8")
+
+
+def how_to(folder):
+    """Return the pages of a folder of docs/how-to, joined in the order of its index."""
+    names = re.findall(r"^- \[.*\]\((.+)\)$", text(f"how-to/{folder}/index.md"), re.MULTILINE)
+    return "\n".join(text(f"how-to/{folder}/{name}") for name in names)
 
 
 def shell_commands(page):

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 import gnomon
-from docs_pages import DOCS, ROOT, shell_commands, text
+from docs_pages import DOCS, ROOT, how_to, shell_commands, text
 from gnomon.cli import main
 from gnomon.formats.shared.yaml_text import kalibr_yaml
 
@@ -101,7 +101,7 @@ def make_single_sensors():
 @pytest.mark.long
 def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    section = text("how-to.md").split("## By task: one sensor at a time")[1].split("\n## ")[0]
+    section = how_to("sensors")
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
     make_single_sensors()
     run(["simulate", "-o", "log.csv", "--intervals", "20", "--t-init-s", "20"])
@@ -132,7 +132,8 @@ def test_every_way_to_calibrate_one_sensor_works(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_every_way_to_calibrate_a_rig_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    commands = [words for words in shell_commands(DOCS / "how-to.md") if words[:2] == ["camera-imu", "rig"]]
+    (tmp_path / "section.md").write_text(how_to("rig"), encoding="utf-8")
+    commands = [words for words in shell_commands(tmp_path / "section.md") if words[:2] == ["camera-imu", "rig"]]
     commands = [words for words in commands if "photographs-camera/calibration.yaml" not in words]  # with the cameras
     assert len(commands) > 5
     run(["simulate", "camera-imu", "-o", "rig", *RIG, "--seed", "5"])
@@ -164,7 +165,7 @@ def make_two_imus(folder):
 @pytest.mark.long
 def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    section = text("how-to.md").split("## By task: cameras alone")[1].split("\n## ")[0]
+    section = how_to("cameras")
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
     run(["simulate", "cameras", "-o", "photographs", "--images", *VIEWS])
     run(["simulate", "cameras", "-o", "pair", "--images", "--cameras", "2", "--form", "ros1", *VIEWS, *SMALL])
@@ -188,7 +189,7 @@ def test_every_way_to_calibrate_cameras_works(tmp_path, monkeypatch):
 @pytest.mark.long
 def test_every_way_to_trust_and_to_take_elsewhere_works(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    section = text("how-to.md").split("## By task: trusting a result, and taking it elsewhere")[1]
+    section = how_to("trust")
     (tmp_path / "section.md").write_text(section, encoding="utf-8")
     needs = re.search(r"^```yaml\n(name: .*?)^```", section, re.MULTILINE | re.DOTALL)
     (tmp_path / "needs.yaml").write_text(needs.group(1), encoding="utf-8")

@@ -258,7 +258,7 @@ def test_every_key_of_the_noise_files_is_documented(tmp_path):
 
 
 def test_every_need_of_every_use_is_documented():
-    section = text("how-to.md").split("### Judge for a use")[1].split("\n### ")[0]
+    section = text("how-to/trust/judge-for-a-use.md")
     head, *rows = [
         [cell.strip(" `") for cell in line.split("|")[1:-1]] for line in re.findall(r"^\| .*", section, re.M)
     ]
@@ -269,7 +269,7 @@ def test_every_need_of_every_use_is_documented():
 
 
 def test_the_example_of_needs_can_be_read(tmp_path):
-    example = re.search(r"^```yaml\n(name: .*?)^```", text("how-to.md"), re.MULTILINE | re.DOTALL)
+    example = re.search(r"^```yaml\n(name: .*?)^```", text("how-to/trust/judge-for-a-use.md"), re.MULTILINE | re.DOTALL)
     (tmp_path / "needs.yaml").write_text(example.group(1), encoding="utf-8")
     assert read_use(tmp_path / "needs.yaml").needs["time_shift"] == pytest.approx(2e-4)
 
@@ -347,3 +347,19 @@ def test_commands_can_be_parsed(page, tmp_path, monkeypatch):
         if words[0] != "demo" or words[1:]:
             name = " ".join(words[:2]) if words[0] == "simulate" else words[0]
             assert type(parse_command(words)) is COMMANDS[name]
+
+
+def test_every_page_is_on_the_site():
+    nav = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    named = re.findall(r"([\w/.-]+\.md)$", nav, re.MULTILINE)
+    assert sorted(named) == sorted(page.relative_to(DOCS).as_posix() for page in PAGES[1:])
+
+
+def test_indexes_list_every_page():
+    for folder in (DOCS / "how-to").iterdir():
+        pages = {page.name for page in folder.glob("*.md")} - {"index.md"}
+        for index, prefix in ((folder / "index.md", ""), (DOCS / "how-to.md", f"how-to/{folder.name}/")):
+            listed = re.findall(
+                rf"^- \[.*\]\({prefix}([\w.-]+\.md)\)$", index.read_text(encoding="utf-8"), re.MULTILINE
+            )
+            assert set(listed) == pages, index
