@@ -419,6 +419,14 @@ def _general(calibration: Calibration) -> Assessment:
     )
 
 
+def with_precision(calibration: Calibration) -> Calibration:
+    """Return a calibration whose verdict counts what is known worse than general use asks."""
+    findings = merge_by_cause([*calibration.assessment.findings, *general_precision(calibration)])
+    return replace(
+        calibration, assessment=replace(calibration.assessment, findings=findings, verdict=verdict_of(findings))
+    )
+
+
 def general_precision(calibration: Calibration) -> Iterator[Finding]:
     """Yield what is known worse than general use asks."""
     for need in needs_of_use(calibration, GENERAL_RIG if calibration.cameras else GENERAL_IMU):

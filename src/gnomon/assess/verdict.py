@@ -268,8 +268,6 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lens model": (1.03, 3.0),  # residuals over those of the best
     "baseline": (0.01, 0.1),
     "rotation": (radians(0.1), radians(1.0)),
-    "translation": (5e-3, 5e-2),
-    "time shift": (5e-4, 5e-3),
 }
 """What is judged -> from which value on it is a warning, and a problem."""
 

@@ -16,6 +16,7 @@ from ..assess.cameras.camera_imu_verdict import assess_camera_imu
 from ..assess.cameras.camera_views import without_copies
 from ..assess.changes import with_changes
 from ..assess.checks.early_findings import judged_again, unmodelled_effects
+from ..assess.needs import with_precision
 from ..assess.prior_findings import prior_used
 from ..assess.priors import Priors, refuse_own_data
 from ..assess.verdict import model_incomplete, parts_disagree, uncertainty_summary, underestimated_blocks
@@ -223,7 +224,7 @@ def _assess(
             options=stated_options(replace(stated, compare=False)),  # what is drawn changes no number
         ),
     )
-    return Result(calibration=with_changes(calibration, trust), diagnostics=diagnostics)
+    return Result(calibration=with_changes(with_precision(calibration), trust), diagnostics=diagnostics)
 
 
 def _with_origins(

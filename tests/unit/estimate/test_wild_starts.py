@@ -47,6 +47,7 @@ def test_a_turn_about_one_axis_in_few_frames_is_refused_in_words():
         rate_scale=1.0,
         score=1.0,
         axes=np.array([1.0, 0.0, 0.0]),
+        directions=np.eye(3),
         consistent=np.ones(10, dtype=bool),
     )
     poses = _poses(t_s, R)

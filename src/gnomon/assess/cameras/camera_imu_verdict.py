@@ -1,7 +1,5 @@
 """Verdict and advice on a camera-IMU calibration: what to trust, what to do next."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from ...estimate.camera_imu.model_ladder import LADDER
@@ -11,6 +9,7 @@ from ...geometry.rotation_vector import rotvec_from_rotation
 from ...results.calibration import Assessment, CameraImuFit
 from ...results.camera_diagnostics import CameraImuDiagnostics, NoiseLevel
 from ..checks.clock_drift import check_drift
+from ..directions import across_words, axis_words
 from ..verdict import grade_by_limits, gravity_findings, merge_by_cause, most_severe, verdict_of
 from ..weak_findings import PLACES_AND_CLOCKS, weak_findings
 from .camera_imu_tables import MISFIT, CameraImuFitSummary
@@ -46,7 +45,6 @@ def assess_camera_imu(
         *_convergence(evidence),
         *_rotation(evidence),
         *_observability(held, diagnostics),
-        *precision_findings(diagnostics, tuple(evidence.published.imus)[1:], tuple(evidence.published.cameras)),
         *_residuals(evidence, diagnostics),
         *_frames(fit, diagnostics),
         *_board_size(evidence),
@@ -107,7 +105,17 @@ def _rotation(evidence: CameraImuFitSummary) -> list[Finding]:
     for look in evidence.looks:
         axes, score = look.alignment.axes, look.alignment.score
         if axes[1] < _ONE_AXIS * axes[0]:
-            findings.append(make_finding("rotation-one-axis", name=look.name, axis_rate=axes[0], second_rate=axes[1]))
+            about = look.alignment.directions[:, 0]
+            findings.append(
+                make_finding(
+                    "rotation-one-axis",
+                    name=look.name,
+                    axis=axis_words(about, of_camera=True),
+                    others=across_words(about, of_camera=True),
+                    axis_rate=axes[0],
+                    second_rate=axes[1],
+                )
+            )
         if score < _EXPLAINED and not fits:
             findings.append(make_finding("rotation-disagrees", score=max(score, 0), name=look.name))
     return findings
@@ -324,31 +332,3 @@ def _clocks(evidence: CameraImuFitSummary) -> list[Finding]:
         for look, entry in zip(evidence.looks, entries, strict=True)
         for finding in check_drift(look.name, look.poses, stream, entry.time_shift_s, imu)
     ]
-
-
-_SHOWN_IN = {"rotation": (180 / np.pi, "deg"), "translation": (1e3, "mm"), "time shift": (1e3, "ms")}
-
-
-def precision_findings(
-    diagnostics: CameraImuDiagnostics, imus: tuple[str, ...], cameras: tuple[str, ...]
-) -> Iterator[Finding]:
-    """Judge the standard deviations of poses and time shifts.
-
-    Parameters
-    ----------
-    diagnostics : with the scalars of the estimation
-    imus : those beside the first
-    cameras : all of them
-    """
-    sigma = {parameter.name: parameter.sigma for parameter in diagnostics.parameters}
-    placed = [(name, "T_cam_imu", "time_shift_cam_imu", "the IMU") for name in cameras]
-    placed += [(name, "T_imu_body", "time_shift", "imu0") for name in imus]
-    for name, link, shift, body in placed:
-        turn, way = ([f"{link}.{part}[{k}]" for k in range(3)] for part in ("rotation", "translation"))
-        for word, scalars in (("rotation", turn), ("translation", way), ("time shift", [shift])):
-            largest = max(sigma[f"{name}.{scalar}"] for scalar in scalars)
-            severity = grade_by_limits(word, largest)
-            if severity != "good":
-                factor, unit = _SHOWN_IN[word]
-                known = f"{factor * largest:.2g} {unit}"
-                yield make_finding("imprecise/rig", severity=severity, word=word, name=name, body=body, known=known)

@@ -22,6 +22,7 @@ from ...models.target import Target
 from ...recording import CameraFrames, Floats, ImuSamples, Recording
 from ...results.intervals import Booleans
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S
+from ..directions import axis_words
 from ..imu.imu_verdict import axis_findings
 from ..verdict import merge_by_cause
 from .board_turn import BoardTurns, board_move, moved_finding
@@ -169,7 +170,8 @@ def _slow(name: str, alignment: Alignment) -> list[Finding]:
     fastest = float(alignment.axes[0])
     if not 0 < fastest < _SLOW_RAD_S:
         return []
-    return [make_finding("motion-slow", name=name, fastest=fastest)]
+    axis = axis_words(alignment.directions[:, 0], of_camera=True)
+    return [make_finding("motion-slow", name=name, fastest=fastest, axis=axis)]
 
 
 def _axes(name: str, gyroscope: AxesFit, accelerometer: AxesFit | None) -> list[Finding]:

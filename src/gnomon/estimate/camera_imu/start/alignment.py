@@ -65,6 +65,7 @@ class Alignment:
     rate_scale : gyroscope's rate over the camera's; 1 for a gyroscope in rad/s
     score : 0 to 1, share of the camera's rotation that the gyroscope explains, up to its scale
     axes : (3,) rms angular rate of the camera along its principal axes, largest first [rad/s]
+    directions : (3, 3) these axes as columns, in the camera's frame
     consistent : (n,) which frames of the poses agree with the gyroscope
     """
 
@@ -74,6 +75,7 @@ class Alignment:
     rate_scale: float
     score: float
     axes: Floats
+    directions: Floats
     consistent: np.ndarray
 
 
@@ -125,7 +127,7 @@ def align_camera(poses: BoardPoses, integral: GyroscopeIntegral, name: str) -> A
             f"{name}: the board was seen in {len(poses)} frames, and in fewer than ten pairs of frames less than "
             f"{_LONGEST_STEP_S:g} s apart. Keep the board in view while you move, and record at 4 Hz or more."
         )
-    spread = _principal_rates(turns, np.ones(len(turns.first), dtype=bool))
+    spread, _ = _principal_rates(turns, np.ones(len(turns.first), dtype=bool))
     if spread[0] < 0.02:
         raise InitialisationError(
             f"{name}: the camera turned by {np.degrees(spread[0]):.2g} deg/s (rms) only; without rotation neither the "
@@ -232,7 +234,7 @@ def _windows(turns: "_Turns") -> list["_Turns"]:
 
 def _explains(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral, shift: float) -> bool:
     """Tell whether a window's rotation is explained best about a shift, or is too slow to be asked."""
-    spread = _principal_rates(window, np.ones(len(window.first), dtype=bool))
+    spread, _ = _principal_rates(window, np.ones(len(window.first), dtype=bool))
     if spread[1] < _WINDOW_RAD_S:
         return True
     off = np.linspace(-_FINE_S, _FINE_S, 17)
@@ -246,7 +248,7 @@ def _explains(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral, 
 
 def _window_alignment(poses: BoardPoses, window: "_Turns", integral: GyroscopeIntegral) -> Alignment | None:
     """Return the alignment of a window by itself; None where nothing certain is found."""
-    spread = _principal_rates(window, np.ones(len(window.first), dtype=bool))
+    spread, _ = _principal_rates(window, np.ones(len(window.first), dtype=bool))
     if spread[1] < max(_WINDOW_RAD_S, _TWO_AXES * spread[0]):
         return None
     try:
@@ -342,10 +344,11 @@ def _aligned(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, name
     return max(tried, key=lambda one: one.score)
 
 
-def _principal_rates(turns: _Turns, used: np.ndarray) -> Floats:
-    """Return the rms angular rate along the principal axes, largest first, (3,) [rad/s]."""
+def _principal_rates(turns: _Turns, used: np.ndarray) -> tuple[Floats, Floats]:
+    """Return the rms angular rate along the principal axes (3,) [rad/s], largest first, and these as columns (3, 3)."""
     rates = (turns.rotvec / (turns.stop_s - turns.start_s)[:, None])[used]
-    return np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(rates.T)), 0.0))[::-1]
+    variance, directions = np.linalg.eigh(np.cov(rates.T))
+    return np.sqrt(np.maximum(variance, 0.0))[::-1], directions[:, ::-1]
 
 
 def _rate(integral: GyroscopeIntegral) -> float:
@@ -469,13 +472,15 @@ def _refined(poses: BoardPoses, turns: _Turns, integral: GyroscopeIntegral, coar
     after[turns.first[bad]] = True
     before[turns.second[bad]] = True
     consistent[before & after] = False
+    axes, directions = _principal_rates(turns, found.good > 0)
     return Alignment(
         time_shift_s=best,
         R_cam_imu=found.R.T,
         gyroscope_bias=found.bias,
         rate_scale=found.scale,
         score=found.explained,
-        axes=_principal_rates(turns, found.good > 0),
+        axes=axes,
+        directions=directions,
         consistent=consistent,
     )
 

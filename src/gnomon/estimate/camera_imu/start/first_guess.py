@@ -128,6 +128,7 @@ def _as_stated(frames: CameraFrames, poses: BoardPoses) -> Alignment:
         rate_scale=1.0,
         score=0.0,
         axes=np.zeros(3),
+        directions=np.eye(3),
         consistent=np.ones(len(poses), dtype=bool),
     )
 
