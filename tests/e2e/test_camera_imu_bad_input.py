@@ -228,7 +228,9 @@ SUSPECT = {
         words="lens of cam1 is not as stated: focal length -9.1 %",
         verdict="warn",
     ),
-    "one axis": Case(scenario={"motion": "one-axis"}, finding="rotation-one-axis", words="about one axis only, its optical axis"),
+    "one axis": Case(
+        scenario={"motion": "one-axis"}, finding="rotation-one-axis", words="about one axis only, its optical axis"
+    ),
     "tags numbered from the top": Case(edit=renumbered(from_the_top), finding="tag-spacing"),
     "camera upside down in camchain.yaml": Case(
         edit=stated_extrinsics(np.diag([-1.0, -1.0, 1.0])),
