@@ -13,6 +13,7 @@ from ..recording import Source
 
 _GZIP = b"\x1f\x8b"
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+MAT_MAGIC = b"MATLAB 5.0 MAT-file"
 NPZ_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 MUCH_BYTES, MOST_TIMES = 256 << 20, 100
 """What is packed may be unpacked to so many bytes, or to so many times its size."""
@@ -24,8 +25,9 @@ _KNOWN_BINARY = {
     b"#ROSBAG": "a ROS 1 bag",
     b"\x89MCAP": "an MCAP file",
     b"SQLite format 3": "an SQLite file (perhaps a ROS 2 bag)",
-    b"MATLAB 5.0 MAT-file": "a binary MAT file",
-    b"\x89HDF": "an HDF5 file (perhaps a MAT file, version 7.3)",
+    MAT_MAGIC: "a MAT file",
+    b"MATLAB 7.3": "a MAT file of version 7.3 (in MATLAB, save(..., '-v7') writes one that gnomon reads)",
+    b"\x89HDF": "an HDF5 file",
     b"\x93NUMPY": "a single NumPy array; put the arrays into one NPZ file with named keys",
     b"ULog": "a PX4 ULog",
     b"PAR1": "a Parquet file",
@@ -42,11 +44,15 @@ class TextFile:
     name : name without folder, for messages
     data : unpacked bytes
     source : name and hash of the file as it is on the disk
+    header : names of the columns where they are known from elsewhere than a line above them, or empty
+    notes : what was assumed when it became what it is
     """
 
     name: str
     data: bytes
     source: Source
+    header: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def first_bytes(path: Path, count: int = 512) -> bytes:
@@ -71,7 +77,7 @@ def first_bytes(path: Path, count: int = 512) -> bytes:
 
 
 def read_text_file(path: Path) -> TextFile:
-    """Read a text file, gzipped or not.
+    """Read a text file, gzipped or not; a MAT file as the table that it holds.
 
     Raises
     ------
@@ -79,6 +85,10 @@ def read_text_file(path: Path) -> TextFile:
         If the file cannot be read, its gzip stream is broken, or it holds no text.
     """
     head = first_bytes(path)
+    if head.startswith(MAT_MAGIC):
+        from .matlab import read_mat_table  # scipy.io takes its time
+
+        return read_mat_table(path)
     if not head.startswith((_GZIP, *_UTF_16)):
         refuse_binary(head, path)  # before all of it is read
         _refuse_holes(path)

@@ -10,7 +10,7 @@ from ..recording import Floats, ImuSamples, Integers, Recording, Source, TriadSa
 from ..units import Units
 from .devices.device_log import is_device_log
 from .files import NPZ_MAGIC, file_source, first_bytes, read_text_file
-from .samples.column_names import HELP
+from .samples.column_help import HELP
 from .samples.folder import recording_files
 from .samples.pose_files import FEWEST_FILES, join_pose_tables, pose_files
 from .samples.pose_table import LARGEST_BYTES, read_pose_table
@@ -236,7 +236,7 @@ def in_one_file(table: SampleTable, where: str, notes: list[str]) -> tuple[Stamp
                     '"t mx my mz" (_ skips a column).'
                 )
             raise RecordingError(
-                f"{where}: found only a gyroscope; an accelerometer is needed. Give the other file too, or: {HELP}"
+                f"{where}: found only a gyroscope, not an accelerometer. Give the other file too, or: {table.advice}"
             )
         return (table.t_ns, triad), None
     first, second = table.triads

@@ -60,10 +60,18 @@ def read_device_log(
 
 
 def _reader(paths: Sequence[str | Path]) -> Callable[[Path], DeviceLog] | None:
+    from .ardupilot_log import is_dataflash, read_dataflash
     from .gpmf import is_gpmf, read_gpmf
     from .phone_log import is_phone_log, read_phone_log
+    from .px4_ulog import is_ulog, read_ulog
 
     if len(paths) != 1:
         return None
     path = Path(paths[0])
-    return read_gpmf if is_gpmf(path) else read_phone_log if is_phone_log(path) else None
+    readers = (
+        (is_gpmf, read_gpmf),
+        (is_ulog, read_ulog),
+        (is_dataflash, read_dataflash),
+        (is_phone_log, read_phone_log),
+    )
+    return next((reader for is_such, reader in readers if is_such(path)), None)

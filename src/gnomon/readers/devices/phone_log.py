@@ -7,7 +7,7 @@ write all sensors into one table need no reader of their own: its header names t
 from pathlib import Path
 
 from ...errors import RecordingError
-from ..samples.column_names import HELP
+from ..samples.column_help import HELP
 from .device_log import DeviceLog
 from .phone_files import log_files, zipfile_at
 from .phone_phyphox import is_phyphox, read_phyphox

@@ -1,5 +1,6 @@
 """Samples of one IMU, read from its table or tables, in SI units and in the order of time, for use beside cameras."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from ...formats.kalibr.imu import ImuInput
 from ...recording import ImuSamples, Source, TriadSamples
 from ...units import ACCELEROMETER_UNITS_M_S2, GYROSCOPE_UNITS_RAD_S, Units
 from ..recordings import read_recognising
-from ..samples.column_names import HELP
+from ..samples.column_help import HELP, TRIAL
 from ..samples.recognise import IN_MOTION
 from ..samples.stamps import stray_timestamp
 from ..samples.table import RATE_HELP
@@ -51,7 +52,8 @@ def read_imu(
     try:
         recording = read_recognising(IN_MOTION, *files, units=units)
     except RecordingError as error:  # there are no options here for tables that say too little
-        raise RecordingError(_in_place(str(error), files).replace(HELP, _HEADER).replace(RATE_HELP, _HEADER)) from None
+        text = re.sub(TRIAL.format('[^"]*'), "", _in_place(str(error), files))
+        raise RecordingError(text.replace(HELP, _HEADER).replace(RATE_HELP, _HEADER)) from None
     sources.extend(replace(source, name=_in_place(source.name, files)) for source in recording.sources)
     said = [_in_place(note, files) for note in recording.assumptions]
     notes.extend(note if name == "imu0" else f"{name}: {note}" for note in said)

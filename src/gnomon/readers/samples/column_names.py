@@ -4,10 +4,9 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from ...errors import OptionError, RecordingError
-from .text_table import TextLayout, is_number
+from .column_help import columns_help
+from .text_table import TextLayout, is_number, rises
 
 Quantity = Literal["time", "accelerometer", "gyroscope", "magnetometer", "unnamed", "other"]
 
@@ -17,11 +16,12 @@ def _words(text: str) -> frozenset[str]:
 
 
 _AXES = {"x": 0, "y": 1, "z": 2}
-_ACCELEROMETER = _words("a acc accl accel accelero accelerometer acceleration linacc alpha f sf specific force")
-_GYROSCOPE = _words("g gyr gyro gyroscope w omega angular angvel rate rot rotation")
+_ACCELEROMETER = _words("a ac acc acce accl accel accelero accelerometer acceleration linacc alpha f sf specific force")
+_GYROSCOPE = _words("g gy gyr gyro gyroscope w omega angular angvel rate rot rotation")
 _MAGNETOMETER = _words("m mag magn magnet magnetic magneto magnetometer compass")
 _TIME = _words(
-    "t ts time times timestamp timestamps stamp stamps epoch epoc elapsed sec secs seconds nsec nsecs nanosec"
+    "t ts time times timestamp timestamps stamp stamps epoch epoc elapsed sec secs seconds nsec nsecs nanosec "
+    "millis micros"
 )
 _SENSORS: dict[Quantity, frozenset[str]] = {
     "accelerometer": _ACCELEROMETER,
@@ -42,8 +42,8 @@ _UNITS: dict[str, dict[str, str]] = {
         **_COUNT,
     },
     "gyroscope": {
-        **dict.fromkeys(_words("rads rads1 radps rad radsec radianspersecond"), "rad/s"),
-        **dict.fromkeys(_words("degs degs1 dps degps deg degsec degreespersecond"), "deg/s"),
+        **dict.fromkeys(_words("rads rads1 radps rad radsec radianspersecond radianss"), "rad/s"),
+        **dict.fromkeys(_words("degs degs1 dps degps deg degsec degreespersecond degreess"), "deg/s"),
         **dict.fromkeys(_words("mdegs mdps mdegs1 millidps"), "mdeg/s"),
         **_COUNT,
     },
@@ -122,7 +122,11 @@ def column_name(text: str) -> ColumnName:
     found = _axis(words, inside)
     if found is not None:
         return _triad_column(*found, inside)
-    if _TIME.intersection(words):
+    if words == ["t"] and inside and unit_of(inside, "time") is None:  # a temperature, "T (°C)"
+        return OTHER
+    if words[-3:] == ["sample", "time", "fine"]:  # of Xsens
+        return ColumnName(quantity="time", unit="100us")
+    if _TIME.intersection(words) or words in (["ms"], ["us"]):
         return ColumnName(
             quantity="time", unit=unit_of(inside, "time") or unit_of(words[-1], "time") or _time_word(words)
         )
@@ -135,6 +139,8 @@ def _axis(words: list[str], inside: str) -> tuple[int, list[str], list[str]] | N
         if word in _AXES:
             before = words[:i]
             return (_AXES[word], before, words[i + 1 :]) if before else (_AXES[word], words[1:], [])
+        if word == "gy" and words[i + 1 : i + 2] and words[i + 1] in _AXES:  # "GyX"
+            continue
         for stem, axis in ((word[:-1], word[-1]), (word[1:], word[0])):  # "ax", "gyrox"; "xacc"
             known = any(stem in names for names in _SENSORS.values())
             if axis in _AXES and known and not (stem == word[1:] and len(stem) == 1):
@@ -167,9 +173,6 @@ def _bare_axis(axis: int, inside: str) -> ColumnName:
 
 def _time_word(words: list[str]) -> str | None:
     return next((unit for word in words if len(word) > 1 and (unit := unit_of(word, "time"))), None)
-
-
-HELP = 'Say what the columns are with --columns, for example --columns "t ax ay az gx gy gz" (_ skips a column).'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,9 +222,10 @@ def column_roles(layout: TextLayout, stated: str | None, where: str) -> Roles:
         names = [column_name(text) for text in layout.header]
         if any(name.quantity not in {"time", "other"} for name in names):
             return _named(names, layout, where, "the header")
+        advice = columns_help(layout)
         raise RecordingError(
             f"{where}: the header names no accelerometer, gyroscope or magnetometer "
-            f"({', '.join(layout.header)[:120]}). {HELP}"
+            f"({', '.join(layout.header)[:120]}). {advice}"
         )
     return _by_number(layout, where)
 
@@ -245,6 +249,7 @@ def _stated(layout: TextLayout, stated: str, where: str) -> Roles:
 
 def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str) -> Roles:
     triads: list[TriadColumns] = []
+    quantities = [name.quantity for name in names]
     for quantity in ("accelerometer", "gyroscope", "unnamed", "magnetometer"):
         axes = {axis: [i for i, n in enumerate(names) if (n.quantity, n.axis) == (quantity, axis)] for axis in range(3)}
         axes = {axis: _with_gravity(columns, layout.header) for axis, columns in axes.items()}
@@ -256,15 +261,17 @@ def _named(names: list[ColumnName], layout: TextLayout, where: str, origin: str)
                 continue
             listed = ", ".join(f"{'xyz'[axis]}: {len(columns)}" for axis, columns in axes.items())
             sensor = "triad" if quantity == "unnamed" else quantity
+            advice = columns_help(layout, quantities)
             raise RecordingError(
-                f"{where}: {origin} must name each axis of the {sensor} once; found {listed} columns. {HELP}"
+                f"{where}: {origin} must name each axis of the {sensor} once; found {listed} columns. {advice}"
             )
         columns = (axes[0][0], axes[1][0], axes[2][0])
         triads.append(TriadColumns(quantity=quantity, columns=columns, unit=names[columns[0]].unit))
     inertial = any(triad.quantity in {"accelerometer", "gyroscope"} for triad in triads)
     named = [triad for triad in triads if triad.quantity != "unnamed"] if inertial else triads
     if not triads:
-        raise RecordingError(f"{where}: {origin} names no accelerometer, no gyroscope and no magnetometer. {HELP}")
+        advice = columns_help(layout, quantities)
+        raise RecordingError(f"{where}: {origin} names no accelerometer, no gyroscope and no magnetometer. {advice}")
     return Roles(time=time_columns(names, layout), triads=tuple(named))
 
 
@@ -303,13 +310,13 @@ def _by_number(layout: TextLayout, where: str) -> Roles:
     count = layout.columns
     if count in {3, 6}:
         return Roles(time=(), triads=_triads(0, count))
-    if count in {4, 7} and _rises(layout):
+    if count in {4, 7} and rises(layout):
         return Roles(
             time=((0, None),),
             triads=_triads(1, count),
             notes=(f"{where}: no header; the first column rises steadily and was taken for the time.",),
         )
-    if count in {4, 7} and _rises(layout, count - 1):
+    if count in {4, 7} and rises(layout, count - 1):
         return Roles(
             time=((count - 1, None),),
             triads=_triads(0, count - 1),
@@ -320,17 +327,8 @@ def _by_number(layout: TextLayout, where: str) -> Roles:
         if count in {4, 7}
         else "without names that gnomon knows"
     )
-    raise RecordingError(f"{where}: found {layout}, {why}. {HELP}")
+    raise RecordingError(f"{where}: found {layout}, {why}. {columns_help(layout)}")
 
 
 def _triads(first: int, count: int) -> tuple[TriadColumns, ...]:
     return tuple(TriadColumns(quantity="unnamed", columns=(i, i + 1, i + 2)) for i in range(first, count, 3))
-
-
-def _rises(layout: TextLayout, column: int = 0) -> bool:
-    """Tell whether a column mostly rises: stamps may stand still or jump back, samples go up and down."""
-    tokens = [row[column].strip('"') for row in layout.sample if is_number(row[column], layout.decimal_comma)]
-    numbers = np.array([float(token.replace(",", ".")) for token in tokens])
-    with np.errstate(invalid="ignore"):  # infinity less infinity
-        steps = np.diff(numbers)
-    return len(steps) > 0 and float((steps >= 0).mean()) > 0.9 and numbers[-1] > numbers[0]

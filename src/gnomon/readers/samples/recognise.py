@@ -45,7 +45,8 @@ def rest_magnitude(values: Floats) -> float:
     return float(np.median(np.linalg.norm(means[quiet], axis=1)))
 
 
-def _gravity_unit(magnitude: float, limits: tuple[float, float] = _LIKE_GRAVITY) -> str | None:
+def gravity_unit(magnitude: float, limits: tuple[float, float] = _LIKE_GRAVITY) -> str | None:
+    """Return the unit in which a magnitude is within these limits of gravity, or None."""
     for unit, factor in ACCELEROMETER_UNITS_M_S2.items():
         if factor is not None and limits[0] < magnitude * factor / STANDARD_GRAVITY_M_S2 < limits[1]:
             return unit
@@ -62,7 +63,7 @@ def accelerometer_unit(values: Floats) -> Unit:
     if _whole_numbers(values):
         return Unit(unit="count", reason="whole numbers")
     magnitude = rest_magnitude(values)
-    unit = _gravity_unit(magnitude)
+    unit = gravity_unit(magnitude)
     if unit is not None:
         return Unit(unit=unit, reason=f"its magnitude at rest is {magnitude:.4g}")
     return Unit(unit="count", reason=f"its magnitude at rest, {magnitude:.4g}, is gravity in no known unit")
@@ -104,7 +105,7 @@ def accelerometer_unit_in_motion(values: Floats) -> Unit:
     if _whole_numbers(values):
         return Unit(unit="count", reason="whole numbers")
     magnitude = float(np.median(np.linalg.norm(values, axis=1)))
-    unit = _gravity_unit(magnitude, _LIKE_GRAVITY_IN_MOTION)
+    unit = gravity_unit(magnitude, _LIKE_GRAVITY_IN_MOTION)
     if unit is not None:
         return Unit(unit=unit, reason=f"its median magnitude is {magnitude:.4g}")
     return Unit(unit="count", reason=f"its median magnitude, {magnitude:.4g}, is gravity in no known unit")
@@ -223,7 +224,7 @@ def accelerometer_is_first(first: Floats, second: Floats) -> tuple[bool | None, 
     for means, spread in ((means_1[:count], spread_1[:count]), (means_2[:count], spread_2[:count])):
         between = float(np.sqrt(means[quiet].var(axis=0).sum()))
         scatter.append(between / max(float(np.median(spread[quiet])), 1e-12))
-        gravity.append(_gravity_unit(float(np.median(np.linalg.norm(means[quiet], axis=1)))))
+        gravity.append(gravity_unit(float(np.median(np.linalg.norm(means[quiet], axis=1)))))
     ratio = scatter[0] / max(scatter[1], 1e-12)
     by_gravity = None if (gravity[0] is None) == (gravity[1] is None) else gravity[0] is not None
     by_scatter = (

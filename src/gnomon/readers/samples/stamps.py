@@ -12,7 +12,8 @@ from ...units import TIME_UNITS_NS
 
 _LARGEST_NS = 9.2e18
 _HALF_A_DAY_NS = 12 * 3.6e12
-_DECIMALS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+_DECIMALS = {"s": 9, "ms": 6, "us": 3, "ns": 0, "100us": 5}
+_FACTORS_NS = {**TIME_UNITS_NS, "100us": 100_000}
 _EPOCH_S = (6e8, 4.1e9)  # 1989 to 2099
 _POSSIBLE_HZ = (0.5, 1e5)
 _TYPICAL_RATE_HZ = 130.0
@@ -66,13 +67,44 @@ def stray_timestamp(t_ns: Integers) -> int | None:
     return int(np.argmax(far)) if far.any() else None
 
 
+_WRAP = 1 << 32
+
+
+def _is_32_bits(stamps: NDArray[Any]) -> bool:
+    return int(stamps.min()) >= -_WRAP // 2 and int(stamps.max()) < _WRAP
+
+
+class Unwrapper:
+    """Continues counters of 32 bits, such as micros() and millis(), where they begin again at zero.
+
+    A block of stamps is continued from the one before it. Only where the counter goes on within 1/64 of its range, 67 s
+    of microseconds, has it begun again; any other step back is left as it is, and so are stamps that it cannot hold.
+    """
+
+    def __init__(self) -> None:
+        self.wraps = 0
+        self._last: int | None = None
+
+    def __call__(self, stamps: NDArray[Any]) -> NDArray[Any]:
+        """Return the next stamps (n,), integers, continued."""
+        if stamps.dtype.kind != "i" or not len(stamps) or not _is_32_bits(stamps):
+            return stamps
+        steps = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
+        self._last = int(stamps[-1])
+        back = (steps + _WRAP >= 0) & (steps + _WRAP < _WRAP // 64)
+        late = (_WRAP - steps >= 0) & (_WRAP - steps < _WRAP // 64)  # a line from before that comes behind
+        turns = self.wraps + np.cumsum(back.astype(np.int64) - late)
+        self.wraps = int(turns[-1])
+        return stamps + _WRAP * turns if turns.any() else stamps
+
+
 def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
     """Return timestamps in nanoseconds, (n,) int64.
 
     Parameters
     ----------
     stamps : (n,) int64, float64 or text (dtype S)
-    unit : "s", "ms", "us" or "ns"
+    unit : "s", "ms", "us", "ns", or "100us"
     where : file, for messages
 
     Raises
@@ -84,7 +116,7 @@ def to_ns(stamps: NDArray[Any], unit: str, where: str) -> Integers:
         exact = _text_to_ns(stamps, _DECIMALS[unit])
         if exact is not None:
             return exact
-    factor = TIME_UNITS_NS[unit]
+    factor = _FACTORS_NS[unit]
     numbers = _numbers(stamps, where)
     if not np.isfinite(numbers).all():
         raise RecordingError(f"{where}: timestamp {int(np.argmin(np.isfinite(numbers))) + 1} is not a finite number.")

@@ -14,7 +14,7 @@ from ...errors import OptionError, RecordingError
 from ...recording import Floats, ImuSamples, Integers, TriadSamples
 from ...units import Units
 from ..devices.device_log import is_device_log
-from ..files import NPZ_MAGIC, first_bytes
+from ..files import MAT_MAGIC, NPZ_MAGIC, first_bytes
 from ..recordings import read
 from .folder import recording_files
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice
@@ -57,7 +57,7 @@ def open_stream(
     OptionError
         If an option does not fit the recording.
     """
-    if imu == "imu0" and is_device_log(paths):
+    if imu == "imu0" and (is_device_log(paths) or _is_mat(paths)):
         recording = read(*paths, units=units, columns=columns, rate_hz=rate_hz)
         return stream_of(recording.imus[imu], triads=triads)
     choice = UnitChoice(stated=units or Units(), expected=expected)
@@ -71,6 +71,11 @@ def open_stream(
     from .stream_text import open_text
 
     return open_text(files, choice, columns, rate_hz, triads=triads, block_bytes=block_bytes)
+
+
+def _is_mat(paths: tuple[str | Path, ...]) -> bool:
+    path = Path(paths[0])
+    return len(paths) == 1 and path.is_file() and first_bytes(path).startswith(MAT_MAGIC)
 
 
 class BlockRows:

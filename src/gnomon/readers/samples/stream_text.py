@@ -16,8 +16,9 @@ from ...recording import Integers, Source, TriadSamples
 from ..files import TextFile, bomb_error, first_bytes, largest_unpacked, refuse_binary
 from ..recordings import inertial_streams, without_magnetometer
 from .column_names import Roles, column_roles
+from .printed_lines import PRINTED_HEAD_BYTES, LineRewriter, printed_form
 from .sample_stream import TRIADS, Blocks, SampleStream, UnitChoice, shared_blocks
-from .stamps import guess_time_unit, stamp_kind, to_ns
+from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
 from .table import Triad, preamble_rate, read_table, uniform_stamps
 from .text_table import Column, TextLayout, parse_columns, sniff_layout
 
@@ -100,14 +101,14 @@ def _units(choice: UnitChoice, triads: list[Triad | None]) -> tuple[str, str, st
 
 def _head(path: Path) -> TextFile:
     """Return the beginning of a file, cut at a line end."""
-    with _opened(path) as stream:
+    with _opened(path) as (stream, header):
         data = stream.read(_HEAD_BYTES)
         if len(data) == _HEAD_BYTES and b"\n" in data:
             data = data[: data.rfind(b"\n") + 1]
     if not data.strip():
         raise RecordingError(f"{path}: the file holds no text. Was the recording copied completely?")
     refuse_binary(data, path)
-    return TextFile(name=path.name, data=data, source=_NO_SOURCE)
+    return TextFile(name=path.name, data=data, source=_NO_SOURCE, header=header)
 
 
 def _plan(
@@ -129,7 +130,7 @@ def _plan(
         column, named = used.time[0]
         unit = time_unit or named
         if unit is None:
-            unit, _ = guess_time_unit(_parsed(head, layout, [column], [])[column])
+            unit, _ = guess_time_unit(Unwrapper()(_parsed(head, layout, [column], [])[column]))
     return _Plan(path=path, layout=layout, used=used, triads=triads, units=units, time_unit=unit, rate_hz=rate_hz)
 
 
@@ -138,11 +139,11 @@ def _blocks(plan: _Plan, block_bytes: int, held: list[int]) -> Iterator[list[Tri
     stamps = [i for i, _ in plan.used.time]
     places = [plan.used.triads[index].columns for which in held if (index := plan.triads[which]) is not None]
     values = [i for columns in places for i in columns]
-    count = 0
+    count, unwrapper = 0, Unwrapper()
     for line, text in _lines(plan, block_bytes):
         file = TextFile(name=plan.path.name, data=text, source=_NO_SOURCE)
         data = _parsed(file, replace(plan.layout, offset=0, first_line=line), stamps, values)
-        t_ns = _stamps(plan, data, count)
+        t_ns = _stamps(plan, data, count, unwrapper)
         yield [
             TriadSamples(t_ns=t_ns, values=np.column_stack([data[i] for i in columns]), unit=plan.units[which])
             for which, columns in zip(held, places, strict=True)
@@ -163,7 +164,7 @@ def _parsed(file: TextFile, layout: TextLayout, stamps: list[int], values: list[
         return parse_columns(file, layout, ["S40" if i in stamps else kind for i, kind in enumerate(kinds)])[0]
 
 
-def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
+def _stamps(plan: _Plan, data: list[Column], count: int, unwrapper: Unwrapper) -> Integers:
     """Return the timestamps of a block that begins after `count` rows [ns]."""
     name = plan.path.name
     if not plan.used.time:
@@ -171,14 +172,14 @@ def _stamps(plan: _Plan, data: list[Column], count: int) -> Integers:
     if len(plan.used.time) == 2:
         seconds, rest = (to_ns(data[i], unit or "ns", name) for i, unit in plan.used.time)
         return seconds + rest
-    return to_ns(data[plan.used.time[0][0]], plan.time_unit or "s", name)
+    return to_ns(unwrapper(data[plan.used.time[0][0]]), plan.time_unit or "s", name)
 
 
 def _lines(plan: _Plan, block_bytes: int) -> Iterator[tuple[int, bytes]]:
     """Yield (number of the first line, whole lines) from the first row of data on."""
     line, carry, count = plan.layout.first_line, b"", 0
     size = plan.path.stat().st_size
-    with _opened(plan.path) as stream:
+    with _opened(plan.path) as (stream, _):
         _skip(stream, plan.layout.offset)
         block = stream.read(block_bytes)
         while block:
@@ -205,38 +206,81 @@ def _skip(stream: _Bytes, count: int) -> None:
 
 
 @contextmanager
-def _opened(path: Path) -> Generator[_Bytes]:
-    """Open a text file as UTF-8 bytes without byte order mark, unpacked if it is gzipped.
+def _opened(path: Path) -> Generator[tuple[_Bytes, tuple[str, ...]]]:
+    """Open a table as UTF-8 bytes without byte order mark, unpacked if it is gzipped, printed lines made rows.
+
+    Yields
+    ------
+    stream, header : the bytes, and the names of columns that printed lines tell
 
     Raises
     ------
     RecordingError
         If it cannot be read, or its gzip stream is cut off or damaged.
     """
-    packed = first_bytes(path).startswith(b"\x1f\x8b")
     try:
-        with gzip.open(path, "rb") if packed else path.open("rb") as stream:
-            mark = stream.read(3)
-            stream.seek(3 if mark == b"\xef\xbb\xbf" else 0)
-            if mark[:2] in {b"\xff\xfe", b"\xfe\xff"}:
-                stream.seek(0)
-                yield _Recoded(io.TextIOWrapper(stream, "utf-16", errors="replace", newline=""))
-            else:
-                yield stream
+        with _text_stream(path) as stream:
+            form = printed_form(stream.read(PRINTED_HEAD_BYTES))
+        with _text_stream(path) as stream:
+            yield (stream, ()) if form is None else (_Rewritten(stream, LineRewriter(form)), form.header)
     except EOFError:
         raise RecordingError(f"{path}: the gzip stream ends too early; the file is cut off. Copy it again.") from None
     except (gzip.BadGzipFile, zlib.error) as error:
         raise RecordingError(f"{path}: the gzip stream is damaged ({error}). Copy it again.") from None
 
 
-class _Recoded:
+@contextmanager
+def _text_stream(path: Path) -> Generator[_Bytes]:
+    packed = first_bytes(path).startswith(b"\x1f\x8b")
+    with gzip.open(path, "rb") if packed else path.open("rb") as stream:
+        mark = stream.read(3)
+        stream.seek(3 if mark == b"\xef\xbb\xbf" else 0)
+        if mark[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+            stream.seek(0)
+            yield _Recoded(io.TextIOWrapper(stream, "utf-16", errors="replace", newline=""))
+        else:
+            yield stream
+
+
+class _Pieces:
+    """Bytes that come in pieces of any length, read in any other."""
+
+    def __init__(self) -> None:
+        self._left = b""
+
+    def _piece(self, size: int) -> bytes:
+        """Return some bytes more, made of about so many, none at the end."""
+        raise NotImplementedError
+
+    def read(self, size: int, /) -> bytes:
+        while len(self._left) < size and (piece := self._piece(size)):
+            self._left += piece
+        data, self._left = self._left[:size], self._left[size:]
+        return data
+
+
+class _Recoded(_Pieces):
     """UTF-16 text as UTF-8 bytes."""
 
     def __init__(self, text: io.TextIOWrapper) -> None:
-        self._text, self._left = text, b""
+        super().__init__()
+        self._text = text
 
-    def read(self, size: int, /) -> bytes:
-        while len(self._left) < size and (piece := self._text.read(size)):
-            self._left += piece.encode()
-        data, self._left = self._left[:size], self._left[size:]
-        return data
+    def _piece(self, size: int) -> bytes:
+        return self._text.read(size).encode()
+
+
+class _Rewritten(_Pieces):
+    """Printed lines as rows of a table."""
+
+    def __init__(self, stream: _Bytes, rewriter: LineRewriter) -> None:
+        super().__init__()
+        self._stream, self._rewriter, self._carry = stream, rewriter, b""
+
+    def _piece(self, size: int) -> bytes:
+        block = self._stream.read(size)
+        text = self._carry + block
+        end = text.rfind(b"\n") + 1 if block else len(text)
+        self._carry = text[end:]
+        rows = b"".join(self._rewriter.rows(io.BytesIO(text[:end])))
+        return rows or (self._piece(size) if block else b"")

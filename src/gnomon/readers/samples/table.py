@@ -10,8 +10,10 @@ from ...options import option_range
 from ...recording import Floats, Integers
 from ...units import Units
 from ..files import TextFile
-from .column_names import HELP, Roles, column_roles, unit_of
-from .stamps import guess_time_unit, stamp_kind, to_ns
+from .column_help import HELP, columns_help
+from .column_names import Roles, column_name, column_roles, unit_of
+from .printed_lines import tabulated
+from .stamps import Unwrapper, guess_time_unit, stamp_kind, to_ns
 from .text_table import Column, TextLayout, parse_columns, sniff_layout
 
 
@@ -53,11 +55,20 @@ class Triad:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SampleTable:
-    """What is in a table: timestamps (n,) [ns], its triads (see `Roles.triads`), and what was assumed."""
+    """What is in a table.
+
+    Attributes
+    ----------
+    t_ns : timestamps (n,) [ns]
+    triads : see `Roles.triads`
+    notes : what was assumed
+    advice : what to do where a triad is missing
+    """
 
     t_ns: Integers
     triads: tuple[Triad, ...]
     notes: tuple[str, ...]
+    advice: str = HELP
 
 
 def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units: Units) -> SampleTable:
@@ -70,6 +81,7 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
     OptionError
         If `columns` does not fit the table.
     """
+    file = tabulated(file)
     layout = sniff_layout(file)
     used = column_roles(layout, columns, file.name)
     data, cut = _parse(file, layout, used)
@@ -89,7 +101,10 @@ def read_table(file: TextFile, columns: str | None, rate_hz: float | None, units
             values[:, axis] = data[i]
         values.flags.writeable = False  # so that it is kept without a copy
         triads.append(Triad(quantity=triad.quantity, values=values, unit=triad.unit))
-    return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=(*used.notes, *(n for n in (note, cut) if n)))
+    notes = (*file.notes, *used.notes, *(text for text in (note, cut) if text))
+    only = [triad.quantity for triad in triads] == ["gyroscope"]
+    advice = columns_help(layout, [column_name(name).quantity for name in layout.header]) if only else HELP
+    return SampleTable(t_ns=t_ns, triads=tuple(triads), notes=notes, advice=advice)
 
 
 def _parse(file: TextFile, layout: TextLayout, used: Roles) -> tuple[list[Column], str | None]:
@@ -125,16 +140,20 @@ def _stamps(file: TextFile, used: Roles, data: list[Column], stated: str | None)
         both = [to_ns(data[i], unit or "ns", file.name) for i, unit in used.time]
         return both[0] + both[1], f"{file.name}: timestamps are seconds and nanoseconds, from the header."
     ((column, named),) = used.time
+    unwrapper = Unwrapper()
+    stamps = unwrapper(data[column])
     if stated is not None:
         unit, reason = stated, "as stated"
     elif named is not None:
         unit, reason = named, "from the header"
     else:
         try:
-            unit, reason = guess_time_unit(data[column])
+            unit, reason = guess_time_unit(stamps)
         except ValueError:
             raise RecordingError(f"{file.name}: the timestamps are not numbers. {HELP}") from None
-    return to_ns(data[column], unit, file.name), f"{file.name}: time in {unit} ({reason})."
+    if unwrapper.wraps:
+        reason += f"; a counter of 32 bits, continued where it began again ({unwrapper.wraps} times)"
+    return to_ns(stamps, unit, file.name), f"{file.name}: time in {unit} ({reason})."
 
 
 def uniform_stamps(count: int, rate_hz: float, first: int = 0) -> Integers:

@@ -100,6 +100,7 @@ def sniff_layout(file: TextFile, expected: str = SAMPLE_ROWS) -> TextLayout:
     columns = max(counts, key=lambda n: (counts[n], n))
     first = _first_row(rows, masks, columns)
     header, preamble = _header(lines[:first], delimiter, columns)
+    header = file.header if len(file.header) == columns else header
     sample = tuple(tuple(row) for row in rows[first:] if len(row) == columns)
     return TextLayout(
         delimiter=delimiter,
@@ -149,6 +150,15 @@ def _header_tokens(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None and len(line) < _LONGEST_HEADER:  # "a_x [m s^-2]" is one name
         line = re.sub(r"\s*[\[(][^\])]*[\])]", lambda unit: re.sub(r"\s", "", unit.group()), line)
     return [token.strip('"').strip() for token in split_line(line, delimiter)]
+
+
+def rises(layout: TextLayout, column: int = 0) -> bool:
+    """Tell whether a column mostly rises: stamps may stand still or jump back, samples go up and down."""
+    tokens = [row[column].strip('"') for row in layout.sample if is_number(row[column], layout.decimal_comma)]
+    numbers = np.array([float(token.replace(",", ".")) for token in tokens])
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        steps = np.diff(numbers)
+    return len(steps) > 0 and float((steps >= 0).mean()) > 0.9 and numbers[-1] > numbers[0]
 
 
 def parse_columns(

@@ -1,0 +1,75 @@
+"""What is said of columns that nothing names: their ranges, and what their values may be."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...recording import Floats
+from .recognise import gravity_unit
+from .text_table import TextLayout, is_number, rises
+
+HELP = 'Say what the columns are with --columns, for example --columns "t ax ay az gx gy gz" (_ skips a column).'
+TRIAL = ' By their values, try --columns "{}".'
+"""What `columns_help` says where the values tell it."""
+
+_MOST_LISTED = 24
+_COUNTS_OF_G = (16384, 8192, 4096, 2048, 1024, 256)
+
+
+def columns_help(layout: TextLayout, quantities: Sequence[str] = ()) -> str:
+    """Return which columns there are, their ranges in the first rows, and how --columns could name them.
+
+    Parameters
+    ----------
+    layout : of the table
+    quantities : what the header says of each column, as far as it does
+    """
+    values = _sample_values(layout)
+    listed: list[str] = []
+    for i, column in enumerate(values.T[:_MOST_LISTED]):
+        name = f"{i + 1} ({layout.header[i][:40]})" if layout.header else f"{i + 1}"
+        good = column[np.isfinite(column)]
+        span = f"{good.min():.6g} to {good.max():.6g}" if len(good) else "no numbers"
+        listed.append(f"{name}: {span}{', rises' if rises(layout, i) else ''}")
+    more = "; ..." if layout.columns > _MOST_LISTED else ""
+    words = _likely_columns(layout, values, quantities or ["other"] * layout.columns)
+    trial = "" if words is None else TRIAL.format(" ".join(words))
+    return f"Columns in the first rows: {'; '.join(listed)}{more}.{trial} {HELP}"
+
+
+def _sample_values(layout: TextLayout) -> Floats:
+    def number(token: str) -> float:
+        plain = token.strip().strip('"')
+        return float(plain.replace(",", ".", 1)) if is_number(plain, layout.decimal_comma) else np.nan
+
+    return np.array([[number(token) for token in row] for row in layout.sample], dtype=np.float64)
+
+
+def _likely_columns(layout: TextLayout, values: Floats, known: Sequence[str]) -> list[str] | None:
+    """Return a word for each column: a time that rises, three that read gravity, three beside them; None without."""
+    words = ["_"] * layout.columns
+    rising = [i for i in range(layout.columns) if rises(layout, i) and len(np.unique(values[:, i])) > 2]
+    time = next((i for i in rising if not (np.diff(values[:, i]) == 1).all()), next(iter(rising), None))  # no counter
+    if time is not None:
+        words[time] = "t"
+    free = [np.isfinite(column).all() and np.ptp(column) > 0 and i not in rising for i, column in enumerate(values.T)]
+    places = [i for i in range(layout.columns - 2) if all(free[i : i + 3])]
+    begin = [max((j + 1 for j in range(i) if not free[j]), default=0) for i in places]  # of the columns without a gap
+    places = [i for _, i in sorted(((i - j) % 3 > 0, i) for i, j in zip(places, begin, strict=True))]
+    first = next(
+        (i for i in places if _reads_gravity(values[:, i : i + 3]) and "gyroscope" not in known[i : i + 3]), None
+    )
+    if first is None:
+        return None
+    words[first : first + 3] = "ax", "ay", "az"
+    named = [i for i in places if all(name == "gyroscope" for name in known[i : i + 3])]
+    second = next((i for i in (*named, first + 3, first - 3) if i in places and abs(i - first) >= 3), None)
+    if second is not None:
+        words[second : second + 3] = "gx", "gy", "gz"
+    return words
+
+
+def _reads_gravity(values: Floats) -> bool:
+    norms = np.linalg.norm(values, axis=1)
+    middle = float(np.median(norms))
+    return gravity_unit(middle) is not None or any(abs(middle / count - 1) < 0.15 for count in _COUNTS_OF_G)
